@@ -45,7 +45,21 @@ pub enum HubError {
         /// What was expected in its place.
         expected: &'static str,
     },
-    /// The hub cannot be reached, or the connection ended early.
+    /// The connection ended before all was here. What arrived is kept.
+    #[error(
+        "the transfer from {endpoint} broke off after {here} of {size_bytes} bytes: {why}; run the command again to continue"
+    )]
+    CutOff {
+        /// The hub's address.
+        endpoint: String,
+        /// Bytes that are here.
+        here: u64,
+        /// Bytes of the file.
+        size_bytes: u64,
+        /// What the connection said.
+        why: String,
+    },
+    /// The hub cannot be reached.
     #[error(
         "failed to reach {endpoint}: {reason}; without a network use the embedded household model, which every command does when no --model is given"
     )]
@@ -248,10 +262,7 @@ impl Partial {
             Err(TryLockError::Error(error)) => return Err(HubError::Cache { path, error }),
         }
         // Whoever had the lock may have given the file its final name meanwhile.
-        let same = |there: std::fs::Metadata| {
-            content.metadata().is_ok_and(|ours| (ours.dev(), ours.ino()) == (there.dev(), there.ino()))
-        };
-        if !path.symlink_metadata().is_ok_and(same) {
+        if !is_at(&content, &path) {
             return Err(HubError::Locked(path));
         }
         let (mut hasher, mut kept, mut buffer) = (Sha256::new(), 0, vec![0; BUFFER]);
@@ -263,6 +274,11 @@ impl Partial {
             hasher.update(&buffer[..length]);
             kept += length as u64;
         }
+    }
+
+    /// Whether the path leads to this file: it may have its final name, or be removed.
+    fn is_there(&self) -> bool {
+        is_at(&self.content, &self.path)
     }
 
     fn remove(&self) -> Result<(), HubError> {
@@ -285,26 +301,24 @@ impl Partial {
         progress.set_position(answer.from);
         let missing = answer.size_bytes - answer.from;
         let mut body = answer.body.take(missing);
+        let cut_off = |arrived: u64, why: String| HubError::CutOff {
+            endpoint: endpoint.into(),
+            here: answer.from + arrived,
+            size_bytes: answer.size_bytes,
+            why,
+        };
         let (mut arrived, mut buffer) = (0, vec![0; BUFFER]);
         loop {
-            let lost =
-                |error: std::io::Error| HubError::Unreachable { endpoint: endpoint.into(), reason: error.to_string() };
-            let length = body.read(&mut buffer).map_err(lost)?;
-            if length == 0 {
-                break;
-            }
+            let length = match body.read(&mut buffer) {
+                Ok(0) if arrived == missing => break,
+                Ok(0) => return Err(cut_off(arrived, "the connection ended".to_owned())),
+                Err(error) => return Err(cut_off(arrived, error.to_string())),
+                Ok(length) => length,
+            };
             self.content.write_all(&buffer[..length]).map_err(failed(&self.path))?;
             self.hasher.update(&buffer[..length]);
             arrived += length as u64;
             progress.inc(length as u64);
-        }
-        if arrived < missing {
-            let reason = format!(
-                "the connection ended after {} of {} bytes; run the command again to continue",
-                answer.from + arrived,
-                answer.size_bytes
-            );
-            return Err(HubError::Unreachable { endpoint: endpoint.into(), reason });
         }
         progress.finish_and_clear();
         Ok(())
@@ -316,6 +330,24 @@ impl Partial {
         std::fs::rename(&self.path, path).map_err(failed(path))?;
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed(folder))
     }
+}
+
+/// Of a download that brought nothing, nothing stays.
+impl Drop for Partial {
+    fn drop(&mut self) {
+        if self.content.metadata().is_ok_and(|content| content.len() == 0) && self.is_there() {
+            // One that stays is taken up by the next try.
+            let _removed = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// Whether a path leads to an open file.
+fn is_at(content: &File, path: &Path) -> bool {
+    let same = |there: std::fs::Metadata| {
+        content.metadata().is_ok_and(|ours| (ours.dev(), ours.ino()) == (there.dev(), there.ino()))
+    };
+    path.symlink_metadata().is_ok_and(same)
 }
 
 /// What went wrong in the cache, at a path.
@@ -675,8 +707,9 @@ mod tests {
         let server = Server::start(content.clone(), sum, Some(100));
         let cache = tempfile::tempdir().unwrap();
         let hub = server.hub(cache.path());
-        let error = pull(&hub, &TINY).unwrap_err();
-        assert!(matches!(error, HubError::Unreachable { .. }), "{error}");
+        let error = pull(&hub, &TINY).unwrap_err().to_string();
+        let here = format!("broke off after 100 of {} bytes: ", content.len());
+        assert!(error.contains(&here) && error.ends_with("; run the command again to continue"), "{error}");
         let pulled = pull(&hub, &TINY).unwrap();
         assert_eq!(std::fs::read(&pulled.path).unwrap(), content);
         assert_eq!(*server.ranges.lock().unwrap(), [0, 100]);
@@ -723,6 +756,7 @@ mod tests {
         let cache = tempfile::tempdir().unwrap();
         let error = pull(&server.hub(cache.path()), &Request { file: "Tiny.gguf", ..TINY }).unwrap_err().to_string();
         assert!(error.contains("404 for Tiny.gguf of someone/models"), "{error}");
+        assert!(files(cache.path()).is_empty(), "nothing came, and nothing stays");
     }
 
     #[test]

@@ -148,7 +148,11 @@ fn page() -> String {
                 &question::ANSWER_FILES_MAX,
                 "the oldest is removed, and asked for again",
             ),
-            ("subscribers of scores", &RoomScoresV1::SERVICE.subscribers, "cannot join"),
+            (
+                "subscribers of scores, which narrators, planners, drivers of robots, bridges, metrics, view, top and recorders are",
+                &RoomScoresV1::SERVICE.subscribers,
+                "cannot join",
+            ),
             ("robots", &DecisionV1::SERVICE.publishers, "cannot join"),
         ],
     );

@@ -2034,6 +2034,26 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     assert_eq!((fourth.action, fourth.covered), (action::GO, third.covered), "{}", fourth.reason());
 }
 
+/// Names of participants are ASCII; those of robots are not.
+#[test]
+fn a_robot_may_have_any_name() {
+    let mut world = World::new("umlaut");
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(&config, "[planner]\nrobot = \"Staubi Ä\"\n").unwrap();
+    let config = config.to_str().unwrap();
+    world.start(&["planner", "--config", config]);
+    // Without a daemon it says that it has no scores.
+    let first = decision_with(&decisions, "the first decision", |_| true);
+    assert_eq!(first.robot_name(), "Staubi Ä");
+    let said = report(&world, &["docked", "--config", config], "");
+    assert_eq!(said, (0, String::new()));
+    let (code, said) = report(&world, &["docked", "--robot", "Staubi Ö", "--wait", "0.1"], "");
+    assert_eq!(code, i32::from(exit_code::IPC), "{said}");
+    assert!(said.contains("but one of `Staubi Ä`: give --robot 'Staubi Ä'"), "{said}");
+}
+
 #[test]
 fn a_report_that_nobody_can_hear_or_understand_says_so() {
     let mut world = World::new("report");
@@ -2054,7 +2074,7 @@ fn a_report_that_nobody_can_hear_or_understand_says_so() {
     eventually("the planner listens", || (reports_port.subscribers() > 1).then_some(()));
     let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");
     assert_eq!(code, i32::from(exit_code::IPC), "{said}");
-    assert!(said.contains("but one of `vacuum`: give --robot vacuum"), "{said}");
+    assert!(said.contains("but one of `vacuum`: give --robot 'vacuum'"), "{said}");
     for (arguments, code, part) in [
         (&["battery"][..], exit_code::INPUT, "needs `battery`: give 0 (empty) to 1 (full)"),
         (&["finishd"], exit_code::USAGE, "[possible values: position, started, finished"),

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
+use std::collections::BTreeSet;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -315,8 +316,18 @@ impl Supervisor {
     }
 
     fn start_service(&mut self, arguments: &[&str]) {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
-        command.args(arguments).args(["--domain", self.domain.name(), "--root"]).arg(self.domain.root());
+        self.start_under(&[], arguments);
+    }
+
+    /// The same, started by a program that runs others.
+    fn start_under(&mut self, runner: &[&str], arguments: &[&str]) {
+        let program = [runner, &[env!("CARGO_BIN_EXE_roomcast")]].concat();
+        let mut command = Command::new(program[0]);
+        command
+            .args(&program[1..])
+            .args(arguments)
+            .args(["--domain", self.domain.name(), "--root"])
+            .arg(self.domain.root());
         command.env_remove("ROOMCAST_CONFIG");
         command.env("NOTIFY_SOCKET", self.directory.path().join("notify")).env("WATCHDOG_USEC", "10000000");
         self.child = Some(command.stdin(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
@@ -427,6 +438,87 @@ fn every_service_says_again_and_again_that_it_lives() {
         for _ in 0..3 {
             assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(5)), "{unit}: {command:?} says that it lives");
         }
+    }
+}
+
+/// The calls of a group, and of those in it, as systemd has them.
+fn calls_of(group: &str) -> BTreeSet<String> {
+    let output = Command::new("systemd-analyze").args(["syscall-filter", "--no-pager", group]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    // The first line is the group itself; lines of words in prose begin with a number sign.
+    let names = text.lines().skip(1).map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let (groups, calls): (Vec<&str>, Vec<&str>) = names.partition(|name| name.starts_with('@'));
+    calls.into_iter().map(str::to_owned).chain(groups.into_iter().flat_map(calls_of)).collect()
+}
+
+/// The calls that a unit lets its service make, as systemd reads its lines: the first one lists what is allowed, and each after it adds or takes away.
+fn allowed(unit: &str) -> BTreeSet<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(unit);
+    let text = std::fs::read_to_string(path).unwrap();
+    // systemd itself needs these to start anything.
+    let mut allowed = calls_of("@default");
+    for line in text.lines().filter_map(|line| line.strip_prefix("SystemCallFilter=")) {
+        let (takes_away, names) = line.strip_prefix('~').map_or((false, line), |names| (true, names));
+        for name in names.split_whitespace() {
+            let calls = if name.starts_with('@') { calls_of(name) } else { [name.to_owned()].into() };
+            match takes_away {
+                true => allowed.retain(|call| !calls.contains(call)),
+                false => allowed.extend(calls),
+            }
+        }
+    }
+    allowed
+}
+
+/// A call that the filter refuses fails with EPERM, and what it is for does not work: the cores of the scorer, the priority of preparing.
+#[test]
+fn every_service_makes_only_calls_that_its_unit_allows() {
+    for tool in ["strace", "systemd-analyze"] {
+        if Command::new(tool).arg("--version").output().is_err() {
+            return skipped(format!("{tool} is not installed (apt-get install strace systemd)"));
+        }
+    }
+    let own = rustix::thread::sched_getaffinity(None).unwrap();
+    let core = (0..rustix::thread::CpuSet::MAX_CPU).find(|core| own.is_set(*core)).unwrap();
+    for unit in UNITS {
+        let mut supervisor = Supervisor::new();
+        let folder = supervisor.directory.path().to_owned();
+        let Some(mut command) = service_of(unit, &folder) else { continue };
+        let (config, seen) = (folder.join("roomcast.toml"), folder.join("calls"));
+        std::fs::write(&config, format!("[model]\ncores = [{core}]\n")).unwrap();
+        command.extend(["--config".to_owned(), config.to_str().unwrap().to_owned()]);
+        // The service is the process that is started here, and strace one beside it.
+        let runner = ["strace", "-D", "-f", "-qq", "-c", "-U", "name", "-o", seen.to_str().unwrap()];
+        supervisor.start_under(&runner, &command.iter().map(String::as_str).collect::<Vec<_>>());
+        if !supervisor.hears("READY=1", Duration::from_secs(60)) {
+            return skipped("strace may not look at processes here");
+        }
+        assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(20)), "{unit}: {command:?} lives");
+        supervisor.signal(Signal::TERM);
+        supervisor.child.take().unwrap().wait().unwrap();
+        // It is written when the service has ended.
+        let is_name = |word: &str| {
+            !word.is_empty() && word.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
+        };
+        let start = Instant::now();
+        let made: BTreeSet<String> = loop {
+            let text = std::fs::read_to_string(&seen).unwrap_or_default();
+            // Between the head of the column and its foot.
+            if let Some(("syscall", names)) =
+                text.trim().strip_suffix("total").and_then(|all| all.trim().split_once('\n'))
+            {
+                break names.lines().map(str::trim).filter(|line| is_name(line)).map(str::to_owned).collect();
+            }
+            assert!(start.elapsed() < Duration::from_secs(30), "{unit}: strace says nothing");
+            std::thread::sleep(Duration::from_millis(50));
+        };
+        assert!(made.contains("execve") && made.len() > 20, "{unit}: {made:?}");
+        if unit == UNITS[0] {
+            assert!(made.contains("sched_setaffinity") && made.contains("setpriority"), "{made:?}");
+        }
+        let allowed = allowed(unit);
+        let refused: Vec<_> = made.difference(&allowed).collect();
+        assert!(refused.is_empty(), "{unit} refuses {refused:?}");
     }
 }
 

@@ -169,7 +169,8 @@ fn message(heard: &Heard, decision: &Decision, age_ns: u64) -> Result<DecisionV1
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
         action: action::of_word(&decision.action),
-        minor: 1,
+        minor: 2,
+        robot_name: text::encode_cut(&heard.robot),
         to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
         reason: text::encode_cut(&decision.reason),
         ..DecisionV1::default()
@@ -248,6 +249,7 @@ mod tests {
             (first.robot, first.to(), first.action),
             (sequence::source_of_name("robot-2"), "kitchen", action::GO)
         );
+        assert_eq!(first.robot_name(), "robot-2");
         assert_eq!(peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap(), None);
         peers.hear(&heard("robot-2", "decision", told(u64::MAX, "hall"), now_ns)).err().unwrap();
         assert!(peers.fallen_silent(now_ns + S).is_empty());

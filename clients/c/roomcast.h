@@ -166,6 +166,9 @@
 // The robot has reported before and has been silent for longer than allowed.
 #define ROOMCAST_DECISION_FLAGS_ROBOT_SILENT (1 << 10)
 
+// The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
+#define ROOMCAST_DECISION_FLAGS_OWED (1 << 11)
+
 // Most bytes of a report's note.
 #define ROOMCAST_NOTE_TEXT_BYTES 120
 
@@ -670,7 +673,7 @@ typedef struct RoomcastDecisionV1 {
   // room's score.
   // (Offset 80.)
   double probability;
-  // How long the robot will stay there, in nanoseconds. 0 of work that was asked for before: its time is over, and a report is owed.
+  // How long the robot will stay there, in nanoseconds; 0 where no stay is planned.
   // (Offset 88.)
   uint64_t stay_ns;
   // One of action.
@@ -679,7 +682,7 @@ typedef struct RoomcastDecisionV1 {
   // Bits of decision_flags.
   // (Offset 100.)
   uint32_t flags;
-  // Minor version of the layout: 1, which has action::PAUSE and cancels.
+  // Minor version of the layout: 2, which has robot_name and decision_flags::OWED; 1 has action::PAUSE and cancels.
   // (Offset 104.)
   uint32_t minor;
   // Zero.
@@ -700,9 +703,12 @@ typedef struct RoomcastDecisionV1 {
   // Sequence of the decision of this epoch that does not hold any more, 0 for none.
   // (Offset 512.)
   uint64_t cancels;
-  // Zero.
+  // The robot's name, UTF-8, zero padded; empty where whoever decides does not tell it.
   // (Offset 520.)
-  uint8_t reserved[248];
+  uint8_t robot_name[ROOMCAST_NAME_BYTES];
+  // Zero.
+  // (Offset 568.)
+  uint8_t reserved[200];
 } RoomcastDecisionV1;
 
 // What a robot says of itself: where it is, and what became of a decision.
@@ -1122,7 +1128,8 @@ _Static_assert(offsetof(RoomcastDecisionV1, to) == 160, "RoomcastDecisionV1.to")
 _Static_assert(offsetof(RoomcastDecisionV1, policy) == 208, "RoomcastDecisionV1.policy");
 _Static_assert(offsetof(RoomcastDecisionV1, reason) == 256, "RoomcastDecisionV1.reason");
 _Static_assert(offsetof(RoomcastDecisionV1, cancels) == 512, "RoomcastDecisionV1.cancels");
-_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 520, "RoomcastDecisionV1.reserved");
+_Static_assert(offsetof(RoomcastDecisionV1, robot_name) == 520, "RoomcastDecisionV1.robot_name");
+_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 568, "RoomcastDecisionV1.reserved");
 _Static_assert(sizeof(RoomcastRobotReportV1) == 512, "RoomcastRobotReportV1");
 _Static_assert(offsetof(RoomcastRobotReportV1, robot) == 0, "RoomcastRobotReportV1.robot");
 _Static_assert(offsetof(RoomcastRobotReportV1, epoch) == 8, "RoomcastRobotReportV1.epoch");

@@ -140,14 +140,14 @@ pub enum IpcError {
         /// [`crate::ICEORYX2_VERSION`].
         ours: &'static str,
     },
-    /// Somebody else holds the only place.
+    /// Others hold all places.
     #[error(
-        "service {service}: {holder} already is its {role}, and there can be {limit}; stop it first, or use another domain"
+        "service {service}: it has at most {limit} {role}(s), and has them already: {holder}; stop one first, or use another domain"
     )]
     Occupied {
         /// Service name.
         service: &'static str,
-        /// Who, as far as known.
+        /// Who, as far as known, by name and process.
         holder: String,
         /// "publisher", "subscriber", "server", "client".
         role: &'static str,

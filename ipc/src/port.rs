@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::node::NodeView;
 use iceoryx2::port::client::Client;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
+use iceoryx2::port::listener::{Listener, ListenerCreateError, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -259,13 +259,16 @@ impl<M: Message> Subscriber<M> {
         let factory = open_service::<M>(node)?;
         // The listener is there before the subscriber: no wake-up falls between the two.
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
-        let listener = events.listener_builder().create().map_err(|error| passing(quality.name, &error))?;
+        let is_full =
+            || occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers);
+        let listener = events.listener_builder().create().map_err(|error| match error {
+            ListenerCreateError::ExceedsMaxSupportedListeners => is_full(),
+            other => passing(quality.name, &other),
+        })?;
         let connections = Connections::default();
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).history_request(history);
         let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
-        let subscriber = subscriber.map_err(|_| {
-            occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers)
-        })?;
+        let subscriber = subscriber.map_err(|_| is_full())?;
         wake(waker(node, quality.name).as_ref());
         let (subscriber, former) = (RefCell::new(subscriber), RefCell::new(None));
         Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false), history })
@@ -916,7 +919,7 @@ pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
         CallbackProgression::Continue
     });
     node.free_places_of_nobody(holders, factory.service_hash());
-    let holder = if names.is_empty() { "somebody".to_owned() } else { names.join(" or ") };
+    let holder = if names.is_empty() { "somebody".to_owned() } else { names.join(", ") };
     OpenFailure::Passing(IpcError::Occupied { service, holder, role, limit })
 }
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use iceoryx2::prelude::ZeroCopySend;
 use roomcast_ipc::{
     DecisionV1, Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1,
-    RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
+    RobotReportV1, RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
 };
 
 /// A domain that removes itself, also when the test fails.
@@ -213,6 +213,19 @@ impl Message for RoomScoresV2 {
     fn check(&self) -> Result<(), MessageError> {
         Ok(())
     }
+}
+
+/// The last place is that of a listener, before there is a subscriber that could want one.
+#[test]
+fn one_subscriber_too_many_is_told_who_is_there() {
+    let private = Private::new("crowd");
+    let node = private.domain.open("crowd").unwrap();
+    let places = RobotReportV1::SERVICE.subscribers;
+    let _all: Vec<_> = (0..places).map(|_| node.subscriber::<RobotReportV1>().unwrap()).collect();
+    let error = node.subscriber::<RobotReportV1>().unwrap_err();
+    let said = error.to_string();
+    assert!(matches!(error, IpcError::Occupied { role: "subscriber", limit, .. } if limit == places), "{said}");
+    assert!(said.contains("has them already: crowd"), "{said}");
 }
 
 #[test]

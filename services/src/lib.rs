@@ -70,6 +70,8 @@ pub mod mqtt_link;
 
 pub mod planner;
 
+pub mod participant;
+
 pub mod reporter;
 
 #[cfg(feature = "mqtt")]

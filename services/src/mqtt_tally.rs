@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::{clock, sequence};
 use serde::{Deserialize, Serialize};
 
-use crate::state_file;
+use crate::state_file::{self, Kept};
 
 /// A count is written at most so often, and at the end.
 const SAVE_EVERY: Duration = Duration::from_secs(20);
@@ -49,12 +49,10 @@ fn path(directory: &Path, narrator: &str) -> PathBuf {
 /// Counts, and writes what it has counted.
 #[derive(Debug)]
 pub struct Tally {
-    path: PathBuf,
+    file: Kept<Counted>,
     keys: Vec<String>,
     /// What narrators before this one have counted.
     before: Counted,
-    /// What was written last.
-    written: Vec<u64>,
     due: Instant,
 }
 
@@ -68,28 +66,24 @@ impl Tally {
         for key in &keys {
             before.fitted.entry(key.clone()).or_default();
         }
-        Self { path: path(directory, narrator), keys, before, written: Vec::new(), due: Instant::now() }
+        Self { file: Kept::new(path(directory, narrator)), keys, before, due: Instant::now() }
     }
 
     /// Writes the counts of this process where they have changed and it is time, or the end.
     pub(crate) fn keep(&mut self, fitted: &[u64], at_end: bool) {
         let now = Instant::now();
-        if self.written == fitted || (now < self.due && !at_end) {
+        if now < self.due && !at_end {
             return;
         }
         self.due = now + SAVE_EVERY;
-        self.written = fitted.to_vec();
         let mut counted = self.before.clone();
         for (key, count) in self.keys.iter().zip(fitted) {
             let sum = counted.fitted.entry(key.clone()).or_default();
             *sum = sum.saturating_add(*count);
         }
         // The narrator may be there before the daemon has made the directory.
-        let _made = self.path.parent().map(state_file::make_folder);
-        let written = serde_json::to_vec(&counted).map_err(std::io::Error::other);
-        if let Err(error) = written.and_then(|bytes| state_file::replace(&self.path, &bytes)) {
-            tracing::warn!(path = %self.path.display(), %error, "how often rules fit cannot be kept");
-        }
+        let _made = self.file.path().parent().map(state_file::make_folder);
+        self.file.keep(counted, "how often rules fit cannot be kept; check the directory");
     }
 }
 
@@ -122,7 +116,13 @@ mod tests {
         // One is edited: it begins again, and the other goes on.
         let edited = keys(&["stand", "use"]);
         assert_eq!(of(&edited), [None, Some(3)]);
-        Tally::new(&folder, "home", edited.clone()).keep(&[0, 1], true);
+        let mut tally = Tally::new(&folder, "home", edited.clone());
+        // A folder that cannot be for a moment: the same counts are written when it can.
+        std::fs::remove_dir_all(&folder).unwrap();
+        std::fs::write(&folder, "in the way").unwrap();
+        tally.keep(&[0, 1], true);
+        std::fs::remove_file(&folder).unwrap();
+        tally.keep(&[0, 1], true);
         assert_eq!(of(&edited), [Some(0), Some(4)]);
         std::fs::write(path(&folder, "home"), "{").unwrap();
         assert_eq!(Counted::of(&folder, "home"), None);

@@ -6,6 +6,14 @@ use std::io::{self, Read, Write};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
+use roomcast_ipc::clock;
+use serde::Serialize;
+
+use crate::logging::Limiter;
+
+/// How often a file that cannot be written is complained of.
+const COMPLAINT_NS: u64 = 60_000_000_000;
+
 /// Makes a folder for what is kept, and those above it, where they are not there yet: nobody else reads who lives here.
 ///
 /// # Errors
@@ -51,6 +59,44 @@ pub(crate) fn require_plain(path: &Path) -> io::Result<()> {
         Ok(found) if !found.is_file() => Err(io::Error::other("it is no plain file; remove it")),
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
+    }
+}
+
+/// A small file of JSON that follows a value across changes.
+#[derive(Debug)]
+pub(crate) struct Kept<T> {
+    path: PathBuf,
+    /// What the file is known to hold.
+    written: Option<T>,
+    log: Limiter,
+}
+
+impl<T: PartialEq + Serialize> Kept<T> {
+    /// Of nothing yet: whatever the file holds is replaced by the first value.
+    pub(crate) fn new(path: PathBuf) -> Self {
+        Self { path, written: None, log: Limiter::new(COMPLAINT_NS) }
+    }
+
+    /// The file.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Replaces the file where it does not hold this value. What cannot be written is tried again with the next call, and is complained of now
+    /// and then: `loss` says what it costs, and the remedy.
+    pub(crate) fn keep(&mut self, value: T, loss: &str) {
+        if self.written.as_ref() == Some(&value) {
+            return;
+        }
+        let bytes = serde_json::to_vec(&value).map_err(io::Error::from);
+        match bytes.and_then(|bytes| replace(&self.path, &bytes)) {
+            Ok(()) => self.written = Some(value),
+            Err(error) => {
+                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, path = %self.path.display(), held_back, "{loss}");
+                }
+            }
+        }
     }
 }
 
@@ -136,6 +182,23 @@ mod tests {
         std::fs::write(&path, [0xff]).unwrap();
         read(&path, 3).unwrap_err();
         assert!(read(directory.path(), 3).unwrap_err().to_string().contains("no plain file"));
+    }
+
+    #[test]
+    fn what_could_not_be_written_is_written_when_it_can_be() {
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("state/value.json");
+        let mut kept = Kept::new(path.clone());
+        kept.keep(7, "it is not kept");
+        make_folder(path.parent().unwrap()).unwrap();
+        kept.keep(7, "it is not kept");
+        assert_eq!(read(&path, 9).unwrap().as_deref(), Some("7"));
+        // What the file holds already is not written again.
+        std::fs::remove_file(&path).unwrap();
+        kept.keep(7, "it is not kept");
+        assert!(!path.exists());
+        kept.keep(8, "it is not kept");
+        assert_eq!(read(&path, 9).unwrap().as_deref(), Some("8"));
     }
 
     #[test]

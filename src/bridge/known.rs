@@ -1,6 +1,6 @@
 //! What the services have said last, and what of it is told: a JSON message for the home and for each room, person and robot.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_ipc::{
     DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, forecast_flags,
@@ -13,7 +13,7 @@ use super::names::{of_person, of_robot, of_room, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
-use roomcast_services::planner::robot_of;
+use roomcast_services::participant::PLANNER;
 
 /// Robots that are told of; of more, the one that decided longest ago gives way.
 const ROBOTS_MAX: usize = 8;
@@ -30,9 +30,7 @@ pub(super) struct Known {
     persons: Option<Box<PersonForecastsV1>>,
     decisions: BTreeMap<u64, DecisionV1>,
     /// The robots whose planners run in this domain.
-    planners: BTreeMap<u64, String>,
-    /// A robot has decided whose planner was not seen yet.
-    strangers: bool,
+    planners: BTreeSet<u64>,
     status: Option<StatusResponseV1>,
     /// When something was last narrated, in seconds of the wall clock, as far as anybody said.
     narrated_unix_s: Option<u64>,
@@ -58,7 +56,6 @@ impl Known {
     }
 
     pub(super) fn take_decision(&mut self, decision: &DecisionV1) {
-        self.strangers |= !self.planners.contains_key(&decision.robot);
         self.decisions.insert(decision.robot, *decision);
         if self.decisions.len() > ROBOTS_MAX
             && let Some(oldest) = self.decisions.values().min_by_key(|decision| decision.decided_ns).map(|d| d.robot)
@@ -67,21 +64,14 @@ impl Known {
         }
     }
 
-    /// Whether a robot has decided whose name is to be looked up.
-    pub(super) fn has_strangers(&self) -> bool {
-        self.strangers
-    }
-
-    /// Who takes part in the domain: robots have their planners' names, and one whose planner has ended goes. The configured robot, `own`, stays,
-    /// and so does one that was never seen here.
+    /// Who takes part in the domain: a robot whose planner has ended goes. The configured robot, `own`, stays, and so does one that was never
+    /// seen here.
     pub(super) fn take_planners(&mut self, participants: &[String], own: &str) {
-        let robots = participants.iter().filter_map(|participant| robot_of(participant));
-        let planners = robots.map(|robot| (sequence::source_of_name(robot), robot.to_owned())).collect();
+        let planners = participants.iter().filter_map(|participant| PLANNER.robot_of(participant)).collect();
         let before = std::mem::replace(&mut self.planners, planners);
         let own = sequence::source_of_name(own);
-        let gone = before.into_keys().filter(|robot| *robot != own && !self.planners.contains_key(robot));
+        let gone = before.into_iter().filter(|robot| *robot != own && !self.planners.contains(robot));
         gone.for_each(|robot| _ = self.decisions.remove(&robot));
-        self.strangers = false;
     }
 
     pub(super) fn take_status(&mut self, status: Option<StatusResponseV1>) {
@@ -125,19 +115,20 @@ impl Known {
             put(format!("persons/{part}"), &person_message(all, person, config));
         }
         let own = sequence::source_of_name(robot);
-        let named = |number: u64| {
-            let known = self.planners.get(&number).map(String::as_str);
-            let known = if number == own { Some(robot) } else { known };
+        let named = |number: u64, told: &str| {
+            let known = if number == own { robot } else { told };
+            let known = Some(known).filter(|known| !known.is_empty());
             let name = known.map_or_else(|| unnamed_robot(number), str::to_owned);
             Named { part: of_robot(number, known), name }
         };
-        let mut robots: Vec<Named> = self.decisions.keys().map(|number| named(*number)).collect();
+        let mut robots: Vec<Named> =
+            self.decisions.values().map(|decision| named(decision.robot, decision.robot_name())).collect();
         for (decision, Named { part, name }) in self.decisions.values().zip(&robots) {
             put(format!("robots/{part}"), &decision_message(decision, name));
         }
         // It has its place before it decides, and keeps it while its planner is away.
         if !self.decisions.contains_key(&own) {
-            robots.push(named(own));
+            robots.push(named(own, robot));
         }
         picture.insert(format!("{base}/status"), ONLINE.to_owned());
         picture.insert(format!("{base}/daemon"), if alive { ONLINE } else { OFFLINE }.to_owned());
@@ -164,13 +155,16 @@ impl Known {
         let flags = self.forecast.as_ref().map(|forecast| forecast_flag_names(forecast.flags));
         let mut health = json!({ "daemon": alive, "narrated_unix_s": self.narrated_unix_s, "forecast": flags });
         if let (Some(status), Some(health)) = (&self.status, health.as_object_mut()) {
+            // Nobody has checked what the daemon says of itself.
+            let refused = [status.malformed, status.limited, status.forged, status.costly];
+            let refused = refused.into_iter().fold(0, u64::saturating_add);
             let more = json!({
                 "version": status.version(),
                 "map": status.map(),
                 "model": status.model(),
                 "started_unix_s": status.started_unix_ns / 1_000_000_000,
                 "narrations": status.accepted,
-                "refused": status.malformed + status.limited + status.forged + status.costly,
+                "refused": refused,
                 "failed_steps": status.failed_steps,
                 "journal_failures": status.journal_failures,
                 "narrators": status.sources,

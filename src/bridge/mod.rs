@@ -241,7 +241,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             asked = Some(Instant::now());
             known.take_status(status.ask(PATIENCE).ok());
         }
-        if known.has_strangers() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
+        if looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
             looked = Some(Instant::now());
             // A list that fails changes nothing: whoever is there is there the next time.
             if let Ok(participants) = node.participants() {

@@ -1,7 +1,8 @@
 use super::*;
 use proptest::prelude::*;
-use roomcast_ipc::{action, forecast_flags, presence, text};
+use roomcast_ipc::{StatusResponseV1, action, forecast_flags, presence, text};
 use roomcast_services::config::BridgeConfig;
+use roomcast_services::participant::PLANNER;
 use serde_json::{Value, json};
 
 const ODD: &str = "a/b+c#<b>&\"{{x}}";
@@ -192,23 +193,27 @@ fn decisions_come_with_their_reason_and_robots_are_bounded() {
 #[test]
 fn robots_have_their_planners_names_and_go_with_them() {
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
-    let decision = |robot: &str| DecisionV1 { robot: sequence::source_of_name(robot), ..Default::default() };
+    let decision = |robot: &str| DecisionV1 {
+        robot: sequence::source_of_name(robot),
+        // One that came from elsewhere says no name.
+        robot_name: text::encode_cut(if robot == "far" { "" } else { robot }),
+        ..Default::default()
+    };
     let robots = |known: &mut Known| {
         let all = draw(known).into_keys();
         all.filter_map(|topic| topic.strip_prefix("roomcast/robots/").map(str::to_owned)).collect::<Vec<_>>()
     };
-    ["robot", "mop2", "far"].iter().for_each(|robot| known.take_decision(&decision(robot)));
-    assert!(known.has_strangers());
-    let planners = ["robot", "mop2"].map(roomcast_services::planner::participant);
+    ["robot", "mop2", "far", "Staubi Ä"].iter().for_each(|robot| known.take_decision(&decision(robot)));
+    // Names of participants are ASCII.
+    let planners = ["robot", "mop2", "Staubi Ä"].map(|robot| PLANNER.name(robot).replace('Ä', "?"));
     known.take_planners(&[&planners[..], &["roomcast-bridge".to_owned()]].concat(), "robot");
-    assert!(!known.has_strangers());
     let far = format!("robot_{:016x}", sequence::source_of_name("far"));
     let shown = robots(&mut known);
-    assert!(shown[0] == "mop2" && shown[1] == "robot" && shown.len() == 3, "{shown:?}");
-    assert!(shown[2].starts_with(&far), "{shown:?}");
+    assert!(shown[0] == "mop2" && shown[1] == "robot" && shown.len() == 4, "{shown:?}");
+    assert!(shown[2].starts_with(&far) && shown[3] == roomcast_services::slug::slug("Staubi Ä"), "{shown:?}");
     // The configured robot keeps its place, and one that is elsewhere cannot be seen to go.
     known.take_planners(&[], "robot");
-    assert_eq!(robots(&mut known), shown[1..]);
+    assert_eq!(robots(&mut known), shown[1..3]);
 }
 
 /// Row "somebody else below our topics" of the attacks.
@@ -339,9 +344,12 @@ proptest::proptest! {
         let mut told = persons(&scores(&rooms), &people);
         (4..).zip(&mut told.person).for_each(|(number, person)| person.person = number);
         known.take_persons(&told);
-        let participants: Vec<_> = robots.iter().map(|name| roomcast_services::planner::participant(name)).collect();
-        let numbers = robots.iter().map(|name| sequence::source_of_name(name)).chain((0..unknown).map(|n| 5 + n));
-        numbers.for_each(|robot| known.take_decision(&DecisionV1 { robot, ..Default::default() }));
+        let participants: Vec<_> = robots.iter().map(|name| PLANNER.name(name)).collect();
+        for name in &robots {
+            let (robot, robot_name) = (sequence::source_of_name(name), text::encode_cut(name));
+            known.take_decision(&DecisionV1 { robot, robot_name, ..Default::default() });
+        }
+        (0..unknown).for_each(|n| known.take_decision(&DecisionV1 { robot: 5 + n, ..Default::default() }));
         known.take_planners(&participants, "own");
         let config = BridgeConfig { horizons_s: horizons_s.clone(), ..BridgeConfig::default() };
         let picture = known.picture(&config, "own", true);
@@ -374,4 +382,12 @@ fn without_a_prefix_there_is_no_discovery_and_horizons_can_be_any() {
     let config = BridgeConfig { discovery: "ha".to_owned(), ..config };
     let picture = known.picture(&config, "robot", true);
     assert!(picture.keys().all(|topic| !topic.contains('.')), "{:?}", picture.keys());
+}
+
+/// Nobody checks what a daemon says of itself, and a sum that does not fit ended the bridge.
+#[test]
+fn counters_without_measure_are_told_as_the_most_there_is() {
+    let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
+    known.take_status(Some(StatusResponseV1 { malformed: u64::MAX, limited: 1, ..Default::default() }));
+    assert_eq!(message(&draw(&mut known), "roomcast/health")["refused"], json!(u64::MAX));
 }

@@ -11,7 +11,7 @@ use roomcast_ipc::{
 
 use super::choice::choice;
 use super::{CommandResult, Failure, ranges, service};
-use roomcast_services::logging;
+use roomcast_services::logging::{self, Limiter};
 use roomcast_services::moment::Moment;
 use roomcast_services::recording::ros2::{Received, Ros2Recorder};
 use roomcast_services::recording::{Profile, Recorded, Recorder, RecordingError};
@@ -43,6 +43,9 @@ const POLL: Duration = Duration::from_millis(2);
 const FLUSH: Duration = Duration::from_secs(5);
 /// How long the daemon may take to tell its map.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How often it is said that the daemon does not tell its map.
+const COMPLAINT_NS: u64 = 60_000_000_000;
 
 /// The recorder of a profile.
 enum Output {
@@ -90,9 +93,36 @@ impl Output {
     /// What the file lacks when the daemon does not tell its map.
     fn without_map(&self) -> &'static str {
         match self {
-            Self::Roomcast(_) => "the daemon did not tell its map; explaining this recording will need the scene file",
-            Self::Ros2(_) => "the daemon did not tell its map; the recording has no markers of its rooms",
+            Self::Roomcast(_) => {
+                "the daemon did not tell its map, and is asked again; until it does, explaining this recording needs the scene file"
+            }
+            Self::Ros2(_) => {
+                "the daemon did not tell its map, and is asked again; until it does, the recording has no markers of its rooms"
+            }
         }
+    }
+}
+
+/// A daemon's start and its map.
+type Map = (u64, [u8; 32]);
+
+/// Which map the recording has, and which the daemon is asked for.
+#[derive(Debug, Default)]
+struct MapAsked {
+    known: Option<Map>,
+    asked: Option<Map>,
+}
+
+impl MapAsked {
+    /// Whether the daemon is to be asked for this map: one question at a time.
+    fn is_wanted(&self, map: Map) -> bool {
+        self.asked.is_none() && self.known != Some(map)
+    }
+
+    /// The daemon has told its map, or had no time: then it is asked again.
+    fn hear(&mut self, has_told: bool) {
+        let asked = self.asked.take();
+        self.known = if has_told { asked } else { self.known };
     }
 }
 
@@ -146,7 +176,7 @@ pub fn run(args: &Args) -> CommandResult {
         let text = format!("cannot start the thread that asks for the map: {error}; is a limit on tasks set too low?");
         Failure::new(exit_code::FAILURE, text)
     })?;
-    let mut known = None;
+    let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
@@ -191,15 +221,23 @@ pub fn run(args: &Args) -> CommandResult {
         for message in &news {
             // Another daemon, or another map: what it is goes into the file too.
             if let Recorded::RoomScores(scores) = message
-                && known != Some((scores.epoch, scores.map_fingerprint))
+                && map.is_wanted((scores.epoch, scores.map_fingerprint))
                 && ask.try_send(()).is_ok()
             {
-                known = Some((scores.epoch, scores.map_fingerprint));
+                map.asked = Some((scores.epoch, scores.map_fingerprint));
             }
         }
         match told.try_recv() {
-            Ok(Ok(moment)) => recorder.tell(&moment, received).map_err(output)?,
-            Ok(Err(error)) => tracing::warn!(error, "{}", recorder.without_map()),
+            Ok(Ok(moment)) => {
+                map.hear(true);
+                recorder.tell(&moment, received).map_err(output)?;
+            }
+            Ok(Err(error)) => {
+                map.hear(false);
+                if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(error, held_back, "{}", recorder.without_map());
+                }
+            }
             Err(_) => {}
         }
         if flushed.elapsed() > FLUSH {
@@ -232,4 +270,26 @@ fn take<M: Message>(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_daemon_that_had_no_time_is_asked_again_for_its_map() {
+        let (first, second) = ((1, [1; 32]), (1, [2; 32]));
+        let mut map = MapAsked::default();
+        assert!(map.is_wanted(first));
+        map.asked = Some(first);
+        assert!(!map.is_wanted(first) && !map.is_wanted(second), "one question at a time");
+        map.hear(false);
+        assert!(map.is_wanted(first));
+        map.asked = Some(first);
+        map.hear(true);
+        assert!(!map.is_wanted(first) && map.is_wanted(second));
+        map.asked = Some(second);
+        map.hear(false);
+        assert!(!map.is_wanted(first) && map.is_wanted(second), "what is known stays");
+    }
 }

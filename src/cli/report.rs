@@ -8,13 +8,15 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, clock, sequence};
+use roomcast_ipc::{
+    DecisionV1, IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, clock, sequence,
+};
 use strum::{EnumMessage, VariantArray};
 
 use super::{CommandResult, Failure, count, ranges, service};
 use crate::exit_code;
 use roomcast_services::config::Config;
-use roomcast_services::planner;
+use roomcast_services::participant::PLANNER;
 use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
@@ -150,9 +152,13 @@ pub fn run(args: &Args) -> CommandResult {
                 super::tell(format_args!("roomcast: no planner of the robot `{robot}` runs in {place}; others listen"))
             }
             Hearer::OtherPlanner(other) => {
+                let (other, name) = match other_name(&node, &other).map_err(ipc)? {
+                    Some(name) => (format!("one of `{name}`"), format!("'{name}'")),
+                    None => ("one of another robot".to_owned(), "with that one's name".to_owned()),
+                };
                 let text = format!(
-                    "no planner of the robot `{robot}` runs in {place}, but one of `{other}`: give --robot {other}, or start \
-                     `roomcast planner --robot {robot}`"
+                    "no planner of the robot `{robot}` runs in {place}, but {other}: give --robot {name}, or start \
+                     `roomcast planner --robot '{robot}'`"
                 );
                 return Err(Failure::new(exit_code::IPC, text));
             }
@@ -349,10 +355,27 @@ fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
 /// Who has received the reports.
 enum Hearer {
     Planner,
-    /// One of the robot of this name.
+    /// One of another robot, that takes part by this name.
     OtherPlanner(String),
     Others,
     Nobody,
+}
+
+/// The name of the robot of a planner, which may be whole in its last decision alone.
+fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
+    if let Some(name) = PLANNER.robot_name(planner) {
+        return Ok(Some(name.to_owned()));
+    }
+    let decisions = node.subscriber::<DecisionV1>()?;
+    while let Some(received) = decisions.receive()? {
+        if let Ok(decision) = received
+            && PLANNER.robot_of(planner) == Some(decision.robot)
+            && !decision.robot_name().is_empty()
+        {
+            return Ok(Some(decision.robot_name().to_owned()));
+        }
+    }
+    Ok(None)
 }
 
 /// Waits for the robot's planner, and then as long as it takes to receive what was sent.
@@ -363,13 +386,13 @@ fn wait(
     stop: &Stop,
 ) -> Result<Hearer, IpcError> {
     let start = Instant::now();
-    let planner = planner::participant(robot);
-    let is_there = || publisher.listeners().contains(&planner);
+    let robot = sequence::source_of_name(robot);
+    let is_there = || publisher.listeners().iter().any(|name| PLANNER.robot_of(name) == Some(robot));
+    let other = || publisher.listeners().into_iter().find(|name| PLANNER.robot_of(name).is_some());
     while !is_there() && start.elapsed() < patience && !stop.requested() {
         std::thread::sleep(TICK);
         publisher.tick()?;
     }
-    let other = || publisher.listeners().iter().find_map(|name| planner::robot_of(name).map(str::to_owned));
     let heard = if is_there() {
         Hearer::Planner
     } else if let Some(other) = other() {

@@ -70,7 +70,7 @@ pub fn run(args: &Args) -> CommandResult {
     vacuum::run(&config, &domain, &broker, way, &stop).map_err(|error| match error {
         DriveError::Mqtt(error) => broker::failure(error),
         DriveError::Ipc(_) => Failure::new(exit_code::IPC, error),
-        DriveError::Name(_) => Failure::new(exit_code::CONFIG, error),
+        DriveError::Name(_) | DriveError::NoStay => Failure::new(exit_code::CONFIG, error),
         _ => Failure::new(exit_code::FAILURE, error),
     })
 }

@@ -360,9 +360,10 @@ fn narration_json(told: &NarrationV1) -> Value {
     })
 }
 
-/// A decision beside the scores of its daemon: `robot` is the name of the configured robot, the only one that is known by name.
+/// A decision beside the scores of its daemon: `robot` is the name of the configured robot, whose planner may not tell it.
 fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value {
-    let name = (sequence::source_of_name(robot) == told.robot).then_some(robot);
+    let own = (sequence::source_of_name(robot) == told.robot).then_some(robot);
+    let name = own.or(Some(told.robot_name())).filter(|name| !name.is_empty());
     let rooms = (told.scores_epoch == scores.epoch).then(|| scores.rooms().iter().take(64).enumerate());
     let covered = rooms.map(|rooms| {
         rooms.filter(|(room, _)| told.covered >> room & 1 == 1).map(|(_, room)| room.id()).collect::<Vec<_>>()

@@ -57,6 +57,7 @@ def test_a_decision_arrives(domain: Domain) -> None:
         assert decision is not None
         assert (decision.to_room, decision.reason) == ("kitchen", "nobody is there")
         assert (decision.robot, decision.sequence, decision.action) == (source_of_name("py-planner"), 1, 1)
+        assert decision.robot_name == "py-planner"
         assert decision.stay_ns == 60_000_000_000
         planner.decide("hall", "a" * 1000)
         decision = decisions.next(timeout_s=1)
@@ -109,11 +110,14 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
         with pytest.raises(MessageError, match="person_name"):
             narrator.say("They sit.", person=name)
     for presence in ("home", "unknown", Presence.UNKNOWN):
-        with pytest.raises(ValueError, match="give 'present', 'away' or 'gone'"):
+        with pytest.raises(ValueError, match="give 'present', 'away', 'gone' or 'empty'"):
             narrator.presence(presence)
-    for presence, room in (("away", "kitchen"), ("present", "")):
-        with pytest.raises(ValueError, match="give a room's name, with presence 'present' alone"):
+    for presence, room in (("away", "kitchen"), ("present", ""), ("empty", " ")):
+        with pytest.raises(ValueError, match="give a room's name, with presence 'present' or 'empty' alone"):
             narrator.presence(presence, room)
+    for room, person in ((None, None), ("kitchen", "ada"), ("kitchen", 0)):
+        with pytest.raises(ValueError, match="give a room, and no person"):
+            narrator.presence("empty", room, person)
     assert narrator.sequence == 0
     with Robot("robot", domain) as robot:
         for level in (1.5, -0.1, float("nan")):
@@ -121,6 +125,8 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
                 robot.battery(level)
         with pytest.raises(MessageError, match="position_m"):
             robot.position((0.0, float("inf"), 0.0))
+        with pytest.raises(ValueError, match="give x, y and z"):
+            robot.position((1.0, 2.0))  # type: ignore[arg-type]
         with pytest.raises(MessageError, match="room"):
             robot.started("a" * 49)
         assert robot.sequence == 0
@@ -234,6 +240,8 @@ def test_a_narrator_says_of_whom(domain: Domain) -> None:
     assert told() == (somebody, "Ben", 3, "away")
     narrator.presence(Presence.PRESENT, room="living room", person="0")
     assert told() == (0, "", 3, "present in the living room")
+    narrator.presence("empty", room="kitchen")
+    assert told() == (somebody, "", 3, "nobody in the kitchen")
 
 
 def test_a_robot_follows_its_decisions_and_reports(domain: Domain) -> None:

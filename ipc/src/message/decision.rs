@@ -1,7 +1,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use super::{Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
-use crate::{MessageError, text};
+use crate::{MessageError, sequence, text};
 
 /// Most bytes of a decision's reason.
 pub const REASON_TEXT_BYTES: usize = 256;
@@ -56,6 +56,8 @@ pub mod decision_flags {
     pub const NOBODY_HOME: u32 = 1 << 9;
     /// The robot has reported before and has been silent for longer than allowed.
     pub const ROBOT_SILENT: u32 = 1 << 10;
+    /// The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
+    pub const OWED: u32 = 1 << 11;
 }
 
 layout! {
@@ -85,13 +87,13 @@ layout! {
         /// How likely somebody is in the room gone to, 0 to 1: by the forecast over the stay, where the policy plans by it; else the
         /// room's score.
         80 => probability: f64,
-        /// How long the robot will stay there, in nanoseconds. 0 of work that was asked for before: its time is over, and a report is owed.
+        /// How long the robot will stay there, in nanoseconds; 0 where no stay is planned.
         88 => stay_ns: u64,
         /// One of [`action`].
         96 => action: u32,
         /// Bits of [`decision_flags`].
         100 => flags: u32,
-        /// Minor version of the layout: 1, which has [`action::PAUSE`] and `cancels`.
+        /// Minor version of the layout: 2, which has `robot_name` and [`decision_flags::OWED`]; 1 has [`action::PAUSE`] and `cancels`.
         104 => minor: u32,
         /// Zero.
         108 => reserved_a: [u8; 4],
@@ -105,12 +107,21 @@ layout! {
         256 => reason: [u8; REASON_TEXT_BYTES],
         /// Sequence of the decision of this epoch that does not hold any more, 0 for none.
         512 => cancels: u64,
+        /// The robot's name, UTF-8, zero padded; empty where whoever decides does not tell it.
+        520 => robot_name: [u8; NAME_BYTES],
         /// Zero.
-        520 => reserved: [u8; 248],
+        568 => reserved: [u8; 200],
     }
 }
 
 impl DecisionV1 {
+    /// The robot's name; empty where the decision has none, or one that is not of this robot's number.
+    #[must_use]
+    pub fn robot_name(&self) -> &str {
+        let name = text::checked(&self.robot_name);
+        if sequence::source_of_name(name) == self.robot { name } else { "" }
+    }
+
     /// The room the robot is in.
     #[must_use]
     pub fn from(&self) -> &str {
@@ -149,7 +160,9 @@ impl Message for DecisionV1 {
     fn check(&self) -> Result<(), MessageError> {
         at_most("action", self.action, action::PAUSE as usize, "0 to 2")?;
         in_range("probability", self.probability, 0.0, 1.0, "0 to 1")?;
-        for (field, bytes) in [("from", &self.from), ("to", &self.to), ("policy", &self.policy)] {
+        for (field, bytes) in
+            [("from", &self.from), ("to", &self.to), ("policy", &self.policy), ("robot_name", &self.robot_name)]
+        {
             text::decode(field, bytes)?;
         }
         text::decode("reason", &self.reason)?;
@@ -167,5 +180,17 @@ mod tests {
             assert_eq!((action::word(number), action::of_word(word)), (word, number));
         }
         assert_eq!((action::word(99), action::of_word("dance")), ("stay", action::STAY));
+    }
+
+    /// Whoever decides for one robot cannot take another one's name.
+    #[test]
+    fn a_name_counts_for_the_robot_whose_number_it_has() {
+        let robot_name = text::encode("robot_name", "Staubi Ä").unwrap();
+        let named = DecisionV1 { robot: sequence::source_of_name("Staubi Ä"), robot_name, ..Default::default() };
+        named.check().unwrap();
+        assert_eq!(named.robot_name(), "Staubi Ä");
+        assert_eq!(DecisionV1 { robot: named.robot + 1, ..named }.robot_name(), "");
+        assert_eq!(DecisionV1 { robot_name: [0; NAME_BYTES], ..named }.robot_name(), "");
+        DecisionV1 { robot_name: [1; NAME_BYTES], ..named }.check().unwrap_err();
     }
 }

@@ -214,7 +214,7 @@ pub struct PlannerConfig {
     pub policy: PolicyName,
     /// Seed of the policy's random choices.
     pub seed: u64,
-    /// T_r: seconds that the robot must spend in every room; 0 decides again with every new score.
+    /// T_r: seconds that the robot must spend in every room; 0 decides again with every new score, which `roomcast robot` refuses.
     pub room_time_s: f64,
     /// Seconds from the begin of a round to its deadline. When empty, two stays for each room, and a round that is done early ends.
     pub round_s: Option<f64>,

@@ -174,14 +174,15 @@ impl Lending {
         let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
         let (queue_in, queue) = bounded(QUEUE);
         let busy = Arc::new(AtomicBool::new(false));
-        let relief = Relief { from_scoring, to_scoring, queue: queue_in, busy: Arc::clone(&busy), progress, stop };
+        let (kept, given) = (Arc::clone(&busy), from_relief.clone());
+        let relief = Relief { from_scoring, to_scoring, given, queue: queue_in, busy: kept, progress, stop };
         (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy, awake }, relief)
     }
 
     /// Gives the inbox to the relief thread until [`Lending::call_back`], if it does not have it already.
     pub(super) fn lend(&mut self) {
-        self.busy.store(true, Ordering::Release);
-        // It may have come back unnoticed, while something else did.
+        self.busy.store(true, Ordering::SeqCst);
+        // It may have come back unnoticed, while something else did. One that comes back right now the relief thread takes again.
         if let Some(inbox) = self.own.take().or_else(|| self.from_relief.try_recv().ok()) {
             // It fails only when the relief thread is gone, and the main thread sees that too.
             let _handed = self.to_relief.send(inbox);
@@ -190,7 +191,7 @@ impl Lending {
 
     /// Lets the relief thread return the inbox.
     pub(super) fn call_back(&self) {
-        self.busy.store(false, Ordering::Release);
+        self.busy.store(false, Ordering::SeqCst);
     }
 
     /// Whether the inbox is at hand.
@@ -250,6 +251,8 @@ impl Lending {
 pub(super) struct Relief {
     from_scoring: Receiver<Box<Inbox>>,
     to_scoring: Sender<Box<Inbox>>,
+    /// What was given to the scoring thread, and not taken by it.
+    given: Receiver<Box<Inbox>>,
     queue: Sender<Heard>,
     busy: Arc<AtomicBool>,
     progress: Progress,
@@ -264,17 +267,58 @@ impl Relief {
         loop {
             // Without the inbox it has nothing to do, and so cannot stand still. It ends with the scoring thread.
             moved(u64::MAX);
-            let Ok(mut inbox) = self.from_scoring.recv() else { return };
-            loop {
+            let Ok(inbox) = self.from_scoring.recv() else { return };
+            let mut own = Some(inbox);
+            while let Some(mut inbox) = own {
                 moved(clock::monotonic_ns());
                 // It fails only when the scoring thread is gone, and the main thread sees that too.
                 inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
-                if !self.busy.load(Ordering::Acquire) || self.stop.requested() {
-                    break;
-                }
+                own = if self.is_to_keep() { Some(inbox) } else { self.give_back(inbox) };
             }
-            // It fails only when the scoring thread is gone, and the main thread sees that too.
-            let _given = self.to_scoring.send(inbox);
         }
+    }
+
+    fn is_to_keep(&self) -> bool {
+        self.busy.load(Ordering::SeqCst) && !self.stop.requested()
+    }
+
+    /// Gives the inbox to the scoring thread. Where that lends it at this moment it has found it nowhere: it comes back, since otherwise nobody would
+    /// hear anything for a whole step.
+    fn give_back(&self, inbox: Box<Inbox>) -> Option<Box<Inbox>> {
+        // It fails only when the scoring thread is gone, and the main thread sees that too.
+        let _given = self.to_scoring.send(inbox);
+        if self.is_to_keep() { self.given.try_recv().ok() } else { None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_ipc::Domain;
+
+    use super::*;
+    use crate::config::IntakeLimits;
+
+    #[test]
+    fn an_inbox_that_is_lent_while_it_comes_back_is_with_who_listens() {
+        let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(root.path(), &format!("inbox-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let intake = Intake::new(IntakeLimits::default());
+        let inbox = Inbox::new(node.subscriber().unwrap(), intake, None, Counters::default());
+        let (mut lending, relief) = Lending::new(inbox, Awake::new(0), Progress::default(), Stop::default());
+        lending.lend();
+        let inbox = relief.from_scoring.try_recv().unwrap();
+        // Called back, and lent again before it has come.
+        lending.call_back();
+        assert!(!relief.is_to_keep());
+        lending.lend();
+        let inbox = relief.give_back(inbox).expect("it is heard from during the step");
+        // Called back for good.
+        lending.call_back();
+        assert!(relief.give_back(inbox).is_none());
+        lending.listen(Duration::from_millis(1), drop);
+        assert!(lending.is_here() && !lending.is_lost());
+        drop((lending, node));
+        domain.clean_up().unwrap();
     }
 }

@@ -37,7 +37,7 @@ mod run;
 mod state;
 
 pub use reports::ReportFault;
-pub use run::{participant, robot_of, run};
+pub use run::run;
 pub use state::KeptRound;
 
 use interruption::Interruption;
@@ -63,6 +63,7 @@ pub struct Planner {
     policy: Box<dyn Policy>,
     rng: ChaCha8Rng,
     number: u64,
+    name: [u8; NAME_BYTES],
     epoch: u64,
     sequence: u64,
     deadline_ns: u64,
@@ -138,6 +139,7 @@ impl Planner {
             policy: config.policy.policy(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             number: sequence::source_of_name(&config.robot),
+            name: text::encode_cut(&config.robot),
             epoch,
             sequence: 0,
             deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
@@ -277,8 +279,21 @@ impl Planner {
             self.interruption.look_away();
             return Ok(self.fall_back(stale, now_ns, now_unix_ns));
         };
-        self.look_for_persons(&scores, now_ns);
-        self.look_for_robots(&scores, now_ns);
+        let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
+        let known = outlook::what_is_known(&scores, forecast);
+        let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
+        Ok(decision.map(|decision| DecisionV1 { flags: decision.flags | known, ..decision }))
+    }
+
+    /// The same, by scores that may be acted upon.
+    fn decide_on(
+        &mut self,
+        scores: &RoomScoresV1,
+        now_ns: u64,
+        now_unix_ns: u64,
+    ) -> Result<Option<DecisionV1>, PolicyError> {
+        self.look_for_persons(scores, now_ns);
+        self.look_for_robots(scores, now_ns);
         if std::mem::take(&mut self.asks_again)
             && let Some(work) = self.robot.work.clone()
         {
@@ -288,18 +303,19 @@ impl Planner {
                 0 => "asks what became of what it was sent to do before the planner's restart",
                 _ => "goes on with what it was sent to do before the planner's restart",
             };
-            let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
-            let outlook = Outlook::new(&scores, forecast, self.stay_s(), 0);
+            let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+            let outlook = Outlook::new(scores, forecast, self.stay_s(), 0);
             let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
             let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
             let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
-            let decision = DecisionV1 { probability: likely, ..decision };
+            let owed = if left_ns == 0 { decision_flags::OWED } else { 0 };
+            let decision = DecisionV1 { probability: likely, flags: decision.flags | owed, ..decision };
             if let Some(work) = &mut self.robot.work {
                 work.asked_by(decision.epoch, decision.sequence);
             }
             return Ok(Some(decision));
         }
-        if !self.is_to_decide(&scores, now_ns) {
+        if !self.is_to_decide(scores, now_ns) {
             return Ok(None);
         }
         (self.finished, self.falling_back) = (false, false);
@@ -342,8 +358,8 @@ impl Planner {
             }
         }
         self.round.began_ns.get_or_insert(now_ns);
-        let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
-        let outlook = Outlook::new(&scores, forecast, self.stay_s(), self.round.slots_left(now_ns).unwrap_or(0));
+        let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+        let outlook = Outlook::new(scores, forecast, self.stay_s(), self.round.slots_left(now_ns).unwrap_or(0));
         let here = forecast.map(|forecast| forecast.now());
         match self.next(&outlook, here.as_deref(), now_ns)? {
             Next::Pause { .. } if waiting.is_some() => Ok(None),
@@ -353,7 +369,7 @@ impl Planner {
                 let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 if let Some(waiting) = waiting {
                     // It changes its place without work for who comes there, if at all.
-                    if idle && (room == waiting.room || !self.is_met(&waiting, &scores, now_ns)) {
+                    if idle && (room == waiting.room || !self.is_met(&waiting, scores, now_ns)) {
                         return Ok(None);
                     }
                     self.notice.cancels = self.own_decision(&waiting);
@@ -367,7 +383,7 @@ impl Planner {
                     probability: likely.unwrap_or_default().clamp(0.0, 1.0),
                     // Where nothing is to be done, only the place is said.
                     action: if idle { action::STAY } else { action::GO },
-                    flags: decision.flags | flags | forced | outlook.flags,
+                    flags: decision.flags | flags | forced,
                     ..decision
                 }))
             }
@@ -648,9 +664,10 @@ impl Planner {
             covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
             action: action::STAY,
             flags: flags | reported | silent,
-            minor: 1,
+            minor: 2,
             cancels,
             policy: text::encode_cut(self.policy.name().as_str()),
+            robot_name: self.name,
             reason: text::encode_cut(&format!("{why}{reason}")),
             ..Default::default()
         };

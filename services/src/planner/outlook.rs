@@ -72,6 +72,18 @@ pub(super) fn in_sets(
     Some((0..rooms.len()).map(held).collect())
 }
 
+/// What is known of persons: one of [`decision_flags`], or 0 where somebody is known and may be home.
+pub(super) fn what_is_known(scores: &RoomScoresV1, forecast: Option<Forecast<'_>>) -> u32 {
+    let not_known = forecast.map_or(scores.has(score_flags::NO_NARRATION), |forecast| forecast.knows_nobody());
+    let nobody_home = forecast
+        .map_or(scores.has(score_flags::NOBODY_HOME), |forecast| forecast.message.has(forecast_flags::NOBODY_HOME));
+    match (not_known, nobody_home) {
+        (true, _) => decision_flags::NOT_KNOWN,
+        (false, true) => decision_flags::NOBODY_HOME,
+        (false, false) => 0,
+    }
+}
+
 /// What policies weigh.
 #[derive(Debug)]
 pub(super) struct Outlook {
@@ -80,7 +92,7 @@ pub(super) struct Outlook {
     /// How long robot and person are expected to share each room in each of the slots left, slot by slot, in seconds. Empty without
     /// a forecast, or without a time to stay.
     pub(super) shared_s: Vec<f64>,
-    /// Those of [`decision_flags`] that say what is known of persons.
+    /// As [`what_is_known`] says.
     pub(super) flags: u32,
     /// Somebody who lives here is in none of the probabilities.
     pub(super) misses_resident: bool,
@@ -91,14 +103,11 @@ impl Outlook {
         let rooms = scores.rooms().len();
         // A robot that decides with every score stays nowhere for a time that could be shared.
         let slots = if stay_s > 0.0 { slots } else { 0 };
-        let not_known = forecast.map_or(scores.has(score_flags::NO_NARRATION), |forecast| forecast.knows_nobody());
-        let nobody_home = forecast
-            .map_or(scores.has(score_flags::NOBODY_HOME), |forecast| forecast.message.has(forecast_flags::NOBODY_HOME));
-        if not_known {
+        let flags = what_is_known(scores, forecast);
+        if flags == decision_flags::NOT_KNOWN {
             // What the model says about an unknown past is about no person of this home: every room counts alike.
             let alike = 1.0 / rooms.max(1) as f64;
             let shared_s = vec![alike * stay_s; if forecast.is_some() { slots * rooms } else { 0 }];
-            let flags = decision_flags::NOT_KNOWN;
             return Self { likely: vec![alike; rooms], shared_s, flags, misses_resident: false };
         }
         let likely = scores.rooms().iter().map(|room| room.probability).collect();
@@ -106,7 +115,6 @@ impl Outlook {
             let places = (0..slots).flat_map(|slot| (0..rooms).map(move |room| (slot, room)));
             places.map(|(slot, room)| stay_s * forecast.likely(room, (slot as f64 + 0.5) * stay_s)).collect()
         });
-        let flags = if nobody_home { decision_flags::NOBODY_HOME } else { 0 };
         let misses_resident = forecast.is_some_and(|forecast| forecast.message.has(forecast_flags::RESIDENT_UNKNOWN));
         Self { likely, shared_s: shared_s.unwrap_or_default(), flags, misses_resident }
     }

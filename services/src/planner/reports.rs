@@ -78,6 +78,8 @@ impl Planner {
         let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work(report.kind));
         let unknown_fault = unknown.map(|(_, decision)| ReportFault::UnknownDecision { decision });
         let room = room.or(work.filter(|_| of_work).map(|work| work.room));
+        // Of rounds before this one nothing counts: a planner that joins hears the last reports, of whatever age.
+        let in_round = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns));
         match report.kind {
             report_kind::POSITION => {
                 if let Some(place) = placed.or(named.map(Some)) {
@@ -96,7 +98,7 @@ impl Planner {
                 self.robot.is_well();
                 self.robot.leave_dock();
                 self.robot.be(placed.unwrap_or(room), at_ns);
-                if let Some(room) = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns)) {
+                if let Some(room) = in_round {
                     self.round.cover(room);
                 }
                 if of_work {
@@ -108,7 +110,7 @@ impl Planner {
                 if let Some(place) = placed {
                     self.robot.be(place, at_ns);
                 }
-                if let Some(room) = room {
+                if let Some(room) = in_round {
                     self.round.fail(room, at_ns);
                 }
                 if of_work && let Some(work) = self.robot.work.take() {

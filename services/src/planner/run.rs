@@ -15,12 +15,11 @@ use crate::awake::Awake;
 use crate::config::Config;
 use crate::logging::Limiter;
 use crate::notify::notify;
+use crate::participant::PLANNER;
 use crate::receive::receive;
 use crate::setup;
 use crate::stop::Stop;
 
-/// What the names of planners begin with.
-const PARTICIPANT: &str = "roomcast-planner ";
 /// The forecast comes right behind the scores that it belongs to, and the persons' sets behind it. Decisions wait at most so long for them.
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
 /// Complaints about one kind of message come at most so often.
@@ -34,7 +33,7 @@ const QUIET_NS: u64 = 5_000_000_000;
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     // The number is the one by which decisions name the robot.
     let number = sequence::source_of_name(&config.planner.robot);
-    let node = domain.open(&participant(&config.planner.robot))?;
+    let node = domain.open(&PLANNER.name(&config.planner.robot))?;
     node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
@@ -127,18 +126,6 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     notify(&[NotifyState::Stopping]);
     tracing::info!("stopped");
     Ok(())
-}
-
-/// The name by which the planner of a robot takes part in a domain.
-#[must_use]
-pub fn participant(robot: &str) -> String {
-    format!("{PARTICIPANT}{robot} {:016x}", sequence::source_of_name(robot))
-}
-
-/// The robot whose planner takes part by this name; none where it is no planner's.
-#[must_use]
-pub fn robot_of(participant: &str) -> Option<&str> {
-    participant.strip_prefix(PARTICIPANT)?.rsplit_once(' ').map(|(robot, _)| robot)
 }
 
 fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter) {

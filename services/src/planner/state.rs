@@ -4,14 +4,14 @@
 //! a reporter that is still there: the service keeps its last 8 reports for whoever joins. Those of work and dock that the round rests on already
 //! are known by their numbers, and not taken twice.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use roomcast_ipc::clock;
 use serde::{Deserialize, Serialize};
 
 use super::Planner;
 use super::robot::{REST_NS, Work};
-use crate::state_file;
+use crate::state_file::{self, Kept};
 
 /// How often the file says that a robot which charges was heard.
 const MINUTE_NS: u64 = 60_000_000_000;
@@ -160,9 +160,8 @@ impl Planner {
 /// The file that a planner keeps its round in.
 #[derive(Debug)]
 pub(super) struct RoundFile {
-    path: PathBuf,
+    file: Kept<KeptRound>,
     boot: String,
-    written: Option<KeptRound>,
 }
 
 impl RoundFile {
@@ -170,13 +169,13 @@ impl RoundFile {
     pub(super) fn new(directory: &Path, robot: u64) -> Self {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
         let path = directory.join(format!("planner-{robot:016x}.json"));
-        Self { path, boot: boot.trim().to_owned(), written: None }
+        Self { file: Kept::new(path), boot: boot.trim().to_owned() }
     }
 
     /// The round that was kept, of this boot: a robot that was off with its machine begins another.
     pub(super) fn load(&self) -> Option<KeptRound> {
-        let path = self.path.display();
-        let text = state_file::read(&self.path, FILE_BYTES_MAX);
+        let path = self.file.path().display();
+        let text = state_file::read(self.file.path(), FILE_BYTES_MAX);
         let kept: KeptRound = match text.map(|text| text.map(|text| serde_json::from_str(&text))) {
             Ok(None) => return None,
             Ok(Some(Ok(kept))) => kept,
@@ -207,23 +206,11 @@ impl RoundFile {
     }
 
     /// Keeps a round if it has changed; the old file stays whole until the new one is. A directory that cannot be written costs the
-    /// round across a restart, and nothing else.
+    /// round across a restart, and nothing else. The file is of this boot alone, which no loss of power outlives.
     pub(super) fn keep(&mut self, planner: &Planner) {
-        let kept = planner.kept(&self.boot);
-        if kept.is_none() || kept == self.written {
-            return;
+        if let Some(kept) = planner.kept(&self.boot) {
+            self.file.keep(kept, "the round cannot be kept for a restart; check the directory");
         }
-        if let Some(kept) = &kept
-            && let Err(error) = self.write(kept)
-        {
-            tracing::warn!(%error, path = %self.path.display(), "the round cannot be kept for a restart; check the directory");
-        }
-        self.written = kept;
-    }
-
-    fn write(&self, kept: &KeptRound) -> std::io::Result<()> {
-        // It is of this boot alone, which no loss of power outlives.
-        state_file::replace(&self.path, &serde_json::to_vec(kept)?)
     }
 }
 
@@ -262,23 +249,30 @@ mod tests {
         let mut file = RoundFile::new(directory.path(), 7);
         assert_eq!(file.load(), None);
         let mut planner = Planner::new(&PlannerConfig::default(), 1);
+        let path = file.file.path().to_owned();
+        let write = |kept: &KeptRound| std::fs::write(&path, serde_json::to_vec(kept).unwrap()).unwrap();
         file.keep(&planner);
-        assert!(!file.path.exists(), "nothing is known before the first scores");
+        assert!(!path.exists(), "nothing is known before the first scores");
         planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() });
+        // A directory that is away for a moment costs nothing that does not change.
+        std::fs::remove_dir(directory.path()).unwrap();
         file.keep(&planner);
-        assert_eq!(file.load(), planner.kept(&file.boot));
+        assert_eq!(file.load(), None);
+        std::fs::create_dir(directory.path()).unwrap();
+        file.keep(&planner);
+        assert!(file.load().is_some() && file.load() == planner.kept(&file.boot));
         let of_another_boot = KeptRound { boot: "other".to_owned(), ..planner.kept("").unwrap() };
-        file.write(&of_another_boot).unwrap();
+        write(&of_another_boot);
         assert_eq!(file.load(), None);
         for damaged in ["", "{", "[]", r#"{"boot": 1}"#] {
-            std::fs::write(&file.path, damaged).unwrap();
+            std::fs::write(&path, damaged).unwrap();
             assert_eq!(file.load(), None, "{damaged}");
         }
         for battery in [-0.1, 1.1, 1e300] {
-            file.write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() }).unwrap();
+            write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() });
             assert_eq!(file.load(), None, "{battery}");
         }
-        file.write(&KeptRound { trouble: (2, u64::MAX), ..planner.kept(&file.boot).unwrap() }).unwrap();
+        write(&KeptRound { trouble: (2, u64::MAX), ..planner.kept(&file.boot).unwrap() });
         assert_eq!(file.load(), None);
         let left = std::fs::read_dir(directory.path()).unwrap().count();
         assert_eq!(left, 1, "no half-written files");

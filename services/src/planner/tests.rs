@@ -388,7 +388,9 @@ impl Home {
 fn without_reports_the_clock_says_what_is_done_and_with_them_the_robot() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let first = home.decision(1);
-    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 1));
+    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 2));
+    assert_eq!(first.robot_name(), PlannerConfig::default().robot);
+    assert!(!first.has(decision_flags::OWED));
     // By the clock.
     let second = home.decision(101);
     assert_eq!((second.covered, second.cancels), (0b001, 0));
@@ -1170,11 +1172,61 @@ fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     home.planner = Planner::new(&config, 2).with_kept(kept);
     let again = home.decision(150);
     assert_eq!((again.to(), again.action, again.stay_ns), (first.to(), action::GO, 0));
+    assert!(again.has(decision_flags::OWED));
     assert!(again.reason().contains("asks what became of"), "{}", again.reason());
     assert_eq!(home.look(151), None);
     home.answer(152, report_kind::FINISHED, &again);
     let next = home.decision(152);
     assert!(next.to() != first.to() && next.covered.count_ones() == 1, "{} {:b}", next.to(), next.covered);
+}
+
+/// Whatever is decided, and not only where rooms are weighed.
+#[test]
+fn every_decision_upon_scores_says_whether_anybody_is_known_and_home() {
+    let known = decision_flags::NOT_KNOWN | decision_flags::NOBODY_HOME;
+    for (said, told) in [
+        (forecast_flags::NOBODY_HOME, decision_flags::NOBODY_HOME),
+        (forecast_flags::NOT_KNOWN, decision_flags::NOT_KNOWN),
+        (0, 0),
+    ] {
+        let config = PlannerConfig { repeat: false, ..Default::default() };
+        let mut home = Home::new(1, &config);
+        home.flags = said;
+        let go = home.decision(1);
+        home.report(2, report_kind::BATTERY, |report| {
+            (report.battery, report.flags) = (0.1, report_flags::HAS_BATTERY)
+        });
+        home.answer(3, report_kind::FAILED, &go);
+        let pause = home.decision(3);
+        home.report(4, report_kind::BATTERY, |report| {
+            (report.battery, report.flags) = (0.9, report_flags::HAS_BATTERY)
+        });
+        let again = home.decision(104);
+        let kept = home.planner.kept("boot").unwrap();
+        home.planner = Planner::new(&PlannerConfig { room_time_s: 100.0, ..config }, 2).with_kept(kept);
+        let goes_on = home.decision(105);
+        home.answer(106, report_kind::FINISHED, &goes_on);
+        let done = home.decision(106);
+        let decided = [go, pause, again, goes_on, done];
+        assert_eq!(decided.map(|d| d.action), [action::GO, action::PAUSE, action::GO, action::GO, action::STAY]);
+        assert_eq!(decided.map(|d| d.flags & known), [told; 5]);
+    }
+}
+
+/// The service's history holds reports of any age.
+#[test]
+fn what_failed_before_the_round_is_no_failure_of_it() {
+    for kind in [report_kind::FAILED, report_kind::BLOCKED, report_kind::CANCELLED] {
+        let mut home = Home::new(2, &PlannerConfig::default());
+        home.look(100);
+        home.report(101, kind, |report| {
+            report.reported_ns = 50 * S;
+            report.room = text::encode("room", "room-1").unwrap();
+        });
+        assert!(!home.planner.round.has_failed(1), "{kind}");
+        home.report(102, kind, |report| report.room = text::encode("room", "room-1").unwrap());
+        assert!(home.planner.round.has_failed(1), "{kind}");
+    }
 }
 
 /// A robot that waits in a room that is done is not sent to work there by a planner that is started again.

@@ -54,12 +54,22 @@ pub enum Profile {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
-    /// The file cannot be opened, read or written.
-    #[error("failed to use the recording {path}: {source}; check the path, its permissions and the room on the disk")]
+    /// The file cannot be opened or read.
+    #[error("failed to use the recording {path}: {source}; check the path and its permissions")]
     Io {
         /// The file.
         path: PathBuf,
         /// The system's word.
+        source: std::io::Error,
+    },
+    /// The file cannot be written, or not to its end.
+    #[error(
+        "failed to write the recording {path}: {source}; make room on its disk, or record elsewhere. Of what was written up to then `mcap recover` makes a whole recording"
+    )]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's word, or the writer's.
         source: std::io::Error,
     },
     /// A recording overwrites nothing.
@@ -215,7 +225,7 @@ impl Recorded {
                 })).collect::<Vec<_>>(),
             }),
             Self::Decision(message) => json!({
-                "robot": format!("{:016x}", message.robot), "from": message.from(), "to": message.to(),
+                "robot": format!("{:016x}", message.robot), "robot_name": message.robot_name(), "from": message.from(), "to": message.to(),
                 "policy": message.policy(), "reason": message.reason(), "probability": message.probability,
                 "stay_s": message.stay_ns as f64 / 1e9, "flags": message.flags, "sequence": message.sequence,
                 "scores_sequence": message.scores_sequence, "decided": time(message.decided_unix_ns),
@@ -350,7 +360,8 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
             object(
                 DecisionV1::TYPE_NAME,
                 json!({
-                    "robot": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number, "stay_s": number,
+                    "robot": text, "robot_name": text, "from": text, "to": text, "policy": text, "reason": text, "probability": number,
+                    "stay_s": number,
                     "flags": integer, "sequence": integer, "scores_sequence": integer, "decided": point, "action": integer, "cancels": integer,
                 }),
             ),
@@ -382,7 +393,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Mcap`].
+    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Write`].
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
         // MCAP's own profiles say how messages are to be read; these have none.
         let mut tape = Tape::create(path, "")?;
@@ -400,7 +411,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn write(&mut self, message: &Recorded, received_unix_ns: u64) -> Result<(), RecordingError> {
         let mut data = message.readable();
         data["bytes"] = hex::encode(message.to_bytes()).into();
@@ -418,7 +429,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn attach(&mut self, moment: &Moment, received_unix_ns: u64) -> Result<(), RecordingError> {
         let data = serde_json::to_vec(moment).unwrap_or_default();
         self.tape.attach(&Attachment {
@@ -440,7 +451,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.tape.flush()
     }
@@ -449,7 +460,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn finish(&mut self) -> Result<(), RecordingError> {
         self.tape.finish()
     }

@@ -7,7 +7,7 @@ use std::path::Path;
 use mcap::records::{MessageHeader, Metadata};
 use roomcast_core::grounding::{Partition, partitions};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{NarrationV1, PersonScoresV1, RobotReportV1, RoomScoresV1, sequence};
+use roomcast_ipc::{NarrationV1, PersonScoresV1, RoomScoresV1, sequence};
 use roomcast_ros2::types::{Classification, Header, MarkerArray, Message, Text, encode};
 use roomcast_ros2::{content, markers, schema, words};
 
@@ -99,7 +99,7 @@ impl Ros2Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Mcap`].
+    /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Write`].
     pub fn create(path: &Path, robot: &str) -> Result<Self, RecordingError> {
         let mut tape = Tape::create(path, PROFILE)?;
         // Versions of rosbag2 between 9 and today's take the numbers of qualities for words, unless this record is there and says nothing.
@@ -161,7 +161,7 @@ impl Ros2Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`], [`RecordingError::Cdr`].
+    /// [`RecordingError::Write`], [`RecordingError::Cdr`].
     pub fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
         let sequence = message.sequence();
         let at = |made_unix_ns| Stamp { received_unix_ns: received.unix_ns, made_unix_ns, sequence };
@@ -178,11 +178,11 @@ impl Ros2Recorder {
             }
             Recorded::PersonScores(scores) => self.persons(scores, at(received.before(scores.computed_ns))),
             Recorded::Decision(decision) => {
-                let said = words::decision(decision, &self.robot(decision.robot));
+                let said = words::decision(decision, &self.robot(decision.robot, decision.robot_name()));
                 self.say("decision", Kept::Last, at(received.or(decision.decided_unix_ns)), &said)
             }
             Recorded::RobotReport(report) => {
-                let said = self.reported(report);
+                let said = words::report(report, &self.robot(report.robot, report.robot_name()));
                 self.say("report", Kept::Not, at(received.or(report.reported_unix_ns)), &said)
             }
             Recorded::Forecast(_) | Recorded::PersonForecasts(_) => Ok(()),
@@ -197,16 +197,11 @@ impl Ros2Recorder {
         words::narration(said.as_deref().unwrap_or(message.text()), name)
     }
 
-    fn reported(&mut self, report: &RobotReportV1) -> Text {
-        let name = report.robot_name();
-        if !name.is_empty() {
-            self.robots.insert(report.robot, name.to_owned());
+    /// A robot's name, as the message tells it or one before it, or its number where nobody has said it.
+    fn robot(&mut self, number: u64, told: &str) -> String {
+        if !told.is_empty() {
+            self.robots.insert(number, told.to_owned());
         }
-        words::report(report, &self.robot(report.robot))
-    }
-
-    /// A robot's name, or its number where nobody has said it.
-    fn robot(&self, number: u64) -> String {
         self.robots.get(&number).cloned().unwrap_or_else(|| format!("robot {number:016x}"))
     }
 
@@ -225,7 +220,7 @@ impl Ros2Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`], [`RecordingError::Cdr`].
+    /// [`RecordingError::Write`], [`RecordingError::Cdr`].
     pub fn tell(&mut self, moment: &Moment) -> Result<(), RecordingError> {
         self.persons.extend(moment.names.clone());
         match SemanticMap::from_json(&moment.scene.to_string()) {
@@ -259,7 +254,7 @@ impl Ros2Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.tape.flush()
     }
@@ -268,7 +263,7 @@ impl Ros2Recorder {
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Mcap`].
+    /// [`RecordingError::Write`].
     pub fn finish(&mut self) -> Result<(), RecordingError> {
         self.tape.finish()
     }

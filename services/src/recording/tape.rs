@@ -31,6 +31,14 @@ pub(super) struct Tape {
     written: u64,
 }
 
+fn unwritten(path: &Path, error: McapError) -> RecordingError {
+    let source = match error {
+        McapError::Io(source) => source,
+        other => std::io::Error::other(other),
+    };
+    RecordingError::Write { path: path.to_owned(), source }
+}
+
 impl Tape {
     /// Creates the file; one that exists is not overwritten.
     pub(super) fn create(path: &Path, profile: &str) -> Result<Self, RecordingError> {
@@ -40,13 +48,12 @@ impl Tape {
         })?;
         let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().profile(profile).library(library).create(BufWriter::new(file));
-        let writer =
-            writer.map_err(|source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) })?;
+        let writer = writer.map_err(|error| unwritten(path, error))?;
         Ok(Self { writer, path: path.to_owned(), written: 0 })
     }
 
     fn done<T>(&self, result: Result<T, McapError>) -> Result<T, RecordingError> {
-        result.map_err(|source| RecordingError::Mcap { path: self.path.clone(), source: Box::new(source) })
+        result.map_err(|error| unwritten(&self.path, error))
     }
 
     /// A channel for a topic.
@@ -87,5 +94,18 @@ impl Tape {
     pub(super) fn finish(&mut self) -> Result<(), RecordingError> {
         let finished = self.writer.finish();
         self.done(finished).map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_no_damaged_recording() {
+        let full = std::io::Error::from(std::io::ErrorKind::StorageFull);
+        let said = crate::logging::chain(&unwritten(Path::new("day.mcap"), McapError::Io(full)));
+        assert!(said.starts_with("failed to write the recording day.mcap: no storage space; make room"), "{said}");
+        assert!(!said.contains("damaged") && said.matches("no storage space").count() == 1, "{said}");
     }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action};
+use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
 
 use super::dialect::{Order, Sensed, Status};
 use super::rooms::segment_of;
@@ -197,8 +197,7 @@ impl Driver {
             }
             return;
         }
-        if decision.stay_ns == 0 {
-            // Its time is over, and a report is owed.
+        if decision.has(decision_flags::OWED) {
             let known = self.outcome.take().filter(|outcome| outcome.room.as_ref() == Some(&room));
             let unknown =
                 || Report { room: Some(room.clone()), ..note(Kind::Failed, "what became of it is not known") };

@@ -14,6 +14,7 @@ use crate::logging::Limiter;
 use crate::mqtt::{Broker, MqttError, shown};
 use crate::mqtt_link::Link;
 use crate::notify::{Watchdog, notify};
+use crate::participant::DRIVER;
 use crate::reporter::{Report, Reporter};
 use crate::stop::Stop;
 
@@ -44,6 +45,11 @@ pub enum DriveError {
     /// The robot's name.
     #[error("planner.robot cannot be a robot's name: {0}")]
     Name(#[from] MessageError),
+    /// The planner would call the robot away with every new score.
+    #[error(
+        "planner.room_time_s is 0: the planner decides with every new score, which calls the robot away before it has done a room; give about the seconds that a room takes"
+    )]
+    NoStay,
     /// What is printed cannot be written.
     #[error("failed to write to standard output: {0}; check where it leads")]
     Print(std::io::Error),
@@ -103,15 +109,20 @@ impl RobotLink<'_> {
     }
 }
 
+fn require_stays(config: &Config) -> Result<(), DriveError> {
+    if config.planner.room_time_s > 0.0 { Ok(()) } else { Err(DriveError::NoStay) }
+}
+
 /// Drives the robot until it is asked to stop. A robot at work then goes on with its room.
 ///
 /// # Errors
 ///
 /// [`DriveError`] when a service is lost, or the broker's set-up cannot be used.
 pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop: &Stop) -> Result<(), DriveError> {
+    require_stays(config)?;
     let robot = &config.planner.robot;
     let number = sequence::source_of_name(robot);
-    let node = domain.open(&format!("roomcast-robot {robot} {number:016x}"))?;
+    let node = domain.open(&DRIVER.name(robot))?;
     node.be_the_only_one()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
@@ -237,5 +248,19 @@ fn show_plan(driver: &Driver, before: &mut Vec<(String, Result<String, String>)>
             Ok(segment) => tracing::info!(room, segment, "a room that the robot can do"),
             Err(why) => tracing::warn!(room, why, "a room that the robot cannot do"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_needs_a_planner_that_lets_it_stay() {
+        let mut config = Config::default();
+        require_stays(&config).unwrap();
+        config.planner.room_time_s = 0.0;
+        let refused = require_stays(&config).unwrap_err().to_string();
+        assert!(refused.starts_with("planner.room_time_s is 0"), "{refused}");
     }
 }

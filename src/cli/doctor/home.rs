@@ -7,10 +7,10 @@ use std::time::{Duration, SystemTime};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Said;
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
-use roomcast_ipc::Domain;
+use roomcast_ipc::{Domain, sequence};
 use roomcast_services::config::Config;
 use roomcast_services::logging::chain;
-use roomcast_services::planner;
+use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
 
 use super::finding::{Finding, Place, segment_of_no_room, segment_of_two_rooms, some_of};
 #[cfg(feature = "mqtt")]
@@ -171,20 +171,16 @@ fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: 
         Err(error) => return vec![Finding::wrong(check, chain(&error), "try again; roomcast top shows what runs")],
     };
     let runs = |name: &str| alive.iter().any(|other| other.starts_with(name));
-    let robot = &config.planner.robot;
+    let robot = sequence::source_of_name(&config.planner.robot);
+    let serves = |kind: OfRobot| alive.iter().any(|other| kind.robot_of(other) == Some(robot));
     let has_robot = config.robot != Default::default();
     let narrates = config.mqtt.rules.is_some();
     let bridges = config.mqtt.broker.is_some();
     let all = [
         ("daemon", true, runs("roomcast-daemon"), format!("roomcast daemon --config {file}")),
         ("narrator", narrates, runs("roomcast-narrator-"), format!("roomcast narrate --mqtt --config {file}")),
-        (
-            "planner",
-            has_robot,
-            alive.contains(&planner::participant(robot)),
-            format!("roomcast planner --config {file}"),
-        ),
-        ("robot", has_robot, runs(&format!("roomcast-robot {robot} ")), format!("roomcast robot --config {file}")),
+        ("planner", has_robot, serves(PLANNER), format!("roomcast planner --config {file}")),
+        ("robot", has_robot, serves(DRIVER), format!("roomcast robot --config {file}")),
         ("bridge", bridges, runs("roomcast-bridge"), format!("roomcast bridge mqtt --config {file}")),
     ];
     let missing: Vec<_> = all.iter().filter(|(_, wanted, runs, _)| *wanted && !runs).collect();

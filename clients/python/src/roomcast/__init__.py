@@ -339,32 +339,40 @@ class Narrator(_Participant):
 
     def say(self, sentence: str, person: Who = None) -> None:
         """A plain sentence: "They grab the mug." """
-        self._send(SENTENCE, sentence, person)
+        self._send(SENTENCE, sentence, self._who(person))
 
     def act(self, action: str, person: Who = None) -> None:
         """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon knows the verbs, and drops one that it does not know."""
         if _ACTION.fullmatch(action.strip()) is None:
             raise ValueError(f"action {action!r}: give a verb in brackets, then things such as \"[Grab] <mug> (1)\"")
-        self._send(ACTION, action, person)
+        self._send(ACTION, action, self._who(person))
 
     def device(self, state: str, person: Who = None) -> None:
         """A device's state: "the oven is on"."""
-        self._send(DEVICE, state, person)
+        self._send(DEVICE, state, self._who(person))
 
     def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> None:
-        """Where a person is, as a sensor knows it: "present", with a room or without, "away" or "gone". It updates what the daemon believes,
-        and is no sentence for the language model."""
+        """Where a person is, as a sensor knows it: "present", with a room or without, "away" or "gone"; or that a room is "empty", which is
+        said of everybody and takes no person. It updates what the daemon believes, and is no sentence for the language model."""
         said = presence.name.lower() if isinstance(presence, Presence) else presence
-        if said not in ("present", "away", "gone"):
-            raise ValueError(f"presence {said!r}: give 'present', 'away' or 'gone'")
+        if said not in ("present", "away", "gone", "empty"):
+            raise ValueError(f"presence {said!r}: give 'present', 'away', 'gone' or 'empty'")
+        if room is not None and (said not in ("present", "empty") or not any(character.isalnum() for character in room)):
+            raise ValueError(f"room {room!r}: give a room's name, with presence 'present' or 'empty' alone")
+        if said == "empty":
+            if room is None or person is not None:
+                raise ValueError("presence 'empty' is of a room and of everybody: give a room, and no person")
+            self._send(PRESENCE, f"nobody in the {room.strip()}", _person(None))
+            return
         if room is not None:
-            if said != "present" or not any(character.isalnum() for character in room):
-                raise ValueError(f"room {room!r}: give a room's name, with presence 'present' alone")
             said = f"present in the {room.strip()}"
-        self._send(PRESENCE, said, person)
+        self._send(PRESENCE, said, self._who(person))
 
-    def _send(self, kind: int, text: str, who: Who) -> None:
-        person, person_name = _person(self.person if who is None else who)
+    def _who(self, person: Who) -> tuple[int, str]:
+        return _person(self.person if person is None else person)
+
+    def _send(self, kind: int, text: str, who: tuple[int, str]) -> None:
+        person, person_name = who
         message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1)
         layouts.write_text("person_name", message.person_name, person_name)
         message.text_bytes = layouts.write_text("text", message.text, text)
@@ -478,7 +486,7 @@ class Planner(_Participant):
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
         if not 0 <= cancels <= self.sequence:
             raise ValueError(f"cancels is {cancels}; give the sequence of an earlier decision, at most {self.sequence}, or 0 for none")
-        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels)
+        message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels, minor=2)
         message.decided_ns, message.decided_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.stay_ns = round(stay_s * 1e9)
         if self._last is not None:
@@ -489,6 +497,7 @@ class Planner(_Participant):
         layouts.write_text("from", getattr(message, "from"), self.room)
         layouts.write_text("to", message.to, room)
         layouts.write_text("policy", message.policy, layouts.cut(self.name, layouts.NAME_BYTES))
+        layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
         layouts.write_text("reason", message.reason, layouts.cut(reason, layouts.REASON_BYTES))
         self._publisher.send(message)
         self.sequence += 1
@@ -591,6 +600,8 @@ class Robot:
         if battery is not None:
             message.battery, message.flags = battery, message.flags | layouts.HAS_BATTERY
         if position_m is not None:
+            if len(position_m) != 3:
+                raise ValueError(f"position_m {position_m!r}: give x, y and z in the map's metres")
             message.position_m[:], message.flags = position_m, message.flags | layouts.HAS_POSITION
         layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
         layouts.write_text("room", message.room, room)

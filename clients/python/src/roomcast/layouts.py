@@ -424,13 +424,14 @@ class DecisionV1(Message):
         ("policy", _Name),
         ("reason", ctypes.c_uint8 * REASON_BYTES),
         ("cancels", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint8 * 248),
+        ("robot_name", _Name),
+        ("reserved", ctypes.c_uint8 * 200),
     ]
 
     def check(self) -> None:
         _in_range("action", self.action, 0, 2, "0 to 2")
         _in_range("probability", self.probability, 0, 1, "0 to 1")
-        for field in ("from", "to", "policy", "reason"):
+        for field in ("from", "to", "policy", "robot_name", "reason"):
             read_text(field, getattr(self, field))
 
 

@@ -113,6 +113,8 @@ class DecisionFlags(enum.IntFlag):
     NOBODY_HOME = 512
     #: The robot has reported before and has been silent for longer than allowed.
     ROBOT_SILENT = 1024
+    #: The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
+    OWED = 2048
 
 
 class ReportKind(enum.IntEnum):
@@ -469,6 +471,8 @@ class Decision:
     reason: str
     #: Sequence of the decision of this epoch that does not hold any more; 0 for none.
     cancels: int = 0
+    #: Empty where whoever decides does not tell it.
+    robot_name: str = ""
 
     @staticmethod
     def from_message(message: layouts.DecisionV1) -> Decision:
@@ -494,6 +498,7 @@ class Decision:
             policy=layouts.read_text("policy", message.policy),
             reason=layouts.read_text("reason", message.reason),
             cancels=message.cancels,
+            robot_name=layouts.read_text("robot_name", message.robot_name),
         )
 
 

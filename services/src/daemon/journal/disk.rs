@@ -1,6 +1,6 @@
 //! What the journal asks of a disk, one call each, so that a test can let every one of them fail, and take what was not synced.
 
-use std::fmt::Debug;
+use std::fmt::{self, Debug};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsRawFd;
@@ -87,7 +87,6 @@ pub trait Disk: Debug {
 }
 
 /// A folder of a real disk.
-#[derive(Debug)]
 pub struct Folder {
     file: File,
     current: PathBuf,
@@ -96,6 +95,13 @@ pub struct Folder {
     next: (PathBuf, Option<File>),
     /// Most bytes of a half that are read.
     half_bytes_max: u64,
+}
+
+/// As the log names it.
+impl Debug for Folder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.current.display())
+    }
 }
 
 /// More than a half of the journal can have.
@@ -286,4 +292,16 @@ fn open_file(path: &Path) -> io::Result<File> {
     use std::os::unix::fs::OpenOptionsExt;
     state_file::require_plain(path)?;
     OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_log_names_a_folder_by_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let Ok(disk) = Folder::open(folder.path(), 1 << 20) else { panic!("the folder can be used") };
+        assert_eq!(format!("{disk:?}"), folder.path().join("narration.journal").display().to_string());
+    }
 }

@@ -406,10 +406,23 @@ fn what_is_owed_is_told_to_a_planner_that_asks_for_it() {
     pair.decide(&decision(1, action::GO, "office-4"));
     pair.pass(200);
     pair.of_work();
-    pair.decide(&DecisionV1 { epoch: 2, stay_ns: 0, ..decision(1, action::GO, "office-4") });
+    let owed = DecisionV1 { epoch: 2, stay_ns: 0, flags: decision_flags::OWED, ..decision(1, action::GO, "office-4") };
+    pair.decide(&owed);
     assert_eq!(pair.of_work(), [(Kind::Finished, Some(1))]);
-    pair.decide(&DecisionV1 { epoch: 2, stay_ns: 0, ..decision(2, action::GO, "hall-2") });
+    pair.decide(&DecisionV1 { sequence: 2, to: text::encode("to", "hall-2").unwrap(), ..owed });
     assert_eq!(pair.of_work(), [(Kind::Failed, Some(2))]);
+}
+
+/// Of a planner that plans no stays.
+#[test]
+fn a_decision_without_a_stay_is_work_like_any_other() {
+    let mut pair = Pair::new(&config(), 100.0);
+    for (sequence, room) in [(1, "office-4"), (2, "hall-2")] {
+        pair.decide(&DecisionV1 { stay_ns: 0, ..decision(sequence, action::GO, room) });
+        pair.pass(200);
+        assert_eq!(pair.of_work(), [(Kind::Started, Some(sequence)), (Kind::Finished, Some(sequence))]);
+    }
+    assert_eq!(pair.robot.orders, ["clean 4", "clean 2"]);
 }
 
 #[test]
