@@ -19,7 +19,7 @@ pub(crate) fn part_of_day(at_s: f64, hours: u16) -> u16 {
 pub(crate) fn weekend(at_s: f64) -> bool {
     // 1970 began on a Thursday.
     let day = ((at_s / 86_400.0).floor() + 4.0).rem_euclid(7.0);
-    day < 1.0 || day >= 6.0
+    !(1.0..6.0).contains(&day)
 }
 
 #[cfg(test)]
