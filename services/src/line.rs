@@ -17,6 +17,8 @@ use roomcast_core::narration::{
 use roomcast_core::text::visible;
 use roomcast_ipc::{ALL_PERSONS, MessageError, NarrationV1, narration_kind, text};
 
+/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
+pub(crate) const AHEAD_NS: u64 = 1_000_000_000;
 /// Longest line of input, in bytes.
 pub(crate) const LINE_BYTES_MAX: u64 = 8192;
 
@@ -227,9 +229,14 @@ impl Faults {
 
     /// Takes in what is wrong with a line.
     pub fn add(&mut self, line: u64, reason: impl fmt::Display) {
+        self.add_at(format_args!("line {line}"), reason);
+    }
+
+    /// Takes in what is wrong at a place that is no line.
+    pub fn add_at(&mut self, place: impl fmt::Display, reason: impl fmt::Display) {
         self.count += 1;
         if self.told.len() < Self::TOLD {
-            self.told.push(format!("line {line}: {reason}"));
+            self.told.push(format!("{place}: {reason}"));
         }
     }
 

@@ -19,7 +19,7 @@ use roomcast_ipc::{
 use sd_notify::NotifyState;
 
 use crate::config::{IntakeLimits, NarratorConfig};
-use crate::line::LINE_BYTES_MAX;
+use crate::line::{AHEAD_NS, LINE_BYTES_MAX};
 pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
 use crate::logging::Limiter;
 use crate::notify::notify;
@@ -35,8 +35,6 @@ const TICK: Duration = Duration::from_millis(100);
 /// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
-/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
-const AHEAD_NS: u64 = 1_000_000_000;
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
