@@ -28,7 +28,7 @@ use roomcast_services::mqtt::{Listener, Rules};
 use roomcast_services::narrator::{Who, line_item};
 use roomcast_services::planner::Planner;
 use roomcast_services::recording;
-use roomcast_services::sensor_log::SensorRules;
+use roomcast_services::sensor_log::{Said, SensorRules};
 
 /// The server of metrics and page, which is in the program and so in no library.
 #[cfg(feature = "metrics")]
@@ -361,8 +361,8 @@ pub fn sensors(bytes: &[u8]) {
         [[rule]]\npresence = \"away\"\nperson = \"{sensor}\"\nquiet_s = 3.0";
     let narrated = SensorRules::parse(RULES).unwrap().narrate(bytes, &Who::Somebody);
     let lines = bytes.split(|byte| *byte == b'\n').count();
-    assert!(narrated.items.len() as u64 + narrated.faults.count() <= 3 * lines as u64, "a line for each rule at most");
-    for item in &narrated.items {
+    assert!(narrated.said.len() as u64 + narrated.faults.count() <= 3 * lines as u64, "a line for each rule at most");
+    for Said { item, .. } in &narrated.said {
         assert!(item.duration_s >= 0.0, "time does not go back");
         NarrationV1::new(item.kind, &item.text).expect("what is narrated is a message");
     }

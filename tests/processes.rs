@@ -2248,7 +2248,7 @@ fn habits_are_learned_from_lines_with_times() {
     std::fs::write(&file, lines).unwrap();
     // The rest is learned, and what is left out is said.
     let (code, _, errors) = habits(&world, &["learn", file.to_str().unwrap()]);
-    let said = errors.contains("line 11: it has no time") && errors.contains("line 13: \"observed_unix_s\" lies ahead");
+    let said = errors.contains("line 11: it has no time") && errors.contains("line 13: its time lies");
     assert!(code == 3 && said && errors.contains("2 lines left out"), "{errors}");
     assert_eq!(learned(&world), 11.0);
     // Without times there is nothing to learn.
@@ -2291,8 +2291,28 @@ fn habits_are_learned_from_a_recording_and_from_days() {
     let of = |person: u64| answer["persons"].as_array().unwrap().iter().find(|own| own["person"] == person).cloned();
     assert_eq!(of(3).unwrap()["observations"], 6.0, "{answer}");
     assert_eq!(habits(&world, &["learn", "--days", days, "--first-day", "soon"]).0, 2);
-    assert_eq!(habits(&world, &["learn", "--days", world.state().to_str().unwrap()]).0, 3);
+    // What is not yet is not learned, nor from a sensor log; and a log in plain seconds harms nothing.
+    let (code, _, errors) = habits(&world, &["learn", "--days", days, "--first-day", "2200-01-01"]);
+    assert!(code == 3 && errors.contains("day 1, action 1: its time lies"), "{errors}");
+    let (log, rules) = (world.directory.path().join("log.tsv"), world.directory.path().join("rules.toml"));
+    std::fs::write(&rules, "[[rule]]\nsay = \"They open the {sensor}.\"\n").unwrap();
+    let learn = |text: &str| {
+        std::fs::write(&log, text).unwrap();
+        habits(&world, &["learn", "--sensors", log.to_str().unwrap(), "--rules", rules.to_str().unwrap()])
+    };
+    let (code, _, errors) = learn("2200-03-01 08:00:00\t2200-03-01 08:00:08\tfridge\t-\t-\n100\t105\tfridge\t-\t-\n");
+    assert!(code == 3 && errors.contains("line 1: its time lies") && errors.contains("1 line left out"), "{errors}");
+    assert_eq!(learned(&world), 9.0);
+    let (code, _, errors) = learn("1709280900000\t1709280905000\tfridge\t-\t-\n");
+    assert!(code == 3 && errors.contains("milliseconds"), "{errors}");
+    assert_eq!(learned(&world), 9.0);
+    // A restarted daemon knows all of it.
     drop((scores, node));
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+    let daemon = world.start_daemon();
+    assert_eq!(learned(&world), 9.0);
+    assert_eq!(habits(&world, &["learn", "--days", world.state().to_str().unwrap()]).0, 3);
     world.signal(daemon, Signal::TERM);
     assert!(world.wait(daemon).0.success());
 }

@@ -1,6 +1,9 @@
 //! Learning habits from what was narrated before: a recording, a sensor log, or lines with times. All is told again to a board with
 //! its own model, minute by minute in its own time, and what that has learned is given back. No port, no clock.
 
+use std::collections::BTreeSet;
+use std::fmt::Display;
+
 use roomcast_core::habits::{Habits, HabitsOptions, StoredError};
 use roomcast_core::narration::{Observation, SOMEBODY, Said};
 use roomcast_core::pipeline::PipelineError;
@@ -9,11 +12,11 @@ use roomcast_llama::LlamaModel;
 
 use crate::config::Config;
 use crate::daemon::{Board, BoardError, Entry, HomeHabits, Memory, Persons, PersonsFile, Zone};
-use crate::line::{Item, Who};
+use crate::line::{AHEAD_NS, Faults, Item, Who, line_item};
 use crate::message_text::said_of;
 #[cfg(feature = "recording")]
 use crate::recording::{Recorded, Recording};
-use crate::sensor_log::SensorLog;
+use crate::sensor_log::{Said as Narrated, SensorLog};
 use crate::setup::{self, SetupError};
 
 const MINUTE_NS: u64 = 60_000_000_000;
@@ -41,64 +44,157 @@ pub enum LessonError {
 /// Something that was narrated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lesson {
-    /// When it was observed, in Unix nanoseconds.
-    at_unix_ns: u64,
+    /// When it was observed, in nanoseconds since 1970, by the clock of [`Lessons::zone`].
+    at_ns: u64,
     person: u32,
     name: Option<Box<str>>,
     said: Said,
 }
 
-impl Lesson {
-    /// Of an item with its own time, or else observed at `at_unix_ns`; none where it says nothing that a daemon takes.
-    fn of_item(item: &Item, at_unix_ns: Option<u64>) -> Option<Self> {
+/// Why nothing is learned from something that was narrated.
+#[derive(Debug, thiserror::Error)]
+enum Unfit {
+    #[error("it has no time: give \"observed_unix_s\"")]
+    NoTime,
+    #[error("its time lies before 1970; correct it")]
+    Early,
+    #[error("its time lies {} ahead; give a time in the past, or set this machine's clock", in_words(*.0))]
+    Ahead(u64),
+    #[error("{0}")]
+    Text(String),
+}
+
+/// A length of time, roughly.
+fn in_words(length_ns: u64) -> String {
+    let length_s = length_ns / 1_000_000_000;
+    match length_s {
+        0..120 => format!("{length_s} s"),
+        120..7_200 => format!("{} min", length_s / 60),
+        7_200..172_800 => format!("{} h", length_s / 3_600),
+        _ => format!("{} days", length_s / 86_400),
+    }
+}
+
+/// What is to be learned from, whatever it comes from. This is the one place that decides what may be learned: nothing of which the time is
+/// not known, and nothing that lies after now. It would not fade until then, and what is learned meanwhile would count for nothing.
+#[derive(Debug)]
+pub struct Lessons {
+    lessons: Vec<Lesson>,
+    zone: Zone,
+    now_ns: u64,
+    faults: Faults,
+}
+
+impl Lessons {
+    /// None yet. Their times are of the wall clock, in UTC, where it is `now_unix_ns`; hours of the day are those of `zone`.
+    #[must_use]
+    pub fn of_wall_clock(zone: Zone, now_unix_ns: u64) -> Self {
+        Self { lessons: Vec::new(), zone, now_ns: now_unix_ns, faults: Faults::default() }
+    }
+
+    /// None yet. Their times are local ones of `zone`, without regard to time zones, as logs have them; the wall clock has `now_unix_ns`.
+    #[must_use]
+    pub fn of_local_time(zone: &Zone, now_unix_ns: u64) -> Self {
+        Self::of_wall_clock(Zone::UTC, (zone.local_s(now_unix_ns).max(0.0) * 1e9) as u64)
+    }
+
+    /// Takes what was said at `at_s` seconds since 1970, or by its own time, or else says that it cannot be learned from. `place` is where it stands.
+    pub fn take(&mut self, place: impl Display, item: &Item, at_s: Option<f64>) {
+        let at_ns = match at_s {
+            Some(at_s) if at_s < 0.0 => return self.faults.add_at(place, Unfit::Early),
+            Some(at_s) => Some((at_s * 1e9) as u64),
+            None => item.observed_unix_ns,
+        };
         let (person, name) = match &item.person {
             Who::Somebody => (SOMEBODY, None),
             Who::Number(number) => (*number, None),
             Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
         };
-        let said = said_of(item.kind, &item.text).ok()?;
-        Some(Self { at_unix_ns: item.observed_unix_ns.or(at_unix_ns)?, person, name, said })
+        let said = said_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
+        self.admit(place, at_ns, said.map(|said| (person, name, said)));
     }
 
-    /// Of lines that have times; gives how many have none, or say nothing.
-    #[must_use]
-    pub fn of_lines(items: &[Item]) -> (Vec<Self>, usize) {
-        let lessons: Vec<Self> = items.iter().filter_map(|item| Self::of_item(item, None)).collect();
-        let left_out = items.len() - lessons.len();
-        (lessons, left_out)
-    }
-
-    /// Of a sensor log, whose times are local ones; gives how many lines are malformed, or say nothing.
-    #[must_use]
-    pub fn of_sensors(log: &SensorLog) -> (Vec<Self>, usize) {
-        let mut at_s = log.begins_s.unwrap_or_default();
-        let mut lessons = Vec::new();
-        for item in &log.items {
-            at_s += item.duration_s;
-            lessons.extend(Self::of_item(item, Some((at_s.max(0.0) * 1e9) as u64)));
+    /// Takes it if it may be learned.
+    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, told: Result<(u32, Option<Box<str>>, Said), Unfit>) {
+        let lesson = told.and_then(|(person, name, said)| {
+            let at_ns = at_ns.ok_or(Unfit::NoTime)?;
+            match at_ns.saturating_sub(self.now_ns) {
+                ahead_ns if ahead_ns > AHEAD_NS => Err(Unfit::Ahead(ahead_ns)),
+                _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), person, name, said }),
+            }
+        });
+        match lesson {
+            Ok(lesson) => self.lessons.push(lesson),
+            Err(unfit) => self.faults.add_at(place, unfit),
         }
-        let malformed = usize::try_from(log.faults.count()).unwrap_or(usize::MAX);
-        let left_out = malformed.saturating_add(log.items.len() - lessons.len());
-        (lessons, left_out)
     }
 
-    /// Of a recording; what was narrated without a time was observed when it was received, and what was sent again counts once.
+    /// Takes lines of JSON that have times, as `roomcast narrate` takes them. They are of `person` where they do not say.
+    pub fn take_lines(&mut self, text: &str, person: &Who) {
+        for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
+            match line_item(line, person) {
+                Ok(item) => self.take(format_args!("line {number}"), &item, None),
+                Err(error) => self.faults.add(number, error),
+            }
+        }
+    }
+
+    /// Takes a sensor log, whose times are local ones, and its malformed lines.
+    pub fn take_sensors(&mut self, log: SensorLog) {
+        self.faults = log.faults;
+        // Of a line whose begin and end are said, one fault is told.
+        let mut unfit = BTreeSet::new();
+        for Narrated { item, at_s, line, .. } in log.said {
+            if !unfit.contains(&line) {
+                let before = self.faults.count();
+                self.take(format_args!("line {line}"), &item, Some(at_s));
+                if self.faults.count() > before {
+                    unfit.insert(line);
+                }
+            }
+        }
+    }
+
+    /// Takes a recording; what was narrated without a time was observed when it was received, and what was sent again counts once.
     #[cfg(feature = "recording")]
-    #[must_use]
-    pub fn of_recording(recording: &Recording) -> Vec<Self> {
-        let mut names = std::collections::BTreeSet::new();
-        let lesson = |(received_unix_ns, message): &(u64, Recorded)| {
-            let Recorded::Narration(narration) = message else { return None };
+    pub fn take_recording(&mut self, recording: &Recording) {
+        let mut names = BTreeSet::new();
+        let narrations = recording.messages.iter().filter_map(|(received_unix_ns, message)| match message {
+            Recorded::Narration(narration) => Some((*received_unix_ns, narration)),
+            _ => None,
+        });
+        for (number, (received_unix_ns, narration)) in (1..).zip(narrations) {
+            let number: u64 = number;
             let name = Some(narration.person_name().trim()).filter(|name| !name.is_empty());
             let at_unix_ns = match narration.observed_unix_ns {
-                0 => *received_unix_ns,
-                observed_unix_ns => observed_unix_ns.min(*received_unix_ns),
+                0 => received_unix_ns,
+                observed_unix_ns => observed_unix_ns.min(received_unix_ns),
             };
-            let said = said_of(narration.kind, narration.text()).ok()?;
-            let new = names.insert((narration.source, narration.epoch, narration.sequence));
-            new.then(|| Self { at_unix_ns, person: narration.person, name: name.map(Into::into), said })
-        };
-        recording.messages.iter().filter_map(lesson).collect()
+            // What the daemon refused says nothing.
+            let Ok(said) = said_of(narration.kind, narration.text()) else { continue };
+            if names.insert((narration.source, narration.epoch, narration.sequence)) {
+                let told = (narration.person, name.map(Into::into), said);
+                self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(told));
+            }
+        }
+    }
+
+    /// What can be learned from.
+    #[must_use]
+    pub fn lessons(&self) -> &[Lesson] {
+        &self.lessons
+    }
+
+    /// What cannot, each in words.
+    #[must_use]
+    pub fn faults(&self) -> &Faults {
+        &self.faults
+    }
+
+    /// The time zone in which hours of the day are those of the home.
+    #[must_use]
+    pub fn zone(&self) -> &Zone {
+        &self.zone
     }
 }
 
@@ -125,21 +221,21 @@ pub fn teach<M: LanguageModel>(
     mut lessons: Vec<Lesson>,
     mut told: impl FnMut(usize),
 ) -> Result<String, LessonError> {
-    lessons.sort_by_key(|lesson| lesson.at_unix_ns);
-    let mut now_ns = lessons.first().map_or(0, |lesson| lesson.at_unix_ns);
+    lessons.sort_by_key(|lesson| lesson.at_ns);
+    let mut now_ns = lessons.first().map_or(0, |lesson| lesson.at_ns);
     // The monotonic clock of the board stands still while nobody watched.
     let mut skipped_ns = 0;
     for (sequence, lesson) in (1..).zip(lessons) {
-        let Lesson { at_unix_ns, person, name, said } = lesson;
-        if at_unix_ns - now_ns > GAP_NS {
-            skipped_ns += at_unix_ns - now_ns - MINUTE_NS;
-            now_ns = at_unix_ns;
+        let Lesson { at_ns, person, name, said } = lesson;
+        if at_ns - now_ns > GAP_NS {
+            skipped_ns += at_ns - now_ns - MINUTE_NS;
+            now_ns = at_ns;
         }
-        while at_unix_ns - now_ns > MINUTE_NS {
+        while at_ns - now_ns > MINUTE_NS {
             now_ns += MINUTE_NS;
             board.tick(now_ns - skipped_ns, now_ns);
         }
-        now_ns = at_unix_ns;
+        now_ns = at_ns;
         let observed_ns = now_ns - skipped_ns;
         let observation = Observation {
             person,
@@ -188,6 +284,13 @@ mod tests {
         Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, text, Who::Number(3)) }
     }
 
+    /// 2024-03-01 08:15:00.
+    const NOW_NS: u64 = 1_709_280_900_000_000_000;
+
+    fn lines() -> Lessons {
+        Lessons::of_wall_clock(Zone::UTC, NOW_NS)
+    }
+
     #[test]
     fn lines_with_times_teach_a_home() {
         let days = (0..10).flat_map(|day| {
@@ -195,13 +298,15 @@ mod tests {
             [item(seven_s, "They sit on the sofa."), item(seven_s + 1_800, "They open the fridge.")]
         });
         let without = Item::new(narration_kind::SENTENCE, "They wait.", Who::Somebody);
-        // In any order, and one without a time; then nothing for a year.
-        let late = item(1_740_000_000, "They sit on the sofa.");
-        let items: Vec<Item> = days.chain([late, without]).rev().collect();
-        let (lessons, left_out) = Lesson::of_lines(&items);
-        assert_eq!((lessons.len(), left_out), (21, 1));
+        // In any order, and one without a time; before, nothing for a year.
+        let early = item(1_670_000_000, "They sit on the sofa.");
+        let mut lessons = lines();
+        for item in days.chain([early, without]).collect::<Vec<_>>().iter().rev() {
+            lessons.take("x", item, None);
+        }
+        assert_eq!((lessons.lessons().len(), lessons.faults().count()), (21, 1));
         let mut counted = 0;
-        let json = teach(board(), lessons, |told| counted = told).unwrap();
+        let json = teach(board(), lessons.lessons().to_vec(), |told| counted = told).unwrap();
         assert_eq!(counted, 21);
         let habits = Habits::from_json(HabitsOptions::default(), &json).unwrap();
         assert_eq!(habits.persons().collect::<Vec<_>>(), [(3, 21.0)]);
@@ -209,15 +314,96 @@ mod tests {
         assert!(teach(board(), Vec::new(), |_| {}).is_ok());
     }
 
-    #[test]
-    fn a_sensor_log_teaches_a_home() {
+    fn fridge(log: &str) -> SensorLog {
         let rules =
             SensorRules::parse("[[rule]]\nsensor = \"fridge\"\nat = \"start\"\nsay = \"They open the {sensor}.\"\n");
-        let log = "2024-03-01 08:15:00\t2024-03-01 08:15:10\tfridge\t-\t-\n2024-03-01 09:15:00\t2024-03-01 09:15:10\tfridge\t-\t-\n";
-        let log = rules.unwrap().narrate(log.as_bytes(), &Who::Number(3));
-        let (lessons, left_out) = Lesson::of_sensors(&log);
-        assert_eq!((lessons.len(), left_out), (2, 0));
-        assert_eq!(lessons[1].at_unix_ns - lessons[0].at_unix_ns, 3_600_000_000_000);
-        assert_eq!(lessons[0].at_unix_ns, 1_709_280_900_000_000_000);
+        rules.unwrap().narrate(log.as_bytes(), &Who::Number(3))
+    }
+
+    #[test]
+    fn a_sensor_log_teaches_a_home() {
+        let log = "2024-03-01 07:15:00\t2024-03-01 07:15:10\tfridge\t-\t-\n2024-03-01 08:15:00\t2024-03-01 08:15:00\tfridge\t-\t-\n";
+        let mut lessons = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        lessons.take_sensors(fridge(log));
+        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns).collect();
+        assert_eq!((times, lessons.faults().count()), (vec![NOW_NS - 3_600_000_000_000, NOW_NS], 0));
+    }
+
+    /// From whatever input, nothing is learned of which the time is not known or lies after now, and each is told where it stands.
+    #[test]
+    fn nothing_is_learned_from_the_future() {
+        let now_s = NOW_NS / 1_000_000_000;
+        let told = |lessons: &Lessons| (lessons.lessons().len(), lessons.faults().told().to_vec());
+        let mut of_lines = lines();
+        let line = |at_s: &str| format!("{{\"text\": \"They sit.\", \"observed_unix_s\": {at_s}}}");
+        let text = [line("1e9"), line("4e9"), "They sit.".to_owned(), String::new(), line(&format!("{now_s}.5"))];
+        of_lines.take_lines(&text.join("\n"), &Who::Somebody);
+        let (taken, faults) = told(&of_lines);
+        assert_eq!((taken, faults.len()), (2, 2), "{faults:?}");
+        assert!(
+            faults[0].starts_with("line 2: its time lies 26512 days ahead")
+                && faults[1].starts_with("line 3: it has no time")
+        );
+        // A second ahead is a clock that differs, and counts as of now.
+        assert_eq!(of_lines.lessons()[1].at_ns, NOW_NS);
+        let log =
+            "2024-03-01 08:15:03\t2024-03-01 08:16:00\tfridge\n1e10\t1e10\tfridge\n-5\t-4\tfridge\n10\t20\tfridge\n";
+        let rules = "columns = [\"start\", \"end\", \"sensor\"]\n[[rule]]\nsay = \"They open the {sensor}.\"\n\
+            [[rule]]\nat = \"end\"\nsay = \"They close the {sensor}.\"\n";
+        let mut of_sensors = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        of_sensors.take_sensors(SensorRules::parse(rules).unwrap().narrate(log.as_bytes(), &Who::Somebody));
+        let (taken, faults) = told(&of_sensors);
+        assert_eq!(taken, 2, "begin and end of the one in 1970");
+        assert_eq!(faults.len(), 3, "{faults:?}");
+        assert!(
+            faults[0].starts_with("line 3: its time lies before 1970")
+                && faults[1].starts_with("line 1: its time lies 3 s")
+        );
+        let mut day = lines();
+        day.take("day 3, action 5", &item(now_s + 86_400, "They sit."), None);
+        assert_eq!(
+            told(&day),
+            (
+                0,
+                vec![
+                    "day 3, action 5: its time lies 24 h ahead; give a time in the past, or set this machine's clock"
+                        .to_owned()
+                ]
+            )
+        );
+    }
+
+    /// A recording of a machine whose clock was ahead.
+    #[cfg(feature = "recording")]
+    #[test]
+    fn a_recording_of_the_future_teaches_nothing() {
+        let message = |sequence, observed_unix_ns| {
+            let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
+            Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 { sequence, observed_unix_ns, ..narration }))
+        };
+        let messages =
+            vec![(NOW_NS, message(1, 0)), (2 * NOW_NS, message(2, 2 * NOW_NS)), (2 * NOW_NS, message(3, NOW_NS))];
+        let mut lessons = lines();
+        lessons.take_recording(&Recording { messages, ..Recording::default() });
+        assert_eq!((lessons.lessons().len(), lessons.faults().count()), (2, 1));
+        assert!(lessons.faults().told()[0].starts_with("narration 2: its time lies"));
+    }
+
+    /// A log in plain seconds, learned into a home that knows something.
+    #[test]
+    fn what_is_of_long_ago_harms_nothing_that_is_known() {
+        let mut lessons = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        let day = |day: u64| format!("{}\t{}\tfridge\t-\t-\n", day * 86_400, day * 86_400 + 5);
+        let recent: String = (19_770..19_780).map(day).collect();
+        lessons.take_sensors(fridge(&recent));
+        let json = teach(board(), lessons.lessons().to_vec(), |_| {}).unwrap();
+        let known = |json: &str| Habits::from_json(HabitsOptions::default(), json).unwrap();
+        let board = board().with_habits(HomeHabits::new(Memory::of(known(&json)), Zone::UTC).of_the_past());
+        let mut old = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        old.take_sensors(fridge("100\t105\tfridge\t-\t-\n600\t605\tfridge\t-\t-\n"));
+        let after = teach(board, old.lessons().to_vec(), |_| {}).unwrap();
+        let after = known(&after);
+        assert_eq!(after.observations(3), 12.0);
+        Habits::from_bytes(HabitsOptions::default(), &after.to_bytes()).unwrap();
     }
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use crate::embedded;
 use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
-pub(crate) use roomcast_core::narration::line::{LINE_BYTES_MAX, error_of_one_line};
+pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX, error_of_one_line};
 pub use roomcast_core::narration::line::{Who, WhoError};
 use roomcast_ipc::{MessageError, NarrationV1, text};
 
@@ -118,9 +118,14 @@ impl Faults {
 
     /// Takes in what is wrong with a line.
     pub fn add(&mut self, line: u64, reason: impl fmt::Display) {
+        self.add_at(format_args!("line {line}"), reason);
+    }
+
+    /// Takes in what is wrong at a place that is no line.
+    pub fn add_at(&mut self, place: impl fmt::Display, reason: impl fmt::Display) {
         self.count += 1;
         if self.told.len() < Self::TOLD {
-            self.told.push(format!("line {line}: {reason}"));
+            self.told.push(format!("{place}: {reason}"));
         }
     }
 

@@ -19,7 +19,7 @@
 //!
 //! Pure: from the texts of log and rules to items with the times between them.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -38,6 +38,8 @@ const RULES_MAX: usize = 4_096;
 pub const RULES_BYTES_MAX: u64 = 4 << 20;
 /// Bytes of a log that are looked at together; lines are shorter, as a rule.
 const LINE_BYTES: usize = 256;
+/// A plain number above this is no number of seconds: it would be later than the year 5000, and milliseconds of today are more.
+const SECONDS_MAX: f64 = 1e11;
 /// Most characters of a field that an error quotes.
 const QUOTED_MAX: usize = 80;
 
@@ -186,21 +188,31 @@ pub struct Interval {
 
 /// What a rule makes of one edge of an interval.
 #[derive(Debug)]
-struct Said<'a> {
-    at_s: f64,
+struct Matched<'a> {
     rule: &'a Rule,
-    item: Item,
+    said: Said,
+}
+
+/// What is said of an interval.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Said {
+    /// What; its duration is the time since what is said before it.
+    pub item: Item,
+    /// When, as [`Interval::start_s`].
+    pub at_s: f64,
+    /// The interval's line.
+    pub line: u64,
+    /// Which of [`SensorRules::intervals`] it is.
+    pub interval: usize,
 }
 
 /// A log as narration.
 #[derive(Debug, Default)]
 pub struct SensorLog {
     /// What is said, in the order of time.
-    pub items: Vec<Item>,
+    pub said: Vec<Said>,
     /// Lines that are malformed, in their order.
     pub faults: Faults,
-    /// When the first of it is said, as [`Interval::start_s`].
-    pub begins_s: Option<f64>,
     /// Intervals that no rule fits.
     pub unfit: u64,
     /// What was left out: the interval was too short, the same was said shortly before, or there was no silence to say it after.
@@ -259,29 +271,32 @@ impl SensorRules {
     #[must_use]
     pub fn narrate(&self, log: &[u8], person: &Who) -> SensorLog {
         let mut narrated = SensorLog::default();
-        let mut said: Vec<Said<'_>> = Vec::new();
+        let mut matched: Vec<Matched<'_>> = Vec::new();
+        let mut number = 0;
         for (line, interval) in self.lines(log) {
             match interval {
-                Ok(interval) => self.say(&interval, person, line, &mut narrated, &mut said),
+                Ok(interval) => {
+                    self.say((number, &interval), person, line, &mut narrated, &mut matched);
+                    number += 1;
+                }
                 Err(reason) => narrated.faults.add(line, reason),
             }
         }
-        said.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let all = said.len();
-        let mut said = after_silence(said);
-        narrated.silent += (all - said.len()) as u64;
-        said.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        narrated.begins_s = said.first().map(|said| said.at_s);
+        matched.sort_by(|a, b| a.said.at_s.total_cmp(&b.said.at_s));
+        let all = matched.len();
+        let mut matched = after_silence(matched);
+        narrated.silent += (all - matched.len()) as u64;
+        matched.sort_by(|a, b| a.said.at_s.total_cmp(&b.said.at_s));
         let mut before_s = None;
         let mut last: HashMap<(Who, String), f64> = HashMap::new();
-        for Said { at_s, rule, item } in said {
-            let same = last.insert((item.person.clone(), item.text.clone()), at_s);
-            if same.is_some_and(|same_s| at_s - same_s < rule.again_s) {
+        for Matched { rule, mut said } in matched {
+            let same = last.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
+            if same.is_some_and(|same_s| said.at_s - same_s < rule.again_s) {
                 narrated.silent += 1;
                 continue;
             }
-            let duration_s = before_s.replace(at_s).map_or(0.0, |before_s| at_s - before_s);
-            narrated.items.push(Item { duration_s, ..item });
+            said.item.duration_s = before_s.replace(said.at_s).map_or(0.0, |before_s| said.at_s - before_s);
+            narrated.said.push(said);
         }
         narrated
     }
@@ -314,15 +329,25 @@ impl SensorRules {
                 Err(error) => return Some((line, Err(error.to_string()))),
             }
             let underline = record.iter().flatten().all(|byte| matches!(byte, b'-' | b' '));
-            // A first line with a time in it is none: its other times are wrong.
-            let heading = std::mem::take(&mut first) && !record.iter().any(|field| seconds(&text(field)).is_some());
+            // A first line with a time in it is none: its other times are wrong. Nor is one with a number.
+            let is_time = |field: &str| seconds(field).is_some() || field.parse().is_ok_and(f64::is_finite);
+            let heading = std::mem::take(&mut first) && !record.iter().any(|field| is_time(&text(field)));
             (!underline && !heading).then(|| (line, self.interval(&record, delimiter == b'\t')))
         })
     }
 
     fn interval(&self, record: &ByteRecord, tabs: bool) -> Result<Interval, String> {
-        // Some of the public files align their columns by several tabs.
-        let fields = record.iter().filter(|field| !(tabs && field.is_empty()));
+        // An empty field is a column with nothing in it. But some of the public files align their columns by several tabs: there the times
+        // are not where they belong, until empty fields are taken out.
+        let as_it_is = self.interval_of(record.iter());
+        if as_it_is.is_ok() || !tabs || !record.iter().any(<[u8]>::is_empty) {
+            return as_it_is;
+        }
+        let not_empty = || record.iter().filter(|field| !field.is_empty());
+        if not_empty().count() < self.columns.len() { as_it_is } else { self.interval_of(not_empty()) }
+    }
+
+    fn interval_of<'a>(&self, fields: impl Iterator<Item = &'a [u8]>) -> Result<Interval, String> {
         let fields: Vec<String> = fields.take(self.columns.len()).map(text).collect();
         if fields.len() < self.columns.len() {
             let (found, wanted) = (fields.len(), self.columns.len());
@@ -331,7 +356,9 @@ impl SensorRules {
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
         for (column, field) in self.columns.iter().zip(fields) {
             let time = || {
-                let fault = || format!("{} is no time; expected 2024-03-01 08:15:00, or seconds", quoted(&field));
+                let is_number = field.parse().is_ok_and(f64::is_finite);
+                let hint = if is_number { "; are these milliseconds?" } else { "" };
+                let fault = || format!("{} is no time; expected 2024-03-01 08:15:00, or seconds{hint}", quoted(&field));
                 seconds(&field).ok_or_else(fault)
             };
             match column {
@@ -355,11 +382,11 @@ impl SensorRules {
     /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.
     fn say<'a>(
         &'a self,
-        interval: &Interval,
+        (number, interval): (usize, &Interval),
         person: &Who,
         line: u64,
         narrated: &mut SensorLog,
-        said: &mut Vec<Said<'a>>,
+        matched: &mut Vec<Matched<'a>>,
     ) {
         let length_s = interval.end_s - interval.start_s;
         let mut some = false;
@@ -380,7 +407,7 @@ impl SensorRules {
                     _ => format!("{length_s:.0}"),
                 });
                 match line_item(&json, person) {
-                    Ok(item) => said.push(Said { at_s, rule, item }),
+                    Ok(item) => matched.push(Matched { rule, said: Said { item, at_s, line, interval: number } }),
                     Err(source) => narrated.faults.add(line, source),
                 }
             }
@@ -390,22 +417,23 @@ impl SensorRules {
 }
 
 /// Of what waits for silence, that which has it, at its end; all else as it was. The order is that of time, before.
-fn after_silence(said: Vec<Said<'_>>) -> Vec<Said<'_>> {
+fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
     // Going back in time: when something is said at once next, and when the same line begins to wait again.
     let mut next_s = f64::INFINITY;
     let mut again: HashMap<(Who, String), f64> = HashMap::new();
-    let mut kept = Vec::with_capacity(said.len());
-    for said in said.into_iter().rev() {
-        let Some(quiet) = said.rule.saying.quiet() else {
+    let mut kept = Vec::with_capacity(matched.len());
+    for Matched { rule, mut said } in matched.into_iter().rev() {
+        if let Some(quiet) = rule.saying.quiet() {
+            let end_s = said.at_s + quiet.as_secs_f64();
+            let same = again.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
+            if next_s.min(same.unwrap_or(f64::INFINITY)) < end_s {
+                continue;
+            }
+            said.at_s = end_s;
+        } else {
             next_s = said.at_s;
-            kept.push(said);
-            continue;
-        };
-        let end_s = said.at_s + quiet.as_secs_f64();
-        let same = again.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
-        if next_s.min(same.unwrap_or(f64::INFINITY)) >= end_s {
-            kept.push(Said { at_s: end_s, ..said });
         }
+        kept.push(Matched { rule, said });
     }
     kept.reverse();
     kept
@@ -439,41 +467,53 @@ fn text(field: &[u8]) -> String {
     String::from_utf8_lossy(field).into_owned()
 }
 
+/// Times in which nobody was at home.
+#[derive(Debug, Default, PartialEq)]
+pub struct Absences {
+    /// When each began and ended.
+    pub intervals: Vec<(f64, f64)>,
+    /// What was taken for absence or presence, and how often; nothing where no interval says what it is.
+    pub labels: BTreeMap<String, usize>,
+    /// Intervals with other labels, which were passed over.
+    pub others: usize,
+}
+
 /// Times in which nobody was at home, from a log of intervals with two or more columns, when each began and ended and what it was:
-/// all intervals if the third column is missing; else those that say so (away, out, gone, elsewhere, leaving the house), or, where
-/// none does, what lies between those that say the person was at home (present, home, in).
+/// all intervals if the third column is missing; else those that say so, or, where none does, what lies between those that say the
+/// person was at home.
 ///
 /// # Errors
 /// The line that cannot be read, or that no interval says who was where.
-pub fn absences(log: &[u8]) -> Result<Vec<(f64, f64)>, String> {
+pub fn absences(log: &[u8]) -> Result<Absences, String> {
     let columns = vec![Column::Start, Column::End];
     let reader = SensorRules { columns: columns.clone(), rules: Vec::new() };
     let named = SensorRules { columns: [columns, vec![Column::Sensor]].concat(), rules: Vec::new() };
     let (mut all, mut away, mut home) = (Vec::new(), Vec::new(), Vec::new());
-    let mut some_named = false;
+    let mut labels: [BTreeMap<String, usize>; 2] = Default::default();
+    let mut with_labels = 0;
     for ((line, interval), (_, with_name)) in reader.lines(log).zip(named.lines(log)) {
         let Interval { start_s, end_s, .. } = interval.map_err(|reason| format!("line {line}: {reason}"))?;
         all.push((start_s, end_s));
-        let Ok(Interval { sensor, .. }) = with_name else { continue };
-        some_named = true;
-        let words = sensor.to_lowercase().replace(['_', '-'], " ");
-        let says = |words_of: &[&str]| words.split_whitespace().any(|word| words_of.contains(&word));
-        if says(&["away", "out", "gone", "absent", "elsewhere", "outside", "leave", "leaving", "left"]) {
-            away.push((start_s, end_s));
-        } else if says(&["present", "home", "in", "inside"]) {
-            home.push((start_s, end_s));
-        }
+        let Ok(Interval { sensor: label, .. }) = with_name else { continue };
+        with_labels += 1;
+        let Some(is_away) = says_away(&label) else { continue };
+        let own = if is_away { &mut away } else { &mut home };
+        own.push((start_s, end_s));
+        *labels[usize::from(!is_away)].entry(label).or_default() += 1;
     }
-    if all.is_empty() || !some_named {
-        return Ok(all);
+    let [labels_away, labels_home] = labels;
+    if all.is_empty() || with_labels == 0 {
+        return Ok(Absences { intervals: all, ..Absences::default() });
     }
-    if !away.is_empty() || home.is_empty() {
-        return if away.is_empty() {
-            Err("no interval says away or present in its third column".to_owned())
-        } else {
-            Ok(away)
-        };
+    if !away.is_empty() {
+        return Ok(Absences { others: with_labels - away.len(), intervals: away, labels: labels_away });
     }
+    if home.is_empty() {
+        return Err(
+            "no interval says away or present in its third column; docs/experiments.md has the words".to_owned()
+        );
+    }
+    let others = with_labels - home.len();
     home.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut until_s = home[0].1;
     for (start_s, end_s) in &home[1..] {
@@ -482,30 +522,52 @@ pub fn absences(log: &[u8]) -> Result<Vec<(f64, f64)>, String> {
         }
         until_s = until_s.max(*end_s);
     }
-    Ok(away)
+    Ok(Absences { intervals: away, labels: labels_home, others })
+}
+
+/// Whether an interval's label, as a whole, says that somebody was away, or at home; none where it says something else. "Putting away
+/// dishes" and "Taking out the trash" do, so that a word in it is not enough.
+fn says_away(label: &str) -> Option<bool> {
+    const AWAY: [&str; 7] = ["away", "out", "gone", "absent", "elsewhere", "outside", "outdoors"];
+    const LEAVES: [&str; 5] = ["leave", "leaves", "leaving", "left", "exit"];
+    const GOES: [&str; 4] = ["go", "goes", "going", "went"];
+    const HOUSE: [&str; 5] = ["house", "home", "apartment", "flat", "building"];
+    const HOME: [&str; 5] = ["present", "home", "in", "inside", "indoors"];
+    let label = label.to_lowercase().replace(['_', '-'], " ");
+    let words: Vec<&str> = label.split_whitespace().filter(|word| !matches!(*word, "the" | "a" | "my")).collect();
+    let is_house = |word: &str| HOUSE.contains(&word);
+    match words.as_slice() {
+        [word] if AWAY.contains(word) || LEAVES.contains(word) => Some(true),
+        ["not", "home" | "present" | "in"] | ["not", "at", "home"] => Some(true),
+        [word] if HOME.contains(word) => Some(false),
+        // "leave house", "leaving home for work", "going out to work", "out of the house", "away from home".
+        [verb, house, ..] if LEAVES.contains(verb) && is_house(house) => Some(true),
+        [verb, "out" | "away" | "outside", ..] if GOES.contains(verb) => Some(true),
+        ["out", "of", house] | ["away" | "absent", "from", house] | ["outside", house] if is_house(house) => Some(true),
+        ["at", house] | ["in", house] if is_house(house) => Some(false),
+        _ => None,
+    }
 }
 
 /// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, without regard to time zones and leap seconds;
-/// or of a plain number of seconds.
+/// or of a plain number of seconds. None for a date or time of the day that does not exist, and for so many seconds that they must be
+/// something else.
 #[must_use]
 pub fn seconds(text: &str) -> Option<f64> {
     if let Ok(seconds) = text.parse::<f64>() {
-        return seconds.is_finite().then_some(seconds);
+        return (seconds.abs() <= SECONDS_MAX).then_some(seconds);
     }
     let (date, time) = text.split_once([' ', 'T'])?;
-    let mut parts = date.splitn(3, ['-', '/']).map(|part| part.parse::<i64>().ok());
-    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
+    let mut parts = date.splitn(3, ['-', '/']);
+    let (year, month, day) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
     let mut parts = time.trim().trim_end_matches('Z').splitn(3, ':');
-    let (hour, minute) = (parts.next()?.parse::<u32>().ok()?, parts.next()?.parse::<u32>().ok()?);
+    let (hour, minute) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
     let second: f64 = parts.next().unwrap_or("0").parse().ok()?;
-    let plausible = (1..=9999).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
-    if !plausible || hour > 23 || minute > 59 || !(0.0..61.0).contains(&second) {
+    if !(1..=9_999).contains(&year) || !(0.0..61.0).contains(&second) {
         return None;
     }
-    // Days since 1970-01-01 in the proleptic Gregorian calendar, counted from March so that the leap day comes last.
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let days = 365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day - 1 - 719_468;
-    Some(days as f64 * 86_400.0 + f64::from(hour) * 3_600.0 + f64::from(minute) * 60.0 + second)
+    let whole = tz::UtcDateTime::new(year, month, day, hour, minute, second as u8, 0).ok()?;
+    Some(whole.unix_time() as f64 + second.fract())
 }
 
 #[cfg(test)]
@@ -516,7 +578,7 @@ mod tests {
     const LOG: &str = include_str!("../../tests/data/sensors.tsv");
 
     fn said(log: &SensorLog) -> Vec<(String, f64)> {
-        log.items.iter().map(|item| (item.text.clone(), item.duration_s)).collect()
+        log.said.iter().map(|said| (said.item.text.clone(), said.item.duration_s)).collect()
     }
 
     #[test]
@@ -536,7 +598,7 @@ mod tests {
             ]
         );
         // The bed is left at 07:12:40; 20 seconds later somebody is in the bathroom.
-        assert_eq!((log.begins_s, said(&log)[1].1), (seconds("2024-03-01 07:12:40"), 20.0));
+        assert_eq!((Some(log.said[0].at_s), said(&log)[1].1), (seconds("2024-03-01 07:12:40"), 20.0));
         assert_eq!((log.unfit, log.silent), (1, 2));
         assert_eq!(log.faults.count(), 0);
     }
@@ -569,7 +631,7 @@ mod tests {
             said(&narrated),
             [("They leave by the front door.".to_owned(), 0.0), ("They leave by the front door.".to_owned(), 60.5)]
         );
-        assert!(narrated.items.iter().all(|item| item.person == Who::Number(2)));
+        assert!(narrated.said.iter().all(|said| said.item.person == Who::Number(2)));
     }
 
     #[test]
@@ -581,7 +643,7 @@ mod tests {
             1000,1010,front_door,Magnetic,Hall\n1300,1310,front_door,Magnetic,Hall\n5000,5001,ceiling,PIR,Kitchen\n\
             5100,5110,front_door,Magnetic,Hall\n";
         let log = rules.narrate(log.as_bytes(), &Who::Number(4));
-        let said = &log.items;
+        let said: Vec<_> = log.said.iter().map(|said| &said.item).collect();
         let ada = Who::Name("ada".to_owned());
         let told: Vec<_> = said.iter().map(|item| (item.text.as_str(), item.person.clone(), item.duration_s)).collect();
         assert_eq!(
@@ -620,16 +682,101 @@ mod tests {
 
     #[test]
     fn absences_are_read_from_intervals_of_either_kind() {
-        assert_eq!(absences(b"10\t20\n30\t40\n").unwrap(), [(10.0, 20.0), (30.0, 40.0)]);
-        let mixed = b"start;end;what\n10;20;Sleeping\n20;40;Leaving\n50;60;leave-house\n";
-        assert_eq!(absences(mixed).unwrap(), [(20.0, 40.0), (50.0, 60.0)]);
+        let times = |log: &[u8]| absences(log).unwrap().intervals;
+        assert_eq!(times(b"10\t20\n30\t40\n"), [(10.0, 20.0), (30.0, 40.0)]);
+        let mixed = b"start;end;what\n10;20;Sleeping\n20;40;Leaving\n50;60;leave-house\n60;70;Leaving\n";
+        let labels = [("Leaving".to_owned(), 2), ("leave-house".to_owned(), 1)].into();
+        let intervals = vec![(20.0, 40.0), (50.0, 60.0), (60.0, 70.0)];
+        assert_eq!(absences(mixed).unwrap(), Absences { intervals, labels, others: 1 });
         let home = b"start,end,what\n50,60,present\n0,20,at home\n15,30,present\n";
-        assert_eq!(absences(home).unwrap(), [(30.0, 50.0)]);
+        assert_eq!(times(home), [(30.0, 50.0)]);
         assert!(absences(b"10,20,Sleeping\n").unwrap_err().contains("third column"));
         assert!(absences(b"10,20,x\nnoon,20,x\n").unwrap_err().starts_with("line 2"));
         // A heading has no time at all.
         assert!(absences(b"noon\t2024-03-01 08:18:00\n").unwrap_err().starts_with("line 1"));
-        assert_eq!(absences(b"").unwrap(), []);
+        assert_eq!(times(b""), []);
+    }
+
+    /// Labels of public data sets that have such a word in them, and mean something else.
+    #[test]
+    fn a_label_says_who_is_out_as_a_whole() {
+        for away in [
+            "away",
+            "Out",
+            "GONE",
+            "Leaving",
+            "leave house",
+            "Leave_Home",
+            "leaving the house",
+            "Going out to work",
+            "Went out for shopping",
+            "out of the house",
+            "away from home",
+            "not at home",
+            "Left the home for work",
+        ] {
+            assert_eq!(says_away(away), Some(true), "{away}");
+        }
+        for home in ["present", "Home", "at home", "in", "in the house", "indoors"] {
+            assert_eq!(says_away(home), Some(false), "{home}");
+        }
+        for other in [
+            "Putting away dishes",
+            "Putting away groceries",
+            "Taking out the trash",
+            "Sleep_Out_Of_Bed",
+            "Lawnwork outside",
+            "Working from home",
+            "Getting in bed",
+            "Leftovers",
+            "",
+            "left arm",
+            "Come home",
+            "Washing out the sink",
+        ] {
+            assert_eq!(says_away(other), None, "{other}");
+        }
+    }
+
+    /// A column with nothing in it is empty, whatever stands between columns. Several tabs between the times align columns.
+    #[test]
+    fn an_empty_field_moves_no_column() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
+        let day = "2024-03-01 08:00:00";
+        let read = |fields: &[&str], separator: &str| {
+            let line = fields.join(separator) + "\n";
+            rules.intervals(line.as_bytes()).pop().map(|read| (read.sensor, read.kind, read.place))
+        };
+        let is = |sensor: &str, kind: &str, place: &str| Some((sensor.into(), kind.into(), place.into()));
+        for separator in ["\t", ";", ","] {
+            assert_eq!(read(&[day, day, "fridge", "", "Kitchen", "Cooking"], separator), is("fridge", "", "Kitchen"));
+            assert_eq!(read(&[day, day, "fridge", "door", ""], separator), is("fridge", "door", ""));
+            assert_eq!(read(&[day, day, "fridge", "", "", "Cooking", "x"], separator), is("fridge", "", ""));
+            assert_eq!(read(&[day, day, "fridge", "door"], separator), None);
+        }
+        let aligned = [day, "", day, "", "Bed", "", "", "Pressure", "Bedroom"];
+        assert_eq!(read(&aligned, "\t"), is("Bed", "Pressure", "Bedroom"));
+        assert_eq!(read(&aligned, ";"), None);
+        let faults = |line: &str| rules.narrate(line.as_bytes(), &Who::Somebody).faults.told().to_vec();
+        let wrong = format!("{day}\t\tnoon\t\tBed\t\tPressure\tBedroom\n");
+        assert!(faults(&wrong)[0].starts_with("line 1: \"noon\" is no time"), "{:?}", faults(&wrong));
+        assert!(faults("1709280900000,1709280905000,fridge,-,-\n")[0].ends_with("are these milliseconds?"));
+    }
+
+    /// Each is of its own interval, also where two begin at the same time.
+    #[test]
+    fn what_is_said_says_of_which_interval() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They walk to the {place}.\"").unwrap();
+        let log = b"start,end,sensor,kind,place\nx\n20,25,a,PIR,kitchen\n10,15,b,PIR,hall\n10,11,c,PIR,bath\n";
+        let all = rules.intervals(log);
+        let said = rules.narrate(log, &Who::Somebody).said;
+        assert_eq!(
+            said.iter().map(|said| (said.line, said.at_s)).collect::<Vec<_>>(),
+            [(4, 10.0), (5, 10.0), (3, 20.0)]
+        );
+        for said in said {
+            assert!(said.item.text.contains(&all[said.interval].place), "{said:?}");
+        }
     }
 
     #[test]
@@ -638,7 +785,11 @@ mod tests {
         assert_eq!(seconds("2024-03-01T00:00:00Z"), Some(1_709_251_200.0));
         assert_eq!(seconds("2024/02/29 23:59:59.5"), Some(1_709_251_199.5));
         assert_eq!(seconds("17.25"), Some(17.25));
-        for wrong in ["", "noon", "2024-13-01 00:00:00", "2024-03-01", "2024-03-01 25:00:00", "inf"] {
+        assert_eq!(seconds("2024-02-29 00:00:60.5"), Some(1_709_164_860.5));
+        assert_eq!([seconds("0001-01-01 00:00:00"), seconds("-5")], [Some(-62_135_596_800.0), Some(-5.0)]);
+        let no_times = ["", "noon", "2024-03-01", "2024-03-01 25:00:00", "inf", "nan", "1709280900000"];
+        let no_dates = ["2024-13-01 00:00:00", "2024-02-31 10:00:00", "2023-02-29 10:00:00", "2024-04-31 10:00:00"];
+        for wrong in no_times.into_iter().chain(no_dates).chain(["0000-01-01 00:00:00", "2024-00-01 00:00:00"]) {
             assert_eq!(seconds(wrong), None, "{wrong}");
         }
     }
@@ -651,11 +802,11 @@ mod tests {
         lines[100] = "100\t\"100\tdoor100\tmagnetic\thall".to_owned();
         let narrated = rules.narrate(lines.join("\r\n").as_bytes(), &Who::Somebody);
         let wrong = narrated.faults.told();
-        assert_eq!((narrated.items.len(), wrong.len()), (499, 1));
+        assert_eq!((narrated.said.len(), wrong.len()), (499, 1));
         assert!(wrong[0].starts_with("line 101:"), "{wrong:?}");
         // A quoted field may hold the separator, as before.
         let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n", &Who::Somebody);
-        assert_eq!(quoted.items[0].text, "They open the door, left.");
+        assert_eq!(quoted.said[0].item.text, "They open the door, left.");
     }
 
     /// Row "a sensor log of malformed lines" of the attacks: what is kept of them does not grow with them.
@@ -669,8 +820,8 @@ mod tests {
             "start,end,sensor,kind,place\n{long},1,door,-,-\n{too_long}\n{fields}\n{}1,2,fridge,-,-\n",
             "x\n".repeat(100_000)
         );
-        let SensorLog { items, faults, .. } = rules.narrate(log.as_bytes(), &Who::Somebody);
-        let said: Vec<_> = items.iter().map(|item| item.text.as_str()).collect();
+        let SensorLog { said, faults, .. } = rules.narrate(log.as_bytes(), &Who::Somebody);
+        let said: Vec<_> = said.iter().map(|said| said.item.text.as_str()).collect();
         assert_eq!(said, ["They open the fridge.", "They open the 8."]);
         assert_eq!((faults.count(), faults.told().len()), (100_002, Faults::TOLD));
         let told = faults.told();

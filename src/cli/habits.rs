@@ -13,12 +13,14 @@ use crate::exit_code;
 #[cfg(feature = "lab")]
 use roomcast_lab::simulation::homer::Day;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
-use roomcast_services::lessons::{self, Lesson};
+use roomcast_services::lessons::{self, Lessons};
 use roomcast_services::logging;
-use roomcast_services::narrator::{Faults, Item, Who, line_item};
+#[cfg(feature = "lab")]
+use roomcast_services::narrator::Item;
+use roomcast_services::narrator::{Faults, Who};
 #[cfg(feature = "recordings")]
 use roomcast_services::recording;
-use roomcast_services::sensor_log::{self, SensorRules};
+use roomcast_services::sensor_log::{self, SensorLog, SensorRules};
 
 /// Arguments of `roomcast habits`.
 #[derive(Debug, clap::Args)]
@@ -198,10 +200,9 @@ fn learn(args: &LearnArgs) -> CommandResult {
     /// A home in which something is observed all the time leaves no time for it.
     const ATTEMPTS: usize = 3;
     let _log = logging::init();
-    let read = Lessons::of(args)?;
-    read.tell_faults();
-    let Lessons { lessons, zone, faults } = read;
-    if lessons.is_empty() {
+    let (read, unit) = lessons_of(args)?;
+    tell_faults(read.faults());
+    if read.lessons().is_empty() {
         let text = "nothing in it can be learned from: it has no narration with a time in the past";
         return Err(Failure::new(exit_code::INPUT, text));
     }
@@ -210,9 +211,9 @@ fn learn(args: &LearnArgs) -> CommandResult {
     for attempt in 1..=ATTEMPTS {
         let (before, learned) = asker.export()?;
         let failed = |error| Failure::new(exit_code::FAILURE, error);
-        let board = lessons::board(&config, &learned, zone.clone()).map_err(failed)?;
-        let total = lessons.len();
-        let learned = lessons::teach(board, lessons.clone(), |told| {
+        let board = lessons::board(&config, &learned, read.zone().clone()).map_err(failed)?;
+        let total = read.lessons().len();
+        let learned = lessons::teach(board, read.lessons().to_vec(), |told| {
             if told % 1_000 == 0 {
                 super::tell(format_args!("roomcast: {told} of {total} narrations"));
             }
@@ -228,118 +229,109 @@ fn learn(args: &LearnArgs) -> CommandResult {
                 super::count(total, "narration"),
                 after_restart(&answer)
             ))?;
-            return match usize::try_from(faults.count()).unwrap_or(usize::MAX) {
+            return match usize::try_from(read.faults().count()).unwrap_or(usize::MAX) {
                 0 => Ok(()),
-                lines => Err(Failure::new(exit_code::INPUT, format!("{} left out", super::count(lines, "line")))),
+                faults => Err(Failure::new(exit_code::INPUT, format!("{} left out", super::count(faults, unit)))),
             };
         }
     }
     Ok(())
 }
 
-/// What is learned from.
-struct Lessons {
-    lessons: Vec<Lesson>,
-    /// In which its times are.
-    zone: Zone,
-    /// What cannot be learned from, each in words.
-    faults: Faults,
-}
-
-impl Lessons {
-    fn of(args: &LearnArgs) -> Result<Self, Failure> {
-        let input = |error| Failure::new(exit_code::INPUT, error);
-        let person = args.person.clone().unwrap_or_default();
-        #[cfg(feature = "lab")]
-        if let Some(folder) = &args.days {
-            let days = super::experiment::days(folder)?;
-            let items = day_items(&days, first_day_s(args.first_day.as_deref(), days.len())?, &person);
-            return Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::UTC, faults: Faults::default() });
+/// What is learned from, and what of it stands for one fault.
+fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
+    let input = |error| Failure::new(exit_code::INPUT, error);
+    let person = args.person.clone().unwrap_or_default();
+    let (zone, now_unix_ns) = (Zone::local(), roomcast_ipc::clock::unix_ns());
+    #[cfg(feature = "lab")]
+    if let Some(folder) = &args.days {
+        let days = super::experiment::days(folder)?;
+        let first_s = first_day_s(args.first_day.as_deref(), days.len(), zone.local_s(now_unix_ns))?;
+        let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
+        for TimedItem { day, action, at_s, item } in day_items(&days, first_s, &person) {
+            lessons.take(format_args!("day {day}, action {action}"), &item, Some(at_s));
         }
-        match (&args.sensors, &args.rules, &args.recording, &args.lines) {
-            (Some(log), Some(rules), ..) => {
-                let narrated =
-                    SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
-                if narrated.unfit > 0 {
-                    super::tell(format_args!("roomcast: no rule fits {} intervals", narrated.unfit));
-                }
-                let (lessons, _) = Lesson::of_sensors(&narrated);
-                Ok(Self { lessons, zone: Zone::UTC, faults: narrated.faults })
-            }
-            #[cfg(feature = "recordings")]
-            (_, _, Some(recording), _) => {
-                let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
-                Ok(Self { lessons: Lesson::of_recording(&recording), zone: Zone::local(), faults: Faults::default() })
-            }
-            (.., Some(lines)) => {
-                let (mut items, mut faults) = (Vec::new(), Faults::default());
-                let now_unix_ns = roomcast_ipc::clock::unix_ns();
-                for (number, line) in (1..).zip(read(lines, sensor_log::FILE_BYTES_MAX)?.lines()) {
-                    if line.trim().is_empty() {
-                        continue;
-                    }
-                    match timed_item(line, &person, now_unix_ns) {
-                        Ok(item) => items.push(item),
-                        Err(fault) => faults.add(number, fault),
-                    }
-                }
-                Ok(Self { lessons: Lesson::of_lines(&items).0, zone: Zone::local(), faults })
-            }
-            _ => Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
-        }
+        return Ok((lessons, "action"));
     }
-
-    /// Says what is left out, and why.
-    fn tell_faults(&self) {
-        const TOLD: usize = 20;
-        self.faults.told().iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
-        if self.faults.count() > TOLD as u64 {
-            super::tell(format_args!("roomcast: and {} more", self.faults.count() - TOLD as u64));
+    match (&args.sensors, &args.rules, &args.recording, &args.lines) {
+        (Some(log), Some(rules), ..) => {
+            let narrated =
+                SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
+            tell_unfit(&narrated);
+            let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
+            lessons.take_sensors(narrated);
+            Ok((lessons, "line"))
         }
+        #[cfg(feature = "recordings")]
+        (_, _, Some(recording), _) => {
+            let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+            let mut lessons = Lessons::of_wall_clock(zone, now_unix_ns);
+            lessons.take_recording(&recording);
+            Ok((lessons, "narration"))
+        }
+        (.., Some(lines)) => {
+            let mut lessons = Lessons::of_wall_clock(zone, now_unix_ns);
+            lessons.take_lines(&read(lines, sensor_log::FILE_BYTES_MAX)?, &person);
+            Ok((lessons, "line"))
+        }
+        _ => Err(Failure::new(exit_code::USAGE, "this build reads no recordings; give lines or --sensors")),
     }
 }
 
-/// A line that has a time, not after now; else why not.
-fn timed_item(line: &str, person: &Who, now_unix_ns: u64) -> Result<Item, String> {
-    const AHEAD_NS: u64 = 1_000_000_000;
-    let item = line_item(line, person).map_err(|error| error.to_string())?;
-    match item.observed_unix_ns {
-        None => Err("it has no time: give \"observed_unix_s\"".to_owned()),
-        Some(at_ns) if at_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
-            Err("\"observed_unix_s\" lies ahead; give a time in the past".to_owned())
-        }
-        Some(_) => Ok(item),
+/// Says how many intervals of a log nothing is said of.
+pub(super) fn tell_unfit(log: &SensorLog) {
+    if log.unfit > 0 {
+        let intervals = super::count(usize::try_from(log.unfit).unwrap_or(usize::MAX), "interval");
+        super::tell(format_args!("roomcast: no rule fits {intervals}"));
+    }
+}
+
+/// Says what is left out, and why.
+fn tell_faults(faults: &Faults) {
+    const TOLD: usize = 20;
+    faults.told().iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
+    if faults.count() > TOLD as u64 {
+        super::tell(format_args!("roomcast: and {} more", faults.count() - TOLD as u64));
     }
 }
 
 /// When the first of so many days began, in seconds since 1970, local time.
 #[cfg(feature = "lab")]
-fn first_day_s(date: Option<&str>, days: usize) -> Result<f64, Failure> {
+fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failure> {
     const DAY_S: f64 = 86_400.0;
     let Some(date) = date else {
-        let today = (roomcast_ipc::clock::unix_ns() as f64 / 1e9 / DAY_S).floor();
-        return Ok((today - days as f64).max(0.0) * DAY_S);
+        return Ok(((now_s / DAY_S).floor() - days as f64).max(0.0) * DAY_S);
     };
     sensor_log::seconds(&format!("{date} 00:00:00"))
         .filter(|at_s| *at_s >= 0.0)
         .ok_or_else(|| Failure::new(exit_code::USAGE, format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
 }
 
+/// What is narrated of an action of some day.
+#[cfg(feature = "lab")]
+struct TimedItem {
+    /// From 1, as is the action's number in it.
+    day: usize,
+    action: usize,
+    /// In seconds since 1970, local time.
+    at_s: f64,
+    item: Item,
+}
+
 /// What is narrated of days that follow one another: each action when it was done; times do not go back where a day ends after the next
 /// one has begun.
 #[cfg(feature = "lab")]
-fn day_items(days: &[Day], first_s: f64, person: &Who) -> Vec<Item> {
+fn day_items(days: &[Day], first_s: f64, person: &Who) -> impl Iterator<Item = TimedItem> {
     let mut last_s = first_s;
-    let days = days.iter().enumerate().flat_map(|(number, day)| {
-        let begin_s = first_s + 86_400.0 * number as f64;
-        day.actions.iter().map(move |timed| (begin_s + 60.0 * timed.done_min, timed))
+    let days = (1..).zip(days).flat_map(move |(day, actions)| {
+        let begin_s = first_s + 86_400.0 * (day - 1) as f64;
+        (1..).zip(&actions.actions).map(move |(action, timed)| (day, action, begin_s + 60.0 * timed.done_min, timed))
     });
-    days.map(|(at_s, timed)| {
+    days.map(move |(day, action, at_s, timed)| {
         last_s = at_s.max(last_s);
-        let observed_unix_ns = Some((last_s * 1e9) as u64);
-        Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, timed.action.sentence(), person.clone()) }
+        let item = Item::new(narration_kind::SENTENCE, timed.action.sentence(), person.clone());
+        TimedItem { day, action, at_s: last_s, item }
     })
-    .collect()
 }
 
 /// The text in parts that a question can carry, as JSON too.
@@ -512,18 +504,22 @@ mod tests {
     #[test]
     fn days_of_activities_are_narrated_with_their_times() {
         let day = Day::parse("### a.txt\n[GRAB] <mug> (12) [1]\n1439.0\n[OPEN] <fridge> (3) [2]\n1450.5\n").unwrap();
-        let first_s = first_day_s(Some("2024-03-01"), 2).unwrap();
+        let now_s = 1_709_251_200.0 + 2.5 * 86_400.0;
+        let first_s = first_day_s(Some("2024-03-01"), 2, now_s).unwrap();
         assert_eq!(first_s, 1_709_251_200.0);
-        let items = day_items(&[day.clone(), day], first_s, &Who::Number(3));
-        let minutes = |item: &Item| (item.observed_unix_ns.unwrap() as f64 / 1e9 - first_s) / 60.0;
-        assert_eq!(items.iter().map(minutes).collect::<Vec<_>>(), [1439.0, 1450.5, 2879.0, 2890.5]);
-        assert!(items[0].text.contains("mug") && items[0].person == Who::Number(3), "{:?}", items[0]);
-        let (lessons, left_out) = Lesson::of_lines(&items);
-        assert_eq!((lessons.len(), left_out), (4, 0));
-        assert!(first_day_s(Some("yesterday"), 1).is_err());
-        // Without a date the last day was yesterday.
-        let today = roomcast_ipc::clock::unix_ns() as f64 / 1e9 / 86_400.0;
-        assert!(today - first_day_s(None, 3).unwrap() / 86_400.0 - 3.0 < 1.01);
+        let items: Vec<_> = day_items(&[day.clone(), day], first_s, &Who::Number(3)).collect();
+        let minutes = |timed: &TimedItem| (timed.day, timed.action, (timed.at_s - first_s) / 60.0);
+        let expected = [(1, 1, 1439.0), (1, 2, 1450.5), (2, 1, 2879.0), (2, 2, 2890.5)];
+        assert_eq!(items.iter().map(minutes).collect::<Vec<_>>(), expected);
+        assert!(items[0].item.text.contains("mug") && items[0].item.person == Who::Number(3));
+        for wrong in ["yesterday", "2026-11-31", "1969-12-31"] {
+            assert_eq!(first_day_s(Some(wrong), 1, now_s).unwrap_err().code, exit_code::USAGE, "{wrong}");
+        }
+        // Without a date the last day was yesterday, by the clock of the place.
+        assert_eq!(
+            [first_day_s(None, 1, now_s).unwrap(), first_day_s(None, 2, now_s).unwrap()],
+            [first_s + 86_400.0, first_s]
+        );
     }
 
     #[test]

@@ -193,7 +193,7 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
 fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;
-    let (lines, unfit, silent) = (narrated.items.len(), narrated.unfit, narrated.silent);
+    let (lines, unfit, silent) = (narrated.said.len(), narrated.unfit, narrated.silent);
     tracing::info!(lines, unfit, silent, log = %log.display(), "sensor log read");
-    Ok(Input::Log { items: narrated.items, faults: narrated.faults })
+    Ok(Input::Log { items: narrated.said.into_iter().map(|said| said.item).collect(), faults: narrated.faults })
 }

@@ -175,20 +175,23 @@ impl Counts {
         Some(Seen { counts: self, first: row.first, factor })
     }
 
-    /// Adds to the count of `symbol` in the context `key`. Says whether the symbol is new there.
+    /// Adds to the count of `symbol` in the context `key`. Says whether the symbol is new there. What would be forgotten by now, had it been
+    /// counted in its time, leaves no trace.
     pub(crate) fn add(&mut self, key: u64, symbol: u16, weight: f64, now_min: u32) -> bool {
         debug_assert_ne!(symbol, NOTHING);
-        let row = match self.find(key) {
-            Some(row) => row,
-            None => self.insert(key, now_min),
-        };
-        let Row { touched_min, .. } = self.rows[row as usize];
-        let factor = self.factor(touched_min, now_min);
+        let found = self.find(key);
+        let touched_min = found.map_or(now_min, |row| self.rows[row as usize].touched_min);
         // What is older than the row fades as if it had been counted then.
-        let weight = weight * f64::from(self.factor(now_min, touched_min));
+        let faded = self.factor(now_min, touched_min);
+        let weight = (weight * f64::from(faded)) as f32;
+        if weight < f32::MIN_POSITIVE || (faded < WORTH && weight < FORGOTTEN) {
+            return false;
+        }
+        let row = found.unwrap_or_else(|| self.insert(key, now_min));
+        let factor = self.factor(touched_min, now_min);
         let (known, weight) = match factor >= WORTH {
-            true => (self.bring_forward(row, symbol), weight as f32 / factor),
-            false => (self.decay(row, factor, now_min, symbol), weight as f32),
+            true => (self.bring_forward(row, symbol), weight / factor),
+            false => (self.decay(row, factor, now_min, symbol), weight),
         };
         self.rows[row as usize].total += weight;
         let (at, place) = match known {
@@ -407,6 +410,11 @@ impl Counts {
         }
     }
 
+    /// What is dated later than now is of now.
+    pub(crate) fn no_later_than(&mut self, now_min: u32) {
+        self.rows.iter_mut().for_each(|row| row.touched_min = row.touched_min.min(now_min));
+    }
+
     /// Drops every row for which `wanted` is false, and every count for which `symbol_wanted` is.
     pub(crate) fn retain(
         &mut self,
@@ -517,6 +525,29 @@ mod tests {
         assert!((seen.count(1) - 1.25).abs() < 1e-3 && (seen.count(2) - 0.125).abs() < 1e-3, "{seen:?}");
     }
 
+    /// What is told of twenty years ago, beside what was counted since.
+    #[test]
+    fn what_had_been_forgotten_by_now_is_not_counted() {
+        for half_life_min in [0.5, f64::from(DAY_MIN), 60.0 * f64::from(DAY_MIN)] {
+            let mut counts = counts(4, 16, half_life_min);
+            counts.add(1, 1, 1.0, 10_000 * DAY_MIN);
+            let before = counts.rows();
+            assert!(!counts.add(1, 2, 1.0, 0) && !counts.add(1, 1, 1.0, 1));
+            assert_eq!((counts.rows(), counts.len()), (before, (1, 1)));
+        }
+    }
+
+    #[test]
+    fn what_is_dated_later_than_now_is_of_now() {
+        let mut counts = counts(4, 16, f64::from(DAY_MIN));
+        counts.add(1, 1, 1.0, 5_000 * DAY_MIN);
+        counts.add(2, 1, 1.0, DAY_MIN);
+        counts.no_later_than(2 * DAY_MIN);
+        counts.add(1, 2, 1.0, 3 * DAY_MIN);
+        let seen = counts.get(1, 3 * DAY_MIN).unwrap();
+        assert_eq!((seen.count(1), seen.count(2), counts.get(2, 2 * DAY_MIN).unwrap().count(1)), (0.5, 1.0, 0.5));
+    }
+
     proptest! {
         /// As a map of maps would count, whatever is added, and never more than the limits.
         #[test]
@@ -546,10 +577,12 @@ mod tests {
             for (key, symbol, minute) in adds {
                 counts.add(key, symbol, 1.0, minute);
                 prop_assert!(counts.len().0 <= rows && counts.blocks.len() <= blocks);
-                // What is older than its row is worth less there.
+                // What is older than its row is worth less there, and nothing in the end.
                 let older_min = counts.rows[counts.find(key).unwrap() as usize].touched_min.saturating_sub(minute);
                 let worth = 0.9 * (-f64::from(older_min) / 10_000.0).exp2();
-                prop_assert!(counts.get(key, minute).is_some_and(|seen| seen.count(symbol) >= worth));
+                let count = counts.get(key, minute).map(|seen| seen.count(symbol));
+                prop_assert!(count.is_some_and(|count| count >= worth || worth < f64::from(FORGOTTEN)));
+                prop_assert!(counts.rows().iter().flat_map(|(.., symbols)| symbols).all(|(_, count)| count.is_normal()));
             }
             let stored = counts.rows();
             prop_assert_eq!(stored.len(), counts.len().0);

@@ -523,6 +523,15 @@ impl Habits {
         self.places.shift_clock(by_min);
     }
 
+    /// What was learned by a clock that was ahead, or is said to have been, counts as of now. It would not fade until then, and what is
+    /// learned meanwhile would count for nothing beside it.
+    pub fn no_later_than(&mut self, now_s: f64) {
+        let now_min = moment::minute(now_s);
+        self.counts.no_later_than(now_min);
+        self.objects.no_later_than(now_min);
+        self.places.no_later_than(now_min);
+    }
+
     /// Per label of the map the probability that it is turned to next, from the model's probabilities (which need not sum to one).
     /// It is compared with what comes next.
     pub fn mix(&mut self, person: u32, at_s: f64, model: &[f64]) -> &[f64] {

@@ -18,7 +18,8 @@ pub(crate) fn part_of_day(at_s: f64, hours: u16) -> u16 {
 /// Whether it is Saturday or Sunday.
 pub(crate) fn weekend(at_s: f64) -> bool {
     // 1970 began on a Thursday.
-    matches!(((at_s / 86_400.0).floor() as i64 + 4).rem_euclid(7), 0 | 6)
+    let day = ((at_s / 86_400.0).floor() + 4.0).rem_euclid(7.0);
+    !(1.0..6.0).contains(&day)
 }
 
 #[cfg(test)]

@@ -185,8 +185,8 @@ impl Stored {
         stored.checked()
     }
 
-    /// Nothing impossible is in it: numbers are finite and in range.
-    pub(crate) fn checked(self) -> Result<Self, StoredError> {
+    /// Nothing impossible is in it: numbers are finite and in range. Counts of nothing, which earlier versions wrote, are dropped.
+    pub(crate) fn checked(mut self) -> Result<Self, StoredError> {
         if !(VERSION_2..=VERSION).contains(&self.version) {
             return Err(StoredError::Version { found: self.version });
         }
@@ -212,13 +212,14 @@ impl Stored {
             }
         }
         let (mut contexts, mut symbols) = (BTreeSet::new(), BTreeSet::new());
-        for row in &self.rows {
+        for row in &mut self.rows {
             if !Kind::ALL.iter().any(|kind| *kind as u8 == row.kind) {
                 return Err(malformed(format!("unknown kind {} of counts", row.kind)));
             }
-            if !row.counts.iter().all(|(_, count)| count.is_finite() && *count > 0.0) {
+            if !row.counts.iter().all(|(_, count)| count.is_finite() && *count >= 0.0) {
                 return Err(malformed(format!("a count of kind {} is no count", row.kind)));
             }
+            row.counts.retain(|(_, count)| *count > 0.0);
             // What came twice would add up to more than was checked.
             symbols.clear();
             let once = row.counts.iter().all(|(symbol, _)| symbols.insert(*symbol));

@@ -379,6 +379,37 @@ fn some() -> &'static [u8] {
     })
 }
 
+/// A Friday in 2024.
+const NOW_S: f64 = 1_709_280_900.0;
+
+/// Within a hundred years of now, often near it, or what no clock says.
+fn any_time() -> impl Strategy<Value = f64> {
+    const YEARS_S: f64 = 100.0 * 365.25 * DAY_S;
+    prop_oneof![
+        2 => (-YEARS_S..YEARS_S).prop_map(|by_s| NOW_S + by_s),
+        2 => (-DAY_S..DAY_S).prop_map(|by_s| NOW_S + by_s),
+        1 => (0.0..100.0 * DAY_S).prop_map(|by_s| NOW_S - by_s),
+        1 => prop_oneof![Just(0.0), Just(1e300), Just(-1e300)],
+    ]
+}
+
+/// Versions before this one wrote counts of nothing: they cost themselves, and not what else was learned.
+#[test]
+fn a_count_of_nothing_is_dropped_and_all_else_is_read() {
+    let mut stored = Stored::from_bytes(some()).unwrap();
+    let whole = Habits::from_bytes(HabitsOptions::default(), some()).unwrap().to_bytes();
+    let mut without = stored.rows[0].clone();
+    without.slot |= 0x40;
+    without.counts = vec![(0, 0.0)];
+    let unused = (0..).find(|symbol| stored.rows[1].counts.iter().all(|(known, _)| known != symbol)).unwrap();
+    stored.rows[1].counts.push((unused, 0.0));
+    stored.rows.push(without);
+    let read = Habits::from_bytes(HabitsOptions::default(), &stored.to_bytes()).unwrap();
+    assert_eq!(read.to_bytes(), whole);
+    stored.rows[1].counts[0].1 = -1.0;
+    assert!(Habits::from_bytes(HabitsOptions::default(), &stored.to_bytes()).is_err());
+}
+
 proptest! {
     #[test]
     fn damage_is_noticed(at in any::<prop::sample::Index>(), bit in 0..8u8, cut in any::<prop::sample::Index>()) {
@@ -408,6 +439,45 @@ proptest! {
             mornings(&mut habits, 0, 1);
             week(&mut habits, 1);
         }
+    }
+
+    /// A clock can say any time. What is learned by it is read again, and once nothing is later than now, what is learned now counts as
+    /// if nothing had been learned before.
+    #[test]
+    fn whatever_the_clocks_say_it_is_read_again_and_now_counts(
+        past in prop::collection::vec((any_time(), 0..3u32, 0..5usize, 0..5u8), 0..60),
+        half_life_days in prop_oneof![Just(0.0), 0.001..1.0f64, 1.0..400.0f64],
+    ) {
+        let options = HabitsOptions { half_life_days, ..HabitsOptions::default() };
+        let mut habits = home(options);
+        for (at_s, person, label, what) in past {
+            match what {
+                0 => habits.be(person, Place::Room(ROOM_OF[label]), at_s),
+                1 => habits.be(person, Place::Elsewhere, at_s),
+                2 => habits.tick(person, at_s, &mut |_, p| p.fill(1.0)),
+                _ => {
+                    habits.mix(person, at_s, &[0.2; 5]);
+                    habits.observe(&turn(person, label, at_s));
+                }
+            }
+        }
+        let read = Habits::from_bytes(options, &habits.to_bytes());
+        prop_assert!(read.is_ok(), "{:?}", read.err());
+        prop_assert!(Habits::from_json(options, &habits.to_json().unwrap()).is_ok());
+        let now = |mut habits: Habits| {
+            habits.no_later_than(NOW_S);
+            habits.bind(words(&LABELS), words(&ROOMS), shares());
+            for step in 0..20u8 {
+                let at_s = NOW_S + 60.0 * f64::from(step);
+                let forecast = habits.mix(0, at_s, &[0.2; 5]);
+                assert!(forecast.iter().all(|p| (0.0..=1.0).contains(p)), "{forecast:?}");
+                habits.observe(&turn(0, usize::from(step % 2), at_s));
+            }
+            habits.mix(0, NOW_S + 1_200.0, &[0.2; 5]);
+            habits.explain(0, 0).unwrap().observations[1]
+        };
+        let (after, alone) = (now(read.unwrap()), now(home(options)));
+        prop_assert!(after > 0.98 * alone - 0.05, "{after} of {alone}");
     }
 
     /// Over any day, whatever is done, the mixture is behind the model alone by no more than its bound. Each day the weights of all

@@ -70,6 +70,11 @@ impl Words {
         self.seen_min.iter_mut().for_each(|seen_min| *seen_min = moment::shifted(*seen_min, by_min));
     }
 
+    /// What was seen later than now was seen now.
+    pub(crate) fn no_later_than(&mut self, now_min: u32) {
+        self.seen_min.iter_mut().for_each(|seen_min| *seen_min = now_min.min(*seen_min));
+    }
+
     /// Bytes of the names.
     pub(crate) fn bytes(&self) -> usize {
         self.names.iter().map(|name| 2 * name.len() + 64).sum()

@@ -18,7 +18,7 @@ use crate::text::{visible, without_mark};
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
 /// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
-const AHEAD_NS: u64 = 1_000_000_000;
+pub const AHEAD_NS: u64 = 1_000_000_000;
 
 /// How a text is read. Messages have the numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -61,6 +61,15 @@ pub enum ProgramError {
         /// The first line that no program has.
         line: usize,
     },
+    /// The first action of a day has no time.
+    #[error(
+        "line {line}: the first action has no time, as in a program of one activity: give a day in HOMER+'s format, with minutes since midnight \
+         below each action"
+    )]
+    Untimed {
+        /// From 1.
+        line: usize,
+    },
     /// An action of a day later than [`DAY_MINUTES_MAX`].
     #[error("line {line}: minute {minute} of the day, more than {DAY_MINUTES_MAX}: give minutes since midnight")]
     Late {

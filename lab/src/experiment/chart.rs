@@ -7,7 +7,7 @@ use std::fmt::Write;
 pub enum Mark {
     /// Dots.
     Points,
-    /// Dots joined by a line.
+    /// Dots joined by a line; the line alone where there are more than 60 of them.
     Line,
     /// A histogram's outline: each y holds from its x to the next.
     Steps,
@@ -44,6 +44,9 @@ const RIGHT: f64 = 210.0;
 const TOP: f64 = 44.0;
 const BOTTOM: f64 = 58.0;
 
+/// Most dots on a line.
+const DOTS_MAX: usize = 60;
+
 /// Colours that stay apart for people who do not tell red from green, in the order of the series.
 const COLOURS: [&str; 8] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#444444", "#7b4fa6"];
 
@@ -77,7 +80,8 @@ impl Chart {
         }
         line(&mut svg, [LEFT, bottom, right, bottom], "#444444");
         line(&mut svg, [LEFT, TOP, LEFT, bottom], "#444444");
-        for (index, series) in self.series.iter().enumerate() {
+        // The first one lies above the others.
+        for (index, series) in self.series.iter().enumerate().rev() {
             let colour = COLOURS[index % COLOURS.len()];
             let shown: Vec<(f64, f64)> = series
                 .points
@@ -97,7 +101,8 @@ impl Chart {
                 }
                 let _ = write!(svg, "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>");
             }
-            if series.mark != Mark::Steps {
+            // So many dots on a line are a band in which nothing can be told apart.
+            if series.mark == Mark::Points || (series.mark == Mark::Line && shown.len() <= DOTS_MAX) {
                 for (x, y) in &shown {
                     let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>");
                 }
@@ -201,6 +206,14 @@ mod tests {
         let svg = chart.svg();
         assert!(svg.contains("a &lt; b &amp; c") && svg.contains("three") && !svg.contains("NaN"));
         roxmltree::Document::parse(&svg).unwrap();
+        // The first one is drawn last, and the third's legend stands below it.
+        assert!(svg.find(">three<").unwrap() < svg.find(">one<").unwrap());
+        let dots = |number: u32| {
+            let points = (0..number).map(|at| (f64::from(at), 1.0)).collect();
+            let series = vec![Series { name: "days".into(), points, mark: Mark::Line }];
+            Chart { series, ..chart.clone() }.svg().matches("<circle").count()
+        };
+        assert_eq!([dots(60), dots(61)], [60, 0]);
         let empty = Chart { title: String::new(), x: String::new(), y: String::new(), series: Vec::new() }.svg();
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
     }

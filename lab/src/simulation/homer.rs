@@ -36,7 +36,7 @@ impl Day {
         program::looks_like_a_day(text)
     }
 
-    /// Reads a day. An action without a time gets that of the action before it.
+    /// Reads a day. An action without a time gets that of the action before it; the first one has one.
     ///
     /// # Errors
     /// [`ProgramError`] names the line.
@@ -47,6 +47,7 @@ impl Day {
         let mut actions: Vec<TimedAction> = Vec::new();
         let mut activity = String::new();
         let (mut now_min, mut awaits_time) = (0.0, false);
+        let mut untimed = None;
         for (index, text) in text.lines().enumerate() {
             let (line, text) = (index + 1, text.trim());
             if let Some(name) = text.strip_prefix("### ") {
@@ -61,6 +62,11 @@ impl Day {
                     None => text,
                 };
                 let action = Action::parse(notation).map_err(|source| ProgramError::Step { line, source })?;
+                if actions.is_empty() {
+                    untimed = Some(line);
+                } else if let Some(line) = untimed {
+                    return Err(ProgramError::Untimed { line });
+                }
                 actions.push(TimedAction { activity: activity.clone(), action, done_min: now_min });
                 awaits_time = true;
             } else if awaits_time
@@ -73,11 +79,14 @@ impl Day {
                 }
                 now_min = minute.max(now_min);
                 last.done_min = now_min;
-                awaits_time = false;
+                (awaits_time, untimed) = (false, None);
             }
         }
         if actions.is_empty() {
             return Err(ProgramError::Empty { title: "day".into() });
+        }
+        if let Some(line) = untimed {
+            return Err(ProgramError::Untimed { line });
         }
         Ok(Self { actions })
     }
@@ -143,6 +152,11 @@ mod tests {
             Day::parse("### a\n[FLY] <x> (1) [1]\n").unwrap_err().to_string().starts_with("line 2: unknown action")
         );
         assert!(Day::parse("### a\n").unwrap_err().to_string().contains("no step"));
+        // A program of one activity says nothing of when.
+        for steps in ["[SIT] <x> (1)", "[SIT] <x> (1) [1]\n[SIT] <y> (2) [2]\n370.0"] {
+            let fault = Day::parse(&format!("Sit\nOn a chair.\n\n{steps}\n")).unwrap_err().to_string();
+            assert!(fault.starts_with("line 4: the first action has no time"), "{fault}");
+        }
         // A day ends after midnight, and not in the year 19 000.
         let ends = |minute: &str| Day::parse(&format!("### a\n[SIT] <x> (1) [1]\n{minute}\n"));
         assert!(ends("1670.5").is_ok() && ends("2880").is_ok());

@@ -55,7 +55,8 @@ impl Zone {
     }
 
     /// Seconds since 1970 in local time.
-    fn local_s(&self, unix_ns: u64) -> f64 {
+    #[must_use]
+    pub fn local_s(&self, unix_ns: u64) -> f64 {
         let unix_s = unix_ns / 1_000_000_000;
         let zone = self.0.as_ref().zip(i64::try_from(unix_s).ok());
         let offset_s = zone.and_then(|(zone, unix_s)| Some(zone.find_local_time_type(unix_s).ok()?.ut_offset()));
@@ -297,10 +298,13 @@ impl HomeHabits {
                 // The machine slept, and nobody watched.
                 self.memory.habits.pass(local_s);
             }
-        } else if self.memory.watched_until_s.is_finite() && !self.is_of_the_past {
-            // Whether nobody watched for long or the clock is wrong, nobody knows; either way the home did not change as much as that.
-            let away_s = local_s - self.memory.watched_until_s;
-            self.memory.habits.shift_counts(away_s - away_s.clamp(0.0, AWAY_S));
+        } else if !self.is_of_the_past {
+            if self.memory.watched_until_s.is_finite() {
+                // Whether nobody watched for long or the clock is wrong, nobody knows; either way the home did not change as much as that.
+                let away_s = local_s - self.memory.watched_until_s;
+                self.memory.habits.shift_counts(away_s - away_s.clamp(0.0, AWAY_S));
+            }
+            self.memory.habits.no_later_than(local_s);
         }
         self.clock = Some((now_ns, local_s));
     }
@@ -585,7 +589,11 @@ impl HomeHabits {
     /// Takes up what another run, or another home, has learned, in place of what this one has.
     pub(super) fn take_json(&mut self, json: &str) -> Result<(), StoredError> {
         let before = &self.memory.habits;
-        let habits = Habits::from_json(*before.options(), json)?;
+        let mut habits = Habits::from_json(*before.options(), json)?;
+        if let Some((_, now_s)) = self.clock {
+            // It may be of a machine whose clock was ahead.
+            habits.no_later_than(now_s);
+        }
         let places = before.persons().filter_map(|(person, _)| Some((person, before.place(person)?)));
         self.replaced = places.collect();
         self.replace(habits);

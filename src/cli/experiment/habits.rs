@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{LikeThingsArgs, ModelArgs, maps, report_faults, report_first_faults};
 use crate::cli::choice::choice;
+use crate::cli::habits::tell_unfit;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
 use roomcast_core::forecast::Mentions;
@@ -24,7 +25,7 @@ use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_lab::simulation::homer::{DAY_BYTES_MAX, Day};
 use roomcast_services::message_text::said_of;
 use roomcast_services::narrator::Who;
-use roomcast_services::sensor_log::{SensorRules, absences};
+use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
 
 /// Arguments of `roomcast experiment habits`.
 #[derive(Debug, clap::Args)]
@@ -39,7 +40,8 @@ pub(super) struct HabitsArgs {
     /// What the sensors' intervals are in words.
     #[arg(long, value_name = "RULES", requires = "sensors")]
     rules: Option<PathBuf>,
-    /// Intervals in which nobody was at home: when each began, when it ended and, if others are among them, which say so ("away").
+    /// Intervals in which nobody was at home: when each began, when it ended and, if others are among them, which say so ("away", "leave
+    /// house", "going out to work").
     #[arg(long, value_name = "INTERVALS", requires = "sensors")]
     presence: Option<PathBuf>,
     /// A scene file, or the name of a shipped scene.
@@ -94,6 +96,10 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     let progress = Progress::new("sentences", trace.steps.len());
     let report = habits::run(&trace, (&map, &grounding), &mut source, &statistics, &options, &progress)?;
     drop(progress);
+    if report.rows.is_empty() {
+        let text = "nothing could be measured: no thing is followed by another, and no place is known for a minute and the one after it; give a longer log";
+        return Err(Failure::new(exit_code::INPUT, text));
+    }
     if let Some(folder) = &args.out {
         page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
         crate::cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
@@ -191,6 +197,7 @@ fn sensors(
     let rules = SensorRules::load(rules).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     let narrated = rules.narrate_file(log, &Who::Somebody).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     report_first_faults(narrated.faults.told(), narrated.faults.count());
+    tell_unfit(&narrated);
     let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
     let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
     let read_intervals = rules.intervals(&read(log)?);
@@ -211,33 +218,48 @@ fn sensors(
             "no interval is in a room of the scene: name the column of places in the rules, and the rooms in the scene";
         return Err(fault(log, fault_text.to_owned()));
     }
-    // Where each edge of an interval was. Times of sentences are sums of differences, and so not quite those of the log.
-    // Of several at one time what begins is rather meant than what ends.
-    let rooms = || intervals.iter().filter_map(|interval| Some((interval, interval.room?)));
-    let begins = rooms().map(|(interval, room)| (interval.from_s, room));
-    let mut edges: Vec<(f64, usize)> = begins.chain(rooms().map(|(interval, room)| (interval.to_s, room))).collect();
-    edges.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut mentions = Mentions::new(map, grounding);
     let weights = grounding.weights();
     let mut steps = Vec::new();
-    // The first sentence has no time before it.
-    let mut at_s = narrated.begins_s.unwrap_or(0.0);
-    for item in &narrated.items {
-        at_s += item.duration_s;
+    for Narrated { item, at_s, interval, .. } in &narrated.said {
         let Ok(Said::Sentence(sentence)) = said_of(item.kind, &item.text) else { continue };
         let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);
-        const NEAR_S: f64 = 0.01;
-        let near = edges.iter().skip(edges.partition_point(|(edge_s, _)| *edge_s < at_s - NEAR_S));
-        let mut near = near.take_while(|(edge_s, _)| *edge_s <= at_s + NEAR_S).map(|(_, room)| *room);
-        let of_interval = near.find(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));
+        let own = intervals.get(*interval).and_then(|interval| interval.room);
+        let of_interval = own.filter(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));
         let only = label.and_then(|label| (0..weights.ncols()).find(|room| weights[(label, *room)] > 0.999));
-        steps.push(Step { at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
+        steps.push(Step { at_s: *at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
+    }
+    if let Some(missing) = missing(&steps) {
+        crate::cli::tell(format_args!("roomcast: {missing}"));
     }
     let away = match presence {
         Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
-        None => Vec::new(),
+        None => Absences::default(),
     };
-    Ok(Trace::of_sensors(steps, &intervals, &away, grounding.partitions().len())?)
+    tell_absences(&away);
+    Ok(Trace::of_sensors(steps, &intervals, &away.intervals, grounding.partitions().len())?)
+}
+
+/// What cannot be measured of a home whose sensors say so little in words, and what would help.
+fn missing(steps: &[Step]) -> Option<&'static str> {
+    if steps.is_empty() {
+        return Some(
+            "no sentence is said of any interval: rooms at times ahead are measured, next things and next rooms are not; give rules with `say` for these",
+        );
+    }
+    steps.iter().all(|step| step.label.is_none()).then_some(
+        "no sentence mentions a thing of the scene: next things are not measured; give the scene these things, or aliases",
+    )
+}
+
+/// Says what was taken for an absence.
+fn tell_absences(Absences { intervals, labels, others }: &Absences) {
+    if labels.is_empty() {
+        return;
+    }
+    let labels: Vec<_> = labels.iter().map(|(label, times)| format!("{label:?} ({times})")).collect();
+    let (absences, others) = (count(intervals.len(), "absence"), count(*others, "interval"));
+    crate::cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
 }
 
 /// How a stretch of days is called.

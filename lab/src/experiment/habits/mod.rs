@@ -629,9 +629,11 @@ pub fn run<M: LanguageModel>(
     progress: &Progress,
 ) -> Result<Report, ExperimentError> {
     let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
-    let Some(first) = trace.steps.first().filter(|_| trace.steps.iter().any(|step| step.label.is_some())) else {
+    // Where somebody is can be known without a word.
+    if trace.places.is_empty() && trace.steps.iter().all(|step| step.label.is_none()) {
         return Err(ExperimentError::NothingBound { scene: map.name().to_owned() });
-    };
+    }
+    let begins_s = trace.steps.first().map(|step| step.at_s).or(trace.places.first().map(|(from_s, _)| *from_s));
     let mut binder = Binder::new(map, grounding, ItemChoice::default());
     let promise = |never_empty| AdaptiveSets::new(SetOptions { never_empty, ..options.habits.sets });
     let mut watch = Watch {
@@ -641,7 +643,7 @@ pub fn run<M: LanguageModel>(
         labels,
         mixture: bound(options.habits, grounding),
         without_model: bound(options.habits, grounding),
-        forecaster: Forecaster::new(rooms, options.forecast, first.at_s),
+        forecaster: Forecaster::new(rooms, options.forecast, begins_s.unwrap_or_default()),
         baselines: Baselines::new(statistics, &mut binder, grounding),
         objects: Others::new(),
         turns: Others::new(),
@@ -811,7 +813,15 @@ mod tests {
         (map, grounding)
     }
 
-    fn watch(trace: &Trace, (map, grounding): &(SemanticMap, Grounding), forecast: ForecastOptions) -> Report {
+    fn watch(trace: &Trace, home: &(SemanticMap, Grounding), forecast: ForecastOptions) -> Report {
+        try_watch(trace, home, forecast).unwrap()
+    }
+
+    fn try_watch(
+        trace: &Trace,
+        (map, grounding): &(SemanticMap, Grounding),
+        forecast: ForecastOptions,
+    ) -> Result<Report, ExperimentError> {
         let labels = grounding.label_texts();
         let (method, tokens) = (Method::Trie, Tokenisation::Joint);
         let correction = CorrectionChoice::default();
@@ -823,7 +833,7 @@ mod tests {
             forecast,
             seed: 1,
         };
-        run(trace, (map, grounding), &mut source, &Statistics::default(), &options, &Progress::hidden()).unwrap()
+        run(trace, (map, grounding), &mut source, &Statistics::default(), &options, &Progress::hidden())
     }
 
     fn all<'a>(report: &'a Report, target: &str, predictor: &str) -> &'a Row {
@@ -897,6 +907,40 @@ mod tests {
         // Without habits there is one forecast, of the next room as of later ones.
         let even = watch(&trace, &home, ForecastOptions { any_thing: 1.0, ..ForecastOptions::default() });
         assert_ne!(all(&even, "room", "model").nll_nats, all(&report, "room", "model").nll_nats);
+    }
+
+    /// Sensors that say who is where, and nothing in words: places are measured, and things and next rooms are not.
+    #[test]
+    fn a_home_without_a_word_is_measured_by_its_places() {
+        let home = flat();
+        let interval = |hour: u8| Interval {
+            from_s: 3_600.0 * f64::from(hour),
+            to_s: 3_600.0 * f64::from(hour) + 600.0,
+            room: Some(usize::from(hour % 2)),
+        };
+        let intervals: Vec<_> = (0..48).map(interval).collect();
+        let rooms = home.1.partitions().len();
+        let trace = Trace::of_sensors(Vec::new(), &intervals, &[], rooms).unwrap();
+        let report = watch(&trace, &home, ForecastOptions::default());
+        assert!(report.rows.iter().all(|row| row.target.starts_with("room-at")));
+        let loss = |predictor| all(&report, "room-at-3600s", predictor).nll_nats;
+        assert!(loss("mixture") < loss("stay") && report.sets.len() == 4 && !report.cleaning.is_empty());
+        // Sentences that mention nothing have rooms all the same.
+        let step = |Interval { from_s, room, .. }: &Interval| Step {
+            at_s: *from_s,
+            sentence: Sentence::new("They walk.").unwrap(),
+            label: None,
+            room: *room,
+            lacking: false,
+            unseen: false,
+        };
+        let walks = Trace::of_sensors(intervals.iter().map(step).collect(), &intervals, &[], rooms).unwrap();
+        let report = watch(&walks, &home, ForecastOptions::default());
+        assert_eq!((report.cases, report.rows.iter().filter(|row| row.target == "object").count()), (47, 0));
+        // Without places and things there is nothing.
+        let nothing = Trace::of_sensors(vec![step(&intervals[0])], &[], &[], rooms).unwrap();
+        let report = try_watch(&nothing, &home, ForecastOptions::default());
+        assert!(matches!(report, Err(ExperimentError::NothingBound { .. })));
     }
 
     /// What begins an activity comes again in it, and each begins with another thing.

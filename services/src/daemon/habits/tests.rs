@@ -488,6 +488,64 @@ fn what_is_exported_teaches_another_home() {
     assert_eq!(other.board.habits().learned().counts, 0);
 }
 
+/// The minutes of the last touch of all rows, the names' among them, of an export.
+fn dates(json: &str) -> Vec<u64> {
+    let json: serde_json::Value = serde_json::from_str(json).unwrap();
+    let all = |list: &str, key: &str| {
+        let of = |one: &serde_json::Value| one[key].as_u64().unwrap();
+        json[list].as_array().unwrap().iter().map(of).collect::<Vec<_>>()
+    };
+    [all("rows", "touched_min"), all("objects", "seen_min"), all("places", "seen_min")].concat()
+}
+
+/// A narrator whose clock was never set tells of 1970. The next start reads what the daemon writes then, and knows what it knew.
+#[test]
+fn a_narrator_with_a_dead_clock_harms_nothing() {
+    let mut house = House::new(true);
+    (0..5).for_each(|day| house.day(1, day));
+    let (counts, observations) = (house.board.habits().learned().counts, house.observations());
+    // The daemon starts again, and its journal has nothing of the person: what is older than that is not learned.
+    let (memory, last) = (house.memory(), house.journal[0].clone());
+    house.journal.clear();
+    house.restart(memory);
+    for (number, text) in (1..).zip(["They open the fridge.", "They grab the coffee maker.", "They sit on the sofa."]) {
+        let said = Said::of(Sentence::new(text).unwrap());
+        let (sequence, observed_unix_ns) = (number, 1_000 * S);
+        let observation = Observation { source: 9, sequence, observed_ns: 0, observed_unix_ns, said, ..last.clone() };
+        house.board.step([Entry::new(observation, house.now_ns)], house.now_ns, house.now_ns + house.unix_ns).unwrap();
+        house.board.tell_outcomes(|_| {});
+    }
+    let memory = house.memory();
+    let bytes = crate::daemon::encode_memory(&memory);
+    let read = crate::daemon::decode_memory(&bytes, options(true)).unwrap();
+    assert!(read.habits.learned().counts >= counts && read.habits.learned().observations > observations);
+}
+
+/// What comes from a machine whose clock is years ahead counts as of now, and so does what a file has of such a time.
+#[test]
+fn what_was_learned_ahead_of_now_is_of_now() {
+    let mut ahead = House::new(true);
+    ahead.unix_ns += 9 * 365 * DAY_S * S;
+    (0..5).for_each(|day| ahead.day(3, day));
+    let json = ahead.board.habits().to_json().unwrap();
+    let mut house = House::new(true);
+    (0..5).for_each(|day| house.day(3, day));
+    let now_min = |house: &House| (house.now_ns + house.unix_ns) / S / 60;
+    house.board.habits_mut().take_json(&json).unwrap();
+    house.board.bind_habits();
+    let after = house.board.habits().to_json().unwrap();
+    assert_eq!(dates(&after).into_iter().max(), Some(now_min(&house)));
+    // A file that has such dates, beside when its daemon watched.
+    let memory = Memory { habits: Habits::from_json(options(true), &json).unwrap(), ..house.memory() };
+    house.restart(memory);
+    assert_eq!(dates(&house.board.habits().to_json().unwrap()).into_iter().max(), Some(now_min(&house)));
+    // Another week of the same days is learned beside it.
+    let first = |house: &House| house.board.habits().visits().into_iter().flatten().sum::<f64>();
+    let before = first(&house);
+    (5..10).for_each(|day| house.day(3, day));
+    assert!(first(&house) > before + 5.0, "{before} {}", first(&house));
+}
+
 #[test]
 fn nothing_is_learned_of_visitors() {
     let mut house = House::new(true);
