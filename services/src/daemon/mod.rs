@@ -67,7 +67,7 @@ pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};
-pub use persons::{Persons, flag_words, presence_word};
+pub use persons::{NotRenamed, Persons, flag_words, presence_word};
 pub use persons_file::{KeptPerson, PersonsFile};
 
 /// How often the main thread looks after the others.
