@@ -387,9 +387,17 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     assert!(journal.contains("They lie on the bed."));
     world.signal(daemon, Signal::KILL);
     world.wait(daemon);
-    world.start_daemon();
+    let daemon = world.start_daemon();
     let (_, answer, _) = ask(&world, &["list"]);
     assert_eq!(persons(&answer), [row("7", "Ben", "away")]);
+
+    // That a name cannot be kept is no fault of the question.
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    std::fs::write(world.state().join("persons.json"), "{").unwrap();
+    world.start_daemon();
+    let (code, _, errors) = ask(&world, &["rename", "7", "Bert"]);
+    assert!(code == 1 && errors.contains("repair or remove it"), "{code}: {errors}");
 }
 
 /// A configuration whose window holds few tokens, in `world`'s directory.
@@ -927,6 +935,33 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     world.start_daemon();
     let restarted = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
     assert_eq!(restarted.map_fingerprint, with_garage.map_fingerprint);
+}
+
+/// What was said before the map changed is not read by the map of now.
+#[test]
+fn a_daemon_that_is_killed_after_a_map_change_believes_everybody_where_they_were() {
+    let mut world = World::new("moved");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let forecasts = node.subscriber::<PersonForecastsV1>().unwrap();
+    assert_eq!(world.narrate("camera", "{\"person\": \"ada\", \"text\": \"She opens the fridge.\"}\n").0, 0);
+    let kitchen = |what: &str, holds: &dyn Fn(&PersonForecastsV1) -> bool| {
+        let told =
+            eventually(what, || forecasts.newest().unwrap().filter(|told| told.persons().len() == 1 && holds(told)));
+        let room = told.rooms().position(|room| room == "kitchen").unwrap();
+        (told.persons()[0].probability[room][0], told.epoch, told.sequence)
+    };
+    let (before, epoch, sequence) = kitchen("a forecast", &|_| true);
+    assert!(before > 0.7, "{before}");
+    let (code, answer, error) = apply(&world, MOVED, &[]);
+    assert_eq!((code, &answer["kept"]), (0, &serde_json::json!(true)), "{error}");
+    let (changed, ..) = kitchen("a forecast of the changed map", &|told| told.sequence > sequence);
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    world.start_daemon();
+    let (after, ..) = kitchen("a forecast after the restart", &|told| told.epoch != epoch);
+    // Silence makes nobody surer within the seconds that a start takes.
+    assert!(changed > 0.7 && after > 0.6 && after < changed + 0.01, "{before} {changed} {after}");
 }
 
 #[test]

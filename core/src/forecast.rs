@@ -91,6 +91,9 @@ impl ForecastOptions {
 /// between two rests are.
 const REST_S: f64 = 600.0;
 
+/// How many numbers [`Forecaster::paces`] gives.
+pub const PACES: usize = 5;
+
 /// A mean that is learned over a prior.
 #[derive(Debug, Clone, Copy)]
 struct Learned {
@@ -375,6 +378,32 @@ impl Forecaster {
         self.expected = Some(number);
         let (belief, in_use) = (&self.belief, (&self.in_use, self.options.any_thing));
         grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
+    }
+
+    /// How long the person had been at what they did when they were observed last, in seconds, and the totals and counts of how long they are at one
+    /// thing, and in one room.
+    #[must_use]
+    pub fn paces(&self) -> [f64; PACES] {
+        let Self { to_object, stay, .. } = self;
+        [self.updated_s - self.object_since_s, to_object.total_s, to_object.count, stay.total_s, stay.count]
+    }
+
+    /// Takes in where the person was believed to be when they were observed last, with their [`Forecaster::paces`] then, for one who was not out of the
+    /// house. What is of another length says nothing.
+    pub fn believe(&mut self, belief: &[f64], paces: [f64; PACES]) {
+        let total: f64 = belief.iter().sum();
+        if self.away_since_s.is_some() || belief.len() != self.belief.len() || total <= 0.0 {
+            return;
+        }
+        self.belief.clear();
+        self.belief.extend(belief.iter().map(|p| p / total));
+        let [held_s, object_s, objects, stays_s, stays] = paces;
+        self.object_since_s = self.updated_s - held_s;
+        self.to_object = Learned { total_s: object_s, count: objects };
+        self.stay = Learned { total_s: stays_s, count: stays };
+        if !self.expects {
+            self.scores.copy_from_slice(&self.belief);
+        }
     }
 
     /// Nothing that was done before says what comes next: the window of narration has ended.

@@ -15,7 +15,7 @@ mod home_mqtt;
 
 use finding::{Finding, Place, Verdict};
 #[cfg(feature = "mqtt")]
-pub(super) use home_mqtt::{no_person, remark};
+pub(super) use home_mqtt::{no_person, no_resident, remark};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;

@@ -7,6 +7,7 @@ use std::time::Duration;
 use roomcast_core::forecast::Mentions;
 use roomcast_core::grounding::Grounding;
 use roomcast_services::config::Config;
+use roomcast_services::daemon::{Persons, PersonsFile};
 use roomcast_services::mqtt::{self, Broker, Heard, MqttError, Rules};
 use roomcast_services::mqtt_tally::Tally;
 use roomcast_services::narrator::{Input, Who};
@@ -56,8 +57,11 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
     let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
     let home = map.as_ref().zip(grounding.as_ref());
     let mut home = home.map(|(map, grounding)| (map, Mentions::new(map, grounding)));
+    let names = config.daemon.state_directory().map_or_else(PersonsFile::default, |state| PersonsFile::load(&state));
+    let persons = Persons::new(config.persons.clone(), names);
     let mut remark = |line: &str| {
         let nobody = super::doctor::no_person(line, &config.persons.not_persons);
+        let nobody = nobody.or_else(|| super::doctor::no_resident(line, &persons, &config.persons.residents));
         nobody.or_else(|| home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions)))
     };
     let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop, &mut remark).map_err(broker::failure)?;

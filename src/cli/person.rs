@@ -71,7 +71,8 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let reason = answer.reason.as_deref().unwrap_or("no reason given");
     if !answer.done {
-        return Err(Failure::new(exit_code::INPUT, format!("the daemon changed nothing: {reason}")));
+        let code = if answer.failed { exit_code::FAILURE } else { exit_code::INPUT };
+        return Err(Failure::new(code, format!("the daemon changed nothing: {reason}")));
     }
     if answer.reason.is_some() {
         return Err(Failure::new(exit_code::FAILURE, reason));

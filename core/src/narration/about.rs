@@ -21,6 +21,7 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     let said = clause::without_opening(clause::without_first(said));
     let words: Vec<&str> = said.split(' ').map(|word| word.trim_matches([',', ':', ';'])).collect();
     let Some((&first, rest)) = words.split_first() else { return About::Somebody };
+    let word = |at: usize| words.get(at).copied().unwrap_or_default();
     if clause::is(Word::Condition, first) || said.ends_with('?') || clause::is_order(said) {
         return About::Nobody;
     }
@@ -29,7 +30,7 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         let rest = said.split_once([',', '!']).map_or("", |(_, rest)| rest.trim_start());
         return match about(rest, is_known, is_name) {
             named @ About::Named(_) if !rest.is_empty() => named,
-            _ => About::Nobody,
+            _ => before_its_verb(said, is_known).unwrap_or(About::Nobody),
         };
     }
     // What stands before it was speech: "says Ada".
@@ -49,11 +50,31 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         !(clause::is(Word::Title, first) && names.len() == 1 && names[0] == first && !clause::is_verb(verb))
     };
     if let Some((names, rest)) = found.filter(|(names, _)| is_called(names)) {
-        let is_not_so = clause::is_past_state(rest) || clause::is_unreal(rest);
-        return if is_not_so { About::Nobody } else { About::Named(names) };
+        if clause::is_past_state(rest) || clause::is_unreal(rest) {
+            return About::Nobody;
+        }
+        // "Our daughter Lily" is Lily, of whom nobody has told yet.
+        let (kind, own, verb) = (word(1), word(2), word(3));
+        let of_kind = names == [kind] && clause::is(Word::Possessive, first) && !is_known(kind);
+        let is_own = of_kind && !clause::is_verb(own) && clause::is_verb(verb) && is_name(own);
+        return match is_own && clause::may_be_a_person(own) {
+            true => About::Stranger(own.to_owned()),
+            false => About::Named(names),
+        };
     }
-    let second = rest.first().copied().unwrap_or_default();
+    // Whatever stands before them, it is of whom it names before what they do: "Carefully, Ben opens the fridge.", "Hungry Ben opens it."
+    if let Some(main) = clause::behind_opening(said, &mut *is_known) {
+        return about(main, is_known, is_name);
+    }
+    if let Some(named) = before_its_verb(said, is_known) {
+        return named;
+    }
+    let (second, third) = (word(1), word(2));
     if clause::is(Word::Pronoun, first) {
+        // What somebody thinks is no observation.
+        if clause::is(Word::Report, second) && !clause::is_verb(second) {
+            return About::Nobody;
+        }
         let rest = said.split_once(' ').map_or("", |(_, rest)| rest);
         let is_not_so = clause::is_past_state(rest) || clause::is_unreal(rest);
         return if is_not_so { About::Nobody } else { About::Somebody };
@@ -66,24 +87,29 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         return of_a_noun(said, first, rest);
     }
     // "Ada's mother" is nobody who is known.
-    let verb = rest.get(1).copied().unwrap_or_default();
-    if first.ends_with("'s") && clause::is(Word::People, second) && clause::is_verb(verb) {
+    if first.ends_with("'s") && clause::is(Word::People, second) && clause::is_verb(third) {
         return About::Stranger(format!("{first} {second}"));
     }
     if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) {
         return About::Nobody;
     }
-    // A word that ends like a verb begins what somebody does: "Opens the fridge."
-    let is_plain = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
-    let first = first.trim_end_matches('.');
-    let third = rest.get(1).copied().unwrap_or_default();
+    let (first, is_title) = (first.trim_end_matches('.'), clause::is(Word::Title, first.trim_end_matches('.')));
     // "Olga Petrova opens the fridge": a first word is written as a name in any case.
-    let has_last_name = !clause::is_verb(second) && is_name(second) && clause::may_be_a_person(first);
-    let (name, verb) = match clause::is(Word::Title, first) || has_last_name {
+    let is_whole = || !said.split(' ').next().is_some_and(|first| first.ends_with([',', ':', ';']));
+    let has_last_name = !clause::is_verb(second) && is_name(second) && is_whole() && clause::is_verb(third);
+    let (name, verb) = match is_title || has_last_name {
         true => (format!("{first} {second}"), third),
         false => (first.to_owned(), second),
     };
-    if (is_plain(first) || clause::is(Word::Title, first)) && clause::is_verb(verb) && clause::may_be_a_person(&name) {
+    // "Front Door opens" is the door's state, and "Baby Monitor turns on" nobody's deed.
+    let is_of_two = has_last_name || !clause::is_verb(first) && !clause::is_verb(second);
+    if is_of_two && clause::is_verb(third) && clause::is_named_thing(&format!("{first} {second}")) {
+        return if clause::is_of_a_state(said) { About::Somebody } else { About::Nobody };
+    }
+    // A word that ends like a verb begins what somebody does: "Opens the fridge."
+    let is_plain = |word: &str| word.chars().all(|c| c.is_alphabetic() || c == '-') && !word.ends_with('s');
+    let may_be_a_name = name.starts_with(char::is_alphabetic) && (name != first || is_plain(first));
+    if may_be_a_name && clause::is_verb(verb) && clause::may_be_a_person(&name) && clause::may_be_a_person(first) {
         // A show or a club is no person.
         let deed = said.find(verb).map_or("", |at| &said[at..]);
         let is_club = |other: &str| !other.is_empty() && !is_known(other) && is_name(other);
@@ -94,6 +120,13 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     }
     // The dishwasher by its name alone is no person.
     if clause::is_verb(second) && !clause::may_be_a_person(first) { About::Nobody } else { About::Somebody }
+}
+
+/// Whom a sentence names right before its verb, who is known; nobody where it is not told that it is so.
+fn before_its_verb(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<About> {
+    let (name, rest, is_told) = clause::known_before_a_verb(said, is_known)?;
+    let is_so = is_told && !clause::is_past_state(rest) && !clause::is_unreal(rest);
+    Some(if is_so { About::Named(vec![name.to_owned()]) } else { About::Nobody })
 }
 
 /// A sentence about what stands behind an article: a person without a name, a device and its state, or a thing.
@@ -136,12 +169,11 @@ fn later_subject(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::narration::reading;
+    use crate::narration::{is_written_as_a_name, reading};
 
     fn of(sentence: &str) -> String {
         let mut known = |name: &str| ["ada", "ben", "tom", "mr. klein", "lucas"].contains(&name);
-        let is_name =
-            |name: &str| sentence.to_lowercase() != sentence && ["igor", "olga", "petrova", "ilse"].contains(&name);
+        let is_name = |name: &str| is_written_as_a_name(sentence, name);
         match reading::with_plain(sentence, |plain| about(plain, &mut known, &is_name)) {
             About::Named(names) => names.join("+"),
             About::Stranger(name) => format!("new {name}"),
@@ -181,6 +213,95 @@ mod tests {
             ("My husband sits on the bed.", "husband"),
             ("\"I will leave the house soon\", says Ada.", "ada"),
             ("Ada says: \"Ben, leave the house!\"", "ada"),
+        ] {
+            assert_eq!(of(sentence), expected, "{sentence}");
+        }
+    }
+
+    /// What a sentence begins with is no person, and takes none from whom it is about.
+    #[test]
+    fn what_stands_before_a_name_is_none() {
+        for (sentence, expected) in [
+            ("Carefully, Ben opens the fridge.", "ben"),
+            ("Again, Ben opens the fridge.", "ben"),
+            ("Smiling at last, Ben opens the fridge.", "ben"),
+            ("Without looking, Ben opens the fridge.", "ben"),
+            ("Alone at home, Ben opens the fridge.", "ben"),
+            ("Yes, Ben goes to bed.", "ben"),
+            ("Carefully, Ada and Ben open the fridge.", "ada+ben"),
+            ("Igor, Ben opens the fridge.", "ben"),
+            ("Carefully Ben opens the fridge.", "ben"),
+            ("Poor Ada goes to bed.", "ada"),
+            ("Poor tired Lucas goes to bed.", "lucas"),
+            ("Tired Ben goes to bed.", "ben"),
+            ("Old Ben goes to bed.", "ben"),
+            ("Hey Ben goes to bed.", "ben"),
+            ("- Ada goes to bed.", "ada"),
+            ("1. Ada goes to bed.", "ada"),
+            ("10:32 Ben opens the fridge.", "ben"),
+            ("2026-11-27 10:32:05 Ben opens the fridge.", "ben"),
+            ("Alert: Ben opens the fridge.", "ben"),
+            ("Status: Ben opens the fridge.", "ben"),
+            ("News: Ben opens the fridge.", "ben"),
+            ("Kitchen: Ben opens the fridge.", "ben"),
+            ("Camera 2: Ben sits down on the bed.", "ben"),
+            ("Camera 2: Ada and Ben sit on the bed.", "ada+ben"),
+            ("Living room - Ben turns on the TV.", "ben"),
+            ("Ben: opens the fridge.", "ben"),
+            ("My wife Ada goes to bed.", "ada"),
+            ("My wife Ada and Ben sit down.", "ada+ben"),
+            ("The plumber Ben repairs the sink.", "ben"),
+            ("Our daughter Lily goes to bed.", "new lily"),
+            ("My husband quickly goes to bed.", "husband"),
+            ("Igor Ben opens the fridge.", "ben"),
+            ("Hugs Ben sometimes.", "somebody"),
+            ("Opens the door for Ben.", "somebody"),
+            ("Ada's Ben opens the fridge.", "nobody"),
+            ("2 people are in the kitchen.", "somebody"),
+        ] {
+            assert_eq!(of(sentence), expected, "{sentence}");
+        }
+        for sentence in [
+            "Perhaps Ada goes to bed.",
+            "Maybe Ada goes to bed.",
+            "I think Ada goes to bed.",
+            "I think she goes to bed.",
+            "The radio says: Ben opens the fridge.",
+            "Everybody except Ben goes to bed.",
+            "Probably, Ben opens the fridge.",
+            "Tomorrow, Ben opens the fridge.",
+        ] {
+            assert_eq!(of(sentence), "nobody", "{sentence}");
+        }
+    }
+
+    /// A last name stands right behind a first one and before the verb; a thing has none.
+    #[test]
+    fn a_thing_with_a_capital_is_no_person() {
+        for (sentence, expected) in [
+            ("Jörg Müßig opens the fridge.", "new jörg müßig"),
+            ("Anna-Lena Weiß sits down.", "new anna-lena weiß"),
+            ("Lena O'Neill opens the fridge.", "new lena o'neill"),
+            ("Jonas Müller sits down.", "new jonas müller"),
+            ("Frau Kraus opens the fridge.", "new frau kraus"),
+            ("Marcus Aurelius opens the fridge.", "new marcus aurelius"),
+            ("Igor, Petrova opens the fridge.", "somebody"),
+            ("Front Door opens.", "somebody"),
+            ("Back Door closes.", "somebody"),
+            ("Solar Panel produces power.", "nobody"),
+            ("Home Assistant restarts.", "nobody"),
+            ("Baby Monitor turns on.", "nobody"),
+            ("Electric Car arrives.", "nobody"),
+            ("Pizza Delivery arrives.", "nobody"),
+            ("Living Room lights up.", "nobody"),
+            ("Smart TV turns on.", "nobody"),
+            ("Apple TV plays a film.", "nobody"),
+            ("Google Home plays music.", "nobody"),
+            ("Kitchen Light turns on.", "nobody"),
+            ("Bedroom Sensor detects motion.", "nobody"),
+            ("Washing Machine finishes.", "nobody"),
+            ("Robot Vacuum cleans the bedroom.", "nobody"),
+            ("Fire Alarm rings.", "nobody"),
         ] {
             assert_eq!(of(sentence), expected, "{sentence}");
         }

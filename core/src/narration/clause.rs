@@ -99,6 +99,7 @@ struct Words {
     unreal: List,
     speaks: List,
     determiners: List,
+    devices: List,
     titles: List,
     people: List,
     nothing: List,
@@ -229,6 +230,7 @@ pub(super) enum Word {
     Group,
     Nothing,
     People,
+    Possessive,
     Pronoun,
     Report,
     Title,
@@ -246,6 +248,7 @@ pub(super) fn is(kind: Word, word: &str) -> bool {
         Word::Group => &WORDS.groups,
         Word::Nothing => &WORDS.nothing,
         Word::People => &WORDS.people,
+        Word::Possessive => &WORDS.possessives,
         Word::Pronoun => &WORDS.pronouns,
         Word::Report => &WORDS.reports,
         Word::Title => &WORDS.titles,
@@ -260,8 +263,9 @@ pub(super) fn is_a_number_of(first: &str, rest: &[&str]) -> bool {
 
 /// Whether a word may say what one person does: "goes", "opened", "went".
 pub(super) fn is_verb(word: &str) -> bool {
-    let ends = (word.ends_with('s') && !word.ends_with("ss")) || word.ends_with("ed");
-    (ends || has(&WORDS.past, word)) && !has(&WORDS.no_verbs, word)
+    // "Status" and "Marcus" are none.
+    let is_third = word.ends_with('s') && !word.ends_with("ss") && !word.ends_with("us");
+    (is_third || word.ends_with("ed") || has(&WORDS.past, word)) && !has(&WORDS.no_verbs, word)
 }
 
 /// Whether words after a subject say what was: "was in the kitchen".
@@ -395,13 +399,82 @@ pub(super) fn without_opening(said: &str) -> &str {
 }
 
 /// The longest subject of which each part is a person, and what is said of it.
-pub(super) fn longest_subject(said: &str, mut is_person: impl FnMut(&str) -> bool) -> Option<(Vec<String>, &str)> {
-    let of = |subject| parts(subject).map(bare).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty());
+pub(super) fn longest_subject<'a>(
+    said: &'a str,
+    mut is_person: impl FnMut(&str) -> bool,
+) -> Option<(Vec<String>, &'a str)> {
+    // "The plumber igor" is igor, and "my wife ada" is ada.
+    let mut person = |part| {
+        let own = |part: &'a str| {
+            let (_, name) = part.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first))?;
+            name.split_once(' ').filter(|(kind, _)| has(&WORDS.people, kind)).map(|(_, own)| own)
+        };
+        own(part).filter(|own| is_person(own)).or_else(|| bare(part).filter(|name| is_person(name)))
+    };
     let found = cuts(said).filter_map(|(subject, rest)| {
-        let names: Vec<&str> = of(subject)?;
-        names.iter().all(|name| is_person(name)).then_some((names, rest))
+        let names: Vec<&str> = parts(subject).map(&mut person).collect::<Option<_>>()?;
+        (!names.is_empty()).then_some((names, rest))
     });
     found.last().map(|(names, rest)| (names.into_iter().map(str::to_owned).collect(), rest))
+}
+
+/// What a plain sentence says behind what it begins with of no person: "ben opens the fridge" of "carefully, ben opens the fridge" and of "alert, ben
+/// opens the fridge". None where it is not told that it is so, or where somebody speaks.
+pub(super) fn behind_opening(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Option<&str> {
+    let said = without_first(said);
+    let is_opening = |opening: &str, is_known: &mut dyn FnMut(&str) -> bool| {
+        let is_of_persons = opening.split(", ").any(|part| is_of_persons_alone(part, &mut *is_known));
+        !is_of_persons && !is_reported(opening) && !is_doubtful(opening)
+    };
+    let mut commas = said.match_indices(", ").map(|(at, comma)| (&said[..at], &said[at + comma.len()..]));
+    let found = commas.by_ref().take(OPENINGS_MAX).find(|(_, main)| begins_with_persons(main, &mut is_known));
+    let (_, main) = found.filter(|(opening, _)| is_opening(opening, &mut is_known))?;
+    (!is_not_now(said)).then_some(main)
+}
+
+/// Who is known and stands right before the first verb of a plain sentence, whatever stands before them: "ben" of "hungry ben opens the fridge", what
+/// follows, and whether it is told that it is so. None where the sentence begins with what they do.
+pub(super) fn known_before_a_verb<'a>(
+    said: &'a str,
+    is_known: &mut dyn FnMut(&str) -> bool,
+) -> Option<(&'a str, &'a str, bool)> {
+    // Where words begin and end. What a comma follows ends what stands before it: "as always, ben".
+    let mut words = Vec::with_capacity(SUBJECT_WORDS_MAX);
+    let mut at = 0;
+    for word in said.split(' ').take(SUBJECT_WORDS_MAX) {
+        words.push((at, word));
+        at += word.len() + 1;
+    }
+    let is_verb_at = |at: usize| words.get(at).is_some_and(|(_, word)| is_verb(word));
+    let mut found = None;
+    for verb in (0..words.len()).filter(|at| is_verb_at(*at)).take(VERBS_MAX) {
+        let name_from = |begin: &usize| said[words[*begin].0..words[verb].0].trim_end_matches([' ', ',', ';', ':']);
+        let mut begins = verb.saturating_sub(NAME_WORDS_MAX).max(1)..verb;
+        let begin = begins.find(|begin| bare(name_from(begin)) == Some(name_from(begin)) && is_known(name_from(begin)));
+        found = begin.map(|begin| (words[begin].0, name_from(&begin), &said[words[verb].0..]));
+        // "Tired ben opens it", "hungry lucas opens it".
+        let goes_on = words[verb].1.ends_with("ed") || is_verb_at(verb + 1) && is_known(words[verb].1);
+        if found.is_some() || !goes_on {
+            break;
+        }
+    }
+    let (begin, name, rest) = found?;
+    let before = said[..begin].trim_end();
+    (!is_part_of_a_name(before)).then(|| (name, rest, is_said(before) && !is_reported(before)))
+}
+
+/// Whether words before a name make it another one: "ada's mother", "mrs. novak".
+pub(super) fn is_part_of_a_name(before: &str) -> bool {
+    let last = before.rsplit(' ').next().unwrap_or_default();
+    last.ends_with("'s") || last.ends_with("s'") || is_any_title(last)
+}
+
+/// Whether a name of several words has one that is a thing's or a room's: "front door", "baby monitor".
+pub(super) fn is_named_thing(name: &str) -> bool {
+    let (title, own) = titled(name);
+    let is_device = |word: &str| has(&WORDS.nothing, word) || has(&WORDS.rooms, word) || has(&WORDS.devices, word);
+    let is_thing = |word: &str| is_device(word) || title.is_none() && !is_possible(word);
+    !has(&WORDS.people, name) && name.contains(' ') && own.split(' ').any(is_thing)
 }
 
 /// A subject of several persons, of whom one is known at least, and the others are written as names: "ada and igor sit on the sofa".
@@ -489,6 +562,10 @@ pub(super) struct Clause<'a> {
 
 /// A subject has at most so many words, all its persons together.
 const SUBJECT_WORDS_MAX: usize = 24;
+/// A sentence is looked at behind so many commas for whom it is about.
+const OPENINGS_MAX: usize = 4;
+/// So many words of it that may be verbs are looked at for who stands before them.
+const VERBS_MAX: usize = 3;
 /// The name of somebody who is known has at most so many words.
 pub(super) const NAME_WORDS_MAX: usize = 4;
 /// So many words stand between an article and the place that it is of.
@@ -509,7 +586,7 @@ pub(super) fn plain(sentence: &str) -> String {
 /// Writes a sentence in plain form.
 fn write_plain(sentence: &str, text: &mut String) {
     text.clear();
-    for part in unquoted(sentence.trim()) {
+    for part in unquoted(without_marks(sentence)) {
         text.extend(part.chars().flat_map(char::to_lowercase).map(|c| if c == '’' { '\'' } else { c }));
     }
     text.truncate(text.trim_end_matches(['.', '!']).len());
@@ -618,11 +695,28 @@ fn write_neither(text: &mut String) {
     }
 }
 
+/// A sentence without what has no letters at its begin: "Ada goes to bed" of "- Ada goes to bed" and of "10:32 Ada goes to bed". A number counts what
+/// stands behind it: "2 people".
+fn without_marks(sentence: &str) -> &str {
+    let mut said = sentence.trim();
+    while let Some((word, rest)) = said.split_once(' ')
+        && !word.contains(char::is_alphabetic)
+        && !word.chars().all(char::is_numeric)
+        && !word.contains(is_mark)
+    {
+        said = rest.trim_start();
+    }
+    said
+}
+
+fn is_mark(c: char) -> bool {
+    matches!(c, '“' | '”' | '"')
+}
+
 /// The parts of a sentence without quotation marks, and without what somebody says between them: a name alone is no speech.
 fn unquoted(sentence: &str) -> impl Iterator<Item = &str> {
     /// More words than these between quotation marks are speech.
     const NAME_WORDS: usize = 2;
-    let is_mark = |c: char| matches!(c, '“' | '”' | '"');
     let parts = sentence.split(is_mark).enumerate();
     parts.filter(|(at, part)| at % 2 == 0 || part.split_whitespace().count() <= NAME_WORDS).map(|(_, part)| part)
 }
@@ -639,7 +733,7 @@ fn write_out(text: &mut String) {
         ("'ll ", " will "),
         ("'d ", " would "),
         ("i'm ", "i am "),
-        (": ", " "),
+        (": ", ", "),
     ];
     for (short, long) in SHORT {
         if text.contains(short) {
@@ -1496,7 +1590,7 @@ impl<'a> Clause<'a> {
             return Some(of(Subject::Other, Presence::Present, None));
         }
         if let Some(place) =
-            said.strip_prefix("the ").and_then(|said| said.split_once(" is empty")).filter(|(_, more)| ends(more))
+            said.strip_prefix("the ").unwrap_or(said).split_once(" is empty").filter(|(_, more)| ends(more))
         {
             // Those alone are there.
             let only = excepted(place.1).map(|(_, names)| names.map_or(Subject::Other, Subject::Only));

@@ -222,12 +222,20 @@ impl Said {
     fn may_be_several(sentence: &Sentence) -> bool {
         let text = sentence.as_str();
         reading::is(Fact::MaybeSeveral, text, |plain| {
-            several::may_be_several(text) || clause::may_have_companions(plain)
+            // Whom it is about behind a comma or a colon only who knows the persons can tell.
+            several::may_be_several(text) || plain.contains(", ") || clause::may_have_companions(plain)
         })
     }
 
     fn is(&self, fact: Fact, read: impl FnOnce(&str) -> bool) -> bool {
         self.sentence().is_some_and(|sentence| reading::is(fact, sentence.as_str(), read))
+    }
+
+    /// What a sentence says of where its persons are, behind what it begins with: "Carefully, Ben leaves the house."
+    fn statement_in(text: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option<PresenceStatement> {
+        PresenceStatement::of_sentence(text).or_else(|| {
+            reading::with_plain(text, |plain| PresenceStatement::of_plain(clause::behind_opening(plain, is_known)?))
+        })
     }
 
     /// The statement that a sentence is, if it is one.
@@ -278,8 +286,7 @@ impl Said {
     ) -> [Option<Self>; 3] {
         let clause = &*part.named(is_known);
         // Where its person is in the end: who comes back does something.
-        let last =
-            several::sentences(clause).filter_map(|one| Some((one, PresenceStatement::of_sentence(one)?))).last();
+        let last = several::sentences(clause).filter_map(|one| Some((one, Self::statement_in(one, is_known)?))).last();
         if part.holds == Holds::AtHome
             && last.as_ref().is_some_and(|(_, statement)| statement.presence() == Presence::Away)
         {
@@ -304,6 +311,11 @@ impl Said {
         });
         let (with, is_out) = along.map_or((None, false), |(with, is_out)| (Some(with), is_out));
         let guests = Self::guests(clause, is_known);
+        let behind =
+            last.as_ref().filter(|(one, _)| PresenceStatement::of_sentence(one).is_none()).and_then(|(one, _)| {
+                reading::with_plain(one, |plain| Sentence::new(clause::behind_opening(plain, &mut *is_known)?).ok())
+            });
+        let behind = behind.map(Self::Sentence);
         let whose = |statement: PresenceStatement| match statement.subject() {
             None if !statement.is_of_everybody() => {
                 let names = Self::Sentence(sentence_or(clause, sentence)).known_names(&mut *is_known);
@@ -317,6 +329,8 @@ impl Said {
         });
         let own = match stated.map(whose) {
             Some(statement) => Some(Self::Presence(statement)),
+            // "Carefully, Ben comes home" is what Ben does.
+            None if behind.is_some() => behind,
             None if !is_all || with.is_some() || guests.is_some() => {
                 Some(Self::Sentence(sentence_or(clause, sentence)))
             }
@@ -570,7 +584,7 @@ impl Said {
     /// Whether somebody of whom nobody has told yet may go by a name in a sentence.
     #[must_use]
     pub fn may_be_new(name: &str) -> bool {
-        clause::may_be_new(name)
+        clause::may_be_new(name) && !clause::is_named_thing(name)
     }
 
     /// What it makes of its person.
@@ -594,10 +608,13 @@ impl fmt::Display for Said {
 
 /// Whether a text has a name in lower case with a capital, where that says something: not in a text without small letters.
 fn is_written_as_a_name(text: &str, name: &str) -> bool {
-    let mut words = text.split(|c: char| !(c.is_alphanumeric() || c == '-')).filter(|word| !word.is_empty());
+    let mut words = text.split(|c: char| !(c.is_alphanumeric() || matches!(c, '-' | '\'' | '’')));
     let last = name.rsplit(' ').next().unwrap_or_default();
+    // "O'Neill" is one word, and "Igor's" is Igor.
     let is_it = |word: &str| {
-        word.starts_with(char::is_uppercase) && word.chars().any(char::is_lowercase) && word.to_lowercase() == last
+        let lower = || word.replace('’', "'").to_lowercase();
+        let is_same = |lower: String| lower == last || lower.strip_suffix("'s") == Some(last);
+        word.starts_with(char::is_uppercase) && word.chars().any(char::is_lowercase) && is_same(lower())
     };
     words.any(is_it)
 }

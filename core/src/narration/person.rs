@@ -26,6 +26,13 @@ fn bare(name: &str) -> String {
     without.map(str::to_owned).unwrap_or(name)
 }
 
+/// A name by its letters and digits alone, without accents: "lena o neill" of "Lena O'Neill" and of "lena_o_neill". What is somebody's stays so: "ada's" is
+/// not "Ada S.".
+fn spaced(name: &str) -> String {
+    let owner = name.strip_suffix("'s").or_else(|| name.strip_suffix("’s"));
+    owner.map_or_else(|| Names::bare(name), |owner| format!("{}'s", Names::bare(owner)))
+}
+
 /// Whether two names are one: without regard to case, to space more than needed, and to "the" before them.
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
@@ -38,10 +45,9 @@ pub struct ReadName {
     /// The whole of it, as [`same_name`] compares, and its number.
     whole: String,
     number: u32,
-    /// Without its title: the same, and without accents; and how many words these are.
+    /// Without its title: the same, and by its letters and digits alone, without accents.
     plain: String,
     bare: String,
-    words: usize,
     title: Option<String>,
     /// What somebody of this name may be called for short.
     first: Option<Box<ReadName>>,
@@ -60,8 +66,7 @@ impl ReadName {
             whole: bare(name),
             number: person_number(name),
             plain: bare(rest),
-            bare: Names::bare(rest),
-            words: rest.split_whitespace().count(),
+            bare: spaced(rest),
             title,
             first: clause::first_name(name).map(|first| Box::new(Self::new(first))),
         }
@@ -91,12 +96,12 @@ impl ReadName {
         self.first.as_deref().map(Self::shared)
     }
 
-    /// Whether two names may be one person's: they are the same without accents, and their titles are, or one of them has none: "Zoe" is Zoë, "Mrs.
-    /// Novak" is Ms Novak and Novak, "Grandma Edith" is Edith.
+    /// Whether two names may be one person's: they are the same by their letters and digits, without accents, and their titles are, or one of them has
+    /// none: "Zoe" is Zoë, "anne marie" is Anne-Marie, "Mrs. Novak" is Ms Novak and Novak, "Grandma Edith" is Edith.
     #[must_use]
     pub fn may_be_one(&self, other: &Self) -> bool {
         let has_title_of = self.title.as_ref().zip(other.title.as_ref()).is_none_or(|(own, other)| own == other);
-        has_title_of && self.words == other.words && (self.plain == other.plain || self.bare == other.bare)
+        has_title_of && (self.plain == other.plain || self.bare == other.bare)
     }
 
     /// Whether a sentence that says `name` may mean somebody of this name: also by the first of several.
@@ -106,10 +111,10 @@ impl ReadName {
     }
 }
 
-/// Whether two names are one, also without regard to accents: "Zoë" and "Zoe". Titles count: "Grandma Edith" may live with her namesake.
+/// Whether two names are one, also without regard to accents and to what is no letter: "Zoë" and "Zoe", "O'Neill" and "o_neill". Titles count: "Grandma Edith" may live with her namesake.
 #[must_use]
 pub fn same_but_for_accents(a: &str, b: &str) -> bool {
-    same_name(a, b) || Names::bare(a) == Names::bare(b)
+    same_name(a, b) || spaced(a) == spaced(b)
 }
 
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in
@@ -209,6 +214,25 @@ mod tests {
         assert_eq!(Named::parse("007"), Ok(Named::Number(7)));
         for none in ["-3", "٣", "4294967295", "99999999999", ""] {
             Named::parse(none).unwrap_err();
+        }
+    }
+
+    /// Home Assistant calls "Lena O'Neill" `person.lena_o_neill`.
+    #[test]
+    fn a_name_is_the_same_by_its_letters() {
+        let is_one = |one: &str, other: &str| ReadName::new(one).may_be_one(&ReadName::new(other));
+        for (name, said) in [
+            ("Lena O'Neill", "lena o neill"),
+            ("Lena O’Neill", "Lena O'Neill"),
+            ("Anne-Marie", "anne marie"),
+            ("Jean Luc", "jean_luc"),
+            ("Jörg Müßig", "jorg_mussig"),
+            ("Dr. Anne-Marie Weiß", "anne marie weiss"),
+        ] {
+            assert!(is_one(name, said) && same_but_for_accents(name.trim_start_matches("Dr. "), said), "{name} {said}");
+        }
+        for (name, other) in [("Ada S.", "ada's"), ("Anne-Marie", "annemarie"), ("Anne-Marie", "anne"), ("Li", "Lia")] {
+            assert!(!is_one(name, other) && !same_but_for_accents(name, other), "{name} {other}");
         }
     }
 

@@ -158,7 +158,8 @@ impl PresenceStatement {
         is_any.then(|| reading::with_plain(sentence, Self::of_plain)).flatten()
     }
 
-    fn of_plain(said: &str) -> Option<Self> {
+    /// The same of a sentence in plain form.
+    pub(super) fn of_plain(said: &str) -> Option<Self> {
         let Clause { subject, presence, room, is_state, .. } = Clause::read(said)?;
         let of = |whose| Some(Self { whose, ..Self::new(presence, room).ok()? });
         let of_names = |whose, names: &[&str]| Some(of(whose)?.with_subjects(names));
@@ -209,6 +210,22 @@ impl PresenceStatement {
         };
         let statement = Self::parse(rest)?;
         Ok(Self { whose: whose.unwrap_or(statement.whose), ..statement }.with_subject(subject))
+    }
+
+    /// The same of those who are known, whatever stands before their names: of Ben, where it is of "sadly ben".
+    #[must_use]
+    pub fn of_known(self, mut is_known: impl FnMut(&str) -> bool) -> Self {
+        let mut known = |name: &str| {
+            let mut ends = name.match_indices(' ').map(|(at, _)| (&name[..at], &name[at + 1..]));
+            let (_, own) = ends.find(|(before, own)| !clause::is_part_of_a_name(before) && is_known(own))?;
+            (!is_known(name)).then(|| own.to_owned())
+        };
+        let names: Vec<_> = self.all_names().map(|name| (known(name), name)).collect();
+        if names.iter().all(|(own, _)| own.is_none()) {
+            return self;
+        }
+        let names: Vec<_> = names.into_iter().map(|(own, name)| own.unwrap_or_else(|| name.to_owned())).collect();
+        self.with_subjects(&names)
     }
 
     /// The same of one person, who may be said to be elsewhere.

@@ -14,14 +14,17 @@ use super::habits_file::Keeper;
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
+use super::persons::NotRenamed;
 
 /// A question to forget somebody waits at most this long for the journal.
 const FORGET_PATIENCE: Duration = Duration::from_secs(5);
+/// A changed map waits at most this long for the journal.
+const BELIEFS_PATIENCE: Duration = Duration::from_secs(1);
 
-/// Applies a change to the board, if it can be, and says what became of it.
+/// Applies a change to the board, if it can be, and says what became of it. Where everybody is then is in the journal before the changed map is kept.
 pub(super) fn answer_change<M: LanguageModel>(
     board: &mut Board<M>,
-    kept_map: Option<&KeptMap>,
+    (journal, kept_map): (Option<&JournalHandle>, Option<&KeptMap>),
     asked: Result<MapQuestion, String>,
 ) -> MapAnswer {
     let start_ns = clock::monotonic_ns();
@@ -35,6 +38,10 @@ pub(super) fn answer_change<M: LanguageModel>(
         board.change_map(map).map_err(|error| refused(&error))
     });
     let regrouped_in_ns = clock::monotonic_ns().saturating_sub(start_ns);
+    let mut number = 0;
+    board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.keep_belief(&believed)));
+    // A disk that is slower than that loses at most where people were.
+    let _written = journal.is_none_or(|journal| journal.wait_for(number, BELIEFS_PATIENCE));
     let kept = result.is_ok()
         && kept_map.is_some_and(|kept_map| {
             kept_map
@@ -74,11 +81,14 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             .find(who)
             .ok_or_else(|| format!("nobody is known as {who:?}: `roomcast person list` says who is"))
     };
+    let mut failed = false;
     let result = asked.and_then(|question| match question {
         PersonQuestion::List => Ok(None),
         PersonQuestion::Rename { who, name, .. } => {
             let person = find(board, &who)?;
-            board.rename(person, &name).map(|()| None)
+            let renamed = board.rename(person, &name);
+            failed = matches!(renamed, Err(NotRenamed::Failed(_)));
+            renamed.map(|()| None).map_err(|error| error.to_string())
         }
         PersonQuestion::Forget { who, .. } => {
             // Of somebody who is known no more the files may still tell.
@@ -95,7 +105,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
     let kept = done && left.is_none() && board.persons().file().is_kept();
-    PersonAnswer { done, reason: left, kept, persons: board.persons().lines(now_ns) }
+    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns) }
 }
 
 /// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs. Of one who is

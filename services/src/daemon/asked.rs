@@ -164,6 +164,7 @@ mod tests {
         let why = |asked: Result<PersonQuestion, String>| PersonAnswer {
             done: false,
             reason: asked.err(),
+            failed: false,
             kept: false,
             persons: Vec::new(),
         };

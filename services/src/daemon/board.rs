@@ -11,8 +11,8 @@ use roomcast_ipc::{
 use super::ahead::Now;
 use super::habits::{HomeHabits, Name, PlaceSet};
 use super::intake::OTHERS;
-use super::journal::{Outcome, Recovered};
-use super::persons::{Persons, is_bed, may_be_done_lying, sleeps};
+use super::journal::{Believed, Outcome, Recovered};
+use super::persons::{NotRenamed, Persons, is_bed, may_be_done_lying, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
@@ -153,6 +153,9 @@ pub struct Board<M> {
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
     attributed: Vec<Attributed>,
     rescored: Vec<u32>,
+    /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
+    believed: Vec<Believed>,
+    gone: Vec<u32>,
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
     unwatched: usize,
@@ -245,6 +248,8 @@ impl<M: LanguageModel> Board<M> {
             newest_persons: Vec::new(),
             attributed: Vec::new(),
             rescored: Vec::new(),
+            believed: Vec::new(),
+            gone: Vec::new(),
             seen: Vec::new(),
             unwatched: 0,
             unscored_ns: None,
@@ -345,28 +350,60 @@ impl<M: LanguageModel> Board<M> {
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = Mentions::new(&map, self.pipeline.grounding());
         self.map = map;
+        self.note_beliefs();
         Ok(prepared)
+    }
+
+    /// Takes note of where everybody in the house is believed to be, by the rooms of a changed map: what they said before is not to be read by it.
+    fn note_beliefs(&mut self) {
+        let map = self.map_number();
+        let (new, rooms) = self.new_places();
+        self.believed.clear();
+        for (person, own) in &self.followed {
+            let Some(known) = self.persons.get(*person).filter(|known| known.presence == Presence::Present) else {
+                continue;
+            };
+            let mut own = own.clone();
+            own.take_rooms(&new, rooms);
+            let (last, paces, probability) = (known.last, own.paces(), own.belief().to_vec());
+            self.believed.push(Believed { last, person: *person, map, paces, probability });
+        }
+    }
+
+    /// Which room of a changed map each room of the newest scores is, and how many the changed one has.
+    fn new_places(&self) -> (Vec<Option<usize>>, usize) {
+        let before = self.snapshot.rooms().iter().map(|room| room.id);
+        let after = match self.next_rooms.as_deref() {
+            Some((room, count)) => room.iter().take(*count as usize).map(|room| room.id).collect(),
+            None => before.clone().collect::<Vec<_>>(),
+        };
+        (before.map(|id| after.iter().position(|other| *other == id)).collect(), after.len())
+    }
+
+    /// Where everybody was believed to be when the map was changed, for the journal; each is told once.
+    pub fn tell_beliefs(&mut self, tell: impl FnMut(Believed)) {
+        self.believed.drain(..).for_each(tell);
+    }
+
+    /// Visitors who are gone by silence, for the journal; each is told once.
+    pub fn tell_gone(&mut self, tell: impl FnMut(u32)) {
+        self.gone.drain(..).for_each(tell);
     }
 
     /// After the first good step with a changed map: the snapshot is of it, and the forecasts too.
     fn adopt_map(&mut self) {
+        let (new, rooms) = self.new_places();
         let Some(next) = self.next_rooms.take() else { return };
         let (room, room_count) = *next;
-        let ids = |rooms: &[RoomV1], count: u32| -> Vec<_> {
-            rooms.iter().map(|room| room.id).take(count as usize).collect()
-        };
-        let (before, after) = (ids(&self.snapshot.room, self.snapshot.room_count), ids(&room, room_count));
         self.snapshot.map_fingerprint = self.map.fingerprint();
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
         self.home.bind(self.pipeline.grounding());
-        if before == after {
+        if new.len() == rooms && new.iter().enumerate().all(|(place, new)| *new == Some(place)) {
             return;
         }
         // Where somebody is believed to be stays so; what was observed meanwhile is taken in with the new map.
-        let place = |id| after.iter().position(|other| *other == id);
-        let new: Vec<Option<usize>> = before.into_iter().map(place).collect();
-        self.followed.values_mut().for_each(|own| own.take_rooms(&new, after.len()));
+        self.followed.values_mut().for_each(|own| own.take_rooms(&new, rooms));
     }
 
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
@@ -552,8 +589,17 @@ impl<M: LanguageModel> Board<M> {
                 if said.is_empty() {
                     self.said.insert(person, said);
                 } else if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
-                    own.expect(&said);
-                    self.said.insert(person, said);
+                    match expectation.paces {
+                        Some(paces) => {
+                            own.believe(&said, paces.map(f64::from));
+                            let heard_ns = self.persons.get(person).map_or(0, |known| known.heard_ns);
+                            self.home.stayed(person, heard_ns, own);
+                        }
+                        None => {
+                            own.expect(&said);
+                            self.said.insert(person, said);
+                        }
+                    }
                 }
             }
         }
@@ -641,6 +687,9 @@ impl<M: LanguageModel> Board<M> {
         while let Some(person) = self.persons.expired(now_ns) {
             self.persons.expire(person, now_ns);
             self.drop_person(person);
+            if !self.gone.contains(&person) {
+                self.gone.push(person);
+            }
         }
     }
 
@@ -822,7 +871,7 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// # Errors
     /// In words, when the name is somebody else's or none, or the file cannot be written.
-    pub fn rename(&mut self, person: u32, name: &str) -> Result<(), String> {
+    pub fn rename(&mut self, person: u32, name: &str) -> Result<(), NotRenamed> {
         self.persons.rename(person, name)
     }
 
@@ -882,6 +931,12 @@ impl<M: LanguageModel> Board<M> {
     #[must_use]
     pub fn map(&self) -> &SemanticMap {
         &self.map
+    }
+
+    /// Per room how probably a person was there when they were observed last.
+    #[cfg(test)]
+    pub(super) fn belief_of(&self, person: u32) -> Option<&[f64]> {
+        self.followed.get(&person).map(Forecaster::belief)
     }
 
     /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.

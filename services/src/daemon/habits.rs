@@ -395,6 +395,16 @@ impl HomeHabits {
         habits.set_learning(self.learn);
     }
 
+    /// Somebody was in a room when the map was changed, whatever their last words say by the map of now; nothing is learned of that.
+    pub(super) fn stayed(&mut self, person: u32, at_ns: i64, own: &Forecaster) {
+        let (Some(at_s), (Some(room), sure)) = (self.local_s(at_ns), likeliest(own.belief())) else { return };
+        if !self.is_idle() && sure > SURE && self.memory.habits.place(person).is_some() {
+            self.memory.habits.set_learning(false);
+            self.memory.habits.be(person, Place::Room(room), at_s);
+            self.memory.habits.set_learning(self.learn);
+        }
+    }
+
     /// Whoever was in a room is not there any more: those of the persons who are believed elsewhere now have left it, for nobody knows where.
     pub(super) fn is_empty(&mut self, person: u32, at_ns: i64, room: usize, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };

@@ -12,10 +12,11 @@
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
 //! | `RCJ7`, `RCJ8` | `RCJ1` and `RCJ3` of what was last said of a person, before all that the halves hold of it; `RCJ5` follows |
-//! | `RCJ9` | that a person was forgotten then: the number (u32), and whether that was before all observations of the halves (u8) |
+//! | `RCJ9` | that a person was forgotten then, or was a visitor and is gone by silence: the number (u32), and whether that was before all observations of the halves (u8) |
+//! | `RCJA` | where a person was believed to be when the map was changed: what was observed of them last by its source, epoch and sequence (u64 each), the person (u32), the changed map's fingerprint (its first 8 bytes), for how many seconds they had then been at what they did, and the totals and counts of how long they are at one thing and in one room (f32 each), and per room of that map the probability that they were in it (f32) |
 //!
 //! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
-//! that a restarted daemon believes the same.
+//! that a restarted daemon believes the same. What was said before the map changed is not read by the map of now: `RCJA` says what it came to.
 //!
 //! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
 //! history no more, but what it says again is still known. So is whose port each source is. The last observations of every person are
@@ -40,6 +41,7 @@ pub use self::disk::{Disk, Half};
 use self::forget::{IsTheirs, each_record};
 use crate::state_file;
 use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
+use roomcast_core::forecast::PACES;
 use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
@@ -59,8 +61,9 @@ const MAGIC_PORT: [u8; 4] = *b"RCJ6";
 const MAGIC_KEPT: [u8; 4] = *b"RCJ7";
 const MAGIC_NAMED_KEPT: [u8; 4] = *b"RCJ8";
 const MAGIC_FORGOTTEN: [u8; 4] = *b"RCJ9";
+const MAGIC_BELIEVED: [u8; 4] = *b"RCJA";
 /// Letters that a record may begin with.
-const MAGICS: [[u8; 4]; 9] = [
+const MAGICS: [[u8; 4]; 10] = [
     MAGIC,
     MAGIC_CARRIED,
     MAGIC_NAMED,
@@ -70,6 +73,7 @@ const MAGICS: [[u8; 4]; 9] = [
     MAGIC_KEPT,
     MAGIC_NAMED_KEPT,
     MAGIC_FORGOTTEN,
+    MAGIC_BELIEVED,
 ];
 /// Those of an observation as it came, or carried over so that it is not taken again.
 const MAGICS_TAKEN: [[u8; 4]; 4] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED];
@@ -163,13 +167,35 @@ struct KeptWords {
     places: HashMap<(u64, u64, u64), usize>,
 }
 
-/// What the model said of a person.
+/// What the model said of a person, or where they were believed to be when the map was changed.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Expectation {
     /// The first bytes of the fingerprint of the map whose rooms are meant.
     pub map: u64,
-    /// Per room the probability that the person is there next.
+    /// How long they had been at what they did then, and so on ([`Forecaster::paces`]), where it is said where they were; none where it is where they are
+    /// next.
+    ///
+    /// [`Forecaster::paces`]: roomcast_core::forecast::Forecaster::paces
+    pub paces: Option<[f32; PACES]>,
+    /// Per room the probability that the person is there next, or was there.
     pub probability: Vec<f32>,
+}
+
+/// Where a person was believed to be when the map was changed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Believed {
+    /// What was observed of them last: its source, epoch and sequence.
+    pub last: (u64, u64, u64),
+    /// The person.
+    pub person: u32,
+    /// The first bytes of the changed map's fingerprint.
+    pub map: u64,
+    /// How long they had been at what they did then, and so on ([`Forecaster::paces`]).
+    ///
+    /// [`Forecaster::paces`]: roomcast_core::forecast::Forecaster::paces
+    pub paces: [f64; PACES],
+    /// Per room of the changed map the probability that they were in it.
+    pub probability: Vec<f64>,
 }
 
 /// What became of an observation: whom it is of, and what the model said of that person after it.
@@ -311,6 +337,16 @@ impl JournalHandle {
     /// Hands to the writer what became of an observation; returns its number, for [`JournalHandle::wait_for`].
     pub fn append(&self, outcome: &Outcome<'_>) -> u64 {
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_outcome(outcome))
+    }
+
+    /// Hands to the writer where somebody was believed to be when the map was changed; returns its number, for [`JournalHandle::wait_for`].
+    pub(super) fn keep_belief(&self, believed: &Believed) -> u64 {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_believed(believed))
+    }
+
+    /// Hands to the writer that a visitor is gone, which was told: a restart does not tell it again.
+    pub(super) fn see_off(&self, person: u32) {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_forgotten(person, false));
     }
 
     /// Takes out of the journal what a person did, before and after a restart of the machine: the observations of which `is_theirs` says so,
@@ -846,6 +882,23 @@ pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
     sealed(MAGIC_OUTCOME, payload)
 }
 
+/// Where somebody was believed to be when the map was changed, as a record.
+#[must_use]
+pub fn encode_believed(believed: &Believed) -> Vec<u8> {
+    let Believed { last: (source, epoch, sequence), person, map, paces, probability } = believed;
+    let mut payload = Vec::with_capacity(HEADER_BYTES + OUTCOME_BYTES + 4 * (PACES + probability.len()));
+    payload.extend_from_slice(&[0; HEADER_BYTES]);
+    for number in [source, epoch, sequence] {
+        payload.extend_from_slice(&number.to_le_bytes());
+    }
+    payload.extend_from_slice(&person.to_le_bytes());
+    payload.extend_from_slice(&map.to_le_bytes());
+    for number in paces.iter().chain(probability) {
+        payload.extend_from_slice(&(*number as f32).to_le_bytes());
+    }
+    sealed(MAGIC_BELIEVED, payload)
+}
+
 /// Which port speaks for a start of a source, as a record.
 #[must_use]
 pub fn encode_port(name: (u64, u64), port: Port) -> Vec<u8> {
@@ -1078,6 +1131,7 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
     }
     let record = match magic {
         MAGIC_OUTCOME => decode_outcome(payload)?,
+        MAGIC_BELIEVED => decode_believed(payload)?,
         MAGIC_PORT => decode_port(payload)?,
         MAGIC_FORGOTTEN => decode_forgotten(payload)?,
         MAGIC_KEPT | MAGIC_NAMED_KEPT => Record::Kept(decode_observation(payload, magic == MAGIC_NAMED_KEPT, boot_id)?),
@@ -1117,13 +1171,34 @@ fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
     let person = take_u32(&mut payload)?;
     let (&by_fit, mut payload) = payload.split_first()?;
     let map = take_u64(&mut payload)?;
+    let expectation = Expectation { map, paces: None, probability: take_probability(payload)? };
+    Some(Record::Outcome { name, person, by_fit: by_fit != 0, expectation })
+}
+
+fn decode_believed(mut payload: &[u8]) -> Option<Record> {
+    let name = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
+    let (person, map) = (take_u32(&mut payload)?, take_u64(&mut payload)?);
+    let mut paces = [0.0; PACES];
+    for pace in &mut paces {
+        *pace = f32::from_bits(take_u32(&mut payload)?);
+    }
+    let expectation = Expectation { map, paces: Some(paces), probability: take_probability(payload)? };
+    paces.iter().all(|pace| pace.is_finite() && *pace >= 0.0).then_some(Record::Outcome {
+        name,
+        person,
+        by_fit: false,
+        expectation,
+    })
+}
+
+/// A probability per room, of which a record has the rest.
+fn take_probability(payload: &[u8]) -> Option<Vec<f32>> {
     let (rooms, rest) = payload.as_chunks();
     let probability: Vec<f32> = rooms.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
     let sound = rest.is_empty()
         && rooms.len() <= MAX_ROOMS
         && probability.iter().all(|probability| (0.0..=1.0).contains(probability));
-    let expectation = Expectation { map, probability };
-    sound.then_some(Record::Outcome { name, person, by_fit: by_fit != 0, expectation })
+    sound.then_some(probability)
 }
 
 fn decode_port(mut payload: &[u8]) -> Option<Record> {
@@ -1725,11 +1800,15 @@ mod tests {
         for outcome in [outcome(2, false, &[0.25, 0.75]), outcome(4, true, &[]), outcome(99, true, &[1.0])] {
             bytes.extend_from_slice(&outcome);
         }
+        let (last, probability) = ((7, 1, 2), vec![0.5, 0.5]);
+        bytes.extend(encode_believed(&Believed { last, person: 9, map: 78, paces: [40.5; PACES], probability }));
         let mut recovered = Recovered::default();
         read_records(&bytes, &boot, &mut recovered);
         let attributed = Observation { person: 9, by_fit: true, ..told[3].clone() };
         assert_eq!(recovered.observations, [told[0].clone(), told[1].clone(), told[2].clone(), attributed.clone()]);
-        assert_eq!(recovered.expectations, [(1, 9, Expectation { map: 77, probability: vec![0.25, 0.75] })]);
+        let next = Expectation { map: 77, paces: None, probability: vec![0.25, 0.75] };
+        let was = Expectation { map: 78, paces: Some([40.5; PACES]), probability: vec![0.5, 0.5] };
+        assert_eq!(recovered.expectations, [(1, 9, next), (1, 9, was)]);
         assert_eq!(recovered.damaged_bytes, 0);
         // An attribution that is carried over stays one.
         let mut again = Recovered::default();

@@ -66,6 +66,9 @@ pub struct PersonAnswer {
     /// Why not, or what is left to do.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// It was not done because something failed, and not because of what was asked.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub failed: bool,
     /// Whether a restarted daemon will know it: only with a state directory.
     pub kept: bool,
     /// Everybody who is known now.

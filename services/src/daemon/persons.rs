@@ -138,6 +138,17 @@ fn is_at_a_door(sentence: &str) -> bool {
 /// strangers say is kept apart.
 pub(super) type Teller = (bool, u64);
 
+/// Why somebody has no other name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NotRenamed {
+    /// Nobody can have that name, or somebody else has it.
+    #[error("{0}")]
+    Refused(String),
+    /// The name cannot be kept, whatever it is.
+    #[error("{0}")]
+    Failed(String),
+}
+
 /// All persons that the daemon knows.
 #[derive(Debug, Default)]
 pub struct Persons {
@@ -711,8 +722,9 @@ impl Persons {
         names.into_iter().map(whose).collect::<Option<_>>().unwrap_or_default()
     }
 
-    /// Whether an observation that was given no name moves nobody: it is about things, or about others than one person whom it names.
-    pub(super) fn is_of_nobody(&self, said: &Said) -> bool {
+    /// Whether an observation that was given no name moves nobody: it is about things, also by their names, or about others than one person whom it
+    /// names.
+    pub(super) fn is_of_nobody(&self, said: &Said, is_thing: impl Fn(&str) -> bool) -> bool {
         match self.about(said) {
             // "Only Rocky is home" is of all the others.
             About::Nobody => {
@@ -722,7 +734,8 @@ impl Persons {
                     && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
             }
             named @ About::Named(_) => self.has_names() && self.names_in(named, said.is_of_a_new_guest()).is_empty(),
-            About::Stranger(_) | About::Somebody => false,
+            About::Stranger(name) => is_thing(&name),
+            About::Somebody => false,
         }
     }
 
@@ -841,13 +854,14 @@ impl Persons {
     ///
     /// # Errors
     /// What is wrong with the name, whose it is already, or why it cannot be kept.
-    pub(super) fn rename(&mut self, number: u32, name: &str) -> Result<(), String> {
+    pub(super) fn rename(&mut self, number: u32, name: &str) -> Result<(), NotRenamed> {
         let name = name.trim();
-        check_name(name)?;
+        check_name(name).map_err(NotRenamed::Refused)?;
         let owner = self.number_of(name);
         let known = self.known.contains_key(&owner) || self.file.of_number(owner).is_some();
         if owner != number && known {
-            return Err(format!("{name} is person {owner} already: forget that one first, or choose another name"));
+            let reason = format!("{name} is person {owner} already: forget that one first, or choose another name");
+            return Err(NotRenamed::Refused(reason));
         }
         // One who lives here does not become another who does.
         if owner != number
@@ -855,14 +869,17 @@ impl Persons {
             && self.residents().any(|resident| resident == number)
         {
             let own = self.name_of(number).unwrap_or("this person");
-            return Err(format!("{name} and {own} both live here by persons.residents: choose another name"));
+            let reason = format!("{name} and {own} both live here by persons.residents: choose another name");
+            return Err(NotRenamed::Refused(reason));
         }
         let former = self.file.of_number(number);
         let kept = match former {
             Some(former) => former.renamed(name),
             None => KeptPerson { number, name: name.to_owned(), resident: None, former: Vec::new() },
         };
-        self.file.put(kept).map_err(|error| format!("the persons file cannot be written: {error}; nothing was changed"))
+        let failed =
+            |error| NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"));
+        self.file.put(kept).map_err(failed)
     }
 
     /// The names that the home gave.

@@ -270,9 +270,14 @@ impl<M: LanguageModel> Scoring<M> {
         true
     }
 
-    /// Writes down what is expected of whom, so that a restart believes the same.
+    /// Writes down what is expected of whom, and who is gone, so that a restart believes the same.
     fn tell_expected(&mut self) {
         let journal = &self.journal;
+        self.cycle.board_mut().tell_gone(|person| {
+            if let Some(journal) = journal {
+                journal.see_off(person);
+            }
+        });
         self.cycle.board_mut().tell_expected(|outcome| {
             if let Some(journal) = journal {
                 journal.append(outcome);
@@ -380,13 +385,13 @@ impl<M: LanguageModel> Scoring<M> {
 
     /// Does what was asked of the map; returns whether it changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
-        let Self { cycle, answered, kept_map, ports, tally, inbox, sentence_tokens_max, .. } = self;
+        let Self { cycle, answered, journal, kept_map, ports, tally, inbox, sentence_tokens_max, .. } = self;
         let board = cycle.board_mut();
         let mut changed = false;
         ports.map_changes.answer(|asked| {
             answered.answer::<MapQuestion>(asked, |asked| {
                 inbox.lend();
-                let answer = answer_change(board, kept_map.as_ref(), asked);
+                let answer = answer_change(board, (journal.as_ref(), kept_map.as_ref()), asked);
                 if answer.outcome == Outcome::Applied {
                     changed = true;
                     tally.map_fingerprint = board.map().fingerprint();

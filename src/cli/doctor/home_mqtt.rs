@@ -10,6 +10,7 @@ use roomcast_core::names::Names;
 use roomcast_core::narration::{About, PresenceStatement, Said, Sentence, same_name};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
+use roomcast_services::daemon::Persons;
 use roomcast_services::logging::chain;
 use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
 use roomcast_services::mqtt_look::{self, LookError, Seen};
@@ -173,6 +174,15 @@ pub(in crate::cli) fn no_person(line: &str, not_persons: &[String]) -> Option<St
     let About::Named(names) = said.about(is_none) else { return None };
     let name = names.iter().find(|name| is_none(name))?;
     Some(format!("{name:?} is no person (persons.not_persons), so this is said of nobody"))
+}
+
+/// Whom a line of narration names who does not live here, for people, where the home lists who does.
+pub(in crate::cli) fn no_resident(line: &str, persons: &Persons, residents: &[String]) -> Option<String> {
+    let line: serde_json::Value = serde_json::from_str(line).ok()?;
+    let name = line.get("person")?.as_str()?;
+    let is_guest = persons.is_visitor(persons.number_of(name)) && persons.find(name).is_none();
+    let who = residents.join(", ");
+    is_guest.then(|| format!("nobody who lives here is called {name:?} (persons.residents: {who}): they are a visitor"))
 }
 
 /// What a line of narration speaks of and the map does not have, for people.
@@ -594,6 +604,8 @@ mod tests {
     use super::*;
     use crate::cli::doctor::finding::Verdict;
     use roomcast_core::grounding::GroundingOptions;
+    use roomcast_services::config::PersonsConfig;
+    use roomcast_services::daemon::PersonsFile;
 
     /// What was counted before is not what is heard now.
     #[test]
@@ -665,6 +677,23 @@ mod tests {
         for line in [r#"{"text":"Ada lies on the sofa."}"#, r#"{"text":"They feed Rex."}"#, r#"{"presence":"away"}"#] {
             assert_eq!(nobody(line), None, "{line}");
         }
+        let residents = vec!["Lena O'Neill".to_owned(), "Zoë".to_owned()];
+        let config = PersonsConfig { residents: residents.clone(), ..PersonsConfig::default() };
+        let persons = Persons::new(config, PersonsFile::default());
+        let guest = |line: &str| no_resident(line, &persons, &residents);
+        let other =
+            "nobody who lives here is called \"igor\" (persons.residents: Lena O'Neill, Zoë): they are a visitor";
+        assert_eq!(guest(r#"{"person":"igor","presence":"away"}"#).as_deref(), Some(other));
+        for line in [
+            r#"{"person":"lena o neill","presence":"away"}"#,
+            r#"{"person":"zoe","presence":"away"}"#,
+            r#"{"presence":"away"}"#,
+            r#"{"text":"Igor leaves the house."}"#,
+        ] {
+            assert_eq!(guest(line), None, "{line}");
+        }
+        let nobody_lives_here = Persons::new(PersonsConfig::default(), PersonsFile::default());
+        assert_eq!(no_resident(r#"{"person":"igor","presence":"away"}"#, &nobody_lives_here, &[]), None);
         let mut missing = |said: &str| missing_thing(said, &map, &mut mentions);
         for said in [
             "They sit on the sofa.",

@@ -219,7 +219,7 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     let said = |person: u32, index: usize, probability: [f32; 2]| {
-        let expectation = Expectation { map: board().map_number(), probability: probability.to_vec() };
+        let expectation = Expectation { map: board().map_number(), paces: None, probability: probability.to_vec() };
         (index, person, expectation)
     };
     let restored = |expectations: Vec<_>| {

@@ -27,6 +27,11 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
         let is_visitor = |name: &str| self.persons.is_visitor(self.persons.number_of(name));
         let said = observation.said.clauses(|name| self.persons.is_called(name), is_visitor);
+        let of_known = |said: Said| match said {
+            Said::Presence(statement) => Said::Presence(statement.of_known(|name| self.persons.is_called(name))),
+            said @ Said::Sentence(_) => said,
+        };
+        let observation = Observation { said: of_known(observation.said), ..observation };
         // What is keyed, or was found by fit, is so in the clauses that name nobody.
         let own = |said: Said| {
             let mut names = if said.is_of_a_pronoun() { Vec::new() } else { self.persons.named(&said) };
@@ -40,7 +45,7 @@ impl<M: LanguageModel> Board<M> {
             let name = if names.len() == 1 { names.pop().map(Into::into) } else { None };
             Observation { person: SOMEBODY, name, by_fit: false, said, ..observation.clone() }
         };
-        let several: Vec<Observation> = said.into_iter().map(own).collect();
+        let several: Vec<Observation> = said.into_iter().map(of_known).map(own).collect();
         several.is_empty().then_some(observation).into_iter().chain(several)
     }
 
@@ -68,7 +73,10 @@ impl<M: LanguageModel> Board<M> {
         }
         let said = &observation.said;
         let is_open = observation.person == SOMEBODY && observation.name.is_none();
-        let is_thing = |name: &str| self.mentions.knows(name) && !self.persons.is_called(name);
+        let is_thing = |name: &str| {
+            let is_known = |words: &str| self.mentions.knows(words);
+            (is_known(name) || name.split(' ').any(is_known)) && !self.persons.is_called(name)
+        };
         let is_of_things = match said {
             Said::Presence(statement) => statement.names().any(is_thing),
             Said::Sentence(_) => said.moves_nobody(),
@@ -77,7 +85,7 @@ impl<M: LanguageModel> Board<M> {
             || is_open && said.is_from_afar() && !said.is_of_a_pronoun() && self.persons.named(said).is_empty();
         // What has ended brings nobody home.
         let is_over = || is_open && said.is_of_an_end() && !self.persons.is_anybody_here(is_strange);
-        let is_of_none = || is_open && self.persons.is_of_nobody(said);
+        let is_of_none = || is_open && self.persons.is_of_nobody(said, is_thing);
         let is_anybodys = || is_open && self.persons.are_several_away(is_strange) && said.is_own_arrival();
         let is_of_nobody = is_of_things || is_over() || is_of_none() || is_unknown() || is_anybodys();
         (!is_of_nobody).then(|| self.persons.each(observation, is_strange)).into_iter().flatten()

@@ -136,12 +136,13 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
 fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
     let mut needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
     // Of each kind the newest.
-    let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool), &[u8]>>::new();
+    let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool, bool), &[u8]>>::new();
     for (raw, record) in goes.iter().chain(stays) {
-        if let Record::Outcome { name, person, by_fit, .. } = record
+        if let Record::Outcome { name, person, by_fit, expectation } = record
             && needed.contains(name)
         {
-            outcomes.entry(*name).or_default().insert((*person, *by_fit), raw);
+            let is_belief = expectation.paces.is_some();
+            outcomes.entry(*name).or_default().insert((*person, *by_fit, is_belief), raw);
         }
     }
     let forgotten = |record: &Record| match record {
