@@ -177,6 +177,13 @@ impl Names {
         words.iter().find_map(|word| self.compound(word))
     }
 
+    /// The kind of room that a whole name is in another language: "Küche" is a kitchen. None for a name that says more, which may be that of
+    /// another room of the kind ("Küche oben", "Gästebad").
+    #[must_use]
+    pub(crate) fn room_itself(&self, name: &str) -> Option<&str> {
+        self.rooms.get(&bare(name)).map(String::as_str)
+    }
+
     /// As [`Names::room`], of English as well: "Master Bedroom 2" and "Lena's bedroom" are a bedroom. What English calls it stands last, so the
     /// last of equally long runs counts.
     #[must_use]
