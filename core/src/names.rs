@@ -230,6 +230,14 @@ impl Names {
         self.words.contains_key(words) || self.aliases.contains_key(words)
     }
 
+    /// All words of English that the table has.
+    pub(crate) fn english(&self) -> BTreeSet<&str> {
+        let texts = (self.words.values().chain(self.aliases.keys()).chain(self.aliases.values().flatten()))
+            .chain(self.rooms.values().chain(self.english_rooms.keys()))
+            .chain(self.things.values().chain(&self.entities.which));
+        texts.flat_map(|text| text.split(' ')).collect()
+    }
+
     /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served
     /// by a "mug"; and they are not followed twice.
     pub fn aliases<'a>(&'a self, words: &str) -> impl Iterator<Item = &'a str> + use<'a> {
