@@ -769,7 +769,7 @@ mod tests {
         // One person alone has a line too where it says more than the rooms.
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);
-        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("ada: present"));
+        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("anne-marie of the upper floor: present"));
     }
 
     #[test]
