@@ -523,6 +523,15 @@ fn plain(text: &str) -> String {
     text.chars().filter(|c| !c.is_control() && !roomcast_core::text::is_hidden(*c)).take(LONGEST).collect()
 }
 
+/// Whether `url` can be the address of a Home Assistant; nothing is asked there.
+///
+/// # Errors
+///
+/// [`RegistriesError::Address`].
+pub fn check_address(url: &str) -> Result<(), RegistriesError> {
+    Address::parse(url).map(|_| ())
+}
+
 /// Reads the registries of the Home Assistant at `url`.
 ///
 /// # Errors

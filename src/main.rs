@@ -11,7 +11,7 @@ mod bar;
 #[cfg(feature = "bridge")]
 mod bridge;
 mod cli;
-#[cfg(feature = "demo")]
+#[cfg(any(feature = "demo", feature = "top"))]
 mod columns;
 mod exit_code;
 #[cfg(any(feature = "bridge", feature = "top", feature = "view"))]

@@ -14,6 +14,7 @@ use roomcast_ipc::{
 };
 
 use crate::bar::bar;
+use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
@@ -150,7 +151,9 @@ impl View {
                 line.push_str(if word == "restored" { "" } else { word });
             }
             self.persons.push(line);
-            self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own)));
+            // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
+            let has_learned = self.status.as_ref().is_none_or(|status| status.learned > 0);
+            self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own, has_learned)));
         }
         let left_out = (scores.persons as usize).saturating_sub(scores.persons().len());
         if left_out > 0 {
@@ -196,11 +199,12 @@ impl View {
     /// Draws everything; `now_ns` is the monotonic clock.
     pub fn draw(&self, frame: &mut Frame<'_>, now_ns: u64) {
         let area = frame.area();
-        let room_rows = ((self.rooms.len().max(1) + self.persons.len()) as u16).saturating_add(2);
+        let persons = self.person_lines(area.width);
+        let room_rows = ((self.rooms.len().max(1) + persons.len()) as u16).saturating_add(2);
         let [head, rooms, lower, decision, health, keys] =
             Layout::vertical(heights(area.height, room_rows).map(Constraint::Length)).areas(area);
         frame.render_widget(self.head(now_ns), head);
-        self.draw_rooms(frame, rooms);
+        self.draw_rooms(frame, rooms, &persons);
         let [narration, labels] =
             Layout::horizontal([Constraint::Percentage(60), Constraint::Percentage(40)]).areas(lower);
         self.draw_narration(frame, narration);
@@ -233,10 +237,19 @@ impl View {
         Line::from(vec![title, alive, Span::from(known), Span::from(paused).yellow()])
     }
 
-    fn draw_rooms(&self, frame: &mut Frame<'_>, area: Rect) {
+    /// The persons' lines, as many as it takes within a frame of a screen of this width.
+    fn person_lines(&self, width: u16) -> Vec<String> {
+        const INDENT: usize = 4;
+        let columns = usize::from(width.saturating_sub(2));
+        let indent = if columns > 2 * INDENT { INDENT } else { 0 };
+        let lines = self.persons.iter().map(|line| wrapped(line, columns, indent));
+        lines.flat_map(|lines| lines.lines().map(str::to_owned).collect::<Vec<_>>()).collect()
+    }
+
+    fn draw_rooms(&self, frame: &mut Frame<'_>, area: Rect, persons: &[String]) {
         let name_width = self.rooms.iter().map(|room| room.id.chars().count()).max().unwrap_or(4).min(24);
         // On a small screen what is known counts before the frame.
-        let is_framed = area.height >= 2 + (self.rooms.len() + self.persons.len()).min(FRAMED_ROWS) as u16;
+        let is_framed = area.height >= 2 + (self.rooms.len() + persons.len()).min(FRAMED_ROWS) as u16;
         let frame_size = if is_framed { 2 } else { 0 };
         let inner = usize::from(area.width.saturating_sub(frame_size));
         // Name, percentage, then bar and line share what is left.
@@ -253,7 +266,7 @@ impl View {
                 Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
             ])
         });
-        let mut lines: Vec<_> = lines.chain(self.persons.iter().map(|line| Line::from(line.as_str()))).collect();
+        let mut lines: Vec<_> = lines.chain(persons.iter().map(|line| Line::from(line.as_str()))).collect();
         // What does not fit is counted.
         let rows = usize::from(area.height.saturating_sub(frame_size));
         if lines.len() > rows && rows > 0 {
@@ -393,14 +406,19 @@ fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
     words
 }
 
-/// Where a person is later: the set, what coverage it is set for on the long run, what this forecast gives it, and how much was learned. None where there are no sets.
-fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<String> {
+/// Where a person is later: the set, what coverage it is set for on the long run, what this forecast gives it, and how much of the forecast habits
+/// make up, where they have learned anything. None where there are no sets.
+fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1, has_learned: bool) -> Option<String> {
     let horizon = told.horizons_s().iter().position(|horizon_s| *horizon_s >= SET_S)?;
     let minutes = told.horizons_s()[horizon] / 60.0;
     let places = set_places(told, own, horizon)?.join(", ");
-    let (set_for, learned) = (100.0 * own.set_coverage, 100.0 * own.learned_share[SET_SHARE]);
+    let set_for = 100.0 * own.set_coverage;
+    let learned = match has_learned {
+        true => format!(" ({:.0} % learned)", 100.0 * own.learned_share[SET_SHARE]),
+        false => String::new(),
+    };
     let has = 100.0 * own.set_probability(horizon)?;
-    Some(format!("  in {minutes:.0} min, set for {set_for:.0} %, has {has:.0} %: {places} ({learned:.0} % learned)"))
+    Some(format!("  in {minutes:.0} min, set for {set_for:.0} %, has {has:.0} %: {places}{learned}"))
 }
 
 /// The places of the set of a horizon: ids of rooms, and elsewhere. None where there are no sets.
@@ -721,6 +739,7 @@ mod tests {
             assert!(text.contains(line), "{line:?} is missing:\n{text}");
         }
         // Where the habits promise something, it has a line of its own.
+        view.status(StatusResponseV1 { learned: 7, ..Default::default() });
         let ada = &mut forecasts.person[0];
         (ada.set_coverage, ada.room_set[1], ada.set_elsewhere, ada.learned_share[1]) = (0.9, 0b10, 0b10, 0.4);
         (ada.probability[1][1], ada.elsewhere[1]) = (0.5, 0.125);
@@ -729,10 +748,28 @@ mod tests {
         let text = drawn(&view, 80, 24, 1_100_000_000);
         let line = "in 60 min, set for 90 %, has 62 %: bathroom, elsewhere (40 % learned)";
         assert!(text.contains(line), "{line:?} is missing:\n{text}");
+        // Nothing was learned yet: the share would be that of what habits assume.
+        view.status(StatusResponseV1::default());
+        view.persons(&scores);
+        let text = drawn(&view, 80, 24, 1_100_000_000);
+        assert!(text.contains("bathroom, elsewhere") && !text.contains("learned)"), "{text}");
+        // What is longer than the screen is wide goes on in the next line, between words.
+        scores.person[0].name = text::encode("name", "anne-marie of the upper floor").unwrap();
+        view.persons(&scores);
+        for (width, height) in [(80, 40), (50, 40), (33, 60)] {
+            let text = drawn(&view, width, height, 1_100_000_000);
+            let panel = text.lines().skip(1).take_while(|line| !line.contains("narration"));
+            let words: Vec<&str> = panel.flat_map(|line| line.trim_matches('│').split_whitespace()).collect();
+            let said = words.join(" ");
+            for line in &view.persons {
+                let line = line.split_whitespace().collect::<Vec<_>>().join(" ");
+                assert!(said.contains(&line), "{width}: {line:?} is missing:\n{text}");
+            }
+        }
         // One person alone has a line too where it says more than the rooms.
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);
-        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("ada: present"));
+        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("anne-marie of the upper floor: present"));
     }
 
     #[test]

@@ -523,9 +523,11 @@ impl From<usize> for Mention {
 /// Finds which label of a map a sentence mentions; built once per map, nothing is allocated per sentence once warm.
 #[derive(Debug, Clone)]
 pub struct Mentions {
-    /// Every name by which a label or a room can be mentioned, as it is and in plain words, to an index of
+    /// Every name by which a label or a room can be mentioned, as it is, in plain words and as a sentence has it, to an index of
     /// [`Grounding::scored_labels`].
     label_of_name: HashMap<String, usize>,
+    /// So many words has the longest of these names.
+    longest_words: usize,
     /// Which labels are those of rooms.
     is_room: Vec<bool>,
     /// Working memory: the sentence's words in lower case, the same with spaces for hyphens, and where in both each word begins and ends.
@@ -542,6 +544,11 @@ const ANNOUNCES: [&str; 20] = [
 
 /// Verbs of a sentence whose person is elsewhere then.
 const LEAVES: [&str; 6] = ["leave", "leaves", "left", "exit", "exits", "exited"];
+
+/// The words of a sentence, or of a name as a sentence has it.
+fn words_of(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|word| !word.is_empty())
+}
 
 impl Mentions {
     /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
@@ -561,10 +568,20 @@ impl Mentions {
         let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
         // What the labels themselves say comes last and counts.
         let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
+        let mut label_of_name: HashMap<String, usize> = known.chain(labels).collect();
+        // "tv (left)" is said without its brackets; a name that is written so already keeps its meaning.
+        let mut spoken: Vec<(String, usize)> = (label_of_name.iter())
+            .map(|(name, label)| (words_of(name).collect::<Vec<_>>().join(" "), *label))
+            .filter(|(name, _)| !name.is_empty() && !label_of_name.contains_key(name))
+            .collect();
+        // Of several the same one in every run.
+        spoken.sort_unstable_by(|a, b| b.cmp(a));
+        label_of_name.extend(spoken);
         let is_room = |text: &str| map.rooms.iter().any(|room| room.label.as_str() == text);
         Self {
             is_room: grounding.scored_labels.iter().map(|label| is_room(&label.text)).collect(),
-            label_of_name: known.chain(labels).collect(),
+            longest_words: label_of_name.keys().map(|name| words_of(name).count()).max().unwrap_or(0),
+            label_of_name,
             lower: String::new(),
             plain: String::new(),
             words: Vec::new(),
@@ -577,15 +594,13 @@ impl Mentions {
         self.label_of_name.contains_key(words)
     }
 
-    /// The last thing mentioned ("They put the plate on the *table*"): the longest run of up to four words that names a label or a room, after an article, a possessive or a
-    /// preposition of place ("They go to *bed*"). A sentence without any says its thing last ("They watch *television*").
+    /// The last thing mentioned ("They put the plate on the *table*"): the longest run of words that names a label or a room, after an article, a
+    /// possessive or a preposition of place ("They go to *bed*"). A sentence without any says its thing last ("They watch *television*").
     #[must_use]
     pub fn last(&mut self, sentence: &str) -> Option<Mention> {
-        const WORDS_MAX: usize = 4;
         self.lower.clear();
         self.words.clear();
-        for word in sentence.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|w| !w.is_empty())
-        {
+        for word in words_of(sentence) {
             if !self.lower.is_empty() {
                 self.lower.push(' ');
             }
@@ -605,7 +620,7 @@ impl Mentions {
         };
         // The label of the longest name that begins at a word, and where that ends.
         let named = |at: usize| {
-            let ends = at + 1..=words.len().min(at + WORDS_MAX);
+            let ends = at + 1..=words.len().min(at + self.longest_words);
             ends.rev().find_map(|end| Some((label_of(at, end)?, end)))
         };
         let found = if words.iter().any(announces) {
@@ -616,7 +631,8 @@ impl Mentions {
         };
         let (at, (label, end)) = found?;
         // "Lily's bed" is no other one: of the names that end here the longest is meant.
-        let longer = (end.saturating_sub(WORDS_MAX).max(1)..at).find_map(|from| Some((from, label_of(from, end)?)));
+        let longer =
+            (end.saturating_sub(self.longest_words).max(1)..at).find_map(|from| Some((from, label_of(from, end)?)));
         let (at, label) = longer.unwrap_or((at, label));
         let said = |from: usize, to: usize| words[from..to].iter().map(|&(start, end)| &self.lower[start..end]);
         // The room that is left follows its verb: "They leave the mug in the kitchen" leaves no kitchen.
@@ -982,6 +998,26 @@ mod tests {
         }
     }
 
+    /// However many words a label has, and whatever stands between them.
+    #[test]
+    fn every_label_of_a_map_can_be_mentioned() {
+        let words = ["led", "strip", "board", "shelf's", "tv-set", "42", "grün", "upper", "left", "lamp"];
+        let labels = (1..=words.len()).map(|count| words[..count].join(" "));
+        for label in
+            labels.chain(["lamp (hall)", "salt & pepper mill", "a/c unit no. 2", "l'armoire"].map(str::to_owned))
+        {
+            let of = format!("\"label\": {label:?}");
+            let json = include_str!("../../scenes/studio.json").replacen("\"label\": \"bed\"", &of, 1);
+            let map = SemanticMap::from_json(&json).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let mut mentions = Mentions::new(&map, &grounding);
+            let own = grounding.scored_labels.iter().position(|scored| scored.text == label);
+            for sentence in [format!("Lena turns on the {label}."), format!("They use the {label} in the morning.")] {
+                assert_eq!(mentions.last(&sentence).map(|found| found.label), own, "{sentence}");
+            }
+        }
+    }
+
     /// A room that is left is where nobody is; what is left in a room, or put down, is none.
     #[test]
     fn who_leaves_a_room_is_in_another() {
@@ -1025,7 +1061,7 @@ mod tests {
             for name in Names::built_in().names().chain(own).chain(rooms) {
                 for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
                     let words: Vec<&str> = name.split(' ').collect();
-                    let expected = (1..=words.len().min(4)).rev().find_map(|length| asked(&words[..length].join(" ")));
+                    let expected = (1..=words.len()).rev().find_map(|length| asked(&words[..length].join(" ")));
                     assert_eq!(
                         mentions.last(&format!("They see the {name}.")),
                         expected.map(Mention::from),

@@ -177,6 +177,13 @@ impl Names {
         words.iter().find_map(|word| self.compound(word))
     }
 
+    /// The kind of room that a whole name is in another language: "Küche" is a kitchen. None for a name that says more, which may be that of
+    /// another room of the kind ("Küche oben", "Gästebad").
+    #[must_use]
+    pub(crate) fn room_itself(&self, name: &str) -> Option<&str> {
+        self.rooms.get(&bare(name)).map(String::as_str)
+    }
+
     /// As [`Names::room`], of English as well: "Master Bedroom 2" and "Lena's bedroom" are a bedroom. What English calls it stands last, so the
     /// last of equally long runs counts.
     #[must_use]
@@ -221,6 +228,14 @@ impl Names {
     /// Whether these words, in lower case, name a thing of the table.
     pub(crate) fn knows(&self, words: &str) -> bool {
         self.words.contains_key(words) || self.aliases.contains_key(words)
+    }
+
+    /// All words of English that the table has.
+    pub(crate) fn english(&self) -> BTreeSet<&str> {
+        let texts = (self.words.values().chain(self.aliases.keys()).chain(self.aliases.values().flatten()))
+            .chain(self.rooms.values().chain(self.english_rooms.keys()))
+            .chain(self.things.values().chain(&self.entities.which));
+        texts.flat_map(|text| text.split(' ')).collect()
     }
 
     /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served

@@ -203,8 +203,8 @@ fn find_home_assistant(
         let token = match &args.token_file {
             Some(given) => Some(given.clone()),
             None if is_url(source) => {
-                let question = "A file with a long-lived access token (in Home Assistant: your profile, Security).";
-                asker.until(question, TOKEN_FILE, |_, answer| usable_token(Path::new(answer)))?
+                usable_address(answer)?;
+                Some(ask_token(asker)?)
             }
             None => None,
         };
@@ -218,6 +218,26 @@ fn find_home_assistant(
             read(&found, args.token_file.as_deref())
         }
     }
+}
+
+/// Whether an address can be one, before anything else is asked for it.
+fn usable_address(address: &str) -> CommandResult {
+    #[cfg(feature = "home")]
+    crate::home_assistant::check_address(address).map_err(input)?;
+    #[cfg(not(feature = "home"))]
+    let _unread = address;
+    Ok(())
+}
+
+/// The token's file for an address. Without one the way leads back to the address.
+fn ask_token(asker: &mut Asker) -> Result<PathBuf, Failure> {
+    let question = "A file with a long-lived access token (in Home Assistant: your profile, Security), or none to give another address.";
+    let default = if Path::new(TOKEN_FILE).exists() { TOKEN_FILE } else { "none" };
+    let file = asker.until(question, default, |_, answer| match Path::new(answer) {
+        none if is_none(none) => Ok(None),
+        path => usable_token(path).map(Some),
+    })?;
+    file.flatten().ok_or_else(|| input("an address needs a token; give another one, a folder, or none"))
 }
 
 /// A token's file, if a token can be read from it.
@@ -515,12 +535,13 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
     let (mut map, mut notes, mut rules) = (imported.map, imported.notes, rules);
     if let Some(Imported { map: areas, .. }) = &areas {
         map = with_things(&map, areas, &mut notes)?;
-        rules = rules.map(|text| in_rooms_of(&map, areas, &text, &mut notes));
+        // Where no rule is left, none can be read.
+        rules = rules.map(|text| in_rooms_of(&map, areas, &text, &mut notes)).filter(|text| rules_in(text) > 0);
     }
     if let Some(text) = &rules {
         check_rules(rules_file, text)?;
     }
-    let config = configuration(folder, scene, rules.as_ref().map(|_| rules_file.as_path()), found);
+    let config = configuration(folder, &map, [scene, rules_file], rules.is_some(), found);
     let checked: Config =
         toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
     checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
@@ -677,42 +698,72 @@ fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
     places.into_iter().map(point).find(is_inside).unwrap_or(middle)
 }
 
-/// Rules whose rooms are named as the robot's map has them.
+/// What a rule begins with.
+const RULE: &str = "[[rule]]\n";
+
+/// How many rules a file has that are no comments.
+fn rules_in(text: &str) -> usize {
+    text.lines().filter(|line| *line == RULE.trim_end()).count()
+}
+
+/// Rules whose rooms are named as the robot's map has them. A rule of an area that no room is known to be is a comment, so that nobody is taken
+/// to be in the wrong room.
 fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut Vec<String>) -> String {
+    let ids: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+    let ids = ids.join(", ");
     let mut unknown = BTreeMap::new();
-    let mut text = String::with_capacity(rules.len());
-    for line in rules.lines() {
-        let named = line.starts_with("room = ").then(|| line.parse::<toml::Table>().ok()).flatten();
+    let mut parts = rules.split(RULE);
+    let mut text = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        // What stands behind an empty line is the next one's.
+        let (rule, rest) = part.split_at(part.find("\n\n").map_or(part.len(), |at| at + 1));
+        let named = rule.parse::<toml::Table>().ok();
         let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);
         let room = area.map(|area| {
             let known = areas.find_room(area).and_then(|known| room_of_area(map, areas, known));
             known.ok_or(area)
         });
         match room {
+            None => text.extend([RULE, rule]),
             Some(Ok(room)) => {
                 let id = toml::Value::from(map.rooms()[room.0 as usize].id.as_str());
-                let _ = writeln!(text, "room = {id}");
-                continue;
+                text.push_str(RULE);
+                for line in rule.lines() {
+                    let own = if line.starts_with("room = ") { format!("room = {id}") } else { line.to_owned() };
+                    let _ = writeln!(text, "{own}");
+                }
             }
-            Some(Err(area)) => *unknown.entry(area.to_owned()).or_insert(0) += 1,
-            None => {}
+            Some(Err(area)) => {
+                *unknown.entry(area.to_owned()).or_insert(0) += 1;
+                let _ = writeln!(
+                    text,
+                    "# Which room is the area {area:?}? Write one of {ids}, and take out the signs # below."
+                );
+                RULE.lines().chain(rule.lines()).for_each(|line| {
+                    let _ = writeln!(text, "# {line}");
+                });
+            }
         }
-        text.push_str(line);
-        text.push('\n');
+        text.push_str(rest);
     }
-    let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
     for (area, rules) in unknown {
         notes.push(format!(
-            "{} of the area {area:?}, and no room of the robot's map is known to be that: write one of {} in its place.",
+            "{} of the area {area:?}, and no room of the robot's map is known to be that, so they are comments: write one of {ids} there, and \
+             take out the signs #.",
             count(rules, "rule"),
-            rooms.join(", ")
         ));
     }
     text
 }
 
 /// The configuration, with a word to each part.
-fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Found) -> String {
+fn configuration(
+    folder: &Path,
+    map: &SemanticMap,
+    [scene, rules_file]: [&Path; 2],
+    has_rules: bool,
+    found: &Found,
+) -> String {
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let path = |path: &Path| quoted(&path.to_string_lossy());
     let mut text = format!(
@@ -734,13 +785,18 @@ fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Foun
     );
     if let Some(broker) = &found.broker {
         let _ = write!(text, "\n[mqtt]\nbroker = {}\n", quoted(&broker.address));
-        for (key, file) in
-            [("credentials", broker.credentials.as_deref()), ("ca", broker.authority.as_deref()), ("rules", rules)]
-        {
+        for (key, file) in [("credentials", broker.credentials.as_deref()), ("ca", broker.authority.as_deref())] {
             if let Some(file) = file {
                 let _ = writeln!(text, "{key} = {}", path(file));
             }
         }
+        let rules = format!("rules = {}", path(rules_file));
+        let _ = match has_rules {
+            true => writeln!(text, "{rules}"),
+            false => {
+                writeln!(text, "# When you have written this file (docs/mqtt.md), take out the sign #.\n# {rules}")
+            }
+        };
     }
     if let Some(robot) = &found.robot {
         let _ = write!(
@@ -751,6 +807,15 @@ fn configuration(folder: &Path, scene: &Path, rules: Option<&Path>, found: &Foun
             if is_of_home_assistant(robot) { "kind = \"home-assistant\"\n" } else { "" },
             quoted(robot)
         );
+        if is_of_home_assistant(robot) {
+            text.push_str(
+                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n\
+                 # [robot.segments]\n",
+            );
+            for room in map.rooms() {
+                let _ = writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id));
+            }
+        }
     }
     text
 }
@@ -768,7 +833,7 @@ impl Made {
             let _ = writeln!(text, "  {note}");
         }
         if let Some(written) = &self.rules {
-            let number = count(written.matches("[[rule]]").count(), "rule");
+            let number = count(rules_in(written), "rule");
             let _ = writeln!(text, "{}: {number}; take out what says nothing of people", rules.display());
         }
         let file = config.display();
@@ -829,5 +894,51 @@ mod tests {
             bomb.write_all(&vec![b' '; 1 << 20]).unwrap();
         }
         assert!(unpacked(&bomb.finish().unwrap()).unwrap_err().contains("more than"));
+    }
+
+    fn home_of(areas: &[(&str, &str)]) -> Home {
+        let area = |(id, name): &(&str, &str)| json!({"id": id, "name": name});
+        let sensor = |(id, _): &(&str, &str)| json!({"entity_id": format!("binary_sensor.{id}"), "area_id": id, "original_device_class": "motion"});
+        let areas_text = json!({"data": {"areas": areas.iter().map(area).collect::<Vec<_>>()}}).to_string();
+        let entities = json!({"data": {"entities": areas.iter().map(sensor).collect::<Vec<_>>()}}).to_string();
+        let registries =
+            import::Registries { areas: &areas_text, entities: Some(&entities), ..import::Registries::default() };
+        import::home_assistant(&registries, "home").unwrap()
+    }
+
+    /// What `init` does not know no program may take for known: the rules that it leaves name rooms by their ids alone.
+    #[test]
+    fn rules_of_areas_that_no_room_is_known_to_be_are_comments() {
+        let rooms = |names: &[&str]| {
+            let room = |(at, name): (u32, &&str)| {
+                let bounds = json!({"min_m": [4 * at, 0, 0], "max_m": [4 * at + 4, 4, 2.5]});
+                json!({"id": format!("{name}-{at}"), "label": name, "box": bounds})
+            };
+            let rooms: Vec<_> = (1..).zip(names).map(room).collect();
+            let scene = json!({"format": "roomcast-scene", "version": 1, "name": "home", "rooms": rooms, "items": []});
+            SemanticMap::from_json(&scene.to_string()).unwrap()
+        };
+        let map = rooms(&["kitchen", "bathroom", "hallway", "hallway"]);
+        let areas =
+            [("kuche", "Küche"), ("bad", "Bad"), ("bad_gaste", "Bad Gäste"), ("flur", "Flur"), ("turm", "Turm")];
+        let home = home_of(&areas);
+        let mut notes = Vec::new();
+        let text = in_rooms_of(&map, &home.imported.map, &home.rules.unwrap(), &mut notes);
+        let rules: toml::Table = text.parse().unwrap();
+        let named: Vec<_> =
+            rules["rule"].as_array().unwrap().iter().map(|rule| rule["room"].as_str().unwrap()).collect();
+        assert_eq!(named, ["kitchen-1"], "{text}");
+        assert_eq!((rules_in(&text), notes.len()), (1, 4), "{text}{notes:?}");
+        assert!(
+            text.contains("# room = \"bad_gaste\"\n") && text.contains("Write one of kitchen-1, bathroom-2, hallway-3"),
+            "{text}"
+        );
+        // Without the signs they are the rules that they were.
+        let all = text.replace("# [[rule]]", "[[rule]]").replace("# topic", "topic").replace("# when", "when");
+        let all = all.replace("# presence", "presence").replace("# room", "room");
+        assert_eq!(all.parse::<toml::Table>().unwrap()["rule"].as_array().unwrap().len(), areas.len(), "{all}");
+        let none = home_of(&[("turm", "Turm")]);
+        let text = in_rooms_of(&map, &none.imported.map, &none.rules.unwrap(), &mut notes);
+        assert_eq!(rules_in(&text), 0, "{text}");
     }
 }

@@ -36,6 +36,8 @@ pub fn run(args: &Args) -> CommandResult {
 
 /// A page of that name is of another program in the same package; what stands below `roomcast bridge` has pages of its own.
 const OTHER_PROGRAM: &str = "roomcast-bridge";
+/// The command without a page, and the one below it whose page stands for it.
+const BRIDGE: [&str; 2] = ["bridge", "bridge-mqtt"];
 
 /// Writes the pages of a command and of those below it.
 fn write(command: &Command, source: &str, folder: &Path) -> std::io::Result<()> {
@@ -45,12 +47,18 @@ fn write(command: &Command, source: &str, folder: &Path) -> std::io::Result<()> 
     if command.get_display_name() == Some(OTHER_PROGRAM) {
         return Ok(());
     }
-    clap_mangen::Man::new(command.clone()).source(source).generate_to(folder).map(|_| ())
+    let [bridge, below] = BRIDGE;
+    let listed = match command.find_subcommand(bridge) {
+        Some(_) => command.clone().mut_subcommand(bridge, |own| own.name(below)),
+        None => command.clone(),
+    };
+    clap_mangen::Man::new(listed).source(source).generate_to(folder).map(|_| ())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
     /// Two programs are in one package: no page has the name of the other one, and all say whose they are.
     #[test]
@@ -63,5 +71,14 @@ mod tests {
         let mqtt = page("roomcast-bridge-mqtt.1").unwrap();
         assert!(mqtt.lines().any(|line| line == format!(".TH {header} ")), "{}", &mqtt[..400]);
         assert!(page("roomcast.1").is_ok() && page("roomcast-scene-check.1").is_ok());
+        // Whoever begins at roomcast.1 comes to every page, and to no other.
+        let is_listed = |line: &str| Some(line.strip_suffix("(1)")?.replace('\\', "") + ".1");
+        let files = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        let pages: BTreeSet<String> = files.map(|name| name.into_string().unwrap()).collect();
+        let mut listed = BTreeSet::from(["roomcast.1".to_owned()]);
+        for name in &pages {
+            listed.extend(page(name).unwrap().lines().filter_map(is_listed));
+        }
+        assert_eq!(listed, pages);
     }
 }

@@ -318,8 +318,20 @@ impl Rooms {
             return Ok(());
         }
         let known = scores.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
-        Err(format!("no room is called `{room}`: the rooms are {known}"))
+        let is_other = self.names.as_ref().is_none_or(|names| names.map.fingerprint() != scores.map_fingerprint);
+        Err(no_room(room, &known, is_other))
     }
+}
+
+/// That no room is called so, and what to do where the scene is another one than the daemon's map.
+fn no_room(room: &str, known: &str, is_other_map: bool) -> String {
+    let remedy = match is_other_map {
+        true => {
+            "; names other than these ids are known from the daemon's map: give --config FILE, the daemon's own, or --scene"
+        }
+        false => "",
+    };
+    format!("no room is called `{room}`: the rooms are {known}{remedy}")
 }
 
 /// Standard input, line by line, from a thread that waits for it.

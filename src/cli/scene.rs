@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::{Subcommand, ValueEnum};
-use comfy_table::{CellAlignment, Table, presets};
+use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use roomcast_ipc::question;
 use serde_json::{Value, json};
 
@@ -19,7 +19,7 @@ use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
 use roomcast_core::semantic_map::import::{self, ImportError, Imported, Up};
-use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap, Space};
+use roomcast_core::semantic_map::{ItemId, PartitionId, Room, RoomId, SemanticMap, Space};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
 /// Arguments of `roomcast scene`.
@@ -472,12 +472,15 @@ fn overlaps(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     warnings
 }
 
-/// Aliases that mean nothing: of no label, or words that are a label themselves.
+/// Aliases that mean nothing: of no label, or words that are another label or room themselves.
 fn odd_aliases(map: &SemanticMap) -> Vec<String> {
     let is_label = |words: &str| map.labels().iter().any(|label| label == words);
-    let is_known = |words: &str| {
+    let is_of = |room: &Room, words: &str| room.id == words || room.label == words;
+    let is_known = |words: &str| is_label(words) || map.rooms().iter().any(|room| is_of(room, words));
+    // The id of the very room that the alias is of says what the alias says.
+    let is_another = |words: &str, own: &str| {
         let mut rooms = map.rooms().iter();
-        is_label(words) || rooms.any(|room| room.id == words || room.label == words)
+        words != own && (is_label(words) || rooms.any(|room| is_of(room, words) && !is_of(room, own)))
     };
     let mut warnings = Vec::new();
     for (label, others) in map.aliases() {
@@ -486,9 +489,9 @@ fn odd_aliases(map: &SemanticMap) -> Vec<String> {
             let meant =
                 meant.map_or_else(String::new, |words| format!("; {words:?} is one: is it the other way round?"));
             warnings.push(format!("aliases: {label:?} is no label and no room of this map{meant}"));
-        } else if let Some(words) = others.iter().find(|words| *words != label && is_known(words)) {
+        } else if let Some(words) = others.iter().find(|words| is_another(words, label)) {
             warnings.push(format!(
-                "aliases: {words:?} of {label:?} is a label or a room of this map itself, and means that; remove it"
+                "aliases: {words:?} of {label:?} is another label or room of this map, and means that; remove it"
             ));
         }
     }
@@ -601,7 +604,7 @@ fn as_json(map: &SemanticMap, grounding: &Grounding, level: PartitionLevel) -> V
 
 fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> Table {
     let mut table = Table::new();
-    table.load_style(presets::UTF8_FULL_CONDENSED);
+    table.load_style(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic);
     table.set_header(header);
     for column in numbers {
         if let Some(column) = table.column_mut(column) {
@@ -614,7 +617,7 @@ fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> 
 fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let mut text = format!("{}  ({})\n", map.name(), map.short_fingerprint());
     for line in [map.description(), map.source()].into_iter().filter(|line| !line.is_empty()) {
-        let _ = writeln!(text, "{line}");
+        let _ = writeln!(text, "{}", super::prose(line));
     }
     let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
     let _ = writeln!(text, "{items}, {labels}, {}\n", doors(map));
@@ -678,7 +681,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         }
     }
     for warning in warnings(map, grounding) {
-        let _ = writeln!(text, "warning  {warning}");
+        let _ = writeln!(text, "{}", super::prose(&format!("warning  {warning}")));
     }
     text
 }
@@ -741,6 +744,40 @@ mod tests {
         );
         assert_eq!(of(json!({"couch": ["settee"]})), ["aliases: \"couch\" is no label and no room of this map"]);
         let label = of(json!({"sofa": ["television"]}));
-        assert!(label.len() == 1 && label[0].contains("\"television\" of \"sofa\" is a label"), "{label:?}");
+        assert!(label.len() == 1 && label[0].contains("\"television\" of \"sofa\" is another label"), "{label:?}");
+        let rooms = |aliases: Value| {
+            let mut rooms = [room("wohnzimmer", 0.0, 3.0), room("wz", 3.0, 6.0)];
+            (rooms[0]["label"], rooms[1]["label"]) = ("living room".into(), "lounge".into());
+            warned(&json!(rooms), &json!([item("sofa", 1.0)]), &aliases)
+        };
+        for own in ["living room", "wohnzimmer"] {
+            assert_eq!(rooms(json!({own: ["wohnzimmer", "living room"]})), [""; 0], "the room's own names");
+            let other = rooms(json!({own: ["wohnzimmer", "wz"]}));
+            assert!(other.len() == 1 && other[0].contains(&format!("\"wz\" of {own:?}")), "{other:?}");
+        }
+    }
+
+    /// What the import writes has nothing odd.
+    #[test]
+    fn the_map_of_a_home_assistant_has_no_odd_aliases() {
+        let area = |(id, name): (&str, &str)| json!({"id": id, "name": name, "aliases": ["Stube", "wz"]});
+        let names = [
+            ("wohnzimmer", "Wohnzimmer"),
+            ("kuche", "Küche"),
+            ("kinderzimmer_tom", "Kinderzimmer Tom"),
+            ("flur", "Flur"),
+        ];
+        let areas = json!({"data": {"areas": names.map(area)}}).to_string();
+        let registries = import::Registries { areas: &areas, ..Default::default() };
+        let map = import::home_assistant(&registries, "home").unwrap().imported.furnished().unwrap().map;
+        assert_eq!(odd_aliases(&map), [""; 0], "{:?}", map.aliases());
+        for (place, (id, name)) in (0..).zip(names) {
+            assert_eq!([map.find_room(id), map.find_room(name)], [Some(RoomId(place)); 2], "{name}");
+        }
+        assert!(
+            !map.aliases().values().flatten().any(|words| words == "flur"),
+            "an id needs no alias: {:?}",
+            map.aliases()
+        );
     }
 }

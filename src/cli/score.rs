@@ -281,8 +281,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     }
     let _ = writeln!(text, "{table}\n");
     let timing = scores.timing;
-    let _ = writeln!(
-        text,
+    let told = format!(
         "{} and {} of {} by {}; {:.1} % of what could come next {}.\nScored by {}.",
         count(grounding.scored_labels().len(), "label"),
         count(map.items().len(), "item"),
@@ -295,8 +294,7 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         },
         pipeline.prepared().correction(),
     );
-    let _ = writeln!(
-        text,
+    let times = format!(
         "{}; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",
         count(scores.prompt_tokens, "prompt token"),
         timing.total_ns as f64 / 1e6,
@@ -305,5 +303,6 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         timing.trie_ns as f64 / 1e6,
         timing.ground_ns as f64 / 1e6
     );
+    let _ = writeln!(text, "{}", super::prose(&format!("{told}\n{times}")));
     text
 }

@@ -328,15 +328,21 @@ fn areas_are_the_rooms_that_bear_their_names() {
     let room = |area: &str| {
         let topic = format!("homeassistant/binary_sensor/{area}_motion/state");
         let own = rules["rule"].as_array().unwrap().iter().find(|rule| rule["topic"].as_str() == Some(&topic));
-        own.unwrap()["room"].as_str().unwrap().to_owned()
+        Some(own?["room"].as_str().unwrap().to_owned())
     };
     let rooms = ["bad_unten", "bad_oben", "buero", "gang"].map(room);
-    assert_eq!(
-        rooms,
-        ["bad-unten-2", "bad-oben-1", "home-office-3", "gang"],
-        "which hallway it is nobody knows: {said}"
-    );
+    let known = ["bad-unten-2", "bad-oben-1", "home-office-3"].map(|id| Some(id.to_owned()));
+    assert_eq!(rooms[..3], known);
+    assert_eq!(rooms[3], None, "which hallway it is nobody knows: {said}");
     assert!(said.contains("1 rule of the area \"gang\"") && said.contains("hallway-4, hallway-5"), "{said}");
+    let rules_file = home.path("home/home.rules.toml");
+    let rules = std::fs::read_to_string(&rules_file).unwrap();
+    assert!(rules.contains("# room = \"gang\"\n"), "{rules}");
+    assert_eq!(finding(&home.doctor().1, "rules")["verdict"], "good");
+    // Who writes the area's rule nevertheless is told.
+    let sensor = "homeassistant/binary_sensor/gang_motion/state";
+    let rule = format!("[[rule]]\ntopic = {sensor:?}\nwhen = \"on\"\npresence = \"present\"\nroom = \"gang\"\n");
+    std::fs::write(&rules_file, rule).unwrap();
     let (_, findings) = home.doctor();
     assert!(text(finding(&findings, "rules"), "found").contains("names the room \"gang\""), "{findings:#?}");
 }
@@ -1042,9 +1048,21 @@ fn init_finds_what_is_not_given() {
     let output = home.command(&typed).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success() && said.contains("no broker answers at 127.0.0.1"), "{said}");
-    let config: toml::Table = std::fs::read_to_string(home.path("vacuum/roomcast.toml")).unwrap().parse().unwrap();
+    let config = std::fs::read_to_string(home.path("vacuum/roomcast.toml")).unwrap();
+    let (_, table) = config.split_once("\n# [robot.segments]\n").expect(&config);
+    let table: toml::Table = table.replace("# ", "").parse().unwrap();
+    assert_eq!(table.keys().collect::<Vec<_>>(), ["kuche", "wohnzimmer"], "a line for each room: {config}");
+    let config: toml::Table = config.parse().unwrap();
     assert_eq!(config["robot"]["kind"].as_str(), Some("home-assistant"));
     assert_eq!(config["robot"]["topic"].as_str(), Some(of_home_assistant));
+    // Without Home Assistant there are no rules, and a line waits for those that are written by hand.
+    let (map, by_hand) = (home.at("map.json"), home.at("by-hand"));
+    let typed = ["init", "--home-assistant", "none", "--mqtt", &nowhere, "--valetudo", &map, &by_hand];
+    assert!(home.command(&typed).output().unwrap().status.success());
+    let config = std::fs::read_to_string(home.path("by-hand/roomcast.toml")).unwrap();
+    let config: toml::Table = config.replace("\n# rules = ", "\nrules = ").parse().unwrap();
+    let rules = config["mqtt"]["rules"].as_str().unwrap();
+    assert_eq!(rules, home.path("by-hand/home.rules.toml").to_str().unwrap());
     // Without a robot's name none is set up, and that is said too.
     let typed = ["init", "--replace", "--mqtt", &nowhere, &vacuum];
     let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
@@ -1195,6 +1213,10 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     let nobody = format!("mqtt://127.0.0.1:{}", free_port());
     let wrong = [
         "/nowhere",
+        "http://",
+        "http://127.0.0.1:1",
+        "/nowhere/token",
+        "none",
         &config,
         "broker",
         &nobody,
@@ -1212,6 +1234,9 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
         "/nowhere is neither a folder that is there nor an address",
+        "\"http://\" is no Home Assistant's address",
+        "the token file /nowhere/token",
+        "an address needs a token; give another one, a folder, or none",
         "\"broker\" is no broker",
         "no broker answers at 127.0.0.1",
         "nothing was heard of a robot under valetudo/other",

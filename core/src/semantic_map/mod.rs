@@ -276,20 +276,23 @@ impl SemanticMap {
     }
 
     /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does, an alias also as one of a single room by
-    /// its id. Last as a name in another language ("kuche", an area's id in a home, is a kitchen), where there is one room of that kind.
+    /// its id. Then by the id in plain words ("wz 2" is `wz_2`). Last by the kind in another language ("Küche" is a kitchen), where there is one
+    /// room of that kind: a name that says more than the kind ("Küche oben") is not taken for it.
     #[must_use]
     pub fn find_room(&self, name: &str) -> Option<RoomId> {
-        let by_id = self.rooms.iter().position(|room| room.id == name);
-        if let Some(index) = by_id {
-            return u32::try_from(index).ok().map(RoomId);
-        }
-        let place = |found: usize| u32::try_from(found).ok().map(RoomId);
-        let known = |words: &str| place(self.rooms.iter().position(|room| room.label == words || room.id == words)?);
-        let only = |kind: &str| {
-            let mut of_kind = (0..).zip(&self.rooms).filter(|(_, room)| room.label == kind).map(|(index, _)| index);
-            of_kind.next().filter(|_| of_kind.next().is_none()).and_then(place)
+        let place = |is_meant: &dyn Fn(&Room) -> bool| {
+            let found = self.rooms.iter().position(is_meant)?;
+            u32::try_from(found).ok().map(RoomId)
         };
-        self.find(name, known).or_else(|| only(Names::built_in().room(name)?))
+        let only = |kind: &str| {
+            let is_one = self.rooms.iter().filter(|room| room.label == kind).count() == 1;
+            is_one.then(|| place(&|room| room.label == kind)).flatten()
+        };
+        let plain = plain_words(name);
+        place(&|room| room.id == name)
+            .or_else(|| self.find(name, |words| place(&|room| room.label == words || room.id == words)))
+            .or_else(|| place(&|room| plain_words(&room.id) == plain))
+            .or_else(|| only(Names::built_in().room_itself(name)?))
     }
 
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
@@ -386,6 +389,27 @@ mod tests {
         assert_eq!(map.find_room("livingroom"), Some(RoomId(1)));
         assert_eq!(map.find_room("kuche"), Some(RoomId(0)), "by another language");
         assert_eq!(map.find_room("attic"), None);
+        for name in ["Küche oben", "kuche_2", "Wohnküche der Nachbarn"] {
+            assert_eq!(map.find_room(name), None, "{name} is not known to be the one kitchen");
+        }
+    }
+
+    /// A topic's level stands in a rule with spaces for underscores.
+    #[test]
+    fn every_room_is_found_by_its_id_in_plain_words() {
+        let mut map = map();
+        for ids in
+            [["olga_s_kuche", "wz_2"], ["kitchen-16", "Bad_OG-3"], ["wohnzimmer", "wohnzimmer_2"], ["a--b", "_c_"]]
+        {
+            for (room, id) in map.rooms.iter_mut().zip(ids) {
+                room.id = id.to_owned();
+            }
+            for (index, id) in (0..).zip(ids) {
+                for name in [id.to_owned(), id.replace('_', " "), plain_words(id)] {
+                    assert_eq!(map.find_room(&name), Some(RoomId(index)), "{name:?} of {id:?}");
+                }
+            }
+        }
     }
 
     #[test]

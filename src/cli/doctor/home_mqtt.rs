@@ -545,10 +545,36 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
             format!("set reports = \"always\" in [planner] of {}", place.shown()),
         ));
     }
-    if let (RobotKind::Valetudo, Some(map)) = (config.robot.kind, map) {
-        findings.push(segments(config, map, &heard.segments, place));
+    match (config.robot.kind, map) {
+        (RobotKind::Valetudo, Some(map)) => findings.push(segments(config, map, &heard.segments, place)),
+        (RobotKind::HomeAssistant, Some(map)) => findings.push(segments_of_home_assistant(config, map, place)),
+        (_, None) => {}
     }
     findings
+}
+
+/// Whether each room has the name that Home Assistant's automation is to get for it.
+fn segments_of_home_assistant(config: &Config, map: &SemanticMap, place: &Place<'_>) -> Finding {
+    let check = "segments";
+    let file = place.shown();
+    if let Some((found, remedy)) = segment_of_no_room(config, map, &file) {
+        return Finding::wrong(check, found, remedy);
+    }
+    let own = by_ids(&config.robot.segments, map);
+    let without: Vec<&str> =
+        map.rooms().iter().map(|room| room.id.as_str()).filter(|room| !own.contains_key(*room)).collect();
+    let Some(first) = without.first() else {
+        let rooms = count(map.rooms().len(), "room");
+        return Finding::good(check, format!("[robot.segments] of {file} has each of {rooms}"));
+    };
+    let found = format!(
+        "[robot.segments] of {file} does not have {}: Home Assistant's automation gets the ids of these rooms",
+        some_of(without.iter().copied())
+    );
+    let remedy = format!(
+        "write there what the vacuum calls each room, such as {first:?} = \"16\", or its id where the automation goes by ids (docs/robot.md)"
+    );
+    Finding::limited(check, found, remedy)
 }
 
 /// Whether each room is a segment of the robot's own map.
@@ -606,6 +632,32 @@ mod tests {
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_services::config::PersonsConfig;
     use roomcast_services::daemon::PersonsFile;
+
+    /// A robot without Valetudo tells of no segments: the configuration alone has them.
+    #[test]
+    fn rooms_that_home_assistant_gets_by_their_ids_are_named() {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let mut config = Config::default();
+        config.robot.kind = RobotKind::HomeAssistant;
+        config.robot.topic = "homeassistant/vacuum/dusty".to_owned();
+        let place = Place { config: Path::new("roomcast.toml"), wait: std::time::Duration::ZERO };
+        let mut seen = Seen::default();
+        let message = mqtt_look::Said { payload: b"docked".to_vec(), retained: true };
+        seen.topics.insert("homeassistant/vacuum/dusty/state".to_owned(), message);
+        let mut told = |segments: &[(&str, &str)]| {
+            config.robot.segments = segments.iter().map(|(room, own)| (room.to_string(), own.to_string())).collect();
+            let findings = robot(&config, Some(&map), &seen, &place);
+            let found = findings.into_iter().find(|own| own.check == "segments").unwrap();
+            (found.verdict, found.found)
+        };
+        let ids: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+        let (verdict, found) = told(&[]);
+        assert!(verdict == Verdict::Limited && ids.iter().all(|id| found.contains(id)), "{found}");
+        let (verdict, found) = told(&[(ids[0], "16")]);
+        assert!(verdict == Verdict::Limited && found.contains(&format!("have {}:", ids[1])), "{found}");
+        assert_eq!(told(&[(&map.rooms()[0].label, "16"), (ids[1], "17")]).0, Verdict::Good, "by any name");
+        assert_eq!(told(&[("attic", "16")]).0, Verdict::Wrong);
+    }
 
     /// What was counted before is not what is heard now.
     #[test]

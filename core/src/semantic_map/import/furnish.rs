@@ -90,10 +90,10 @@ impl Furnisher<'_> {
         self.room.space.overlap_m3(bounds) >= volume_m3 * (1.0 - 1e-6)
     }
 
-    /// The best place for a piece of this size on the floor: within the room, on nothing else, at a wall, away from doors.
+    /// The best place for a piece of this size on the floor: within the room, on nothing else, away from doors, and at a wall if there is one.
     fn place(&mut self, size_m: [f64; 3]) -> Option<Box3> {
         let room = self.room.space.bounds;
-        let mut best: Option<(u32, Box3)> = None;
+        let mut best = None;
         for [width, depth] in [[size_m[0], size_m[1]], [size_m[1], size_m[0]]] {
             let free = [room.size_m()[0] - width, room.size_m()[1] - depth];
             if free[0] < 0.0 || free[1] < 0.0 {
@@ -110,9 +110,11 @@ impl Furnisher<'_> {
                         Box3 { min_m: [x, y, z], max_m: [tidy(x + width), tidy(y + depth), tidy(z + size_m[2])] };
                     self.left = self.left.saturating_sub(1 + self.taken.len());
                     if self.left == 0 {
-                        return best.map(|(_, bounds)| bounds);
+                        return best;
                     }
-                    if self.taken.iter().any(|other| other.overlap_m3(&bounds) > 0.0) || !self.within(&bounds) {
+                    let is_at_door = self.doors.iter().any(|[x, y]| bounds.distance_m(&[*x, *y, z]) < DOOR_M);
+                    let is_taken = || self.taken.iter().any(|other| other.overlap_m3(&bounds) > 0.0);
+                    if is_at_door || is_taken() || !self.within(&bounds) {
                         continue;
                     }
                     let shifted = |[east, north]: [f64; 2]| {
@@ -125,21 +127,17 @@ impl Furnisher<'_> {
                     let at_wall = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
                         .iter()
                         .any(|way| !self.within(&shifted(*way)));
-                    let at_door = self.doors.iter().any(|[x, y]| bounds.distance_m(&[*x, *y, z]) < DOOR_M);
-                    let cost = u32::from(!at_wall) + 2 * u32::from(at_door);
-                    if cost == 0 {
+                    if at_wall {
                         return Some(bounds);
                     }
-                    if best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                        best = Some((cost, bounds));
-                    }
+                    best = best.or(Some(bounds));
                 }
             }
         }
-        best.map(|(_, bounds)| bounds)
+        best
     }
 
-    /// A box for a piece, smaller where the room is too small for it.
+    /// A box for a piece, smaller where the room is too small for it; a small one in the middle where there is no room at all.
     fn put(&mut self, &(_, width, depth, height, above): &Piece) -> Box3 {
         let floor_m = self.room.space.bounds.min_m[2];
         let around = |[x, y, _]: [f64; 3], above: f64, side: [f64; 2]| Box3 {
@@ -338,6 +336,22 @@ mod tests {
         }
         let again = furnished.furnished().unwrap();
         assert!(again.notes.iter().any(|note| note.contains("Every room has things")));
+    }
+
+    /// A piece is smaller rather than at a door.
+    #[test]
+    fn furniture_leaves_doors_free() {
+        let space = Box3 { min_m: [0.0; 3], max_m: [2.4, 2.4, 2.5] }.into();
+        let room = Room { id: "room".to_owned(), label: "room".to_owned(), space };
+        let doors = vec![[0.0, 0.8], [2.4, 1.2], [1.2, 0.0]];
+        let mut furnisher = Furnisher { room: &room, doors: doors.clone(), taken: Vec::new(), left: MOST_LOOKS };
+        for side_m in [2.0, 1.6, 0.8, 0.4] {
+            let bounds = furnisher.put(&("table".to_owned(), side_m, side_m, 0.7, 0.0));
+            for [x, y] in &doors {
+                let apart_m = bounds.distance_m(&[*x, *y, 0.0]);
+                assert!(apart_m >= DOOR_M, "{side_m}: {bounds:?} is {apart_m} m from a door");
+            }
+        }
     }
 
     /// However many things stand in a room that lacks some, so many are looked at.

@@ -3,7 +3,7 @@
 //!
 //! The registries know no geometry, so rooms are boxes of one size side by side, floor above floor, and things stand in rows in them.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -29,6 +29,10 @@ const BASE_TOPIC: &str = "homeassistant";
 const NAME_BYTES_MAX: usize = 1_024;
 /// So many of its words are.
 const NAME_WORDS_MAX: usize = 16;
+/// What things are called by their kind alone.
+const KINDS: [&str; 8] = ["lamp", "door", "window", "speaker", "television", "blinds", "fan", "radiator"];
+/// More words are a description, and name no thing.
+const THING_WORDS_MAX: usize = 4;
 
 /// The texts of the registries.
 #[derive(Debug, Clone, Copy, Default)]
@@ -272,11 +276,11 @@ fn thing_in(text: &str, area_words: &HashSet<String>, kind: Option<&str>) -> Opt
     let names = Names::built_in();
     let words = names.entities();
     let bare = Names::bare(text);
-    let number = |word: &str| word.chars().any(|c| c.is_ascii_digit());
-    let all: Vec<&str> =
-        bare.split(' ').filter(|word| !word.is_empty() && !number(word)).take(NAME_WORDS_MAX).collect();
+    // A number tells one of several from the others, and a Latin letter alone is what is left of an apostrophe or of markup.
+    let is_none = |word: &str| word.chars().any(|c| c.is_ascii_digit()) || word.len() < 2;
+    let all: Vec<&str> = bare.split(' ').filter(|word| !is_none(word)).take(NAME_WORDS_MAX).collect();
     // The longest run of words that is a thing ("apple tv"); single words have to be more than a word of the room.
-    let runs = (2..=all.len().min(4)).rev().flat_map(|count| all.windows(count));
+    let runs = (2..=all.len().min(THING_WORDS_MAX)).rev().flat_map(|count| all.windows(count));
     if let Some(known) = runs.map(|run| run.join(" ")).find_map(|run| of_kind(names.thing(&run)?, kind)) {
         return Some(known);
     }
@@ -303,9 +307,9 @@ fn thing_in(text: &str, area_words: &HashSet<String>, kind: Option<&str>) -> Opt
         Some(kind @ ("door" | "window")) if left.iter().all(|word| words.is_which(word)) => {
             Some(format!("{phrase} {kind}"))
         }
+        _ if left.len() > THING_WORDS_MAX => None,
         // "ceiling" is a ceiling lamp.
         Some("lamp") if !phrase.ends_with("lamp") => Some(format!("{phrase} lamp")),
-        _ if left.len() > 4 => None,
         _ => Some(phrase),
     }
 }
@@ -571,12 +575,22 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     for (object, name) in &people {
         rules.person(object, name);
     }
-    let foreign: Vec<String> =
-        (items.iter()).filter(|item| !item.label.is_ascii()).map(|item| format!("\"{}\"", item.label)).collect();
+    let english = Names::built_in().english();
+    let is_english = |label: &&str| label.split(' ').all(|word| english.contains(word) || KINDS.contains(&word));
+    let labels: BTreeSet<&str> = items.iter().map(|item| &*item.label).collect();
+    let (unknown, foreign): (Vec<&str>, Vec<&str>) =
+        labels.into_iter().filter(|label| !is_english(label)).partition(|label| label.is_ascii());
+    let quoted = |labels: &[&str]| labels.iter().map(|label| format!("\"{label}\"")).collect::<Vec<_>>().join(", ");
     if !foreign.is_empty() {
         notes.push(format!(
             "No English is known for {}: write it into the map and into the rules, for the model reads English.",
-            foreign.join(", ")
+            quoted(&foreign)
+        ));
+    }
+    if !unknown.is_empty() {
+        notes.push(format!(
+            "Not known to be English: {}. Where it is none, write English into the map and into the rules, for the model reads that.",
+            quoted(&unknown)
         ));
     }
     if homeless > 0 {
@@ -744,6 +758,7 @@ mod tests {
              "has_entity_name": true, "labels": [], "name": null, "original_name": "Belegung", "original_device_class": "occupancy", "disabled_by": null,
              "hidden_by": null, "entity_category": null, "unique_id": 12, "options": {"conversation": {"should_expose": true}}},
             {"area_id": "bad", "device_id": null, "entity_id": "light.bad_spiegel", "name": "Spiegel", "hidden_by": null, "unique_id": "2"},
+            {"area_id": "bad", "device_id": null, "entity_id": "binary_sensor.f", "name": "Fenster", "device_class": "window", "unique_id": "8"},
             {"area_id": "bad", "device_id": null, "entity_id": "light.bad_alle", "name": "Alle", "hidden_by": "integration", "unique_id": "3"},
             {"area_id": "wohn_esszimmer", "device_id": null, "entity_id": "media_player.lg_webos_tv", "unique_id": "4"},
             {"area_id": "wohn_esszimmer", "device_id": null, "entity_id": "cover.rollo_links", "unique_id": "5"},
@@ -784,8 +799,10 @@ mod tests {
             assert_eq!(found, room, "{name}");
         }
         let things: Vec<_> = map.items.iter().map(|item| map.labels[item.label.0 as usize].as_str()).collect();
-        assert_eq!(things, ["spiegel lamp", "television", "blinds", "компрессор"]);
+        assert_eq!(things, ["spiegel lamp", "window", "television", "blinds", "компрессор"]);
         assert!(home.imported.notes.iter().any(|note| note.starts_with("No English is known for \"компрессор\"")));
+        let unknown = "Not known to be English: \"spiegel lamp\". Where";
+        assert!(home.imported.notes.iter().any(|note| note.starts_with(unknown)), "{:?}", home.imported.notes);
         let rules = home.rules.unwrap();
         for part in [
             "room = \"kinderzimmer_tom\"",
@@ -834,6 +851,12 @@ mod tests {
             ("Nest Mini", Some("speaker"), Some("speaker")),
             ("Living Room Apple TV", Some("television"), Some("television")),
             ("Холодильник", Some("door"), Some("fridge")),
+            ("LED Strip TV Board", Some("lamp"), Some("television lamp")),
+            ("LED strip bookshelf board", Some("lamp"), Some("led strip bookshelf board lamp")),
+            ("LED strip behind bookshelf board", Some("lamp"), None),
+            ("<b>LED-Stripe \"42\"</b>", Some("lamp"), Some("led stripe lamp")),
+            ("f", Some("window"), None),
+            ("灯", None, Some("灯")),
         ] {
             assert_eq!(thing_in(text, &area_words, kind).as_deref(), expected, "{text}");
         }

@@ -112,7 +112,7 @@ fn room_label(name: &str) -> Option<String> {
 }
 
 /// Names that rooms were given, each with its room's place, as aliases: of the room's label where no other room bears it, else of the room by
-/// its id. A name of several rooms is none.
+/// its id. A name of several rooms is none, and what is the room's label or id already needs none.
 fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<String, Vec<String>> {
     let named: Vec<(usize, String)> =
         named.into_iter().filter_map(|(place, name)| Some((place, room_words(&name)?))).collect();
@@ -131,7 +131,8 @@ fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<St
     let mut known = HashSet::new();
     for (place, name) in &named {
         let Some(key) = keys[*place].as_ref().filter(|_| room_of[name.as_str()].is_some()) else { continue };
-        if left > 0 && *name != rooms[*place].label && known.insert(name) {
+        let room = &rooms[*place];
+        if left > 0 && *name != room.label && *name != plain_words(&room.id) && known.insert(name) {
             aliases.entry(key.clone()).or_default().push(name.clone());
             left -= 1;
         }
