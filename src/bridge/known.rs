@@ -36,6 +36,7 @@ pub(super) struct Known {
     narrated_unix_s: Option<u64>,
     /// Rooms in which somebody is expected soon, with hysteresis.
     soon: BTreeMap<String, bool>,
+    new_robot: bool,
 }
 
 impl Known {
@@ -56,12 +57,18 @@ impl Known {
     }
 
     pub(super) fn take_decision(&mut self, decision: &DecisionV1) {
-        self.decisions.insert(decision.robot, *decision);
+        let before = self.decisions.insert(decision.robot, *decision);
+        self.new_robot |= before.is_none();
         if self.decisions.len() > ROBOTS_MAX
             && let Some(oldest) = self.decisions.values().min_by_key(|decision| decision.decided_ns).map(|d| d.robot)
         {
             self.decisions.remove(&oldest);
         }
+    }
+
+    /// Whether a robot has decided for the first time since this was asked.
+    pub(super) fn has_new_robot(&mut self) -> bool {
+        std::mem::take(&mut self.new_robot)
     }
 
     /// Who takes part in the domain: a robot whose planner has ended goes. The configured robot, `own`, stays, and so does one that was never

@@ -439,12 +439,13 @@ pub(super) fn known_before_a_verb<'a>(
     is_known: &mut dyn FnMut(&str) -> bool,
 ) -> Option<(&'a str, &'a str, bool)> {
     // Where words begin and end. What a comma follows ends what stands before it: "as always, ben".
-    let mut words = Vec::with_capacity(SUBJECT_WORDS_MAX);
-    let mut at = 0;
-    for word in said.split(' ').take(SUBJECT_WORDS_MAX) {
-        words.push((at, word));
+    let (mut places, mut count, mut at) = ([(0, ""); SUBJECT_WORDS_MAX], 0, 0);
+    for (place, word) in places.iter_mut().zip(said.split(' ')) {
+        *place = (at, word);
         at += word.len() + 1;
+        count += 1;
     }
+    let words = &places[..count];
     let is_verb_at = |at: usize| words.get(at).is_some_and(|(_, word)| is_verb(word));
     let mut found = None;
     for verb in (0..words.len()).filter(|at| is_verb_at(*at)).take(VERBS_MAX) {
