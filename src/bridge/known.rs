@@ -36,6 +36,7 @@ pub(super) struct Known {
     narrated_unix_s: Option<u64>,
     /// Rooms in which somebody is expected soon, with hysteresis.
     soon: BTreeMap<String, bool>,
+    /// A robot has decided for the first time.
     new_robot: bool,
 }
 
@@ -66,8 +67,8 @@ impl Known {
         }
     }
 
-    /// Whether a robot has decided for the first time since this was asked.
-    pub(super) fn has_new_robot(&mut self) -> bool {
+    /// Whether a robot has decided for the first time since this was asked last: its planner is looked for before it can end.
+    pub(super) fn take_new_robot(&mut self) -> bool {
         std::mem::take(&mut self.new_robot)
     }
 

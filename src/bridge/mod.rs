@@ -242,7 +242,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             known.take_status(status.ask(PATIENCE).ok());
         }
         // Whose planner ends right after its first decision was there, too.
-        if known.has_new_robot() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
+        if known.take_new_robot() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
             looked = Some(Instant::now());
             // A list that fails changes nothing: whoever is there is there the next time.
             if let Ok(participants) = node.participants() {

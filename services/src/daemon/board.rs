@@ -392,6 +392,10 @@ impl<M: LanguageModel> Board<M> {
 
     /// After the first good step with a changed map: the snapshot is of it, and the forecasts too.
     fn adopt_map(&mut self) {
+        // Nearly every step: nothing is allocated for it.
+        if self.is_scored() {
+            return;
+        }
         let (new, rooms) = self.new_places();
         let Some(next) = self.next_rooms.take() else { return };
         let (room, room_count) = *next;
