@@ -120,10 +120,12 @@ scenes:
 	python3 scenes/furnish.py --check; \
 	python3 -m unittest discover -v -s scenes
 
-# The Python parts: the tests of the training pipeline that need no PyTorch, and the client package where it can be installed.
+# The Python parts: the tests of the training pipeline that need no PyTorch, of the recorded homes' translation, and the client package where
+# it can be installed.
 .PHONY: python
 python:
-	@if ! compgen -G 'training/tests/test_*.py' >/dev/null && ! compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
+	@if ! compgen -G 'training/tests/test_*.py' >/dev/null && ! compgen -G 'benches/homes/test_*.py' >/dev/null && \
+	    ! compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
 	    exit 0; \
 	fi; \
 	echo "test: Python parts"; \
@@ -135,6 +137,9 @@ python:
 	fi; \
 	if compgen -G 'training/tests/test_*.py' >/dev/null; then \
 	    $(VENV)/bin/python -m pytest -q -rs training/tests || [ $$? = 5 ]; \
+	fi; \
+	if compgen -G 'benches/homes/test_*.py' >/dev/null; then \
+	    $(VENV)/bin/python -m pytest -q -rs benches/homes || [ $$? = 5 ]; \
 	fi; \
 	if compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
 	    if $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e clients/python; then \
