@@ -94,6 +94,8 @@ pub mod policy;
 
 pub mod guess;
 
+pub mod draft;
+
 pub mod pipeline;
 
 pub mod explanation;

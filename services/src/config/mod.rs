@@ -277,6 +277,8 @@ pub struct ScoringConfig {
     pub prepare_share: f64,
     /// Whether it goes on while the machine runs on battery.
     pub prepare_on_battery: bool,
+    /// Whether the embedded model has a say in what is guessed, beside a configured one.
+    pub draft: bool,
 }
 
 impl Default for ScoringConfig {
@@ -292,6 +294,7 @@ impl Default for ScoringConfig {
             prepare: 32,
             prepare_share: 0.25,
             prepare_on_battery: true,
+            draft: true,
         }
     }
 }

@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use roomcast_core::draft::Drafter;
 use roomcast_core::guess::{Counts, Guesser, Thread};
 use roomcast_core::narration::Sentence;
-use roomcast_core::prepared::{Answer, Ask, Outlook, Preparer};
-use roomcast_core::scorer::{LanguageModel, PreparedLabels, ScoreError};
+use roomcast_core::prepared::{Answer, Ask, Outlook, PersonOutlook, Preparer};
+use roomcast_core::scorer::{LanguageModel, ModelError, PreparedLabels, ScoreError};
 
 /// Of so many sentences it counts who did them, to say who does the next.
 const ACTORS: usize = 16;
@@ -28,12 +29,15 @@ struct Own {
     heard: u64,
     /// The numbers of the prompts that are answered since.
     answered: BTreeSet<u64>,
+    /// Per label `ln s_c` in nats with the drafter's say, since the last sentence; empty where it was not asked.
+    drafted: Vec<f64>,
 }
 
-/// What is scored ahead.
+/// What is scored ahead, by `M`; `D` has a say in what is guessed.
 #[derive(Debug)]
-pub struct Ahead<M> {
+pub struct Ahead<M, D = M> {
     preparer: Preparer<M>,
+    drafter: Option<Drafter<D>>,
     counts: Counts,
     guesser: Guesser,
     labels: Arc<PreparedLabels>,
@@ -47,12 +51,18 @@ pub struct Ahead<M> {
     waiting: Vec<(u32, Sentence)>,
 }
 
-impl<M: LanguageModel> Ahead<M> {
+impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
     /// Knows what activity programs say, and answers up to `most` guesses after each event.
     pub fn new(preparer: Preparer<M>, counts: Counts, labels: Arc<PreparedLabels>, most: usize) -> Self {
         let guesser = guesser(&counts, &labels);
-        let (persons, actors, now, waiting) = Default::default();
-        Self { preparer, counts, guesser, labels, most, persons, actors, now, waiting }
+        let (drafter, persons, actors, now, waiting) = Default::default();
+        Self { preparer, drafter, counts, guesser, labels, most, persons, actors, now, waiting }
+    }
+
+    /// Guesses with another model's say, too.
+    #[must_use]
+    pub fn with_drafter(self, drafter: Option<Drafter<D>>) -> Self {
+        Self { drafter, ..self }
     }
 
     /// Learns what was said since the last time, and chooses what to score next.
@@ -65,6 +75,7 @@ impl<M: LanguageModel> Ahead<M> {
             self.actors.clear();
         } else if !Arc::ptr_eq(&self.labels, &now.outlook.labels) {
             self.guesser.set_labels(&texts(&now.outlook.labels));
+            self.persons.values_mut().for_each(|own| own.drafted.clear());
         }
         if self.now.as_ref().is_some_and(|before| before.outlook.round() != now.outlook.round()) {
             self.persons.values_mut().for_each(|own| own.answered.clear());
@@ -88,6 +99,7 @@ impl<M: LanguageModel> Ahead<M> {
             }
             if told != own.heard {
                 own.answered.clear();
+                own.drafted.clear();
             }
             for sentence in history.sentences().skip(history.len() - new.min(history.len())) {
                 self.guesser.hear(&mut own.thread, sentence);
@@ -102,11 +114,28 @@ impl<M: LanguageModel> Ahead<M> {
         self.actors.drain(..self.actors.len().saturating_sub(ACTORS));
     }
 
+    /// Asks the drafter about somebody of whom something was said since it was asked last.
+    fn draft(&mut self, outlook: &Outlook, known: &PersonOutlook) {
+        let own = self.persons.get_mut(&known.person).filter(|own| own.drafted.is_empty());
+        let (Some(drafter), Some(own)) = (&mut self.drafter, own) else { return };
+        let mut said = known.label_log_prob_nats.clone();
+        match drafter.mix(&outlook.labels, &known.history, &mut said) {
+            Ok(()) => own.drafted = said,
+            Err(ScoreError::Model(ModelError::Stopped)) => {}
+            Err(error) => {
+                tracing::warn!(%error, "the embedded model cannot say what is likely next: guesses go by the configured one alone from now on");
+                self.drafter = None;
+            }
+        }
+    }
+
     fn plan(&mut self, outlook: &Outlook) {
         let mut guesses: Vec<(u32, String, f64)> = Vec::new();
-        for known in &outlook.persons {
-            let (person, said) = (known.person, &known.label_log_prob_nats);
-            let Some(own) = self.persons.get(&person).filter(|_| !said.is_empty()) else { continue };
+        for known in outlook.persons.iter().filter(|known| !known.label_log_prob_nats.is_empty()) {
+            self.draft(outlook, known);
+            let person = known.person;
+            let Some(own) = self.persons.get(&person) else { continue };
+            let said = if own.drafted.is_empty() { &known.label_log_prob_nats } else { &own.drafted };
             let own = self.guesser.guess(&own.thread, said, self.most);
             let whole: f64 = own.iter().map(|(_, chance)| chance).sum();
             let acts = 1 + self.actors.iter().filter(|actor| **actor == person).count();

@@ -106,7 +106,7 @@ impl Aside {
     }
 
     /// Works until the other side ends.
-    pub(super) fn run<M: LanguageModel>(mut self, mut ahead: Ahead<M>) {
+    pub(super) fn run<M: LanguageModel, D: LanguageModel>(mut self, mut ahead: Ahead<M, D>) {
         if let Err(error) = lower_priority() {
             tracing::warn!(%error, "answers are prepared at the priority of everything else: the system does not lower it");
         }
@@ -143,7 +143,7 @@ impl Aside {
     }
 
     /// Scores one guess. Where that fails, nothing is left to do.
-    fn answer<M: LanguageModel>(&mut self, ahead: &mut Ahead<M>, rests_until: &mut Instant) {
+    fn answer<M: LanguageModel, D: LanguageModel>(&mut self, ahead: &mut Ahead<M, D>, rests_until: &mut Instant) {
         match self.work(rests_until, || ahead.answer()) {
             // There is room for all that is kept: who does not take them has no time, and they are soon stale.
             Ok(Some(answer)) => drop(self.answers.try_send(answer)),

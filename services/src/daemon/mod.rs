@@ -33,8 +33,10 @@ use crate::stop::Stop;
 use habits_file::Keeper;
 use inbox::{Counters, Inbox, Lending};
 
+use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
-use roomcast_core::scorer::{IsStopped, LanguageModel, TokenCounter};
+use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
+use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
 use scoring::{Ports, Scoring, Tools};
 
@@ -209,7 +211,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
 struct Loaded<M> {
     board: Board<M>,
     /// None where nothing is prepared.
-    ahead: Option<Ahead<M>>,
+    ahead: Option<Ahead<M, LlamaModel>>,
     kept_map: Option<KeptMap>,
     /// None without a state directory.
     keeper: Option<Keeper>,
@@ -242,20 +244,42 @@ fn load<M: LanguageModel + Send + 'static>(
     };
     let preparer = match config.scoring.prepare {
         0 => Ok(None),
-        _ => pipeline.preparer(is_stopped),
+        _ => pipeline.preparer(Arc::clone(&is_stopped)),
     };
     let preparer = preparer.unwrap_or_else(|error| {
         tracing::warn!(%error, "no memory for a second cache: no answers are prepared. With scoring.prepare = 0 none is asked for");
         None
     });
     let counts = || Counts::from_json(embedded::FORMS).unwrap_or_default();
-    let ahead = preparer.map(|preparer| Ahead::new(preparer, counts(), pipeline.labels(), config.scoring.prepare));
+    let ahead = preparer.map(|preparer| {
+        let drafter = drafter(config, pipeline.model(), is_stopped);
+        Ahead::new(preparer, counts(), pipeline.labels(), config.scoring.prepare).with_drafter(drafter)
+    });
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| sequence::source_of_name(&known.name)))
         .with_habits(HomeHabits::new(memory, Zone::local()));
     Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
+}
+
+/// The embedded model beside a configured one, for guesses. None where that is the embedded one itself, and where there is no memory for two.
+fn drafter(config: &Config, configured: &ModelInfo, is_stopped: IsStopped) -> Option<Drafter<LlamaModel>> {
+    if !config.scoring.draft || config.model.path.is_none() {
+        return None;
+    }
+    let draft = || -> Result<Option<Drafter<LlamaModel>>, SetupError> {
+        let correction = setup::pipeline_options(config)?.correction;
+        let embedded = setup::load_model(None, &config.model.llama_options())?;
+        if embedded.info().fingerprint == configured.fingerprint {
+            return Ok(None);
+        }
+        Ok(embedded.twin(is_stopped)?.map(|model| Drafter::new(model, correction)))
+    };
+    draft().unwrap_or_else(|error| {
+        tracing::warn!(%error, "the embedded model has no say in what is guessed. With scoring.draft = false it is not asked for");
+        None
+    })
 }
 
 /// What the status answer says of this start.

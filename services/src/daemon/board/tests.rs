@@ -3,11 +3,13 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use proptest::prelude::*;
+use roomcast_core::draft::Drafter;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::Counts;
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{SOMEBODY, Sentence};
 use roomcast_core::pipeline::PipelineOptions;
+use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
@@ -526,6 +528,26 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     board.forget(1);
     ahead.look(board.now());
     assert!(!format!("{ahead:?}").contains("serenade"));
+}
+
+/// What is prepared goes by another model's word, too.
+#[test]
+fn another_model_has_a_say_in_what_is_guessed() {
+    let mut board = board();
+    board.step([entry(1, S, "They walk to the fridge.")], S, 1_000_000 * S).unwrap();
+    let mut prepared = |drafter: Option<u64>| {
+        let drafter = drafter.map(|seed| Drafter::new(TableModel::new(seed), CorrectionChoice::default()));
+        let mut ahead = ahead_of(&board, 8).with_drafter(drafter);
+        ahead.look(board.now());
+        let mut asked = Vec::new();
+        while let Some(answer) = ahead.answer().unwrap() {
+            asked.push(format!("{answer:?}"));
+        }
+        asked
+    };
+    let alone = prepared(None);
+    assert_eq!(alone, prepared(None));
+    assert!((1..20).any(|seed| prepared(Some(seed)) != alone));
 }
 
 /// Another person's answers stay until that person does something.
