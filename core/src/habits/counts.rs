@@ -352,6 +352,17 @@ impl Counts {
         }
     }
 
+    /// The logarithm of what is left of a row's observations, to the base of two, but for a constant; the mantissa stands for its logarithm,
+    /// which is at most a tenth more. Many rows are compared for each that gives way, and a power of two for each takes longer than all else.
+    fn worth(&self, row: &Row, now_min: u32) -> f32 {
+        const ONE: f32 = (1_u32 << (f32::MANTISSA_DIGITS - 1)) as f32;
+        let faded = match self.limits.half_life_min > 0.0 {
+            true => f64::from(now_min.saturating_sub(row.touched_min)) / self.limits.half_life_min,
+            false => 0.0,
+        };
+        row.total.to_bits() as f32 / ONE - faded as f32
+    }
+
     /// Drops the least useful of the next rows; says whether there was one.
     fn evict(&mut self, keep: Option<u32>, now_min: u32) -> bool {
         let (mut least, mut compared) = (None, 0);
@@ -362,7 +373,7 @@ impl Counts {
             if keep == Some(at) || row.key == FREE {
                 continue;
             }
-            let worth = row.total * self.factor(row.touched_min, now_min);
+            let worth = self.worth(&row, now_min);
             if least.is_none_or(|(_, other)| worth < other) {
                 least = Some((at, worth));
             }

@@ -254,6 +254,8 @@ impl Objects {
         self.observations = [0.0; 4];
         let index = |number| if number == first { None } else { frame.label(number) };
         let (mut kept, mut model_in_short) = (1.0, of_model);
+        // All are looked up before any is read: so the processor waits for them together.
+        let seen: [_; ORDERS] = std::array::from_fn(|order| whose.own(KINDS[order], self.after(order)));
         for (order, kind) in KINDS.into_iter().enumerate() {
             let (shorter, longer) = levels[order * labels..].split_at_mut(labels);
             let p = &mut longer[..labels];
@@ -267,7 +269,7 @@ impl Objects {
                 }
                 None => BASE_ROW + order,
             };
-            let (used, total) = self.reliance.blend(order, whose.own(kind, after), index, p);
+            let (used, total) = self.reliance.blend(order, seen[order], index, p);
             forecast.orders[order] = used.map(|(cell, left)| (cell, left, below));
             kept *= of_others.unwrap_or(1.0) * used.map_or(1.0, |(_, left)| left);
             if let Some(seen) = self.observations.get_mut(order) {
