@@ -14,6 +14,7 @@ TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
 HOME_ASSISTANT := $(TARGET)/home-assistant
 ZENOH := $(TARGET)/zenoh
+TESTS := --release --locked --workspace --features full
 BRIDGE := --release --locked --manifest-path bridge/Cargo.toml --target-dir $(abspath $(TARGET))
 
 .PHONY: help
@@ -55,7 +56,10 @@ lint:
 .PHONY: unit
 unit:
 	@echo "test: unit, property and multi-process tests"
-	cargo test --release --locked --workspace --features full --no-fail-fast
+	cargo test $(TESTS) --no-run
+	cargo test $(TESTS) --test home --no-run
+	@# A household's day is mostly waiting: everything else is tested meanwhile.
+	@.ci/beside "cargo test $(TESTS) --test home" "cargo test $(TESTS) --no-fail-fast"
 
 # A workspace of its own, in the same target folder (bridge/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
 .PHONY: bridge
@@ -67,7 +71,9 @@ bridge: setup ## Builds and checks roomcast-bridge: lints, tests with a real rou
 	if ! $(ZENOH)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
 	    $(ZENOH)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
 	fi
-	cargo test $(BRIDGE)
+	cargo test $(BRIDGE) --no-run
+	cargo test $(BRIDGE) --test day --no-run
+	@.ci/beside "cargo test $(BRIDGE) --test day" "cargo test $(BRIDGE) --no-fail-fast"
 	RUSTDOCFLAGS="-D warnings" cargo doc $(BRIDGE) --no-deps
 
 .PHONY: nightly
