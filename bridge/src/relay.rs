@@ -13,8 +13,9 @@ use std::collections::VecDeque;
 
 use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
 
-use crate::delay::Delay;
-use crate::wire::{Confirmed, Hex};
+// By `super`, so that the daemon's tests can have this file, too.
+use super::delay::Delay;
+use super::wire::{Confirmed, Hex};
 
 /// Narrations that the daemon has not confirmed: what the service's history holds for a daemon that restarts.
 pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
@@ -99,7 +100,8 @@ pub struct Relay {
     under_way: VecDeque<NarrationV1>,
     /// What the daemon said last of the starts that it names, and which daemon.
     named: Option<(u64, Vec<IncludedV1>)>,
-    /// When something was last sent or confirmed.
+    /// Since when what is under way has waited: the first of it was sent, some of it was confirmed, or all was given again. What is sent beside
+    /// it does not put off giving it again.
     moved_ns: u64,
     /// How often in a row all that is under way was sent again.
     repeats: u32,
@@ -188,8 +190,10 @@ impl Relay {
             return None;
         }
         let message = self.waiting.pop_front()?;
+        if self.under_way.is_empty() {
+            self.moved_ns = now_ns;
+        }
         self.under_way.push_back(message);
-        self.moved_ns = now_ns;
         Some(message)
     }
 
@@ -442,6 +446,20 @@ mod tests {
         let mut slow = Pace::new(0.1);
         slow.slow_down(S);
         assert_eq!(slow.rate_per_s, 0.1);
+    }
+
+    /// A daemon that has refused one waits for it, so that it must come again while others are sent.
+    #[test]
+    fn what_waits_is_given_again_while_others_are_sent() {
+        const S: u64 = 1_000_000_000;
+        let mut relay = Relay::new("hub", 100.0);
+        let mut again = Vec::new();
+        for second in 1..=6 {
+            relay.offer(9, second, 1, message(9, second));
+            assert!(relay.send(second * S).is_some());
+            again.extend(relay.again(second * S, true).iter().map(|message| message.sequence));
+        }
+        assert_eq!(again, [1, 2, 3, 4, 5, 6]);
     }
 
     #[test]
