@@ -168,6 +168,15 @@ mod tests {
         scores
     }
 
+    /// Sends what may go over a link that loses nothing.
+    fn give(delivery: &mut Delivery, relay: &mut Relay, last: u64, now_ns: u64) {
+        while let Some(number) = delivery.next(last, now_ns) {
+            relay.offer(7, number, delivery.first(), Some(message(7, number)));
+            delivery.sent(now_ns);
+        }
+        while relay.send(now_ns).is_some() {}
+    }
+
     #[test]
     fn nobody_is_sent_to_who_is_away() {
         let mut delivery = Delivery::default();
@@ -278,6 +287,44 @@ mod tests {
             }
             let last = 1 + 5_999 * 20 / gap_ms;
             assert!(last - taken <= 1 + 3_000 / gap_ms, "{gap_ms} ms, 1 of {loses} lost: {taken} of {last}");
+        }
+    }
+
+    /// The daemon has more than the hub has heard of: what the hub then sends again was dealt with before, and is not dropped.
+    #[test]
+    fn a_bridge_that_starts_again_tells_a_hub_that_lags_of_no_loss() {
+        let (mut delivery, mut relay, mut now_ns) = (Delivery::default(), Relay::new("hub", 1e9), S);
+        delivery.hear(relay.confirmed(), 7, 20, now_ns);
+        give(&mut delivery, &mut relay, 20, now_ns);
+        relay.confirm(&accepted(7, 20), now_ns);
+        delivery.hear(relay.confirmed(), 7, 30, now_ns);
+        assert_eq!((delivery.confirmed(), delivery.refused()), (20, 0));
+        // Ten more reach the daemon, and the bridge ends before it can say so.
+        give(&mut delivery, &mut relay, 30, now_ns);
+        // Its successor hears the daemon first; or the hub first, of which it has given the daemon nothing yet.
+        for daemon_first in [true, false] {
+            let (mut delivery, mut relay) = (delivery.clone(), Relay::new("hub", 1e9));
+            now_ns += 3 * S;
+            if daemon_first {
+                assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            }
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            while let Some(number) = delivery.next(30, now_ns) {
+                relay.offer(7, number, delivery.first(), Some(message(7, number)));
+                delivery.sent(now_ns);
+            }
+            assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            give(&mut delivery, &mut relay, 30, now_ns);
+            assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            assert_eq!((delivery.confirmed(), delivery.refused()), (30, 0), "{daemon_first}");
+            // What it drops of those that are new still counts.
+            give(&mut delivery, &mut relay, 40, now_ns);
+            let mut scores = accepted(7, 40);
+            scores.included[0].accepted = 38;
+            assert_eq!(relay.confirm(&scores, now_ns), 2, "{daemon_first}");
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            assert_eq!((delivery.confirmed(), delivery.refused()), (40, 2));
         }
     }
 

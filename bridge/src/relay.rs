@@ -55,12 +55,21 @@ struct Start {
     delay: Delay,
 }
 
+/// What a daemon said of a start when counting began.
+#[derive(Debug, Clone, Copy)]
+struct Since {
+    daemon: u64,
+    /// Up to this number it had dealt with it: what comes again of that is not counted again.
+    sequence: u64,
+    accepted: u64,
+}
+
 /// How many of a start's narrations the daemon has dropped.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
-    /// Which daemon says so, and how many it had accepted when counting began; none until it says something.
-    since: Option<(u64, u64)>,
-    /// Narrations that it has dealt with since.
+    /// What it had said when counting began; none until it says something.
+    since: Option<Since>,
+    /// Narrations of those behind that which it has dealt with.
     dealt_with: u64,
     /// Of these, how many it has dropped, as it says now.
     dropped: u64,
@@ -69,18 +78,19 @@ struct Tally {
 }
 
 impl Tally {
-    /// Takes note that a daemon has accepted so many of a start, and dealt with some more.
-    fn take(&mut self, daemon: u64, accepted: u64, dealt_with: u64) {
+    /// Takes note of what a daemon says of a start, and of the numbers that it has dealt with by that.
+    fn take(&mut self, daemon: u64, included: &IncludedV1, dealt_with: &[u64]) {
         match self.since {
-            Some((own, since)) if own == daemon => {
-                self.dealt_with += dealt_with;
+            Some(since) if since.daemon == daemon => {
+                self.dealt_with += dealt_with.iter().filter(|sequence| **sequence > since.sequence).count() as u64;
                 // It may name what it drops before what it accepted earlier, so this can become less.
-                self.dropped = self.dealt_with.saturating_sub(accepted.saturating_sub(since));
+                self.dropped = self.dealt_with.saturating_sub(included.accepted.saturating_sub(since.accepted));
             }
             // One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
             _ => {
                 let before = self.dropped();
-                *self = Self { since: Some((daemon, accepted)), before, ..Self::default() };
+                let since = Since { daemon, sequence: included.sequence, accepted: included.accepted };
+                *self = Self { since: Some(since), before, ..Self::default() };
             }
         }
     }
@@ -171,9 +181,9 @@ impl Relay {
     /// Of a start that was not known: a daemon that does not name it has accepted nothing of it yet.
     fn tally(&self, epoch: u64) -> Tally {
         let since = self.named.as_ref().map(|(daemon, named)| {
-            let accepted =
-                named.iter().find(|included| included.epoch == epoch).map_or(0, |included| included.accepted);
-            (*daemon, accepted)
+            let known = named.iter().find(|included| included.epoch == epoch);
+            let (sequence, accepted) = known.map_or((0, 0), |included| (included.sequence, included.accepted));
+            Since { daemon: *daemon, sequence, accepted }
         });
         Tally { since, ..Tally::default() }
     }
@@ -220,16 +230,17 @@ impl Relay {
         let named: Vec<IncludedV1> = own.copied().collect();
         let mut dropped = 0;
         for included in &named {
-            let before = self.under_way.len();
-            self.under_way.retain(|sent| sent.epoch != included.epoch || sent.sequence > included.sequence);
-            let dealt_with = before - self.under_way.len();
-            if dealt_with > 0 {
+            let is_open = |sent: &NarrationV1| sent.epoch != included.epoch || sent.sequence > included.sequence;
+            let dealt_with: Vec<u64> =
+                self.under_way.iter().filter(|sent| !is_open(sent)).map(|sent| sent.sequence).collect();
+            self.under_way.retain(is_open);
+            if !dealt_with.is_empty() {
                 (self.moved_ns, self.repeats) = (now_ns, 0);
                 self.pace.recover(now_ns);
             }
             if let Some(start) = self.starts.iter_mut().find(|start| start.epoch == included.epoch) {
                 let before = start.tally.dropped();
-                start.tally.take(scores.epoch, included.accepted, dealt_with as u64);
+                start.tally.take(scores.epoch, included, &dealt_with);
                 dropped += start.tally.dropped().saturating_sub(before);
             }
         }
