@@ -6,7 +6,7 @@ use crate::wire::Confirmed;
 const AHEAD_MAX: u64 = 64;
 /// A robot that says nothing for so long is away, and nothing is sent to it.
 const AWAY_NS: u64 = 5_000_000_000;
-/// What did not arrive is sent again after so long.
+/// What the robot waits for is sent again after so long.
 const AGAIN_NS: u64 = 1_000_000_000;
 
 /// One robot.
@@ -18,7 +18,10 @@ pub struct Delivery {
     sent: u64,
     /// Up to here it was sent by this start, or can have been by those before it.
     given: u64,
-    sent_ns: u64,
+    /// Up to here the robot has it, as it said last.
+    has: u64,
+    /// When the number that it waits for was sent, or the one before it came. What is sent beyond it says nothing of it.
+    waits_ns: Option<u64>,
     heard_ns: Option<u64>,
     /// Up to here nothing is kept any more.
     gone: u64,
@@ -36,7 +39,7 @@ impl Delivery {
     #[must_use]
     pub fn from(first: u64, last: u64) -> Self {
         let gone = first.saturating_sub(1);
-        Self { confirmed: gone, sent: gone, given: last, gone, ..Self::default() }
+        Self { confirmed: gone, sent: gone, given: last, has: gone, gone, ..Self::default() }
     }
 
     /// Numbers up to this one can have been sent before this start, as a robot says.
@@ -47,9 +50,10 @@ impl Delivery {
     /// Takes note of what the robot says: `epoch` is the hub's own, `last` the last number that it has.
     pub fn hear(&mut self, said: Confirmed, epoch: u64, last: u64, now_ns: u64) {
         self.heard_ns = Some(now_ns);
-        let may_repeat = now_ns.saturating_sub(self.sent_ns) >= AGAIN_NS;
+        let may_repeat = self.waits_ns.is_none_or(|waits_ns| now_ns.saturating_sub(waits_ns) >= AGAIN_NS);
         if said.epoch.0 != epoch {
             // It knows nothing of this start: whatever it has not confirmed goes again.
+            self.has = self.begin();
             if may_repeat {
                 self.sent = self.begin();
             }
@@ -57,17 +61,21 @@ impl Delivery {
         }
         self.confirmed = self.confirmed.max(said.confirmed.min(last));
         // What it refused before this start was counted then; of a bridge that starts again it is counted from 0.
-        let before = self.said_refused.unwrap_or(if self.sent_ns == 0 { said.refused } else { 0 });
+        let before = self.said_refused.unwrap_or(if self.waits_ns.is_none() { said.refused } else { 0 });
         let more = said.refused.checked_sub(before).unwrap_or(said.refused);
         (self.said_refused, self.refused) = (Some(said.refused), self.refused.saturating_add(more).min(last));
         let has = said.next.saturating_sub(1).min(last);
         // It had these numbers before this start gave them to something else, which it has not.
         self.lost = self.lost.saturating_add(has.saturating_sub(self.given));
         self.given = self.given.max(has);
-        if has > self.sent || may_repeat {
+        if has > self.has {
+            // What it waits for now may be right behind what came.
+            self.waits_ns = Some(now_ns);
+        } else if may_repeat {
             self.sent = has;
         }
-        self.sent = self.sent.max(self.begin());
+        self.has = has;
+        self.sent = self.sent.max(has).max(self.begin());
     }
 
     /// What is older than `first` is not kept any more.
@@ -88,9 +96,11 @@ impl Delivery {
 
     /// Takes note that the next one was sent.
     pub fn sent(&mut self, now_ns: u64) {
+        if self.sent <= self.has.max(self.begin()) {
+            self.waits_ns = Some(now_ns);
+        }
         self.sent += 1;
         self.given = self.given.max(self.sent);
-        self.sent_ns = now_ns;
     }
 
     /// The first number that the robot can still get.
@@ -144,6 +154,28 @@ mod tests {
     use roomcast_ipc::{IncludedV1, NarrationV1, RoomScoresV1, sequence};
 
     const S: u64 = 1_000_000_000;
+
+    fn message(epoch: u64, sequence: u64) -> NarrationV1 {
+        let source = sequence::source_of_name("hub");
+        NarrationV1 { source, epoch, sequence, ..NarrationV1::new(0, "They sit.").unwrap() }
+    }
+
+    /// A daemon that has accepted everything up to this number.
+    fn accepted(epoch: u64, sequence: u64) -> RoomScoresV1 {
+        let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
+        let source = sequence::source_of_name("hub");
+        scores.included[0] = IncludedV1 { source, epoch, sequence, accepted: sequence, ..Default::default() };
+        scores
+    }
+
+    /// Sends what may go over a link that loses nothing.
+    fn give(delivery: &mut Delivery, relay: &mut Relay, last: u64, now_ns: u64) {
+        while let Some(number) = delivery.next(last, now_ns) {
+            relay.offer(7, number, delivery.first(), Some(message(7, number)));
+            delivery.sent(now_ns);
+        }
+        while relay.send(now_ns).is_some() {}
+    }
 
     #[test]
     fn nobody_is_sent_to_who_is_away() {
@@ -213,6 +245,89 @@ mod tests {
         assert_eq!(delivery.refused(), 2);
     }
 
+    /// A link that loses one message of some, and a bridge that is away for two seconds, while lines come one by one. New lines must not put
+    /// off giving again what was lost.
+    #[test]
+    fn a_line_is_late_by_three_seconds_however_lines_are_spaced() {
+        for (gap_ms, loses) in
+            [50, 250, 500, 900, 1_100, 3_000].into_iter().flat_map(|gap| [101, 1_009, 10_000].map(|n| (gap, n)))
+        {
+            let (mut delivery, mut relay) = (Delivery::default(), Relay::new("hub", 1e9));
+            let (mut sent, mut taken, mut said, mut said_ns) = (0_u64, 0, Confirmed::default(), 0);
+            for tick in 0..6_000 {
+                let now_ns = S + tick * 20_000_000;
+                let written_ns = |number: u64| S + (number - 1) * gap_ms * 1_000_000;
+                let last = 1 + (now_ns - S) / (gap_ms * 1_000_000);
+                let is_away = (31 * S..33 * S).contains(&now_ns);
+                if is_away {
+                    relay = Relay::new("hub", 1e9);
+                }
+                while let Some(number) = delivery.next(last, now_ns) {
+                    sent += 1;
+                    if !is_away && sent % loses != 0 {
+                        relay.offer(7, number, delivery.first(), Some(message(7, number)));
+                    }
+                    delivery.sent(now_ns);
+                }
+                while let Some(message) = relay.send(now_ns) {
+                    if message.sequence > taken {
+                        taken = message.sequence;
+                        let late_ns = now_ns - written_ns(taken);
+                        assert!(late_ns <= 3 * S, "{gap_ms} ms, 1 of {loses} lost: {taken} is {late_ns} ns late");
+                    }
+                }
+                if taken > 0 {
+                    relay.confirm(&accepted(7, taken), now_ns);
+                }
+                // As a bridge does: at once when it is another word, and every second.
+                if !is_away && (relay.confirmed() != said || now_ns - said_ns >= S) {
+                    (said, said_ns) = (relay.confirmed(), now_ns);
+                    delivery.hear(said, 7, last, now_ns);
+                }
+            }
+            let last = 1 + 5_999 * 20 / gap_ms;
+            assert!(last - taken <= 1 + 3_000 / gap_ms, "{gap_ms} ms, 1 of {loses} lost: {taken} of {last}");
+        }
+    }
+
+    /// The daemon has more than the hub has heard of: what the hub then sends again was dealt with before, and is not dropped.
+    #[test]
+    fn a_bridge_that_starts_again_tells_a_hub_that_lags_of_no_loss() {
+        let (mut delivery, mut relay, mut now_ns) = (Delivery::default(), Relay::new("hub", 1e9), S);
+        delivery.hear(relay.confirmed(), 7, 20, now_ns);
+        give(&mut delivery, &mut relay, 20, now_ns);
+        relay.confirm(&accepted(7, 20), now_ns);
+        delivery.hear(relay.confirmed(), 7, 30, now_ns);
+        assert_eq!((delivery.confirmed(), delivery.refused()), (20, 0));
+        // Ten more reach the daemon, and the bridge ends before it can say so.
+        give(&mut delivery, &mut relay, 30, now_ns);
+        // Its successor hears the daemon first; or the hub first, of which it has given the daemon nothing yet.
+        for daemon_first in [true, false] {
+            let (mut delivery, mut relay) = (delivery.clone(), Relay::new("hub", 1e9));
+            now_ns += 3 * S;
+            if daemon_first {
+                assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            }
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            while let Some(number) = delivery.next(30, now_ns) {
+                relay.offer(7, number, delivery.first(), Some(message(7, number)));
+                delivery.sent(now_ns);
+            }
+            assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            give(&mut delivery, &mut relay, 30, now_ns);
+            assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            assert_eq!((delivery.confirmed(), delivery.refused()), (30, 0), "{daemon_first}");
+            // What it drops of those that are new still counts.
+            give(&mut delivery, &mut relay, 40, now_ns);
+            let mut scores = accepted(7, 40);
+            scores.included[0].accepted = 38;
+            assert_eq!(relay.confirm(&scores, now_ns), 2, "{daemon_first}");
+            delivery.hear(relay.confirmed(), 7, 40, now_ns);
+            assert_eq!((delivery.confirmed(), delivery.refused()), (40, 2));
+        }
+    }
+
     /// A link that loses and delays, a bridge and a hub that start again, and a daemon that confirms late: everything arrives once and in
     /// order. The random numbers are a plain generator, so that a seed names a run.
     #[test]
@@ -250,8 +365,7 @@ mod tests {
                 }
                 for _ in 0..random(40) {
                     let Some((number, first)) = on_the_way.pop_front() else { break };
-                    let message =
-                        NarrationV1 { source, epoch, sequence: number, ..NarrationV1::new(0, "They sit.").unwrap() };
+                    let message = message(epoch, number);
                     if relay.offer(epoch, number, first, Some(message)) == Offered::Taken && random(10) == 0 {
                         // The same again, as a link may do.
                         assert_eq!(relay.offer(epoch, number, first, Some(message)), Offered::Again);

@@ -7,7 +7,7 @@ use std::os::unix::fs::{DirEntryExt, FileExt, FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use roomcast_ipc::clock;
 use sd_notify::NotifyState;
@@ -31,6 +31,11 @@ const LINES_MAX: usize = 256;
 /// Words of robots that wait to be looked at; more are dropped, and said again.
 const HEARD_MAX: usize = 64;
 const TICK: Duration = Duration::from_millis(20);
+/// How often it is looked for more in a file that is followed.
+const LOOK: Duration = Duration::from_millis(50);
+/// A file whose place another one has taken is left when it was silent for so long while the other one has something. Who writes to it does so
+/// until it is told of the other one.
+const LEAVE: Duration = Duration::from_secs(1);
 
 /// Why a hub ends.
 #[derive(Debug, thiserror::Error)]
@@ -174,12 +179,28 @@ fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<Followed>, 
 /// Where lines come from.
 enum Input {
     /// A stream that ends.
-    Stream(Box<dyn BufRead>),
+    Stream(Box<dyn BufRead + Send>),
     /// A file that is followed.
     Followed(BufReader<Followed>),
 }
 
 impl Input {
+    /// Opens what lines come from, and gives where it is; a file is followed from `from`. It is opened once: whoever writes to a FIFO whose reader
+    /// leaves is killed by that, and its line is lost.
+    fn open(path: &Path, from: Option<Place>) -> io::Result<(Self, Place)> {
+        if path.as_os_str() == "-" {
+            return Ok((Self::Stream(Box::new(BufReader::new(io::stdin()))), Place::default()));
+        }
+        let kind = fs::metadata(path)?.file_type();
+        if kind.is_file() {
+            let (file, place) = follow(path, from)?;
+            return Ok((Self::Followed(file), place));
+        }
+        // With a writer of its own a FIFO is opened before another one comes, and does not end when the last other one leaves.
+        let stream = File::options().read(true).write(kind.is_fifo()).open(path)?;
+        Ok((Self::Stream(Box::new(BufReader::new(stream))), Place::default()))
+    }
+
     fn reader(&mut self) -> &mut dyn BufRead {
         match self {
             Self::Stream(stream) => stream,
@@ -195,36 +216,34 @@ impl Input {
         }
     }
 
-    /// Whether a followed file is another one by now, or has other bytes before those that come next.
-    fn is_other(&self, path: &Path, place: Place) -> bool {
-        let Self::Followed(file) = self else { return false };
+    /// Where a followed file is another one by now, or has other bytes before those that come next: after how long a silence it is left.
+    fn left_after(&self, path: &Path, place: Place) -> Option<Duration> {
+        let Self::Followed(file) = self else { return None };
         // While it is being replaced there may be none.
-        let Ok(about) = fs::metadata(path) else { return false };
-        about.ino() != place.file || file.get_ref().is_written_over()
+        let about = fs::metadata(path).ok()?;
+        if about.ino() == place.file {
+            return file.get_ref().is_written_over().then_some(LOOK);
+        }
+        // As long as nobody has written to the new one, its writer has the old one.
+        (about.len() > 0 || !about.is_file()).then_some(LEAVE)
     }
 }
 
-/// Reads lines until the input ends. A file that grows is followed from `from`; of one that was written over or replaced, from its start.
-/// Of a line that is too long the beginning is given, and the rest passed over.
-fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
-    let (mut input, mut place) = if path.as_os_str() == "-" {
-        (Input::Stream(Box::new(BufReader::new(io::stdin()))), Place::default())
-    } else if fs::metadata(path)?.is_file() {
-        let (file, place) = follow(path, from)?;
-        (Input::Followed(file), place)
-    } else {
-        // With a writer of its own a FIFO does not end when the last other writer leaves.
-        let fifo = fs::metadata(path)?.file_type().is_fifo();
-        let stream = BufReader::new(File::options().read(true).write(fifo).open(path)?);
-        (Input::Stream(Box::new(stream)), Place::default())
-    };
+/// Reads lines until the input ends. A file that was written over or replaced is read from its start. Of a line that is too long the beginning is
+/// given, and the rest passed over.
+fn read_lines(path: &Path, opened: (Input, Place), lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
+    let (mut input, mut place) = opened;
     let mut tail = input.tail();
     // At the end of a file a line may have begun, of which nobody knows the beginning.
-    let (mut text, mut is_rest, mut was_other, mut is_told) = (Vec::new(), !tail.is_line_end(), false, false);
+    let (mut text, mut is_rest, mut is_told) = (Vec::new(), !tail.is_line_end(), false);
+    let mut silent_since = None::<Instant>;
     while !stop.requested() {
         let (had, left) = (text.len(), (LINE_BYTES_MAX + 1).saturating_sub(text.len() as u64).max(1));
         let read = input.reader().take(left).read_until(b'\n', &mut text)? as u64;
         tail.push(text.get(had..).unwrap_or_default());
+        if read > 0 {
+            silent_since = None;
+        }
         place = Place { at: place.at + read, before: Some(tail.sum()), ..place };
         let is_whole = text.ends_with(b"\n");
         if is_whole || text.len() as u64 > LINE_BYTES_MAX {
@@ -239,14 +258,15 @@ fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: 
                 }
                 return Ok(());
             }
-            let is_other = input.is_other(path, place);
+            let left_after = input.left_after(path, place);
             // What was written to the old one until now is read first.
-            if is_other && was_other {
+            silent_since = left_after.map(|_| silent_since.unwrap_or_else(Instant::now));
+            if left_after.zip(silent_since).is_some_and(|(silence, since)| since.elapsed() >= silence) {
                 match follow(path, Some(Place::default())) {
                     Ok((file, start)) => {
                         tracing::warn!(path = %path.display(), "the input was written over or is another file: it is read from its start");
                         (input, place, text, is_rest) = (Input::Followed(file), start, Vec::new(), false);
-                        (tail, is_told) = (Tail::default(), false);
+                        (tail, is_told, silent_since) = (Tail::default(), false, None);
                     }
                     Err(error) if !std::mem::replace(&mut is_told, true) => {
                         tracing::warn!(path = %path.display(), %error, "the input cannot be followed: it is waited for");
@@ -254,8 +274,7 @@ fn read_lines(path: &Path, from: Option<Place>, lines: &SyncSender<Line>, stop: 
                     Err(_) => {}
                 }
             }
-            was_other = is_other;
-            thread::sleep(Duration::from_millis(50));
+            thread::sleep(LOOK);
         }
     }
     Ok(())
@@ -270,15 +289,13 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
     config.check_hub()?;
     let mut spool = Spool::open(&config.hub.spool, config.hub.keep)?;
     let failed = |source| HubError::Input { path: input.to_owned(), source };
-    if input.as_os_str() != "-" {
-        File::options().read(true).open(input).map(drop).map_err(failed)?;
-    }
+    let opened = Input::open(input, spool.input()).map_err(failed)?;
     let (to_robots, heard) = sync_channel(HEARD_MAX);
     let link = Link::start(&config.router, declare(config, to_robots))?;
     let (to_spool, lines) = sync_channel::<Line>(LINES_MAX);
-    let (path, from, reading) = (input.to_owned(), spool.input(), stop.clone());
+    let (path, reading) = (input.to_owned(), stop.clone());
     let reader = move || {
-        let read = read_lines(&path, from, &to_spool, &reading);
+        let read = read_lines(&path, opened, &to_spool, &reading);
         if let Err(error) = &read {
             let path = path.display();
             tracing::error!(%path, %error, "the input cannot be read any more: what was read is still sent, then this hub ends");
@@ -569,8 +586,8 @@ mod tests {
         fn start(path: &Path, from: Option<Place>) -> Self {
             let (to, lines) = sync_channel(16);
             let stop = Stop::default();
-            let (path, reading) = (path.to_owned(), stop.clone());
-            let thread = Some(thread::spawn(move || read_lines(&path, from, &to, &reading)));
+            let (path, reading, opened) = (path.to_owned(), stop.clone(), Input::open(path, from).unwrap());
+            let thread = Some(thread::spawn(move || read_lines(&path, opened, &to, &reading)));
             Self { lines, stop, thread }
         }
 
@@ -701,6 +718,42 @@ mod tests {
         fs::write(&path, "four\n").unwrap();
         let reading = Reading::start(&path, Some(from));
         assert_eq!([(); 3].map(|()| reading.text()), ["two\n", "three\n", "four\n"]);
+    }
+
+    /// Who writes a log goes on with the old file until it is told of the new one.
+    #[test]
+    fn what_is_written_to_a_file_after_it_was_renamed_is_read_before_the_new_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::write(&path, "").unwrap();
+        let mut writer = File::options().append(true).open(&path).unwrap();
+        let reading = Reading::start(&path, Some(Place::default()));
+        fs::rename(&path, folder.path().join("lines.1")).unwrap();
+        fs::write(&path, "").unwrap();
+        for late in ["one\n", "two\n", "three\n"] {
+            // Several looks long.
+            thread::sleep(4 * LOOK);
+            writer.write_all(late.as_bytes()).unwrap();
+            assert_eq!(reading.text(), late);
+        }
+        writer.write_all(b"four\n").unwrap();
+        append(&path, b"five\n");
+        assert_eq!([(); 2].map(|()| reading.text()), ["four\n", "five\n"]);
+    }
+
+    #[test]
+    fn a_fifo_is_read_from_its_first_writer_on_and_waits_for_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &path, rustix::fs::Mode::from_raw_mode(0o600)).unwrap();
+        let reading = Reading::start(&path, None);
+        for line in ["They sit.\n", "They stand up.\n"] {
+            append(&path, line.as_bytes());
+            assert_eq!(reading.text(), line);
+        }
+        // It is not at its end, and looks whether to stop when a line has come.
+        reading.stop.request();
+        append(&path, b"They leave.\n");
     }
 
     /// Reading a folder fails, and opening a FIFO waits for its other end.

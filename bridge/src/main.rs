@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use roomcast_bridge::config::{self, Config};
+use roomcast_bridge::robot::BridgeError;
 use roomcast_bridge::stop::Stop;
 use roomcast_bridge::{hub, robot, watch};
 use tracing_subscriber::EnvFilter;
@@ -72,10 +73,19 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err((code, error)) => {
             // Where standard error is closed nobody is there to be told.
-            let _told = writeln!(io::stderr(), "roomcast-bridge: {error}");
+            let _told = writeln!(io::stderr(), "roomcast-bridge: {}", chain(error.as_ref()));
             ExitCode::from(code)
         }
     }
+}
+
+/// An error with its causes, in one line.
+fn chain(error: &dyn Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| (*cause).source());
+    causes.map(ToString::to_string).fold(error.to_string(), |said, cause| {
+        // Many errors quote their cause already.
+        if said.contains(&cause) { said } else { format!("{said}: {cause}") }
+    })
 }
 
 type Failure = (u8, Box<dyn Error>);
@@ -99,7 +109,8 @@ fn run(command: Command) -> Result<(), Failure> {
             config.ipc.root = root.or(config.ipc.root);
             config.ipc.domain = domain.unwrap_or(config.ipc.domain);
             config.check_robot().map_err(|error| (CONFIG, error.into()))?;
-            robot::run(&config, &stop).map_err(failure)
+            let code = |error: &BridgeError| if error.is_of_configuration() { CONFIG } else { FAILURE };
+            robot::run(&config, &stop).map_err(|error| (code(&error), error.into()))
         }
         Command::Hub { file, input } => {
             let (config, stop) = load(&file)?;

@@ -13,8 +13,9 @@ use std::collections::VecDeque;
 
 use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
 
-use crate::delay::Delay;
-use crate::wire::{Confirmed, Hex};
+// By `super`, so that the daemon's tests can have this file, too.
+use super::delay::Delay;
+use super::wire::{Confirmed, Hex};
 
 /// Narrations that the daemon has not confirmed: what the service's history holds for a daemon that restarts.
 pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
@@ -54,12 +55,21 @@ struct Start {
     delay: Delay,
 }
 
+/// What a daemon said of a start when counting began.
+#[derive(Debug, Clone, Copy)]
+struct Since {
+    daemon: u64,
+    /// Up to this number it had dealt with it: what comes again of that is not counted again.
+    sequence: u64,
+    accepted: u64,
+}
+
 /// How many of a start's narrations the daemon has dropped.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
-    /// Which daemon says so, and how many it had accepted when counting began; none until it says something.
-    since: Option<(u64, u64)>,
-    /// Narrations that it has dealt with since.
+    /// What it had said when counting began; none until it says something.
+    since: Option<Since>,
+    /// Narrations of those behind that which it has dealt with.
     dealt_with: u64,
     /// Of these, how many it has dropped, as it says now.
     dropped: u64,
@@ -68,18 +78,19 @@ struct Tally {
 }
 
 impl Tally {
-    /// Takes note that a daemon has accepted so many of a start, and dealt with some more.
-    fn take(&mut self, daemon: u64, accepted: u64, dealt_with: u64) {
+    /// Takes note of what a daemon says of a start, and of the numbers that it has dealt with by that.
+    fn take(&mut self, daemon: u64, included: &IncludedV1, dealt_with: &[u64]) {
         match self.since {
-            Some((own, since)) if own == daemon => {
-                self.dealt_with += dealt_with;
+            Some(since) if since.daemon == daemon => {
+                self.dealt_with += dealt_with.iter().filter(|sequence| **sequence > since.sequence).count() as u64;
                 // It may name what it drops before what it accepted earlier, so this can become less.
-                self.dropped = self.dealt_with.saturating_sub(accepted.saturating_sub(since));
+                self.dropped = self.dealt_with.saturating_sub(included.accepted.saturating_sub(since.accepted));
             }
             // One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
             _ => {
                 let before = self.dropped();
-                *self = Self { since: Some((daemon, accepted)), before, ..Self::default() };
+                let since = Since { daemon, sequence: included.sequence, accepted: included.accepted };
+                *self = Self { since: Some(since), before, ..Self::default() };
             }
         }
     }
@@ -99,7 +110,8 @@ pub struct Relay {
     under_way: VecDeque<NarrationV1>,
     /// What the daemon said last of the starts that it names, and which daemon.
     named: Option<(u64, Vec<IncludedV1>)>,
-    /// When something was last sent or confirmed.
+    /// Since when what is under way has waited: the first of it was sent, some of it was confirmed, or all was given again. What is sent beside
+    /// it does not put off giving it again.
     moved_ns: u64,
     /// How often in a row all that is under way was sent again.
     repeats: u32,
@@ -169,9 +181,9 @@ impl Relay {
     /// Of a start that was not known: a daemon that does not name it has accepted nothing of it yet.
     fn tally(&self, epoch: u64) -> Tally {
         let since = self.named.as_ref().map(|(daemon, named)| {
-            let accepted =
-                named.iter().find(|included| included.epoch == epoch).map_or(0, |included| included.accepted);
-            (*daemon, accepted)
+            let known = named.iter().find(|included| included.epoch == epoch);
+            let (sequence, accepted) = known.map_or((0, 0), |included| (included.sequence, included.accepted));
+            Since { daemon: *daemon, sequence, accepted }
         });
         Tally { since, ..Tally::default() }
     }
@@ -188,8 +200,10 @@ impl Relay {
             return None;
         }
         let message = self.waiting.pop_front()?;
+        if self.under_way.is_empty() {
+            self.moved_ns = now_ns;
+        }
         self.under_way.push_back(message);
-        self.moved_ns = now_ns;
         Some(message)
     }
 
@@ -216,16 +230,17 @@ impl Relay {
         let named: Vec<IncludedV1> = own.copied().collect();
         let mut dropped = 0;
         for included in &named {
-            let before = self.under_way.len();
-            self.under_way.retain(|sent| sent.epoch != included.epoch || sent.sequence > included.sequence);
-            let dealt_with = before - self.under_way.len();
-            if dealt_with > 0 {
+            let is_open = |sent: &NarrationV1| sent.epoch != included.epoch || sent.sequence > included.sequence;
+            let dealt_with: Vec<u64> =
+                self.under_way.iter().filter(|sent| !is_open(sent)).map(|sent| sent.sequence).collect();
+            self.under_way.retain(is_open);
+            if !dealt_with.is_empty() {
                 (self.moved_ns, self.repeats) = (now_ns, 0);
                 self.pace.recover(now_ns);
             }
             if let Some(start) = self.starts.iter_mut().find(|start| start.epoch == included.epoch) {
                 let before = start.tally.dropped();
-                start.tally.take(scores.epoch, included.accepted, dealt_with as u64);
+                start.tally.take(scores.epoch, included, &dealt_with);
                 dropped += start.tally.dropped().saturating_sub(before);
             }
         }
@@ -442,6 +457,20 @@ mod tests {
         let mut slow = Pace::new(0.1);
         slow.slow_down(S);
         assert_eq!(slow.rate_per_s, 0.1);
+    }
+
+    /// A daemon that has refused one waits for it, so that it must come again while others are sent.
+    #[test]
+    fn what_waits_is_given_again_while_others_are_sent() {
+        const S: u64 = 1_000_000_000;
+        let mut relay = Relay::new("hub", 100.0);
+        let mut again = Vec::new();
+        for second in 1..=6 {
+            relay.offer(9, second, 1, message(9, second));
+            assert!(relay.send(second * S).is_some());
+            again.extend(relay.again(second * S, true).iter().map(|message| message.sequence));
+        }
+        assert_eq!(again, [1, 2, 3, 4, 5, 6]);
     }
 
     #[test]

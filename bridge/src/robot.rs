@@ -46,6 +46,18 @@ pub enum BridgeError {
     Thread(std::io::Error),
 }
 
+impl BridgeError {
+    /// Whether the configuration is at fault, or a file that it names: starting again is of no use then.
+    #[must_use]
+    pub fn is_of_configuration(&self) -> bool {
+        match self {
+            Self::Config(_) => true,
+            Self::Ros2(error) => !matches!(error, Ros2Error::Ipc(_)),
+            Self::Link(_) | Self::Ipc(_) | Self::Panic(_) | Self::Thread(_) => false,
+        }
+    }
+}
+
 /// Runs until asked to stop.
 ///
 /// # Errors

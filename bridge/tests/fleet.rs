@@ -327,6 +327,11 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
         assert_eq!((last.sequence, last.accepted), (written, written), "robot {robot}: each once");
     }
     assert!(hub.is_alive() && robots.iter_mut().all(|robot| robot.bridge.is_alive()));
+    // None of the hubs was told of a loss that was none.
+    assert!(!hub.said().contains("has dropped narration"), "every daemon has accepted all");
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+    assert!(hub.said().trim_end().ends_with(r#""refused":0,"lost":0}"#), "{}", hub.said());
     let Seen { decisions, fresh, .. } = seen;
     let [made, fallbacks] = [|decided: &Decided| decided.made, |decided: &Decided| decided.fallbacks]
         .map(|count| witnesses.iter().map(|witness| count(&witness.decided())).sum::<u64>());
@@ -389,7 +394,6 @@ fn a_hub_ends_when_every_robot_has_what_it_read() {
     let robot = Robot::start("robot-1", &way, &["hall-camera"], "");
     let input = folder.path().join("lines");
     std::fs::write(&input, "They walk to the kitchen.\n\nno\u{7}\n[Fly] <mug> (1)\n{\"text\":\"away\",\"kind\":\"presence\",\"person\":\"Ada\"}\n").unwrap();
-    let fifo = folder.path().join("fifo");
     let spool = folder.path().join("spool");
     let config = folder.path().join("hub.toml");
     std::fs::write(
@@ -399,7 +403,7 @@ fn a_hub_ends_when_every_robot_has_what_it_read() {
     .unwrap();
     let (own, text) = (config.clone(), input.clone());
     // Standard input ends, a file is followed.
-    let mut hub = Process::start(fifo.with_extension("log"), move || {
+    let mut hub = Process::start(folder.path().join("hub.log"), move || {
         let mut command = bridge();
         command.arg("hub").arg("--config").arg(&own).stdin(File::open(&text).unwrap());
         command

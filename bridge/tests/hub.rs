@@ -42,6 +42,32 @@ fn an_input_that_fails_is_told_while_narration_is_still_sent() {
     assert!(hub.said().contains("cannot read"), "{}", hub.said());
 }
 
+/// It waits for no writer, and loses none.
+#[test]
+fn a_hub_with_a_fifo_starts_reads_its_first_writer_and_stops() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &input, rustix::fs::Mode::from_raw_mode(0o600)).unwrap();
+    let mut hub = hub(folder.path(), &input);
+    let misses_router = |hub: &Process| hub.said().contains("router").then_some(());
+    eventually("it misses the router", || misses_router(&hub));
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0, "nobody has written yet");
+    hub.restart();
+    let mut writer = std::process::Command::new("sh");
+    writer.args(["-c", "echo \"They walk to the kitchen.\" > \"$0\""]).arg(&input);
+    assert!(writer.status().unwrap().success());
+    let is_kept = || {
+        let files = std::fs::read_dir(folder.path().join("spool")).unwrap().flatten();
+        let mut texts = files.filter_map(|file| std::fs::read_to_string(file.path()).ok());
+        texts.any(|text| text.contains("They walk to the kitchen.")).then_some(())
+    };
+    eventually("the line is kept", is_kept);
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+    assert!(hub.said().contains(r#"{"last":2,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
+}
+
 /// `timeout` and terminals signal a process and then its group.
 #[test]
 fn a_doubled_signal_is_one_request() {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use roomcast_bridge::{ask, config, habits, inward, line, link, peers, relay, spool, wire};
+use roomcast_bridge::{ask, config, habits, inward, line, link, peers, relay, ros2, spool, wire};
 
 #[test]
 fn the_page_states_the_limits_of_the_code() {
@@ -22,6 +22,8 @@ fn the_page_states_the_limits_of_the_code() {
         ("bytes of a robot's counts of habits", habits::BYTES_MAX.to_string()),
         ("questions that wait", ask::WAITING_MAX.to_string()),
         ("bytes of a line of a hub", line::LINE_BYTES_MAX.to_string()),
+        ("bytes of a configuration", config::FILE_BYTES_MAX.to_string()),
+        ("cells of a map of ROS 2", ros2::mask::CELLS_MAX.to_string()),
     ] {
         assert!(page.contains(&format!("| {what} | {most} |")), "{what}: {most}");
     }

@@ -92,6 +92,22 @@ fn the_units_bridge_says_that_it_lives_while_its_router_is_away() {
     assert!(start.elapsed() < Duration::from_secs(10), "three times before the watchdog would restart it");
 }
 
+/// Starting again is of no use, and whoever reads the log has to know what to mend.
+#[test]
+fn a_scene_that_is_not_there_is_told_with_its_cause_and_is_of_the_configuration() {
+    let ros2 = format!("[ros2]\nconnect = \"tcp/127.0.0.1:{}\"\nscene = \"gone.json\"\n", free_port());
+    let mut unit = Unit::start("scene", &ros2, &of_unit("LimitNOFILE="));
+    assert_eq!(unit.process.wait(), 2);
+    let said = unit.process.said();
+    let told = said.lines().find(|line| line.contains("ros2.scene")).unwrap_or_default();
+    assert!(told.contains("gone.json") && told.contains("No such file or directory"), "{said}");
+    assert_eq!(
+        told.matches("No such file").count() + told.matches("gone.json").count(),
+        2,
+        "each is said once: {told}"
+    );
+}
+
 /// All that the manual allows at once.
 fn largest(folder: &Path) -> String {
     let map = folder.join("map.yaml");

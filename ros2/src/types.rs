@@ -60,7 +60,13 @@ pub fn decode<M: Message + DeserializeOwned>(bytes: &[u8]) -> Result<M, Malforme
 ///
 /// [`Malformed`] for bytes that are none.
 pub fn decode_string(bytes: &[u8]) -> Result<String, Malformed> {
-    decode::<Text>(bytes).map(|text| text.data)
+    let text = decode::<Text>(bytes)?.data;
+    // The decoder takes whatever byte is last for the zero that ends a string; before the text are the encoding and the length.
+    if bytes.get(ENCAPSULATION.len() + size_of::<u32>() + text.len()) == Some(&0) {
+        Ok(text)
+    } else {
+        Err(Malformed { kind: Text::NAME, reason: "no zero ends its text".to_owned() })
+    }
 }
 
 macro_rules! message {
@@ -391,12 +397,24 @@ mod tests {
             b"\0\x01\0\0\x06\0\0\0hel",
             b"\0\x01\0\0\x03\0\0\0\xff\xfe\0",
             b"\x07\x01\0\0\x06\0\0\0hello\0",
+            b"\0\x01\0\0\x02\0\0\0ab",
+            b"\0\0\0\0\0\0\0\x02ab\0",
         ] {
             decode_string(bad).unwrap_err();
         }
     }
 
     proptest::proptest! {
+        /// What is read is what was written; of a text without its zero nothing is.
+        #[test]
+        fn a_text_is_read_whole_or_not_at_all(data in "\\PC{0,40}") {
+            let bytes = encode(&Text { data: data.clone() }).unwrap();
+            proptest::prop_assert_eq!(&decode_string(&bytes).unwrap(), &data);
+            let length = (data.len() as u32).to_le_bytes();
+            let without = [&ENCAPSULATION, &length, data.as_bytes()].concat();
+            proptest::prop_assert!(decode_string(&without).is_err());
+        }
+
         #[test]
         fn any_bytes_are_taken_without_a_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..64)) {
             let _text = decode_string(&bytes);

@@ -1,7 +1,6 @@
 //! What ROS 2 nodes hear of the robot's services, each on a topic of a standard type.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use roomcast_core::grounding::{Partition, partitions};
@@ -29,13 +28,8 @@ const NAME: &str = "roomcast";
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
     /// The scene.
-    #[error("ros2.scene = {path}: {source}")]
-    Scene {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: Box<SceneError>,
-    },
+    #[error("ros2.scene: {0}")]
+    Scene(#[source] Box<SceneError>),
     /// The Nav2 map.
     #[error(transparent)]
     Map(#[from] MapError),
@@ -62,8 +56,7 @@ impl Places {
     /// [`Ros2Error`] where one of them cannot be used.
     pub fn load(config: &Ros2) -> Result<Self, Ros2Error> {
         let Some(path) = &config.scene else { return Ok(Self { rooms: Vec::new(), mask: None }) };
-        let scene = SemanticMap::load(path);
-        let scene = scene.map_err(|source| Ros2Error::Scene { path: path.clone(), source: Box::new(source) })?;
+        let scene = SemanticMap::load(path).map_err(|error| Ros2Error::Scene(Box::new(error)))?;
         let rooms = partitions(&scene, config.level);
         let grid = config.map.as_deref().map(Grid::load).transpose()?;
         let storeys = Storeys::of(&scene);

@@ -497,10 +497,36 @@ impl Intake {
     }
 }
 
+/// What gives the daemon a relayed narrator's narration: the bridge's own source, as the bridge is a workspace of its own.
+#[cfg(test)]
+#[path = "../../../bridge/src/relay.rs"]
+mod relay;
+
+#[cfg(test)]
+#[path = "../../../bridge/src/delay.rs"]
+#[expect(dead_code, reason = "the relay needs some of it")]
+mod delay;
+
+/// What of the bridge's messages the relay needs.
+#[cfg(test)]
+mod wire {
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+    pub struct Hex(pub u64);
+
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+    pub struct Confirmed {
+        pub epoch: Hex,
+        pub next: u64,
+        pub confirmed: u64,
+        pub refused: u64,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::narration_kind;
+    use roomcast_ipc::{IncludedV1, RoomScoresV1, narration_kind};
 
+    use super::relay::{Offered, Relay};
     use super::*;
 
     const PORT: Sender = Sender::simulated(1);
@@ -612,6 +638,50 @@ mod tests {
             let mut later = |now_ns| intake.take(&message(hall, next.0, next.1, "C."), PORT, now_ns);
             assert_eq!(later((HELD_S - 1) * S), Taken::Limited);
             accepted(later(HELD_S * S));
+        }
+    }
+
+    /// The bridge's relay gives again what was above the rate while other lines come, however these are spaced.
+    #[test]
+    fn nothing_that_a_bridge_relays_above_the_rate_is_lost() {
+        const S: u64 = 1_000_000_000;
+        let hall = source_of_name("hall");
+        for gap_ms in [300, 700, 1_000, 1_100, 1_300, 2_000, 3_000, 4_500, 6_000] {
+            let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: Some(1.0), relayed: true };
+            let limits = IntakeLimits { rate_per_s: 1000.0, burst: 5.0 };
+            let mut intake = Intake::new(limits).with_narrators(&[known]);
+            intake.note_alive([PORT]);
+            let mut relay = Relay::new("hall", 100.0);
+            let (mut offered, mut said, mut newest, mut refused) = (0, 0, 0, 0);
+            for now_ns in (0..4_000).map(|tick| S + tick * 50_000_000) {
+                // Six at once, which is one more than a burst, and then one by one.
+                said = 6 + (now_ns - S) / (gap_ms * 1_000_000);
+                while offered < said {
+                    let next = message(hall, 1, offered + 1, "They sit.");
+                    if relay.offer(1, offered + 1, 1, Some(next)) != Offered::Taken {
+                        break;
+                    }
+                    offered += 1;
+                }
+                let sent: Vec<_> = std::iter::from_fn(|| relay.send(now_ns)).collect();
+                for given in sent.into_iter().chain(relay.again(now_ns, true)) {
+                    match intake.take(&given, PORT, now_ns) {
+                        Taken::Accepted { missed, .. } => {
+                            assert_eq!(missed, 0, "a line each {gap_ms} ms: lost before {}", given.sequence);
+                            newest = given.sequence;
+                        }
+                        Taken::Limited => refused += 1,
+                        Taken::Duplicate => {}
+                        other => panic!("{other:?}"),
+                    }
+                }
+                let (source, accepted) = (hall, intake.counters().accepted);
+                let mut scores = RoomScoresV1 { epoch: 1, source_count: 1, ..Default::default() };
+                scores.included[0] = IncludedV1 { source, epoch: 1, sequence: newest, accepted, ..Default::default() };
+                assert_eq!(relay.confirm(&scores, now_ns), 0, "a line each {gap_ms} ms");
+            }
+            // Of what the rate lets through nearly all has come.
+            assert!(newest >= said.min(120) && refused > 0, "a line each {gap_ms} ms: {newest} of {said}");
         }
     }
 
