@@ -1,5 +1,6 @@
 /* A robot's answer in C: reads one message of `roomcast/v1/decision` from a file, and writes that its work is finished, a message of
- * `roomcast/v1/robot-report`, into another; both byte for byte as they lie in shared memory. */
+ * `roomcast/v1/robot-report`, into another; both byte for byte as they lie in shared memory. A robot that does the work first must not
+ * begin it for a decision with ROOMCAST_DECISION_FLAGS_OWED, but report what became of it. */
 #include <stdio.h>
 #include <string.h>
 #include <time.h>

@@ -5,6 +5,37 @@
 
 #include "roomcast.h"
 
+/* Whether a name may be shown: not empty, zeros behind it, and no control character, which a terminal would obey. */
+static int is_name(const uint8_t *name) {
+    size_t end = 0;
+    for (; end < ROOMCAST_NAME_BYTES && name[end] != 0; end++) {
+        int c1 = name[end] >= 0x80 && name[end] < 0xa0 && (end == 0 || name[end - 1] < 0x80 || name[end - 1] == 0xc2);
+        if (name[end] < ' ' || name[end] == 0x7f || c1) {
+            return 0;
+        }
+    }
+    for (size_t rest = end; rest < ROOMCAST_NAME_BYTES; rest++) {
+        if (name[rest] != 0) {
+            return 0;
+        }
+    }
+    return end > 0;
+}
+
+/* What comes from another process is checked before it is believed. A probability that is no number fails both comparisons. */
+static int is_sound(const RoomcastRoomScoresV1 *scores) {
+    if (scores->room_count == 0 || scores->room_count > ROOMCAST_MAX_ROOMS) {
+        return 0;
+    }
+    for (uint32_t index = 0; index < scores->room_count; index++) {
+        const RoomcastRoomV1 *room = &scores->room[index];
+        if (!is_name(room->id) || !(room->probability >= 0.0 && room->probability <= 1.0)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
 int main(int argc, char **argv) {
     RoomcastRoomScoresV1 scores;
     FILE *file = argc == 2 ? fopen(argv[1], "rb") : NULL;
@@ -15,8 +46,7 @@ int main(int argc, char **argv) {
     size_t bytes = fread(&scores, 1, sizeof scores, file);
     int more = fgetc(file) != EOF;
     fclose(file);
-    /* What comes from another process is checked before it is believed. */
-    if (bytes != sizeof scores || more || scores.room_count == 0 || scores.room_count > ROOMCAST_MAX_ROOMS) {
+    if (bytes != sizeof scores || more || !is_sound(&scores)) {
         fprintf(stderr, "rooms: this is no %s\n", ROOMCAST_TYPE_NAME_ROOMSCORESV1);
         return 1;
     }

@@ -15,7 +15,7 @@ import iceoryx2 as iox2
 import pytest
 
 import samples
-from roomcast import Domain, ItemScoresSubscription, layouts, ports
+from roomcast import Action, DecisionFlags, Domain, ItemScoresSubscription, ReportKind, RobotReport, Subscription, layouts, ports
 
 EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
 # Runs a file in a domain that is not the user's default one. What runs in the background of a shell has Ctrl-C ignored, and passes that on.
@@ -145,19 +145,98 @@ def test_every_example_is_run() -> None:
     assert sorted(SAYS) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
+class Running:
+    """An example in a domain, which is ended by Ctrl-C: how most of them end, and no fault."""
+
+    def __init__(self, example: str, domain: Domain) -> None:
+        command = [sys.executable, "-c", IN_DOMAIN, domain.root, domain.name, str(EXAMPLES / example)]
+        self.ends = example in ENDS
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.alarm = threading.Timer(20, self.process.kill)
+
+    def __enter__(self) -> Running:
+        self.alarm.start()
+        return self
+
+    def tell(self, line: str) -> None:
+        assert self.process.stdin
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    def line(self) -> str:
+        assert self.process.stdout
+        return self.process.stdout.readline()
+
+    def __exit__(self, *_: object) -> None:
+        os.kill(self.process.pid, signal.SIGINT)
+        errors = self.process.communicate()[1]
+        self.alarm.cancel()
+        assert self.ends or (self.process.returncode, errors) == (0, "")
+
+
 @pytest.mark.parametrize("example", SAYS)
 def test_the_example_runs(example: str, stand_in: Domain) -> None:
-    command = [sys.executable, "-c", IN_DOMAIN, stand_in.root, stand_in.name, str(EXAMPLES / example)]
-    running = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    alarm = threading.Timer(20, running.kill)
-    alarm.start()
-    assert running.stdin and running.stdout
-    running.stdin.write("They grab the mug.\n")
-    running.stdin.flush()
-    line = running.stdout.readline()
-    # Ctrl-C is how most of them end, and no fault.
-    os.kill(running.pid, signal.SIGINT)
-    _, errors = running.communicate()
-    alarm.cancel()
-    assert SAYS[example] in line, errors
-    assert example in ENDS or (running.returncode, errors) == (0, "")
+    with Running(example, stand_in) as running:
+        running.tell("They grab the mug.")
+        assert SAYS[example] in running.line()
+
+
+def test_the_narrator_goes_on_after_a_line_that_says_nothing(stand_in: Domain) -> None:
+    with Running("narrator.py", stand_in) as running:
+        for line in ["", "  ", "...", "They grab the mug."]:
+            running.tell(line)
+        assert [running.line().split(":")[0] for _ in range(3)] == ["not said"] * 3
+        assert SAYS["narrator.py"] in running.line()
+
+
+def decision(sequence: int, action: Action, room: str, flags: DecisionFlags = DecisionFlags(0)) -> layouts.DecisionV1:
+    message = samples.decision(sequence)
+    message.action, message.flags = action, flags
+    layouts.write_text("to", message.to, room)
+    return message
+
+
+@pytest.fixture
+def domain() -> Iterator[Domain]:
+    with samples.private_domain() as domain:
+        yield domain
+
+
+@pytest.fixture
+def planner(domain: Domain) -> Iterator[ports.Publisher]:
+    """Decides nothing by itself, and hands its newest decision to whoever joins."""
+    publisher, over = ports.Publisher(domain.open("planner"), ports.DECISION), threading.Event()
+
+    def tick() -> None:
+        while not over.wait(0.02):
+            publisher.tick()
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    yield publisher
+    over.set()
+    thread.join()
+
+
+def test_every_action_is_told_as_what_it_is(domain: Domain, planner: ports.Publisher) -> None:
+    told = []
+    with Running("decisions.py", domain) as running:
+        for sequence, (action, room) in enumerate([(Action.GO, "hall"), (Action.STAY, "hall"), (Action.STAY, ""), (Action.PAUSE, "hall")], 1):
+            planner.send(decision(sequence, action, room))
+            told.append(running.line().split(" ", 2)[2].split(":")[0])
+    assert told == ["goes to hall", "waits in hall", "waits in whichever room it is in", "pauses in hall"]
+
+
+def test_the_robot_does_not_begin_again_what_it_only_owes_a_report_of(domain: Domain, planner: ports.Publisher) -> None:
+    with Subscription(RobotReport, "watcher", domain) as reports, Running("robot.py", domain):
+
+        def answers(message: layouts.DecisionV1, count: int) -> list[tuple[int, ReportKind, str]]:
+            planner.send(message)
+            told = [reports.next(timeout_s=20) for _ in range(count)]
+            return [(report.decision_sequence, report.kind, report.room) for report in told if report is not None]
+
+        begun = answers(decision(1, Action.GO, "hall"), 2)
+        assert begun == [(1, ReportKind.STARTED, "hall"), (1, ReportKind.FINISHED, "hall")]
+        assert answers(decision(2, Action.GO, "hall", DecisionFlags.OWED), 1) == [(2, ReportKind.FINISHED, "hall")]
+        assert answers(decision(3, Action.GO, "attic", DecisionFlags.OWED), 1) == [(3, ReportKind.FAILED, "attic")]
+        assert answers(decision(4, Action.GO, "attic"), 2) == [(4, ReportKind.STARTED, "attic"), (4, ReportKind.FINISHED, "attic")]

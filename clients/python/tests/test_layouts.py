@@ -8,6 +8,8 @@ import re
 import subprocess
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import roomcast
 from roomcast import MessageError, layouts, ports
@@ -125,6 +127,16 @@ def test_texts_that_do_not_fit_are_refused() -> None:
         layouts.write_text("text", message.text, "\ud800")
 
 
-def test_a_text_that_is_cut_ends_at_a_character() -> None:
-    assert layouts.cut("café", 4) == "caf"
-    assert layouts.cut("a" * 300, layouts.REASON_BYTES) == "a" * 256
+@settings(max_examples=50)
+@given(st.text(max_size=60))
+def test_a_text_that_is_cut_ends_at_a_character(text: str) -> None:
+    """Any text gives a field that receivers take: as much of it as fits, and spaces for what is hidden."""
+    field = (ctypes.c_uint8 * layouts.NAME_BYTES)()
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        with pytest.raises(MessageError, match="half a character"):
+            layouts.write_cut("name", field, text)
+        return
+    layouts.write_cut("name", field, text)
+    read = layouts.read_text("name", field)
+    assert len(read) <= len(text) and all(a == b or (a == " " and layouts._HIDDEN.match(b)) for a, b in zip(read, text, strict=False))
+    assert len(read) == len(text) or len((read + text[len(read)]).encode()) > layouts.NAME_BYTES or layouts._HIDDEN.match(text[len(read)])

@@ -90,14 +90,14 @@ def test_a_name_may_be_in_any_letters(domain: Domain) -> None:
 
 def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
     with Planner("py-planner", domain) as planner, Subscription(Decision, "watcher", domain) as decisions:
-        for room, reason, stay_s in [("a" * 49, "", 0.0), ("hall", "two\nlines", 0.0), ("hall", "", -1.0), ("hall", "", float("nan"))]:
+        for room, reason, stay_s in [("a" * 49, "", 0.0), ("hall", "\ud800", 0.0), ("hall", "", -1.0), ("hall", "", float("nan"))]:
             with pytest.raises(ValueError):
                 planner.decide(room, reason, stay_s)
         planner.decide("hall", "nobody is there")
         decision = decisions.next(timeout_s=1)
         assert decision is not None and decision.sequence == 1
     narrator = Narrator("py-narrator", domain)
-    for text in ["", "two\nlines", "a" * 1025, "left\u202eright"]:
+    for text in ["", "   ", "...", "two\nlines", "a" * 1025, "left\u202eright"]:
         with pytest.raises(ValueError):
             narrator.say(text)
     assert narrator.sequence == 0
@@ -168,7 +168,7 @@ def test_what_the_daemon_did_not_take_is_no_success(domain: Domain) -> None:
     daemon.include(narrator, 2, 2)
     assert narrator.wait_until_included(0.3) is None
     daemon.include(narrator, 3, 2)
-    with pytest.raises(NotIncludedError, match="narrator 'py-narrator': the daemon has not taken 1 of 3 narrations"):
+    with pytest.raises(NotIncludedError, match="narrator 'py-narrator': the daemon has not taken 1 of 3 narrations: .*`malformed`"):
         narrator.wait_until_included(0.3)
     # It was only named later; a daemon that starts again counts in its own way.
     daemon.include(narrator, 3, 3)
@@ -187,7 +187,7 @@ def test_no_more_is_under_way_than_the_service_keeps(domain: Domain, monkeypatch
     narrator = Narrator("py-narrator", domain)
     for _ in range(32):
         narrator.say("They sit.")
-    with pytest.raises(NotIncludedError, match="32 narrations wait for the daemon.*is it running in this domain?"):
+    with pytest.raises(NotIncludedError, match="32 narrations wait for the daemon.*is the daemon running in this domain.*`malformed`"):
         narrator.say("They sit.")
     assert narrator.sequence == 32 and narrator.under_way == 32
     # A daemon that starts now gets all of them.
@@ -202,7 +202,7 @@ def test_no_more_is_under_way_than_the_service_keeps(domain: Domain, monkeypatch
 
 def test_leaving_says_what_is_in_no_scores(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(roomcast, "_PATIENCE_S", 0.3)
-    with pytest.raises(NotIncludedError, match="2 of 2 narrations are in no scores"), Narrator("py-narrator", domain) as narrator:
+    with pytest.raises(NotIncludedError, match="2 of 2 narrations are in no scores.*`malformed`"), Narrator("py-narrator", domain) as narrator:
         narrator.say("They sit.")
         narrator.say("They stand up.")
     # Whoever fails inside hears of that, and whoever has said nothing has lost nothing.
@@ -329,12 +329,47 @@ def test_the_next_is_waited_for(domain: Domain) -> None:
         assert [forecast.sequence for _, forecast in zip(range(2), forecasts, strict=False)] == [1, 2]
 
 
+def test_however_short_a_wait_is_it_ends(domain: Domain) -> None:
+    """iceoryx2 takes less than a microsecond for no limit."""
+    subscriber: ports.Subscriber[Decision] = ports.Subscriber(domain.open("watcher"), ports.DECISION, Decision.from_message)
+    for timeout_s in (1e-3, 1e-7, 0, -1):
+        subscriber.wait(timeout_s)
+    with Subscription(Decision, "another", domain) as decisions:
+        assert decisions.next(timeout_s=1e-4) is None
+
+
 def test_a_place_is_free_after_leaving(domain: Domain) -> None:
+    kept: list[object] = []
     for _ in range(3):
-        kept = [Subscription(Decision, f"watcher-{number}", domain) for number in range(16)]
-        for each in kept:
+        watchers = [Subscription(Decision, f"watcher-{number}", domain) for number in range(16)]
+        for each in watchers:
             with each:
-                pass
+                kept.append(each)
+    for kind in (Narrator, Planner, Robot):
+        for number in range(17):
+            with kind(f"{kind.__name__}-{number}", domain) as participant:
+                kept.append(participant)
+
+
+def test_a_name_that_is_long_is_cut_and_one_that_is_no_text_is_refused(domain: Domain) -> None:
+    heard: ports.Subscriber[layouts.NarrationV1] = ports.Subscriber(domain.open("daemon"), ports.NARRATION, lambda message: message)
+    narrator = Narrator("the camera above the door of the kitchen of our grandmother", domain)
+    narrator.say("They sit.")
+    message = heard.receive()
+    assert message is not None and layouts.read_text("name", message.source_name) == narrator.name[:48]
+    assert message.source == source_of_name(narrator.name)
+    for kind in (Narrator, Planner, Robot):
+        with pytest.raises(MessageError, match="name: half a character"):
+            kind("half \ud800", domain)
+
+
+def test_who_has_said_nothing_waits_for_nothing(domain: Domain) -> None:
+    narrator = Narrator("py-narrator", domain)
+    assert narrator.wait_until_included(float("inf")) is None
+    daemon = Includes(domain)
+    daemon.include(narrator, 0, 0)
+    scores = narrator.wait_until_included(float("inf"))
+    assert scores is not None and scores.sequence == 1
 
 
 def test_nobody_answers_without_a_daemon(domain: Domain) -> None:

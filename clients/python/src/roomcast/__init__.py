@@ -18,6 +18,7 @@ import time
 import unicodedata
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import closing, suppress
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
@@ -48,10 +49,11 @@ from .messages import (
     Source,
     Status,
 )
-from .ports import Domain, NoAnswerError, RoomcastError
+from .ports import ClosedError, Domain, NoAnswerError, RoomcastError
 
 __all__ = [
     "Action",
+    "ClosedError",
     "Decision",
     "DecisionFlags",
     "Domain",
@@ -100,13 +102,33 @@ Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, PersonForecasts, Deci
 def source_of_name(name: str) -> int:
     """A source's number from its name: 64-bit FNV-1a, never 0, the same as in Rust."""
     number = 0xCBF29CE484222325
-    for byte in name.encode():
+    for byte in layouts.utf8("name", name):
         number = ((number ^ byte) * 0x100000001B3) & 0xFFFFFFFFFFFFFFFF
     return max(number, 1)
 
 
-class _Follows(ABC, Generic[T]):
-    """Messages one after the other. A context manager: leaving gives the place to somebody else."""
+class _Open:
+    """What has places in a domain until it is closed. A context manager: leaving closes it."""
+
+    _ports: tuple[ports.Port, ...]
+
+    def close(self) -> None:
+        """Gives the places to somebody else, also while another thread waits here: its loop ends, and all else raises ClosedError."""
+        for port in self._ports:
+            port.close()
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+Self = TypeVar("Self", bound=_Open)
+
+
+class _Follows(_Open, ABC, Generic[T]):
+    """Messages one after the other. A context manager: leaving closes it. Threads may share it, and each message goes to one of them."""
 
     @abstractmethod
     def _take(self) -> T | None:
@@ -116,14 +138,12 @@ class _Follows(ABC, Generic[T]):
     def _sleep(self, timeout_s: float) -> None:
         """Waits for news, at most this long."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Gives the place to somebody else."""
-
     def next(self, timeout_s: float | None = None) -> T | None:
-        """Waits for the next one; none when the time is over."""
+        """Waits for the next one; none when the time is over. ClosedError when it is closed."""
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while True:
+            for port in self._ports:
+                port.refuse_closed()
             message = self._take()
             if message is not None:
                 return message
@@ -133,18 +153,10 @@ class _Follows(ABC, Generic[T]):
             self._sleep(min(left, 0.1))
 
     def __iter__(self) -> Iterator[T]:
-        """All as they come, without end."""
-        while (message := self.next()) is not None:
-            yield message
-
-    def __enter__(self: Self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
-
-Self = TypeVar("Self", bound=_Follows[Any])
+        """All as they come, until it is closed."""
+        with suppress(ClosedError):
+            while (message := self.next()) is not None:
+                yield message
 
 
 class Subscription(_Follows[Kind]):
@@ -157,6 +169,7 @@ class Subscription(_Follows[Kind]):
     def __init__(self, kind: type[Kind], name: str, domain: Domain | None = None) -> None:
         node = (domain or Domain.default_for_user()).open(name)
         self._subscriber: ports.Subscriber[Kind] = ports.Subscriber(node, kind.SERVICE, kind.from_message)
+        self._ports = (self._subscriber,)
         self._scores: tuple[int, int] | None = None
 
     @property
@@ -165,20 +178,18 @@ class Subscription(_Follows[Kind]):
         return self._subscriber.malformed
 
     def _take(self) -> Kind | None:
-        while (message := self._subscriber.receive()) is not None:
-            if isinstance(message, (RoomScores, PersonScores)):
-                scores = (message.epoch, message.sequence)
-                if scores == self._scores:
-                    continue
-                self._scores = scores
-            return message
-        return None
+        with self._subscriber.alone():
+            while (message := self._subscriber.receive()) is not None:
+                if isinstance(message, (RoomScores, PersonScores)):
+                    scores = (message.epoch, message.sequence)
+                    if scores == self._scores:
+                        continue
+                    self._scores = scores
+                return message
+            return None
 
     def _sleep(self, timeout_s: float) -> None:
         self._subscriber.wait(timeout_s)
-
-    def close(self) -> None:
-        self._subscriber.close()
 
 
 class ItemScoresSubscription(_Follows[ItemScores]):
@@ -187,6 +198,7 @@ class ItemScoresSubscription(_Follows[ItemScores]):
     def __init__(self, name: str, domain: Domain | None = None) -> None:
         node = (domain or Domain.default_for_user()).open(name)
         self._subscriber = ports.ItemScoresSubscriber(node)
+        self._ports = (self._subscriber,)
 
     def _take(self) -> ItemScores | None:
         received = self._subscriber.receive()
@@ -196,9 +208,6 @@ class ItemScoresSubscription(_Follows[ItemScores]):
         # Nobody is woken for them.
         time.sleep(min(timeout_s, 0.01))
 
-    def close(self) -> None:
-        self._subscriber.close()
-
 
 class StatusSubscription(_Follows[Status]):
     """Asks the daemon for its status every `every_s` seconds, and goes on asking while none answers."""
@@ -206,6 +215,7 @@ class StatusSubscription(_Follows[Status]):
     def __init__(self, name: str, domain: Domain | None = None, every_s: float = 1) -> None:
         node = (domain or Domain.default_for_user()).open(name)
         self._client = ports.StatusClient(node)
+        self._ports = (self._client,)
         self._every_s = every_s
         self._due = time.monotonic()
 
@@ -222,15 +232,20 @@ class StatusSubscription(_Follows[Status]):
     def _sleep(self, timeout_s: float) -> None:
         time.sleep(max(0.0, min(timeout_s, self._due - time.monotonic())))
 
-    def close(self) -> None:
-        self._client.close()
 
+class _Participant(_Open):
+    """Sends messages under a name, each with the next number, and knows the room scores. Threads may share it."""
 
-class _Participant:
-    def __init__(self, name: str, domain: Domain | None) -> None:
+    def __init__(self, name: str, service: ports.Service, domain: Domain | None) -> None:
         self.name = name
+        # Before it joins, since it may refuse the name.
+        self._number = source_of_name(name)
         self.node = (domain or Domain.default_for_user()).open(name)
         self._scores: ports.Subscriber[RoomScores] = ports.Subscriber(self.node, ports.ROOM_SCORES, RoomScores.from_message)
+        self._publisher = ports.Publisher(self.node, service)
+        self._ports = (self._publisher, self._scores)
+        self.epoch = secrets.randbits(64) | 1
+        self.sequence = 0
 
     @property
     def malformed(self) -> int:
@@ -285,6 +300,8 @@ _ACTION = re.compile(r"\[[^\[\]]+\](\s*<[^<>]+>\s*\(\d+\))*")
 UNDER_WAY_MAX = ports.NARRATION.history
 # How long it may take until one of them is dealt with.
 _PATIENCE_S = 10.0
+# Why one may stay under way: the daemon counts what was no narration, and deals with it no further.
+_WHY_UNDER_WAY = "is the daemon running in this domain? If it is, some were no narration: see `malformed` in its status, and its log"
 # What the daemon drops it may name before what it took earlier: only after this does the difference count.
 _SURE_S = 2.0
 
@@ -324,18 +341,17 @@ class Narrator(_Participant):
 
     `person` is whom all is said of, by name or number; each call may name another. Without either it is somebody: the daemon takes the
     person whom it fits best. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
-    NotIncludedError when it does not for 10 seconds.
+    NotIncludedError when it does not for 10 seconds. Threads may share it.
     """
 
     def __init__(self, name: str, domain: Domain | None = None, person: Who = None) -> None:
-        super().__init__(name, domain)
         _person(person)
-        self._publisher = ports.Publisher(self.node, ports.NARRATION)
-        self.source = source_of_name(name)
-        self.epoch = secrets.randbits(64) | 1
-        self.sequence = 0
+        super().__init__(name, ports.NARRATION, domain)
+        self.source = self._number
         self.person = person
         self._account = _Account()
+        #: The newest scores that contain something of what was said, and up to which number.
+        self._included: tuple[int, RoomScores] | None = None
 
     def say(self, sentence: str, person: Who = None) -> None:
         """A plain sentence: "They grab the mug." """
@@ -373,15 +389,23 @@ class Narrator(_Participant):
 
     def _send(self, kind: int, text: str, who: tuple[int, str]) -> None:
         person, person_name = who
+        # The daemon drops what has neither.
+        if not any(character.isalnum() for character in text):
+            raise MessageError("text: no letter and no digit; say something")
         message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1)
         layouts.write_text("person_name", message.person_name, person_name)
         message.text_bytes = layouts.write_text("text", message.text, text)
-        layouts.write_text("source_name", message.source_name, self.name)
+        layouts.write_cut("source_name", message.source_name, self.name)
         message.observed_ns, message.observed_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.check()
-        self._wait_for_room()
-        self._publisher.send(message)
-        self.sequence += 1
+        while True:
+            with self._publisher.alone():
+                if self.under_way < UNDER_WAY_MAX:
+                    message.sequence = self.sequence + 1
+                    self._publisher.send(message)
+                    self.sequence += 1
+                    return
+            self._wait_for_room()
 
     @property
     def under_way(self) -> int:
@@ -394,94 +418,99 @@ class Narrator(_Participant):
         return self._account.dropped
 
     def newest(self) -> RoomScores | None:
-        scores = super().newest()
-        for source in scores.included if scores else ():
-            if scores and (source.source, source.epoch) == (self.source, self.epoch):
-                self._account.take(scores.epoch, source, self.sequence)
-        return scores
+        with self._scores.alone():
+            scores = super().newest()
+            for source in scores.included if scores else ():
+                if scores and (source.source, source.epoch) == (self.source, self.epoch):
+                    self._account.take(scores.epoch, source, self.sequence)
+                    self._included = (source.sequence, scores)
+            return scores
 
     def _wait_for_room(self) -> None:
-        if self.under_way < UNDER_WAY_MAX:
-            return
+        """Returns as soon as the daemon has dealt with some; another thread may then be first."""
         settled, deadline = self._account.settled, time.monotonic() + _PATIENCE_S
         self.newest()
         while self.under_way >= UNDER_WAY_MAX:
             if time.monotonic() >= deadline:
                 raise NotIncludedError(
                     f"narrator {self.name!r}: {self.under_way} narrations wait for the daemon, which has dealt with {settled} and with no more for "
-                    f"{_PATIENCE_S:.0f} s; is it running in this domain?"
+                    f"{_PATIENCE_S:.0f} s; {_WHY_UNDER_WAY}"
                 )
             self._publisher.tick()
             self._scores.wait(0.1)
             self.newest()
 
     def wait_until_included(self, timeout_s: float = 10) -> RoomScores | None:
-        """Waits for scores that contain all that was said; none when the time is over. NotIncludedError where the daemon has dealt with all and
-        has not taken everything."""
+        """Waits for scores that contain all that was said; none when the time is over. Where nothing was said it returns the newest scores, if
+        any, at once. NotIncludedError where the daemon has dealt with all and has not taken everything."""
+        if not self.sequence:
+            return self.newest()
         deadline, sure = time.monotonic() + timeout_s, math.inf
         while time.monotonic() < min(sure, deadline):
             self._publisher.tick()
             self._scores.wait(0.1)
-            scores = self.newest()
-            for source in scores.included if scores else ():
-                if (source.source, source.epoch) == (self.source, self.epoch) and source.sequence >= self.sequence:
-                    if not self.dropped:
-                        return scores
-                    sure = min(sure, time.monotonic() + _SURE_S)
+            self.newest()
+            if (included := self._included) and included[0] >= self.sequence:
+                if not self.dropped:
+                    return included[1]
+                sure = min(sure, time.monotonic() + _SURE_S)
         if self.dropped and not self.under_way:
             raise NotIncludedError(
-                f"narrator {self.name!r}: the daemon has not taken {self.dropped} of {self.sequence} narrations; its log and status say "
-                "whether they were too fast, too long, or said while another process had this name"
+                f"narrator {self.name!r}: the daemon has not taken {self.dropped} of {self.sequence} narrations: they came too fast, were too "
+                "long or no narration, or another process had this name; its log and status (`malformed`, `limited`, `forged`) say which"
             )
         return None
 
-    def __enter__(self) -> Narrator:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        # What waits in shared memory dies with its publisher.
-        if kind is None and self.sequence and self.wait_until_included(_PATIENCE_S) is None:
-            raise NotIncludedError(
-                f"narrator {self.name!r}: {self.under_way} of {self.sequence} narrations are in no scores after {_PATIENCE_S:.0f} s, and go with "
-                "the narrator; is the daemon running in this domain?"
-            )
+        try:
+            # What waits in shared memory dies with its publisher.
+            if kind is None and self.sequence and self.wait_until_included(_PATIENCE_S) is None:
+                raise NotIncludedError(
+                    f"narrator {self.name!r}: {self.under_way} of {self.sequence} narrations are in no scores after {_PATIENCE_S:.0f} s, and go "
+                    f"with the narrator; {_WHY_UNDER_WAY}"
+                )
+        finally:
+            self.close()
 
 
 class Planner(_Participant):
-    """Follows the room scores and publishes decisions."""
+    """Follows the room scores and publishes decisions. A context manager: leaving closes it. Threads may share it."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
-        super().__init__(name, domain)
-        self._publisher = ports.Publisher(self.node, ports.DECISION)
-        self.robot = source_of_name(name)
-        self.epoch = secrets.randbits(64) | 1
-        self.sequence = 0
+        super().__init__(name, ports.DECISION, domain)
+        self.robot = self._number
         self.room, self._paused = "", False
         self._last: RoomScores | None = None
 
     def scores(self, timeout_s: float | None = None) -> Iterator[RoomScores]:
-        """Every new snapshot as it comes, heartbeats left out; ends when none came for `timeout_s`."""
+        """Every new snapshot as it comes, heartbeats left out; ends when none came for `timeout_s`, or when it is closed."""
         last = time.monotonic()
-        while timeout_s is None or time.monotonic() - last < timeout_s:
-            self._publisher.tick()
-            self._scores.wait(0.25)
-            scores = self.newest()
-            if scores is None:
-                continue
-            if self._last is None or (scores.epoch, scores.sequence) != (self._last.epoch, self._last.sequence):
-                self._last, last = scores, time.monotonic()
+        with suppress(ClosedError):
+            while timeout_s is None or time.monotonic() - last < timeout_s:
+                self._publisher.tick()
+                self._scores.wait(0.25)
+                with self._scores.alone():
+                    scores = self.newest()
+                    known = self._last
+                    if scores is None or (known and (scores.epoch, scores.sequence) == (known.epoch, known.sequence)):
+                        continue
+                    self._last = scores
+                last = time.monotonic()
                 yield scores
 
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> None:
         """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time."""
-        stays = room == self.room and not self._paused
-        self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
+        with self._publisher.alone():
+            stays = room == self.room and not self._paused
+            self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
 
     def pause(self, reason: str, cancels: int = 0) -> None:
         """Publishes that the robot stops its work and waits where it disturbs nobody."""
-        self._decide(Action.PAUSE, self.room, reason, 0, cancels)
+        with self._publisher.alone():
+            self._decide(Action.PAUSE, self.room, reason, 0, cancels)
 
     def _decide(self, action: Action, room: str, reason: str, stay_s: float, cancels: int) -> None:
+        """By one thread at a time: what it says depends on the decision before."""
         if not 0 <= stay_s <= 1e9:
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
         if not 0 <= cancels <= self.sequence:
@@ -489,29 +518,23 @@ class Planner(_Participant):
         message = layouts.DecisionV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, action=action, cancels=cancels, minor=2)
         message.decided_ns, message.decided_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         message.stay_ns = round(stay_s * 1e9)
-        if self._last is not None:
-            message.scores_epoch, message.scores_sequence = self._last.epoch, self._last.sequence
-            message.scores_age_ns = max(0, message.decided_ns - self._last.computed_ns)
-            message.observed_ns = self._last.observed_ns
-            message.probability = next((r.probability for r in self._last.rooms if r.id == room), 0.0)
+        if (last := self._last) is not None:
+            message.scores_epoch, message.scores_sequence = last.epoch, last.sequence
+            message.scores_age_ns = max(0, message.decided_ns - last.computed_ns)
+            message.observed_ns = last.observed_ns
+            message.probability = next((r.probability for r in last.rooms if r.id == room), 0.0)
         layouts.write_text("from", getattr(message, "from"), self.room)
         layouts.write_text("to", message.to, room)
-        layouts.write_text("policy", message.policy, layouts.cut(self.name, layouts.NAME_BYTES))
-        layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
-        layouts.write_text("reason", message.reason, layouts.cut(reason, layouts.REASON_BYTES))
+        layouts.write_cut("policy", message.policy, self.name)
+        layouts.write_cut("robot_name", message.robot_name, self.name)
+        layouts.write_cut("reason", message.reason, reason)
         self._publisher.send(message)
         self.sequence += 1
         self.room, self._paused = room, action == Action.PAUSE
 
-    def __enter__(self) -> Planner:
-        return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        pass
-
-
-class Robot:
-    """A robot: follows the decisions for it, and reports where it is and what became of them. A context manager.
+class Robot(_Open):
+    """A robot: follows the decisions for it, and reports where it is and what became of them. A context manager. Threads may share it.
 
     Its name is that in the planner's configuration, `planner.robot`. A report speaks of the decision that was followed last, and of its
     room, unless it names another room. Reports are not confirmed: one that a planner has missed is made good by the next.
@@ -527,17 +550,19 @@ class Robot:
         node = (domain or Domain.default_for_user()).open(name)
         self._decisions: ports.Subscriber[Decision] = ports.Subscriber(node, ports.DECISION, Decision.from_message)
         self._publisher = ports.Publisher(node, ports.ROBOT_REPORT)
+        self._ports = (self._publisher, self._decisions)
 
     def next(self, timeout_s: float | None = None) -> Decision | None:
-        """Waits for the next decision for this robot; none when the time is over."""
+        """Waits for the next decision for this robot; none when the time is over. ClosedError when it is closed."""
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while True:
-            while (decision := self._decisions.receive()) is not None:
-                known = self.decision
-                again = known is not None and (decision.epoch, decision.sequence) == (known.epoch, known.sequence)
-                if decision.robot == self.robot and not again:
-                    self.decision = decision
-                    return decision
+            with self._decisions.alone():
+                while (decision := self._decisions.receive()) is not None:
+                    known = self.decision
+                    again = known is not None and (decision.epoch, decision.sequence) == (known.epoch, known.sequence)
+                    if decision.robot == self.robot and not again:
+                        self.decision = decision
+                        return decision
             left = deadline - time.monotonic()
             if left <= 0:
                 return None
@@ -546,9 +571,10 @@ class Robot:
             self._decisions.wait(min(left, 0.1))
 
     def decisions(self) -> Iterator[Decision]:
-        """All decisions for this robot as they come, without end."""
-        while (decision := self.next()) is not None:
-            yield decision
+        """All decisions for this robot as they come, until it is closed."""
+        with suppress(ClosedError):
+            while (decision := self.next()) is not None:
+                yield decision
 
     def started(self, room: str = "", note: str = "") -> None:
         """It is in the room and has begun to work there."""
@@ -594,28 +620,23 @@ class Robot:
         message = layouts.RobotReportV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, kind=kind)
         message.reported_ns, message.reported_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         of_a_room = kind in (ReportKind.STARTED, ReportKind.FINISHED, ReportKind.FAILED, ReportKind.BLOCKED, ReportKind.CANCELLED)
-        if self.decision is not None and of_a_room and room in ("", self.decision.to_room):
-            message.decision_epoch, message.decision_sequence = self.decision.epoch, self.decision.sequence
-            room = self.decision.to_room
+        decision = self.decision
+        if decision is not None and of_a_room and room in ("", decision.to_room):
+            message.decision_epoch, message.decision_sequence = decision.epoch, decision.sequence
+            room = decision.to_room
         if battery is not None:
             message.battery, message.flags = battery, message.flags | layouts.HAS_BATTERY
         if position_m is not None:
             if len(position_m) != 3:
                 raise ValueError(f"position_m {position_m!r}: give x, y and z in the map's metres")
             message.position_m[:], message.flags = position_m, message.flags | layouts.HAS_POSITION
-        layouts.write_text("robot_name", message.robot_name, layouts.cut(self.name, layouts.NAME_BYTES))
+        layouts.write_cut("robot_name", message.robot_name, self.name)
         layouts.write_text("room", message.room, room)
-        layouts.write_text("note", message.note, layouts.cut(note, layouts.NOTE_BYTES))
-        self._publisher.send(message)
-        self.sequence += 1
-
-    def __enter__(self) -> Robot:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        # What waits in shared memory dies with its publisher: a planner that has just been woken gets its chance.
-        if self.sequence:
-            time.sleep(0.1)
+        layouts.write_cut("note", message.note, note)
+        with self._publisher.alone():
+            message.sequence = self.sequence + 1
+            self._publisher.send(message)
+            self.sequence += 1
 
 
 def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
@@ -641,17 +662,14 @@ def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any
 
 def status(domain: Domain | None = None, timeout_s: float = 10) -> Status:
     """The daemon's status, asked for once; NoAnswerError when no daemon answers in time."""
-    node = (domain or Domain.default_for_user()).open("python-status")
-    client = ports.StatusClient(node)
-    try:
+    with closing(ports.StatusClient((domain or Domain.default_for_user()).open("python-status"))) as client:
         return Status.from_message(client.ask(timeout_s))
-    finally:
-        client.close()
 
 
 def _ask(node: ports.Node, service: str, question: dict[str, Any], timeout_s: float) -> dict[str, Any]:
     try:
-        answer = json.loads(ports.ask(node, service, json.dumps(question), timeout_s))
+        with closing(ports.WordsClient(node, service)) as client:
+            answer = json.loads(client.ask(json.dumps(question), timeout_s))
     except json.JSONDecodeError as error:
         raise RoomcastError(f"service {service}: the answer is no JSON: {error}; is the daemon of this version?") from error
     if not isinstance(answer, dict):

@@ -92,12 +92,17 @@ def text_or_empty(field: ctypes.Array[ctypes.c_uint8]) -> str:
         return ""
 
 
-def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int:
-    """Writes a text into a zero-padded field and returns its length in bytes; MessageError says what does not fit."""
+def utf8(name: str, text: str) -> bytes:
+    """A text as messages have it; MessageError where it is none: a Python text may have halves of characters."""
     try:
-        data = text.encode()
+        return text.encode()
     except UnicodeEncodeError as error:
         raise MessageError(f"{name}: half a character at {error.start}; send whole ones") from None
+
+
+def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int:
+    """Writes a text into a zero-padded field and returns its length in bytes; MessageError says what does not fit."""
+    data = utf8(name, text)
     _refuse_hidden(name, text)
     if len(data) > len(field):
         raise MessageError(f"{name}: text of {len(data)} bytes, at most {len(field)} fit; shorten it")
@@ -106,9 +111,10 @@ def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int
     return len(data)
 
 
-def cut(text: str, limit: int) -> str:
-    """As many whole characters of a text as fit into `limit` bytes."""
-    return text.encode()[:limit].decode(errors="ignore")
+def write_cut(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> None:
+    """As `write_text`, for text that may be cut, as in Rust: ends at the last character that fits; control characters become spaces."""
+    data = utf8(name, _HIDDEN.sub(" ", text))
+    write_text(name, field, data[: len(field)].decode(errors="ignore"))
 
 
 class NarrationV1(Message):

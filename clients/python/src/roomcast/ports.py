@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import math
 import os
 import pathlib
 import re
 import stat
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -33,6 +35,10 @@ _SHARED_MEMORY = pathlib.Path("/dev/shm")
 _FREE_BYTES = 8 << 20
 # How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
 _OPEN_FOR_S = 5.0
+# The shortest wait: below a microsecond a listener takes none for a limit, and waits for ever.
+_MOMENT_S = 0.001
+# How long a publisher that has just sent something stays, so that whoever was woken can take it.
+_LINGER_S = 0.1
 # Words of iceoryx2's errors that time does not heal.
 _FINAL = ("Incompatible", "DoesNotSupport", "VersionMismatch", "InsufficientPermissions")
 
@@ -68,6 +74,10 @@ class RoomcastError(Exception):
 
 class NoAnswerError(RoomcastError):
     """Nobody answered in time."""
+
+
+class ClosedError(RoomcastError):
+    """What was closed, or left with its `with` block, is used no more."""
 
 
 @dataclass(frozen=True)
@@ -309,12 +319,61 @@ def _wake(node: Node, service: str) -> None:
         _event(node, ROOM_SCORES if service == DECISION.name else NARRATION).notifier_builder().create().delete()
 
 
-class Publisher:
+class Port:
+    """A place at a service. Any thread may use it, and any may close it, also a signal's handler in the midst of its own thread's use.
+
+    iceoryx2 ends the process that uses what was deleted, and does not delete what is in use. So the last user of a closed port deletes it.
+    """
+
+    def __init__(self, service: str, *parts: Any) -> None:
+        self._service = service
+        self._parts = parts
+        # Reentrant for signals' handlers, and for a use inside another.
+        self._lock = threading.RLock()
+        self._users = 0
+        self._closed = False
+
+    @contextlib.contextmanager
+    def use(self) -> Iterator[None]:
+        """Nobody deletes it inside. ClosedError when it is closed."""
+        with self._lock:
+            # Counted first: from here on a signal's handler that closes it leaves deleting it to this use.
+            self._users += 1
+        try:
+            self.refuse_closed()
+            yield
+        finally:
+            with self._lock:
+                self._users -= 1
+                self._delete_unused()
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """As `use`, by one thread at a time."""
+        with self._lock, self.use():
+            yield
+
+    def refuse_closed(self) -> None:
+        """ClosedError when it is closed."""
+        if self._closed:
+            raise ClosedError(f"service {self._service}: this place was closed, by `close` or by the end of a `with` block; make a new one")
+
+    def close(self) -> None:
+        """Gives the place to somebody else, at once or as soon as no thread uses it. Closing again does nothing."""
+        with self._lock:
+            self._closed = True
+            self._delete_unused()
+
+    def _delete_unused(self) -> None:
+        if self._closed and not self._users:
+            for part in self._parts:
+                part.delete()
+
+
+class Publisher(Port):
     """Sends messages of one service, and never waits for a slow subscriber."""
 
     def __init__(self, node: Node, service: Service) -> None:
-        self._service = service
-
         def open_port() -> tuple[Any, Any]:
             # The publisher first: it is the place that others may hold.
             publisher = _publish_subscribe(node, service).publisher_builder().create()
@@ -322,6 +381,8 @@ class Publisher:
             return publisher, _event(node, service).notifier_builder().default_event_id(data).create()
 
         self._publisher, self._notifier = node.retry(service.name, open_port)
+        self._sent_s = -math.inf
+        super().__init__(service.name, self._publisher, self._notifier)
 
     def send(self, message: layouts.Message) -> None:
         """Sends a copy and wakes the subscribers; MessageError when the message is malformed."""
@@ -330,25 +391,34 @@ class Publisher:
 
     def send_unchecked(self, message: layouts.Message) -> None:
         """As `send` without the check: for tests of what receivers do with malformed messages."""
-        try:
-            self._publisher.send_copy(message)
-        except (iox2.LoanError, iox2.SendError) as error:
-            raise RoomcastError(f"service {self._service.name}: send failed: {error!r}; leave the domain and join again") from error
-        try:
-            self._notifier.notify()
-        except iox2.NotifierNotifyError:
-            pass  # the message lies in the buffer, and a subscriber that waits looks there when its time-out ends
+        with self.alone():
+            try:
+                self._publisher.send_copy(message)
+            except (iox2.LoanError, iox2.SendError) as error:
+                raise RoomcastError(f"service {self._service}: send failed: {error!r}; leave the domain and join again") from error
+            self._sent_s = time.monotonic()
+            # Where it fails, the message lies in the buffer, and a subscriber that waits looks there when its time-out ends.
+            with contextlib.suppress(iox2.NotifierNotifyError):
+                self._notifier.notify()
 
     def tick(self) -> None:
         """Hands the history to subscribers that joined since; to be called now and then while nothing is sent."""
-        self._publisher.update_connections()
+        with self.alone():
+            self._publisher.update_connections()
+
+    def close(self) -> None:
+        """As every port's. What waits in shared memory dies with its publisher, so that what was sent just now is given a moment first."""
+        if not self._closed:
+            time.sleep(max(0.0, self._sent_s + _LINGER_S - time.monotonic()))
+        super().close()
 
 
-class Subscriber(Generic[T]):
+class Subscriber(Port, Generic[T]):
     """Receives messages of one service, each copied out of shared memory and checked by `read`."""
 
     def __init__(self, node: Node, service: Service, read: Callable[[Any], T]) -> None:
-        self._service = service
+        self._payload = service.payload
+        self._listening = threading.Lock()
         self._read = read
         #: Messages that said what no honest sender says, and were dropped.
         self.malformed = 0
@@ -359,42 +429,47 @@ class Subscriber(Generic[T]):
             return listener, _publish_subscribe(node, service).subscriber_builder().buffer_size(service.buffer).create()
 
         self._listener, self._subscriber = node.retry(service.name, open_port)
+        super().__init__(service.name, self._subscriber, self._listener)
         _wake(node, service.name)
 
     def wait(self, timeout_s: float) -> None:
-        """Sleeps until there is news or the time is over."""
+        """Sleeps until there is news or the time is over; at least a moment."""
         failure = None
-        try:
-            self._listener.timed_wait(iox2.Duration.from_secs_f64(max(0.0, timeout_s)))
-        except iox2.ListenerWaitError as error:
-            failure = error
+        deadline = time.monotonic() + timeout_s
+        with self.use():
+            # A listener has one time-out for all threads, so that one listens and the others wait for it.
+            if not self._listening.acquire(timeout=max(_MOMENT_S, timeout_s)):
+                return
+            try:
+                self._listener.timed_wait(iox2.Duration.from_secs_f64(max(_MOMENT_S, deadline - time.monotonic())))
+            except iox2.ListenerWaitError as error:
+                failure = error
+            finally:
+                self._listening.release()
         # A signal ends the sleep, and Python's handler follows: out here, so that what it raises does not seem to follow from another error.
         if failure is not None and "InterruptSignal" not in str(failure):
-            raise RoomcastError(f"service {self._service.name}: wait failed: {failure!r}; leave the domain and join again") from failure
+            raise RoomcastError(f"service {self._service}: wait failed: {failure!r}; leave the domain and join again") from failure
 
     def receive(self) -> T | None:
         """Takes the oldest good message that waits; malformed ones are dropped and counted."""
-        while (sample := self._subscriber.receive()) is not None:
-            # The sender can still write to the sample, so that a copy is what is checked and read.
-            copy = self._service.payload.from_buffer_copy(bytes(sample.payload().contents))
-            sample.delete()
-            try:
-                return self._read(copy)
-            except layouts.MessageError:
-                self.malformed += 1
+        with self.alone():
+            while (sample := self._subscriber.receive()) is not None:
+                # The sender can still write to the sample, so that a copy is what is checked and read.
+                copy = self._payload.from_buffer_copy(bytes(sample.payload().contents))
+                sample.delete()
+                try:
+                    return self._read(copy)
+                except layouts.MessageError:
+                    self.malformed += 1
         return None
 
     def newest(self) -> T | None:
         """Takes all that wait and returns the newest good one."""
         newest = None
-        while (message := self.receive()) is not None:
-            newest = message
+        with self.alone():
+            while (message := self.receive()) is not None:
+                newest = message
         return newest
-
-    def close(self) -> None:
-        """Gives the place to somebody else."""
-        self._subscriber.delete()
-        self._listener.delete()
 
 
 def _item_scores(node: Node) -> Any:
@@ -413,28 +488,26 @@ def _item_scores(node: Node) -> Any:
     )
 
 
-class ItemScoresSubscriber:
+class ItemScoresSubscriber(Port):
     """Receives item scores, a slice with a header; as long as it lives, the daemon sends them. They wake nobody."""
 
     def __init__(self, node: Node) -> None:
         self._subscriber = node.retry(ITEM_SCORES, lambda: _item_scores(node).subscriber_builder().create())
+        super().__init__(ITEM_SCORES, self._subscriber)
         _wake(node, ITEM_SCORES)
 
     def receive(self) -> tuple[layouts.ItemScoresHeaderV1, list[layouts.ItemScoreV1]] | None:
         """Takes the oldest that waits, copied."""
-        sample = self._subscriber.receive()
-        if sample is None:
-            return None
-        header = layouts.ItemScoresHeaderV1.from_buffer_copy(bytes(sample.user_header().contents))
-        # The length that the bindings give of a slice is in bytes, and what they show of one reaches beyond it.
-        items = layouts.ItemScoreV1 * sample.header.number_of_elements
-        copy = items.from_buffer_copy(ctypes.string_at(sample.payload().as_ptr(), ctypes.sizeof(items)))
-        sample.delete()
-        return header, list(copy)
-
-    def close(self) -> None:
-        """Gives the place to somebody else."""
-        self._subscriber.delete()
+        with self.alone():
+            sample = self._subscriber.receive()
+            if sample is None:
+                return None
+            header = layouts.ItemScoresHeaderV1.from_buffer_copy(bytes(sample.user_header().contents))
+            # The length that the bindings give of a slice is in bytes, and what they show of one reaches beyond it.
+            items = layouts.ItemScoreV1 * sample.header.number_of_elements
+            copy = items.from_buffer_copy(ctypes.string_at(sample.payload().as_ptr(), ctypes.sizeof(items)))
+            sample.delete()
+            return header, list(copy)
 
 
 def _client_builder(node: Node, service: str, request: Any, response: Any) -> Any:
@@ -475,13 +548,32 @@ def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | Non
     raise NoAnswerError(f"service {service}: no answer within {timeout_s} s; is the daemon running in this domain?")
 
 
-class StatusClient:
+class _Client(Port):
+    """Asks one service."""
+
+    def __init__(self, node: Node, service: str, open_client: Callable[[], Any]) -> None:
+        self._node = node
+        self._client = node.retry(service, open_client)
+        super().__init__(service, self._client)
+
+    def _ask(self, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
+        def send_and_wake() -> Any:
+            # Closed meanwhile, it asks no more.
+            self.refuse_closed()
+            pending = send()
+            _wake(self._node, self._service)
+            return pending
+
+        with self.use():
+            return _answer(self._service, send_and_wake, read, again_s, timeout_s)
+
+
+class StatusClient(_Client):
     """Asks the daemon how it is."""
 
     def __init__(self, node: Node) -> None:
         request, response = layouts.StatusRequestV1, layouts.StatusResponseV1
-        self._node = node
-        self._client = node.retry(STATUS, lambda: _client_builder(node, STATUS, request, response).create())
+        super().__init__(node, STATUS, lambda: _client_builder(node, STATUS, request, response).create())
 
     def ask(self, timeout_s: float) -> layouts.StatusResponseV1:
         """Asks, and waits for the answer, a copy."""
@@ -489,16 +581,42 @@ class StatusClient:
         def read(answer: Any) -> layouts.StatusResponseV1:
             return layouts.StatusResponseV1.from_buffer_copy(bytes(answer.payload().contents))
 
+        return self._ask(lambda: self._client.send_copy(layouts.StatusRequestV1()), read, 0.3, timeout_s)
+
+
+class WordsClient(_Client):
+    """Asks the daemon in words (JSON)."""
+
+    def __init__(self, node: Node, service: str) -> None:
+        words = iox2.Slice[ctypes.c_uint8]
+        growing = iox2.AllocationStrategy.PowerOfTwo
+
+        def open_client() -> Any:
+            return _client_builder(node, service, words, words).initial_max_slice_len(4096).allocation_strategy(growing).create()
+
+        super().__init__(node, service, open_client)
+
+    def ask(self, question: str, timeout_s: float = 10) -> str:
+        """Asks, and waits for the answer."""
+        data = question.encode()
+        if len(data) > _QUESTION_BYTES_MAX:
+            raise RoomcastError(f"service {self._service}: a question of {len(data)} bytes, at most {_QUESTION_BYTES_MAX} fit; split it")
+
         def send() -> Any:
-            pending = self._client.send_copy(layouts.StatusRequestV1())
-            _wake(self._node, STATUS)
-            return pending
+            request = self._client.loan_slice_uninit(len(data))
+            ctypes.memmove(request.payload().as_ptr(), data, len(data))
+            return request.assume_init().send()
 
-        return _answer(STATUS, send, read, 0.3, timeout_s)
+        def read(answer: Any) -> bytes | None:
+            return _whole(self._node.domain, self._service, bytes(answer.payload().as_memory_view()))
 
-    def close(self) -> None:
-        """Gives the place to somebody else."""
-        self._client.delete()
+        answer = self._ask(send, read, 0.5, timeout_s)
+        try:
+            return answer.decode()
+        except UnicodeDecodeError as error:
+            raise RoomcastError(
+                f"service {self._service}: the answer is not UTF-8 from byte {error.start} on; is the daemon of this version?"
+            ) from error
 
 
 _QUESTION_BYTES_MAX = 1 << 20
@@ -521,35 +639,3 @@ def _whole(domain: Domain, service: str, answer: bytes) -> bytes | None:
     except OSError as error:
         raise RoomcastError(f"service {service}: the answer in {path} cannot be read: {error.strerror}; ask again") from error
     return answer
-
-
-def ask(node: Node, service: str, question: str, timeout_s: float = 10) -> str:
-    """Asks the daemon in words (JSON) and waits for the answer."""
-    data = question.encode()
-    if len(data) > _QUESTION_BYTES_MAX:
-        raise RoomcastError(f"service {service}: a question of {len(data)} bytes, at most {_QUESTION_BYTES_MAX} fit; split it")
-    words = iox2.Slice[ctypes.c_uint8]
-    growing = iox2.AllocationStrategy.PowerOfTwo
-
-    def open_port() -> Any:
-        return _client_builder(node, service, words, words).initial_max_slice_len(4096).allocation_strategy(growing).create()
-
-    client = node.retry(service, open_port)
-
-    def send() -> Any:
-        request = client.loan_slice_uninit(len(data))
-        ctypes.memmove(request.payload().as_ptr(), data, len(data))
-        pending = request.assume_init().send()
-        _wake(node, service)
-        return pending
-
-    def read(answer: Any) -> bytes | None:
-        return _whole(node.domain, service, bytes(answer.payload().as_memory_view()))
-
-    answer = _answer(service, send, read, 0.5, timeout_s)
-    try:
-        return answer.decode()
-    except UnicodeDecodeError as error:
-        raise RoomcastError(
-            f"service {service}: the answer is not UTF-8 from byte {error.start} on; is the daemon of this version?"
-        ) from error
