@@ -58,6 +58,17 @@ def split_of(cluster: str, dev: bool, fold: int | str | None = None) -> str:
     return "dev" if dev and cluster in SPLITS["dev"] else "train"
 
 
+def held_out(programs: list[Program], split: str, dev: bool, fold: int | str | None) -> tuple[list[Program], list[Program]]:
+    """What a model was trained on, and those of a split that it was not, for a model that was made with these of `run.py`'s options."""
+    members: dict[str, list[Program]] = {}
+    for program in programs:
+        members.setdefault(split_of(program.cluster, dev, fold), []).append(program)
+    if split not in members:
+        made = " ".join(["run.py", *["--dev"] * dev, *[f"--fold {fold}"] * (fold is not None)])
+        raise SystemExit(f"`{made}` holds no programs out as {split!r}, and its model was trained on them: choose {' or '.join(sorted(members.keys() - {'train'}))}")
+    return members.get("train", []), members[split]
+
+
 def activities(programs: Iterable[Program]) -> dict[str, list[str]]:
     """The clusters of several titles, with these as they are matched: titles near each other are one activity."""
     titles: dict[str, set[str]] = {}

@@ -3,6 +3,8 @@
 This steers training. The figures of the model card come from `roomcast experiment forecast`, which scores through the product itself.
 
     python training/evaluate.py --shared ../shared --work training/work --split test
+
+What is held out is what the model's own training held out: the checkpoint says whether that was a fold or a development run.
 """
 
 from __future__ import annotations
@@ -84,7 +86,7 @@ def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]]
 
 
 class Baselines:
-    """Frequency and Markov chains over the labels of one scene, interpolated with weights that a grid search on the training half picks."""
+    """Frequency and Markov chains over the labels of one scene, counted on the training split; each order backs off to the one below it."""
 
     def __init__(self, programs: list[data.Program], scene: Scene):
         self.scene, size = scene, len(scene.labels)
@@ -228,7 +230,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--shared", type=Path, required=True)
     arguments.add_argument("--work", type=Path, required=True)
-    arguments.add_argument("--split", choices=("dev", "calibration", "test"), default="test")
+    arguments.add_argument("--split", choices=("dev", "calibration", "test", "sealed"), default="test")
     arguments.add_argument("--scenes", nargs="*", default=["TestScene1", "TestScene2", "TestScene5"])
     arguments.add_argument("--limit", type=int, default=0, help="only so many programs")
     arguments.add_argument("--descriptions", action="store_true", help="narrate what people wrote about the programs instead of their steps")
@@ -237,13 +239,14 @@ def main() -> None:
     given = arguments.parse_args()
     torch.set_num_threads(1)
     checkpoint = given.work / "checkpoint.pt"
-    prior = torch.load(checkpoint, weights_only=True, map_location="cpu").get("prior", 0.0)
+    made = torch.load(checkpoint, weights_only=True, map_location="cpu")
+    if not {"dev", "fold"} <= made.keys():
+        raise SystemExit(f"{checkpoint} does not say what its training held out: run training/run.py once more with its own options and --export-only")
+    fit, held = data.held_out(data.virtualhome(given.shared), given.split, made["dev"], made["fold"])
+    prior = made["prior"]
     model, encoder = restore(checkpoint), Encoder(vocabulary.load(given.work / "vocabulary.model"))
     if given.quantised:
         model.load_state_dict(export.quantised(model, "q8_0"))
-    programs = data.virtualhome(given.shared)
-    fit = [p for p in programs if data.split_of(p.cluster, given.split == "dev") == "train"]
-    held = [p for p in programs if data.split_of(p.cluster, given.split == "dev") == given.split]
     if given.limit:
         held = random.Random(0).sample(held, min(given.limit, len(held)))
     for name in given.scenes:

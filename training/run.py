@@ -122,7 +122,7 @@ def make(given: argparse.Namespace) -> None:
     print(fit)
     model = model.cpu()
     calibrate.apply(model, fit.temperature)
-    torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": fit.temperature, "prior": fit.prior}, last)
+    torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": fit.temperature, "prior": fit.prior, "dev": given.dev, "fold": given.fold}, last)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION, fit.prior)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)

@@ -20,6 +20,8 @@ pub const TENSORS_MAX: u64 = 65_536;
 pub const STRING_BYTES_MAX: u64 = 1 << 20;
 /// Elements of one metadata array; the largest vocabularies have about 300 000 tokens.
 pub const ARRAY_ELEMENTS_MAX: u64 = 1 << 22;
+/// Bytes of all keys, texts and tokens together as they lie in memory; the largest vocabularies take some 12 MB.
+const KEPT_BYTES_MAX: u64 = 64 << 20;
 /// Bytes of one tensor name, the terminating zero of llama.cpp's buffer included.
 const TENSOR_NAME_BYTES_MAX: u64 = 64;
 /// Dimensions of a tensor in ggml.
@@ -221,6 +223,8 @@ struct Cursor<'a> {
     path: &'a Path,
     position: u64,
     size_bytes: u64,
+    /// What is kept of the metadata so far, in bytes.
+    kept_bytes: u64,
 }
 
 impl Cursor<'_> {
@@ -284,6 +288,23 @@ impl Cursor<'_> {
         Ok(buffer)
     }
 
+    /// Counts what is to be kept, and fails where it is too much together.
+    fn keep(&mut self, bytes: usize, place: &str) -> Result<(), GgufError> {
+        self.kept_bytes = self.kept_bytes.saturating_add(bytes as u64);
+        if self.kept_bytes > KEPT_BYTES_MAX {
+            let reason = format!("with it, keys, texts and tokens are more than {KEPT_BYTES_MAX} bytes together");
+            return Err(self.malformed(place, reason));
+        }
+        Ok(())
+    }
+
+    /// A text to keep. Bytes that are not UTF-8 become longer ones.
+    fn text(&mut self, place: &str) -> Result<String, GgufError> {
+        let text = String::from_utf8_lossy(&self.string(STRING_BYTES_MAX, place)?).into_owned();
+        self.keep(text.len(), place)?;
+        Ok(text)
+    }
+
     fn value(&mut self, key: &str, vocabulary: &mut Vec<Vec<u8>>) -> Result<Value, GgufError> {
         let number = self.u32(key)?;
         Ok(match number {
@@ -295,7 +316,7 @@ impl Cursor<'_> {
             5 => Value::Signed(i64::from(i32::from_le_bytes(self.bytes(key)?))),
             6 => Value::Float(f64::from(f32::from_le_bytes(self.bytes(key)?))),
             7 => Value::Bool(self.bytes::<1>(key)?[0] != 0),
-            TYPE_STRING => Value::Text(String::from_utf8_lossy(&self.string(STRING_BYTES_MAX, key)?).into_owned()),
+            TYPE_STRING => Value::Text(self.text(key)?),
             TYPE_ARRAY => self.array(key, vocabulary)?,
             10 => Value::Unsigned(self.u64(key)?),
             11 => Value::Signed(i64::from_le_bytes(self.bytes(key)?)),
@@ -316,6 +337,7 @@ impl Cursor<'_> {
             for _ in 0..length {
                 let text = self.string(STRING_BYTES_MAX, key)?;
                 if key == VOCABULARY_KEY {
+                    self.keep(size_of::<Vec<u8>>() + text.len(), key)?;
                     vocabulary.push(text);
                 }
             }
@@ -372,12 +394,13 @@ impl Header {
     /// this module's limits or contradicts itself.
     pub fn read(path: &Path) -> Result<Self, GgufError> {
         let io = |source| GgufError::Io { path: path.to_owned(), source };
-        let file = File::open(path).map_err(io)?;
-        let about = file.metadata().map_err(io)?;
-        if about.is_dir() {
-            return Err(io(std::io::ErrorKind::IsADirectory.into()));
+        // Looked at first: to open a FIFO is to wait for whoever writes to it.
+        if !std::fs::metadata(path).map_err(io)?.is_file() {
+            return Err(io(std::io::Error::other("it is no plain file")));
         }
-        let mut cursor = Cursor { input: BufReader::new(file), path, position: 0, size_bytes: about.len() };
+        let file = File::open(path).map_err(io)?;
+        let size_bytes = file.metadata().map_err(io)?.len();
+        let mut cursor = Cursor { input: BufReader::new(file), path, position: 0, size_bytes, kept_bytes: 0 };
 
         let magic: [u8; 4] = cursor.bytes("the magic number")?;
         if &magic != b"GGUF" {
@@ -401,7 +424,7 @@ impl Header {
         let mut vocabulary = Vec::new();
         for index in 0..metadata_count {
             let place = format!("metadata entry {index}");
-            let key = String::from_utf8_lossy(&cursor.string(STRING_BYTES_MAX, &place)?).into_owned();
+            let key = cursor.text(&place)?;
             let value = cursor.value(&key, &mut vocabulary)?;
             if metadata.insert(key.clone(), value).is_some() {
                 return Err(cursor.malformed(&key, "the key occurs twice"));
@@ -450,7 +473,7 @@ impl Header {
             expected_offset = (offset + tensor.size_bytes).next_multiple_of(alignment);
             placed.push(tensor);
         }
-        Ok(Self { path: path.to_owned(), version, size_bytes: about.len(), metadata, tensors: placed, vocabulary })
+        Ok(Self { path: path.to_owned(), version, size_bytes, metadata, tensors: placed, vocabulary })
     }
 
     /// Reads the header and checks besides that it describes a language model whose vocabulary llama.cpp can load: what would end
@@ -669,7 +692,48 @@ mod tests {
         let mut old = tiny(&["a"]);
         old[4] = 1;
         assert!(matches!(read(&old).unwrap_err(), GgufError::Version { version: 1, .. }));
-        assert!(matches!(Header::read(Path::new("/")).unwrap_err(), GgufError::Io { .. }));
+    }
+
+    /// A test that waits for ever is one that a FIFO holds up.
+    #[test]
+    fn what_is_no_plain_file_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let fifo = folder.path().join("fifo");
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, mode, 0).unwrap();
+        for path in [Path::new("/"), Path::new("/dev/null"), &fifo] {
+            let error = Header::read(path).unwrap_err();
+            assert!(error.to_string().contains("it is no plain file; check the path"), "{error}");
+        }
+        assert!(matches!(Header::read(&folder.path().join("none")).unwrap_err(), GgufError::Io { .. }));
+    }
+
+    /// Entries that are each within the limits, each of bytes that become three times as many, or of tokens without a byte.
+    #[test]
+    fn metadata_is_bounded_in_sum() {
+        let mut many = b"GGUF".to_vec();
+        many.extend(3_u32.to_le_bytes());
+        many.extend(0_u64.to_le_bytes());
+        many.extend(64_u64.to_le_bytes());
+        let mut tokens = many.clone();
+        for number in 0..64 {
+            text(&mut many, &format!("key.{number}"));
+            many.extend(TYPE_STRING.to_le_bytes());
+            many.extend(STRING_BYTES_MAX.to_le_bytes());
+            many.resize(many.len() + STRING_BYTES_MAX as usize, 0xff);
+        }
+        text(&mut tokens, VOCABULARY_KEY);
+        tokens.extend(TYPE_ARRAY.to_le_bytes());
+        tokens.extend(TYPE_STRING.to_le_bytes());
+        tokens.extend(ARRAY_ELEMENTS_MAX.to_le_bytes());
+        tokens.resize(tokens.len() + 8 * ARRAY_ELEMENTS_MAX as usize, 0);
+        for (bytes, place) in [(many, "key.21"), (tokens, VOCABULARY_KEY)] {
+            let error = read(&bytes).unwrap_err().to_string();
+            assert!(
+                error.contains(&format!("malformed at {place}: with it, keys, texts and tokens are more")),
+                "{error}"
+            );
+        }
     }
 
     #[test]

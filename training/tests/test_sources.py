@@ -52,6 +52,21 @@ def test_every_activity_is_held_out_by_one_fold_or_sealed():
             assert sorted(found) == ["test"] + ["train"] * data.FOLDS and found[-1] == "train", cluster
 
 
+def test_a_model_is_measured_on_nothing_that_it_was_trained_on():
+    """Whatever its training held out; and what it did not hold out is refused."""
+    programs = [data.Program(cluster, cluster, cluster, ()) for cluster in [*data.SPLITS["clusters"], "annoy your dog", "tell jokes", "whine"]]
+    for dev, fold in [(False, None), (True, None), *[(False, fold) for fold in [*range(1, data.FOLDS + 1), "sealed"]]]:
+        splits = {data.split_of(program.cluster, dev, fold) for program in programs} - {"train"}
+        for split in ("calibration", "test", "dev", "sealed"):
+            if split not in splits:
+                with pytest.raises(SystemExit, match=f"holds no programs out as '{split}', and its model was trained on them: choose calibration"):
+                    data.held_out(programs, split, dev, fold)
+                continue
+            trained, held = data.held_out(programs, split, dev, fold)
+            assert trained and held and not {p.cluster for p in trained} & {p.cluster for p in held}
+            assert {data.split_of(p.cluster, dev, fold) for p in trained} == {"train"}
+
+
 def test_titles_near_each_other_are_one_activity():
     for titles in (("Watch TV", "Turn on TV with remote"), ("Write an email", "Browse internet"), ("Wash teeth", "Change toothbrush"), ("Read book", "Read  newspaper")):
         assert len({data.cluster_of(title) for title in titles}) == 1, titles
