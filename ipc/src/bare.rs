@@ -85,7 +85,8 @@ impl<M: Message> BareReceiver<M> {
             if left.is_zero() {
                 return Ok(None);
             }
-            match self.listener.timed_wait(|_| (), left) {
+            // The library waits without limit where less than a microsecond is left.
+            match self.listener.timed_wait(|_| (), left.max(Duration::from_micros(1))) {
                 // A signal, after which there is still time.
                 Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
                 Err(error) => return Err(port(self.service, "wait", &error)),

@@ -385,6 +385,14 @@ impl Cursor<'_> {
     }
 }
 
+/// Opens a file that is no FIFO and no device: to open one of these is to wait for whoever writes to it.
+pub(crate) fn open_plain(path: &Path) -> std::io::Result<File> {
+    match std::fs::metadata(path)?.is_file() {
+        true => File::open(path),
+        false => Err(std::io::Error::other("it is no plain file")),
+    }
+}
+
 impl Header {
     /// Reads and checks the header of the file at `path`; its tensor data is not read.
     ///
@@ -394,11 +402,7 @@ impl Header {
     /// this module's limits or contradicts itself.
     pub fn read(path: &Path) -> Result<Self, GgufError> {
         let io = |source| GgufError::Io { path: path.to_owned(), source };
-        // Looked at first: to open a FIFO is to wait for whoever writes to it.
-        if !std::fs::metadata(path).map_err(io)?.is_file() {
-            return Err(io(std::io::Error::other("it is no plain file")));
-        }
-        let file = File::open(path).map_err(io)?;
+        let file = open_plain(path).map_err(io)?;
         let size_bytes = file.metadata().map_err(io)?.len();
         let mut cursor = Cursor { input: BufReader::new(file), path, position: 0, size_bytes, kept_bytes: 0 };
 
@@ -704,6 +708,7 @@ mod tests {
         for path in [Path::new("/"), Path::new("/dev/null"), &fifo] {
             let error = Header::read(path).unwrap_err();
             assert!(error.to_string().contains("it is no plain file; check the path"), "{error}");
+            assert!(crate::file_sha256(path).unwrap_err().to_string().contains("no plain file"));
         }
         assert!(matches!(Header::read(&folder.path().join("none")).unwrap_err(), GgufError::Io { .. }));
     }

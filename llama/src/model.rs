@@ -32,7 +32,7 @@ use roomcast_core::scorer::{
     Clock, DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token, TokenCounter, common_prefix,
 };
 
-use crate::gguf::Header;
+use crate::gguf::{Header, open_plain};
 
 /// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
 pub const SEQUENCES_MAX: u32 = 256;
@@ -265,9 +265,9 @@ pub fn build_features() -> Result<Vec<String>, ModelError> {
 /// SHA-256 of a file.
 ///
 /// # Errors
-/// When it cannot be read.
+/// When it cannot be read, or is no plain file.
 pub fn file_sha256(path: &Path) -> std::io::Result<[u8; 32]> {
-    let mut file = std::fs::File::open(path)?;
+    let mut file = open_plain(path)?;
     let mut hash = Sha256::new();
     let mut block = vec![0; 1 << 20];
     loop {
