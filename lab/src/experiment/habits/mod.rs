@@ -727,12 +727,13 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
             Days::Some(_) => sums,
         }
     };
-    let whole = [ALL, HALF, UNSEEN];
+    // One day has no second half.
+    let whole = [ALL, HALF, UNSEEN].into_iter().filter(|stretch| *stretch != HALF || days > 1);
     let mut rows = Vec::new();
     let mut differences = Vec::new();
     for (target, target_name) in TARGETS.iter().enumerate() {
         for (predictor, predictor_name) in PREDICTORS.iter().enumerate() {
-            for day in (1..=days).map(Days::One).chain(whole) {
+            for day in (1..=days).map(Days::One).chain(whole.clone()) {
                 let groups = stretch(predictor, target, day);
                 let summary: Summary = summarise(&groups, options.seed);
                 if summary.cases == 0 {
