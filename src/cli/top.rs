@@ -161,7 +161,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
                 KeyCode::Char('c') if control => return left(count, limit),
                 KeyCode::Char('q') => return Ok(()),
                 KeyCode::Esc if !view.help => return Ok(()),
-                KeyCode::Char(' ') => view.paused = !view.paused,
+                KeyCode::Char(' ') if !control => view.paused = !view.paused,
                 KeyCode::Char('h' | '?') => view.help = !view.help,
                 KeyCode::Esc => view.help = false,
                 _ => {}
