@@ -229,23 +229,33 @@ impl Timed {
     fn left(&self) -> io::Result<Option<Duration>> {
         let left = self.until.saturating_duration_since(Instant::now());
         if left.is_zero() {
-            return Err(io::Error::new(io::ErrorKind::TimedOut, "it took too long"));
+            return Err(timed_out(io::ErrorKind::TimedOut.into()));
         }
         Ok(Some(left))
+    }
+}
+
+/// What a socket calls "would block" when its time is over: whoever reads that tries again.
+fn timed_out(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
+            io::Error::new(io::ErrorKind::TimedOut, format!("it took longer than {} s", TIME_MAX.as_secs()))
+        }
+        _ => error,
     }
 }
 
 impl Read for Timed {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         self.stream.set_read_timeout(self.left()?)?;
-        self.stream.read(buffer)
+        self.stream.read(buffer).map_err(timed_out)
     }
 }
 
 impl Write for Timed {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.stream.set_write_timeout(self.left()?)?;
-        self.stream.write(bytes)
+        self.stream.write(bytes).map_err(timed_out)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -398,9 +408,8 @@ impl Connection {
 
     fn lost(&self, error: SocketError) -> RegistriesError {
         let fault = match error {
-            SocketError::Io(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {
-                format!("it took longer than {} s", TIME_MAX.as_secs())
-            }
+            // Without the words that tungstenite puts before it.
+            SocketError::Io(error) => error.to_string(),
             SocketError::Capacity(_) => format!("an answer has more than {MESSAGE_BYTES_MAX} bytes"),
             error => error.to_string(),
         };
@@ -560,6 +569,18 @@ mod tests {
         std::fs::write(&path, text).unwrap();
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
         path
+    }
+
+    /// A read whose time is over is no interruption, on which the handshake would give up in words of its own.
+    #[test]
+    fn a_host_that_says_nothing_took_too_long() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let stream = TcpStream::connect(address).unwrap();
+        let stream = Timed { stream, until: Instant::now() + Duration::from_millis(50) };
+        let refused = client_with_config(format!("ws://{address}/"), stream, None).err().unwrap();
+        let HandshakeError::Failure(SocketError::Io(error)) = refused else { panic!("{refused:?}") };
+        assert_eq!((error.kind(), error.to_string()), (io::ErrorKind::TimedOut, "it took longer than 60 s".to_owned()));
     }
 
     /// Answers one connection as Home Assistant does; `answer` says what to each question, and may know none.

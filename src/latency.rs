@@ -441,10 +441,10 @@ pub fn interleaved(
     let mut histograms = probes.iter().map(|_| histogram()).collect::<Result<Vec<_>, _>>()?;
     for round in 0..warm_up + samples {
         for (probe, histogram) in probes.iter_mut().zip(&mut histograms) {
+            rest(pause, stop);
             if stop.requested() {
                 return Ok(Taken { histograms, prepared, computed });
             }
-            std::thread::sleep(pause);
             let sample = probe.measure()?;
             if round >= warm_up {
                 histogram.saturating_record(sample.elapsed_ns);
@@ -457,6 +457,17 @@ pub fn interleaved(
         progress();
     }
     Ok(Taken { histograms, prepared, computed })
+}
+
+/// Sleeps so long, or until it is asked to stop. A pause as short as those between samples is one sleep.
+fn rest(pause: Duration, stop: &Stop) {
+    const TICK: Duration = Duration::from_millis(200);
+    let mut left = pause;
+    while !left.is_zero() && !stop.requested() {
+        let now = left.min(TICK);
+        std::thread::sleep(now);
+        left -= now;
+    }
 }
 
 fn nanoseconds(since: Instant) -> u64 {
@@ -476,6 +487,14 @@ mod tests {
             (row.n, row.p50_ns, row.p90_ns, row.p99_ns, row.p999_ns, row.max_ns),
             (1000, 500, 900, 990, 999, 1000)
         );
+    }
+
+    #[test]
+    fn a_stop_ends_a_pause_of_any_length() {
+        let stop = Stop::new();
+        stop.request();
+        rest(Duration::MAX, &stop);
+        rest(Duration::from_millis(1), &Stop::new());
     }
 
     #[test]

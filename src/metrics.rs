@@ -195,11 +195,7 @@ impl Metrics {
         );
         r.register_with_unit("step", "Stages of a scoring step", s.clone(), self.stages.clone());
         r.register("scores", "Snapshots of new scores seen here", self.scores_seen.clone());
-        r.register(
-            "scores_unseen",
-            "Snapshots that came faster than they were looked at here",
-            self.scores_unseen.clone(),
-        );
+        r.register("scores_unseen", "Snapshots that came and were not seen here", self.scores_unseen.clone());
         r.register("scores_malformed", "Snapshots that were malformed", self.malformed_scores.clone());
         r.register(
             "room_probability",
@@ -268,13 +264,15 @@ impl Metrics {
 
     /// Takes scores as they come, repetitions included.
     fn take(&mut self, scores: &RoomScoresV1) {
-        let known = self.newest.filter(|known| known.epoch == scores.epoch).map_or(0, |known| known.sequence);
-        let same_daemon = self.newest.is_some_and(|known| known.epoch == scores.epoch);
-        if scores.sequence > known && !scores.has(score_flags::HEARTBEAT) {
+        let is_repetition = scores.has(score_flags::HEARTBEAT);
+        // Of another daemon's scores it is not known how many came before.
+        let known = self.newest.filter(|known| known.epoch == scores.epoch).map(|known| known.sequence);
+        if let Some(new) = known.and_then(|known| scores.sequence.checked_sub(known)) {
+            // A repetition of what was not seen tells that it came.
+            self.scores_unseen.inc_by(if is_repetition { new } else { new.saturating_sub(1) });
+        }
+        if known.is_none_or(|known| scores.sequence > known) && !is_repetition {
             self.scores_seen.inc();
-            if same_daemon {
-                self.scores_unseen.inc_by(scores.sequence - known - 1);
-            }
             // A step without narration (the first one, a changed map) has no event to be measured from.
             if scores.wait_ns > 0 {
                 self.event_to_scores.observe(seconds(scores.published_ns.saturating_sub(scores.received_ns)));
@@ -290,7 +288,11 @@ impl Metrics {
                 self.stages.get_or_create(&Stage { stage }).observe(seconds(taken_ns));
             }
         }
-        if self.newest.is_some_and(|known| known.map_fingerprint != scores.map_fingerprint) {
+        // Another daemon may have the same map in other partitions.
+        if self
+            .newest
+            .is_some_and(|known| (known.epoch, known.map_fingerprint) != (scores.epoch, scores.map_fingerprint))
+        {
             self.room_probability.clear();
         }
         for room in scores.rooms() {
@@ -405,7 +407,8 @@ pub fn run(
 ) -> Result<(), MetricsError> {
     let node = domain.open("roomcast-metrics")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
-    let decisions: Subscriber<DecisionV1> = node.subscriber()?;
+    // Those of before are none that were seen: each start would count them again.
+    let decisions: Subscriber<DecisionV1> = node.subscriber_from_now()?;
     let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
     let mut scrapes = Scrapes { status, habits, metrics: Arc::clone(&metrics), asked: None };
@@ -555,6 +558,52 @@ mod tests {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }
         assert!(text.ends_with("# EOF\n"));
+    }
+
+    /// Whatever is seen of a daemon's snapshots, and in whatever repetitions: each was seen once, or was not.
+    #[test]
+    fn every_snapshot_was_seen_or_was_not() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        for _ in 0..200 {
+            let (mut metrics, mut last) = (Metrics::new(), 1);
+            metrics.take(&RoomScoresV1 { epoch: 1, sequence: 1, ..Default::default() });
+            for sequence in 1..=20 {
+                let flags = if rng.random() { score_flags::HEARTBEAT } else { 0 };
+                if rng.random() {
+                    last = sequence;
+                    metrics.take(&RoomScoresV1 { epoch: 1, sequence, flags, ..Default::default() });
+                }
+            }
+            assert_eq!(metrics.scores_seen.get() + metrics.scores_unseen.get(), last);
+        }
+    }
+
+    /// A daemon that starts again with other partitions of the same map has none of the rooms of before.
+    #[test]
+    fn rooms_are_those_of_the_newest_scores() {
+        let mut metrics = Metrics::new();
+        for (epoch, map, rooms) in [
+            (1, 1, &["kitchen", "bedroom"][..]),
+            (2, 1, &["day-rooms", "bedroom"]),
+            (2, 2, &["day-rooms"]),
+            (3, 2, &["kitchen"]),
+        ] {
+            let mut scores = RoomScoresV1 {
+                epoch,
+                sequence: 1,
+                room_count: rooms.len() as u32,
+                map_fingerprint: [map; 32],
+                ..Default::default()
+            };
+            for (place, id) in rooms.iter().enumerate() {
+                scores.room[place].id = text::encode("id", id).unwrap();
+            }
+            metrics.take(&scores);
+            let text = metrics.text(1);
+            let told = text.lines().filter(|line| line.starts_with("roomcast_room_probability{")).count();
+            let all = rooms.iter().all(|id| text.contains(&format!("roomcast_room_probability{{room=\"{id}\"}}")));
+            assert!(told == rooms.len() && all, "{text}");
+        }
     }
 
     #[test]

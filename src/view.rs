@@ -13,8 +13,8 @@ use hyper::{Response, StatusCode};
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, action, clock, presence,
-    question, sequence,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, Subscriber, action, clock,
+    presence, question, sequence,
 };
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::message_text::said_of;
@@ -132,8 +132,7 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
             live.picture.items(&message);
         }
         let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
-        let map = live.picture.map();
-        let is_new = map.is_some() && live.plan.as_ref().map(|plan| plan.map.as_str()) != map.as_deref();
+        let is_new = live.picture.scores.is_some() && live.fitting_plan().is_none();
         // What takes a while keeps no reader waiting.
         drop(live);
         things.follow(&node, is_looked_at);
@@ -264,17 +263,23 @@ struct Live {
     looked: Option<Instant>,
 }
 
+impl Live {
+    /// The plan, where it is of what is shown: a plan of another map is none.
+    fn fitting_plan(&self) -> Option<&Plan> {
+        self.plan.as_ref().filter(|plan| self.picture.is_on(plan))
+    }
+}
+
 impl Shown for Live {
     fn state(&mut self, _at_s: Option<f64>) -> Value {
         self.looked = Some(Instant::now());
         let now_ns = clock::monotonic_ns();
         let mut state = self.picture.state(now_ns);
-        let map = self.plan.as_ref().map(|plan| plan.map.as_str());
+        let plan = self.fitting_plan();
         (state["live"], state["forecasts"]) = (true.into(), true.into());
-        // A plan of another map is none.
-        state["map"] = map.filter(|map| Some(*map) == self.picture.map().as_deref()).into();
+        state["map"] = plan.map(Plan::key).into();
         state["daemon"] = self.picture.daemon(now_ns);
-        self.plan.iter().for_each(|plan| plan.name(&mut state));
+        plan.iter().for_each(|plan| plan.name(&mut state));
         state
     }
 
@@ -322,10 +327,11 @@ impl Played {
             self.picture.take(message, *time_ns);
             self.taken += 1;
         }
-        let map = self.picture.map();
-        if self.plan.as_ref().map(|plan| plan.map.as_str()) != map.as_deref() {
-            let moment = self.recording.moments.iter().find(|moment| Some(&moment.map_fingerprint) == map.as_ref());
-            self.plan = moment.and_then(|moment| Plan::of_moment(moment).ok());
+        if !self.plan.as_ref().is_some_and(|plan| self.picture.is_on(plan)) {
+            let map = self.picture.map();
+            let moments = self.recording.moments.iter().filter(|own| Some(&own.map_fingerprint) == map.as_ref());
+            let mut plans = moments.filter_map(|moment| Plan::of_moment(moment).ok());
+            self.plan = plans.find(|plan| self.picture.is_on(plan));
         }
     }
 }
@@ -338,7 +344,7 @@ impl Shown for Played {
         let mut state = self.picture.state(now_ns);
         (state["live"], state["forecasts"]) = (false.into(), self.has_forecasts.into());
         (state["at_s"], state["length_s"]) = (at_s.into(), self.length_s.into());
-        state["map"] = self.plan.as_ref().map(|plan| plan.map.clone()).into();
+        state["map"] = self.plan.as_ref().map(Plan::key).into();
         state["daemon"] = json!({"alarm": false, "text": "A recording."});
         self.plan.iter().for_each(|plan| plan.name(&mut state));
         state
@@ -349,17 +355,23 @@ impl Shown for Played {
     }
 }
 
-/// A map to draw.
+/// A map to draw, in its partitions: of one map there are several plans.
 #[derive(Debug)]
 struct Plan {
-    /// Its fingerprint, hexadecimal.
+    /// The map's fingerprint, hexadecimal.
     map: String,
+    level: &'static str,
     /// The names of its partitions, by id.
     names: BTreeMap<String, String>,
     drawing: Value,
 }
 
 impl Plan {
+    /// What the page knows it by.
+    fn key(&self) -> String {
+        format!("{}-{}", self.map, self.level)
+    }
+
     fn of_moment(moment: &Moment) -> Result<Self, MomentError> {
         let explained = SemanticMap::from_json(&moment.scene.to_string());
         Self::of_map(&explained.map_err(MomentError::Scene)?, moment).map_err(MomentError::Scene)
@@ -390,13 +402,20 @@ impl Plan {
         });
         let storey = |own: &Storey| json!({"name": own.name(), "at": point([own.min_m[0], own.max_m[1]])});
         let named = storeys.all().iter().filter(|_| storeys.all().len() > 1);
-        let drawing = json!({
-            "map": moment.map_fingerprint, "name": map.name(),
-            "rooms": partitions.iter().zip(&names).map(room).collect::<Vec<_>>(),
+        let rooms: Vec<Value> = partitions.iter().zip(&names).map(room).collect();
+        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
+        let mut plan = Self {
+            map: moment.map_fingerprint.clone(),
+            level: moment.grounding.level.into(),
+            names: names.collect(),
+            drawing: Value::Null,
+        };
+        plan.drawing = json!({
+            "map": plan.key(), "name": map.name(),
+            "rooms": rooms,
             "storeys": named.map(storey).collect::<Vec<_>>(), "doors": doors.collect::<Vec<_>>(), "items": map.items().iter().map(item).collect::<Vec<_>>(),
         });
-        let names = partitions.iter().map(|partition| partition.id.clone()).zip(names);
-        Ok(Self { map: moment.map_fingerprint.clone(), names: names.collect(), drawing })
+        Ok(plan)
     }
 
     /// Puts the rooms' names into a state.
@@ -515,6 +534,15 @@ impl Picture {
         self.scores.as_ref().map(|(scores, _)| hex::encode(scores.map_fingerprint))
     }
 
+    /// Whether the scores are of this plan: of its map, in its partitions.
+    fn is_on(&self, plan: &Plan) -> bool {
+        let Some((scores, _)) = &self.scores else { return false };
+        let rooms = scores.rooms();
+        hex::encode(scores.map_fingerprint) == plan.map
+            && rooms.len() == plan.names.len()
+            && rooms.iter().all(|room| plan.names.contains_key(room.id()))
+    }
+
     /// Whether the daemon lives, in words.
     fn daemon(&self, now_ns: u64) -> Value {
         let Some((scores, _)) = &self.scores else {
@@ -577,7 +605,10 @@ impl Picture {
 
     fn person_cards(&self) -> Vec<Value> {
         let Some(persons) = self.persons.as_deref() else { return Vec::new() };
-        let forecasts = self.forecasts.as_deref().filter(|own| own.epoch == persons.epoch);
+        let rooms = self.scores.as_ref().map_or(&[][..], |(scores, _)| scores.rooms());
+        // What a person is told of is by the place of a room: of other rooms, as while the map changes, it would say something else.
+        let is_of_these = |own: &&PersonForecastsV1| own.rooms().eq(rooms.iter().map(RoomV1::id));
+        let forecasts = self.forecasts.as_deref().filter(|own| own.epoch == persons.epoch).filter(is_of_these);
         let card = |person: &PersonV1| {
             let own =
                 forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
@@ -760,20 +791,77 @@ mod tests {
         assert_eq!(plan.drawing["items"].as_array().unwrap().len(), map.items().len());
     }
 
+    /// Scores of the studio, in which somebody is in the kitchen or in the bathroom.
     fn scores(sequence: u64, kitchen: f64) -> RoomScoresV1 {
-        let map = SemanticMap::from_json(STUDIO).unwrap();
-        let mut scores = RoomScoresV1 {
-            epoch: 1,
-            sequence,
-            room_count: 2,
-            map_fingerprint: map.fingerprint(),
-            ..Default::default()
-        };
-        for (place, id) in ["kitchen", "bathroom"].into_iter().enumerate() {
+        scores_of(&moment(STUDIO), sequence, &[("kitchen", kitchen), ("bathroom", 1.0 - kitchen)])
+    }
+
+    fn scores_of(moment: &Moment, sequence: u64, likely: &[(&str, f64)]) -> RoomScoresV1 {
+        let plan = Plan::of_moment(moment).unwrap();
+        let others =
+            plan.names.keys().map(|id| (id.as_str(), 0.0)).filter(|(id, _)| likely.iter().all(|own| own.0 != *id));
+        let mut scores = RoomScoresV1 { epoch: 1, sequence, ..Default::default() };
+        scores.map_fingerprint.copy_from_slice(&hex::decode(&plan.map).unwrap());
+        for (place, (id, probability)) in likely.iter().copied().chain(others).enumerate() {
             scores.room[place].id = text::encode("id", id).unwrap();
+            scores.room[place].probability = probability;
+            scores.room_count = place as u32 + 1;
         }
-        (scores.room[0].probability, scores.room[1].probability) = (kitchen, 1.0 - kitchen);
         scores
+    }
+
+    /// A daemon that starts again with other partitions has the same map.
+    #[test]
+    fn a_plan_is_of_the_partitions_that_are_scored() {
+        let rooms = moment(include_str!("../scenes/apartment-e0.json"));
+        let mut groups = rooms.clone();
+        groups.grounding.level = roomcast_core::grounding::PartitionLevel::Group;
+        let plans = [&rooms, &groups].map(|moment| Plan::of_moment(moment).unwrap());
+        assert_ne!(plans[0].names, plans[1].names, "the scene has groups");
+        assert_ne!(plans[0].key(), plans[1].key());
+        let of_rooms = scores_of(&rooms, 1, &[]);
+        let of_groups = RoomScoresV1 { epoch: 2, ..scores_of(&groups, 1, &[]) };
+        let mut live = Live::default();
+        for (scores, plan) in [(of_rooms, 0), (of_groups, 1)] {
+            live.picture.scores(&scores, 1);
+            for (index, moment) in [&rooms, &groups].into_iter().enumerate() {
+                live.plan = Plan::of_moment(moment).ok();
+                let key = if index == plan { json!(plans[plan].key()) } else { Value::Null };
+                assert_eq!(live.state(None)["map"], key);
+                assert_eq!(live.plan().unwrap()["map"], plans[index].key());
+            }
+        }
+        // A recording of both daemons has a moment of each.
+        let messages = [of_rooms, of_groups].map(|scores| Recorded::RoomScores(Box::new(scores)));
+        let messages = [0, 1_000_000_000].into_iter().zip(messages).collect();
+        let mut played = Played::new(Recording { messages, moments: vec![rooms, groups] });
+        for (at_s, plan) in [(1.0, 1), (0.0, 0), (1.0, 1)] {
+            assert_eq!(played.state(Some(at_s))["map"], plans[plan].key());
+            assert_eq!(played.plan().unwrap()["map"], plans[plan].key());
+        }
+    }
+
+    /// Scores and persons come one after the other: while the map changes, they are of different rooms.
+    #[test]
+    fn persons_are_shown_in_the_rooms_that_are_scored() {
+        let mut picture = Picture::default();
+        picture.persons(&PersonScoresV1 { epoch: 1, person_count: 1, ..Default::default() });
+        let forecasts = |ids: &[&str]| {
+            let (room_count, person_count, horizon_count) = (ids.len() as u32, 1, 1);
+            let mut told =
+                PersonForecastsV1 { epoch: 1, room_count, person_count, horizon_count, ..Default::default() };
+            ids.iter().zip(&mut told.id).for_each(|(id, own)| *own = text::encode("id", id).unwrap());
+            told
+        };
+        let all: Vec<String> = scores(1, 0.5).rooms().iter().map(|room| room.id().to_owned()).collect();
+        let all: Vec<&str> = all.iter().map(String::as_str).collect();
+        let other: Vec<&str> = all.iter().rev().copied().collect();
+        picture.scores(&scores(1, 0.5), 1);
+        for (ids, shown) in [(&all[..], true), (&all[1..], false), (&other[..], false), (&[][..], false)] {
+            picture.forecasts(&forecasts(ids), 1);
+            let rooms = &picture.state(2)["persons"][0]["rooms"];
+            assert_eq!(rooms.as_array().map(Vec::len), shown.then_some(all.len()), "{ids:?}");
+        }
     }
 
     #[test]
@@ -828,7 +916,8 @@ mod tests {
         picture.scores(&scores(1, 0.5), 1);
         let told = DecisionV1 { scores_epoch: 1, covered: 0b01, ..Default::default() };
         picture.decision(&told, 1);
-        assert_eq!(picture.state(2)["decision"]["left"], json!(["bathroom"]));
+        let left = picture.state(2)["decision"]["left"].clone();
+        assert!(left[0] == "bathroom" && !left.as_array().unwrap().contains(&json!("kitchen")), "{left}");
         picture.decision(&DecisionV1 { scores_epoch: 2, ..told }, 1);
         assert_eq!(picture.state(2)["decision"]["left"], Value::Null, "its bits are of other rooms");
     }

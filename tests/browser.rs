@@ -322,6 +322,41 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
         ["horizon", "time", "play", "pause", "items"].map(shown),
         [true, true, true, false, false].map(Value::from)
     );
+    // The last choice of a drag is shown, also where it comes while an answer is under way: here each takes a moment.
+    browser.run(
+        "window.promptly = window.fetch;
+        window.fetch = async (...of) => { await new Promise(later => setTimeout(later, 200)); return window.promptly(...of); };
+        const time = document.getElementById('time');
+        time.focus();
+        [0.1, 0.9, 0.4, 0].forEach((part, i) => setTimeout(() => {
+            time.value = part * time.max;
+            time.dispatchEvent(new Event('input'));
+        }, 50 * i));",
+    );
+    browser.until(
+        "the drag's last moment is shown",
+        "return state.at_s === 0 && document.getElementById('time').value === '0'",
+    );
+    browser.run("window.fetch = window.promptly");
+    // What is dragged to its end has all that was said, and what is played to its end stops there.
+    browser.run(
+        "const time = document.getElementById('time'); time.value = time.max; time.dispatchEvent(new Event('input'))",
+    );
+    browser.until("the end is the end", "return state.at_s === state.length_s");
+    browser.run("const time = document.getElementById('time'); time.value = 0.9 * time.max; time.dispatchEvent(new Event('input'))");
+    browser.run("document.getElementById('play').click()");
+    browser.until(
+        "it stops at its end",
+        "return document.getElementById('play').innerText === 'Play' && state.at_s === state.length_s",
+    );
+    // A state that cannot be shown is no fault of the connection.
+    browser.run(
+        "window.fetch = async (...of) => { const answer = await window.promptly(...of); const state = await answer.json(); state.persons = null; return { ok: true, json: async () => state }; };
+        document.getElementById('play').click();",
+    );
+    browser.until("it was asked for", "return state.persons === null");
+    assert_eq!(browser.text("#daemon"), "A recording.");
+    browser.run("window.fetch = window.promptly; document.getElementById('play').click()");
     for width in [360, 1280, 2560] {
         browser.look(width, false);
         let fits = format!("const outside = (() => {{ {OUTSIDE} }})(); return outside.length === 0");

@@ -1161,6 +1161,14 @@ fn a_signal_ends_a_service_well_and_interrupts_work_that_has_an_end() {
         assert_eq!(status.code(), Some(i32::from(exit_code::INTERRUPTED)), "{log}");
         assert!(log.contains("interrupted: "), "{log}");
 
+        let name = path(&world, &format!("recording-{number}"));
+        let ends = world.start(&["record", &name, "--seconds", "100000"]);
+        eventually("a recording", || Path::new(&name).exists().then_some(()));
+        world.signal(ends, signal);
+        let (status, log) = world.wait(ends);
+        assert_eq!(status.code(), Some(i32::from(exit_code::INTERRUPTED)), "{log}");
+        assert!(log.contains("interrupted: 0 messages in "), "{log}");
+
         let mut piped = world.command(&["report", "-"]);
         piped.stdin(Stdio::piped()).stderr(Stdio::piped());
         let mut piped = piped.spawn().unwrap();
@@ -1272,7 +1280,23 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let recording = ["explain", "--recording", "day.mcap"];
     let table2 = ["experiment", "table2"];
     let pareto = ["experiment", "pareto"];
-    let cases: [(&[&str], &[&str]); 32] = [
+    let import = ["scene", "import", "map.json", "--out", "scene.json"];
+    let valetudo = ["scene", "import", "map.json", "--out", "scene.json", "--format", "valetudo"];
+    let habits = ["experiment", "habits", "--sensors", "log", "--rules", "rules.toml", "--scene", "studio"];
+    let cases: [(&[&str], &[&str]); 45] = [
+        (&import, &["--up", "y"]),
+        (&import, &["--keep-spellings"]),
+        (&import, &["--names", "names.toml"]),
+        (&import, &["--rules", "rules.toml"]),
+        (&import, &["--token-file", "token"]),
+        (&valetudo, &["--up", "y"]),
+        (&valetudo, &["--keep-spellings"]),
+        (&valetudo, &["--equivalence", "names.txt"]),
+        (&habits, &["--items", "nearest"]),
+        (&["experiment", "horizon"], &["--restarts", "7"]),
+        (&["experiment", "horizon"], &["--room-time", "25"]),
+        (&["experiment", "horizon"], &["--disturbance", "in-sight"]),
+        (&["experiment", "card", "--shared", "data"], &["--only", "no such title"]),
         (&score, &["--threads", "100000"]),
         (&score, &["--steps", "3"]),
         (&score, &["--effort", "ranking", "--method", "independent"]),
@@ -1352,7 +1376,7 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
 
     write_fold(Path::new(&path("folds/fold-1")), "a.txt", "b.txt");
     let (code, _, said) = run("folds", &["--folds", &path("folds")]);
-    assert!(code == input && said.contains("1 finished folds") && said.contains("training/run.py"), "{said}");
+    assert!(code == input && said.contains("1 finished fold,") && said.contains("training/run.py"), "{said}");
     write_fold(Path::new(&path("folds/fold-2")), "b.txt", "a.txt");
     let (_, report, said) = run("folds", &["--folds", &path("folds")]);
     let report = report.unwrap_or_else(|| panic!("{said}"));

@@ -250,7 +250,7 @@ fn watch<M: LanguageModel>(
 /// Plays the days and prints how good the forecast was on each.
 pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     let board = |learn: bool| {
-        let (pipeline, map) = setup::open(config).map_err(failed)?;
+        let (pipeline, map) = setup::open(config)?;
         let board = Board::new(pipeline, map, config.grounding, 1).map_err(failed)?;
         let options = HabitsOptions { learn, ..config.habits.options() };
         Ok::<_, Failure>(board.with_habits(HomeHabits::new(Memory::new(options), Zone::UTC)))

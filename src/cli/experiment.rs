@@ -266,11 +266,11 @@ fn embedded_statistics() -> Result<Statistics, Failure> {
 }
 
 /// Each once, in their order.
-fn distinct(items: &[ItemChoice]) -> Vec<ItemChoice> {
+fn distinct<T: Copy + PartialEq>(given: &[T]) -> Vec<T> {
     let mut once = Vec::new();
-    for choice in items {
-        if !once.contains(choice) {
-            once.push(*choice);
+    for own in given {
+        if !once.contains(own) {
+            once.push(*own);
         }
     }
     once

@@ -187,7 +187,12 @@ fn import(file: &Path, asker: &Asker) -> CommandResult {
     let answer =
         done(answer).map_err(|failure| Failure::new(failure.code, format!("{}: {failure}", file.display())))?;
     let (observations, persons) = known(&answer);
-    print(&format!("Imported: {observations} observations of {persons}.{}\n", after_restart(&answer)))
+    print(&format!("Imported: {} of {persons}.{}\n", counted(observations), after_restart(&answer)))
+}
+
+/// So many observations: "1 observation", "2 observations". What was seen long ago counts less, so they may have become fewer.
+fn counted(observations: f64) -> String {
+    format!("{observations} observation{}", if observations == 1.0 { "" } else { "s" })
 }
 
 /// Observations, and persons in words.
@@ -210,23 +215,23 @@ fn learn(args: &LearnArgs) -> CommandResult {
     let asker = Asker::new(&args.common)?;
     for attempt in 1..=ATTEMPTS {
         let (before, learned) = asker.export()?;
-        let failed = |error| Failure::new(exit_code::FAILURE, error);
-        let board = lessons::board(&config, &learned, read.zone().clone()).map_err(failed)?;
+        let board = lessons::board(&config, &learned, read.zone().clone())?;
         let total = read.lessons().len();
         let learned = lessons::teach(board, read.lessons().to_vec(), |told| {
             if told % 1_000 == 0 {
                 super::tell(format_args!("roomcast: {told} of {total} narrations"));
             }
         });
-        let learned = learned.map_err(failed)?;
-        let answer = asker.replace(&learned, Some(before.taken))?;
+        let answer = asker.replace(&learned?, Some(before.taken))?;
         if !answer.learned_meanwhile || attempt == ATTEMPTS {
             let answer = done(answer)?;
             let (observations, persons) = known(&answer);
             let more = observations - known(&before).0;
             print(&format!(
-                "Learned: {more} observations of {}; {observations} of {persons} now.{}\n",
+                "Learned: {} of {}; {} of {persons} now.{}\n",
+                counted(more),
                 super::count(total, "narration"),
+                counted(observations),
                 after_restart(&answer)
             ))?;
             return match usize::try_from(read.faults().count()).unwrap_or(usize::MAX) {

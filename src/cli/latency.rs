@@ -14,8 +14,11 @@ use super::{CommandResult, Failure, print_json, ranges, service};
 use crate::exit_code;
 use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row, Taken};
 use roomcast_core::narration::{Program, Sentence};
+use roomcast_core::prepared::ANSWERS_MAX;
 use roomcast_services::stop::Stop;
 
+/// Most that the configuration takes as `ipc.spin_us`.
+const SPIN_US_MAX: u64 = 10_000_000;
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
 
@@ -36,11 +39,11 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = Load::Both)]
     load: Load,
     /// Microseconds that daemon and planner stay awake after a message (`ipc.spin_us`).
-    #[arg(long, value_name = "US", default_value_t = 0, value_parser = ranges::any())]
+    #[arg(long, value_name = "US", default_value_t = 0, value_parser = ranges::whole(0..=SPIN_US_MAX))]
     spin: u64,
     /// How many likely next sentences the daemon scores ahead (`scoring.prepare`), in place of the default.
-    #[arg(long, value_name = "N", value_parser = ranges::any())]
-    prepare: Option<u64>,
+    #[arg(long, value_name = "N", value_parser = ranges::whole(0..=ANSWERS_MAX))]
+    prepare: Option<usize>,
     /// A file with the sentences to narrate, a line each, over and over; the shipped programs' when left out.
     #[arg(long, value_name = "FILE")]
     sentences: Option<PathBuf>,
@@ -325,4 +328,29 @@ fn print(rows: &[Row]) -> CommandResult {
         "{table}\nRound trips between processes, in microseconds, one sample of each path in turn: a narration there, scores or a \
          decision\nback; the yardsticks carry the same sizes and do nothing in between.\n"
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Args as _, FromArgMatches as _};
+
+    fn parsed(line: &str) -> Result<Args, clap::Error> {
+        let line = ["latency"].into_iter().chain(line.split_whitespace());
+        Args::from_arg_matches(&Args::augment_args(clap::Command::new("latency")).try_get_matches_from(line)?)
+    }
+
+    /// What the daemon would refuse in a file that nobody wrote is refused on the command line, and nothing else is.
+    #[test]
+    fn the_command_line_takes_what_the_configuration_takes() {
+        for (option, key, most) in
+            [("--spin", "ipc]\nspin_us", SPIN_US_MAX), ("--prepare", "scoring]\nprepare", ANSWERS_MAX as u64)]
+        {
+            for (number, fits) in [(0, true), (most, true), (most + 1, false)] {
+                let config: roomcast_services::config::Config = toml::from_str(&format!("[{key} = {number}")).unwrap();
+                assert_eq!(config.check().is_ok(), fits, "{key} = {number}");
+                assert_eq!(parsed(&format!("{option} {number}")).is_ok(), fits, "{option} {number}");
+            }
+        }
+    }
 }

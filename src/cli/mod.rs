@@ -12,6 +12,7 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use roomcast_core::text::visible_lines;
 use roomcast_services::daemon::{DaemonError, JournalError};
+use roomcast_services::lessons::LessonError;
 use roomcast_services::setup::SetupError;
 
 use crate::exit_code;
@@ -121,6 +122,16 @@ impl From<DaemonError> for Failure {
             _ => exit_code::FAILURE,
         };
         Self::new(code, error)
+    }
+}
+
+impl From<LessonError> for Failure {
+    fn from(error: LessonError) -> Self {
+        match error {
+            LessonError::Setup(error) => error.into(),
+            LessonError::Board(_) => Self::new(exit_code::INPUT, error),
+            _ => Self::new(exit_code::FAILURE, error),
+        }
     }
 }
 
@@ -378,5 +389,25 @@ mod tests {
     fn another_daemon_has_its_own_code_also_where_only_its_journal_shows_it() {
         let code = |error: JournalError| Failure::from(DaemonError::Journal(error)).code;
         assert_eq!(code(JournalError::Locked { path: "journal".into() }), exit_code::IPC);
+    }
+
+    /// A scene or a model that cannot be used ends every command with the same code.
+    #[test]
+    fn one_fault_has_one_code_in_every_command() {
+        let setup = |scene: &str, model: &str| {
+            let text = format!("[scene]\npath = {scene:?}\n[model]\npath = {model:?}\n");
+            let config: roomcast_services::config::Config = toml::from_str(&text).unwrap();
+            roomcast_services::setup::open(&config).err().unwrap()
+        };
+        for (scene, model, code) in
+            [("/nowhere.json", "", exit_code::INPUT), ("studio", "/nowhere.gguf", exit_code::MODEL)]
+        {
+            let codes = [
+                Failure::from(setup(scene, model)).code,
+                Failure::from(DaemonError::from(setup(scene, model))).code,
+                Failure::from(LessonError::from(setup(scene, model))).code,
+            ];
+            assert_eq!(codes, [code; 3], "{scene} {model}");
+        }
     }
 }

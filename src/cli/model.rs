@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::choice::choice;
-use super::{CommandResult, Failure, print};
+use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 #[cfg(feature = "pull")]
 use crate::hub::{self, Hub, HubError, Request};
@@ -94,7 +94,9 @@ enum Command {
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Info { file, json } => info(file.as_deref(), *json),
-        Command::Check { file: Some(file), here: false, .. } => check_elsewhere(file),
+        Command::Check { file: Some(file), case, record, json, here: false } => {
+            elsewhere(check_arguments(file, case.as_deref(), record.as_deref(), *json), file)
+        }
         Command::Check { file, case, record, json, here: _ } => {
             check(file.as_deref(), case.as_deref(), record.as_deref(), *json)
         }
@@ -369,7 +371,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     if failed > 0 {
         return Err(Failure::new(
             exit_code::CHECK,
-            format!("{failed} checks failed: this model gives no scores to rely on"),
+            format!("{} failed: this model gives no scores to rely on", count(failed, "check")),
         ));
     }
     Ok(())
@@ -418,17 +420,24 @@ pub(super) fn try_configured(config: &Config) -> CommandResult {
 fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
     let cache = options.cache.to_string();
     let arguments = ["model", "rehearse", "--kv-cache", cache.as_str()].map(OsString::from);
-    elsewhere(arguments.into_iter().chain([file.into()]), file)
+    elsewhere(arguments.into_iter().chain(["--".into(), file.into()]), file)
 }
 
 /// The check in a process of its own: the one that judges does not die of what it judges.
-fn check_elsewhere(file: &Path) -> CommandResult {
-    elsewhere(std::env::args_os().skip(1).chain(["--here".into()]), file)
+fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json: bool) -> Vec<OsString> {
+    let mut arguments: Vec<OsString> = ["model", "check", "--here"].map(OsString::from).to_vec();
+    for (option, given) in [("--case", case), ("--record", record)] {
+        // In one word: a file's name may begin with a hyphen.
+        arguments.extend(given.map(|given| [OsString::from(option), "=".into(), given.into()].into_iter().collect()));
+    }
+    arguments.extend(json.then(|| "--json".into()));
+    arguments.extend(["--".into(), file.into()]);
+    arguments
 }
 
 /// Runs this program on a model file in a process of its own, so that a file on which llama.cpp gives up, which ends its process, is an
 /// error here.
-fn elsewhere(arguments: impl Iterator<Item = OsString>, file: &Path) -> CommandResult {
+fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
     let failed = |why: String| Failure::new(exit_code::MODEL, why);
     let own = std::env::current_exe();
     let tried = own.and_then(|own| Process::new(own).args(arguments).stdin(Stdio::null()).output());
@@ -559,6 +568,30 @@ fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Whatever files are called, the process that checks is given what this one was given.
+    #[test]
+    fn a_check_is_handed_on_as_it_was_asked_for() {
+        use clap::{Args as _, FromArgMatches as _};
+        let names = ["m.gguf", "-m.gguf", "--json", "--here", "a b"].map(Path::new);
+        let one = |name| [None, Some(name)];
+        for (file, other) in names.into_iter().flat_map(|file| names.map(|other| (file, other))) {
+            for (case, record) in one(other).map(|case| (case, None)).into_iter().chain([(None, Some(other))]) {
+                for asked_json in [false, true] {
+                    let line = check_arguments(file, case, record, asked_json);
+                    let command = Args::augment_args(clap::Command::new("model"));
+                    let parsed = Args::from_arg_matches(&command.try_get_matches_from(line).unwrap()).unwrap();
+                    let Command::Check { file: own, case: c, record: r, json, here: true } = parsed.command else {
+                        panic!("{parsed:?}")
+                    };
+                    assert_eq!(
+                        (own.as_deref(), c.as_deref(), r.as_deref(), json),
+                        (Some(file), case, record, asked_json)
+                    );
+                }
+            }
+        }
+    }
 
     /// What stands in a model file is whoever made it's.
     #[test]

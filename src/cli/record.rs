@@ -180,10 +180,10 @@ pub fn run(args: &Args) -> CommandResult {
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
-    loop {
+    let interrupted = loop {
         // What came before the end is still recorded.
-        let ends =
-            stop.requested() || args.seconds.is_some_and(|seconds| started.elapsed() >= Duration::from_secs(seconds));
+        let is_over = args.seconds.map(|seconds| started.elapsed() >= Duration::from_secs(seconds));
+        let ends = stop.requested() || is_over == Some(true);
         // In the order of the flow: what scores contain stands before them.
         let mut news = Vec::new();
         take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
@@ -245,15 +245,19 @@ pub fn run(args: &Args) -> CommandResult {
             flushed = Instant::now();
         }
         if ends {
-            break;
+            break is_over == Some(false);
         }
         if news.is_empty() {
             // A narrator that says one thing and leaves is gone within milliseconds.
             roomcast_ipc::wait_for_any(&[&narration, &scores], POLL).map_err(ipc)?;
         }
-    }
+    };
     let written = recorder.finish().map_err(output)?;
-    super::tell(format_args!("{written} messages in {}; {malformed} malformed ones left out", args.file.display()));
+    let told = format!("{written} messages in {}; {malformed} malformed ones left out", args.file.display());
+    if interrupted {
+        return Err(service::interrupted(&told));
+    }
+    super::tell(told);
     Ok(())
 }
 

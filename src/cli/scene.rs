@@ -46,7 +46,7 @@ enum Command {
     Draw(draw::Args),
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// A VirtualHome environment graph.
     Virtualhome,
@@ -186,7 +186,28 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
+impl Import {
+    /// Refuses options that the format has no use for: passed over in silence they would be believed to have done something.
+    fn refuse_without_effect(&self) -> CommandResult {
+        let options = [
+            (self.equivalence.is_some(), "--equivalence", "has VirtualHome's names", Format::Virtualhome),
+            (self.up != Up::default(), "--up", "is of an open-vocabulary map", Format::OpenVocabulary),
+            (self.keep_spellings, "--keep-spellings", "is of an open-vocabulary map", Format::OpenVocabulary),
+            (self.names.is_some(), "--names", "names the segments of a Valetudo map", Format::Valetudo),
+            (self.rules.is_some(), "--rules", "come with a Home Assistant's map", Format::HomeAssistant),
+            (self.token_file.is_some(), "--token-file", "is for a Home Assistant's address", Format::HomeAssistant),
+        ];
+        let Some((_, option, why, of)) = options.iter().find(|(given, .., of)| *given && *of != self.format) else {
+            return Ok(());
+        };
+        let of = of.to_possible_value();
+        let of = of.as_ref().map_or("", |value| value.get_name());
+        Err(Failure::new(exit_code::USAGE, format!("{option} {why}; give --format {of}, or leave it out")))
+    }
+}
+
 fn import(args: &Import) -> CommandResult {
+    args.refuse_without_effect()?;
     let first = &args.graph[0];
     let equivalence = args.equivalence.as_deref().map(|path| read("table of names", path)).transpose()?;
     let stem = first.file_stem().map(|stem| stem.to_string_lossy().into_owned());
@@ -238,24 +259,6 @@ fn import(args: &Import) -> CommandResult {
             home.imported
         }
     };
-    if args.rules.is_some() && !matches!(args.format, Format::HomeAssistant) {
-        return Err(Failure::new(
-            exit_code::USAGE,
-            "--rules come with a Home Assistant's map; give --format home-assistant",
-        ));
-    }
-    if args.token_file.is_some() && !matches!(args.format, Format::HomeAssistant) {
-        return Err(Failure::new(
-            exit_code::USAGE,
-            "--token-file is for a Home Assistant's address; give --format home-assistant",
-        ));
-    }
-    if args.names.is_some() && !matches!(args.format, Format::Valetudo) {
-        return Err(Failure::new(
-            exit_code::USAGE,
-            "--names names the segments of a Valetudo map; give --format valetudo",
-        ));
-    }
     let imported = match args.furnish {
         Some(furnish) => furnish.furnish(imported).map_err(in_first)?,
         None => imported,

@@ -27,7 +27,7 @@ pub struct Args {
     /// The scene file, or the name of a shipped one; the studio flat when left out.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// What was just done, as sentences or VirtualHome actions; several are separated by newlines or sentence ends.
+    /// What was just done, as sentences or VirtualHome actions; several stand on lines of their own, or end with a full stop and a space.
     #[arg(long, value_name = "TEXT", conflicts_with = "program")]
     narration: Option<String>,
     /// An activity program, or a shipped one's name, whose first steps are the narration.

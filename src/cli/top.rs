@@ -35,7 +35,8 @@ pub struct Args {
 const STATUS_NS: u64 = 1_000_000_000;
 /// How long it may take to answer before the view goes on without.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
-/// How long nothing may be heard before lines of JSON say so. A daemon that lives repeats its scores much more often.
+/// How long nothing may be heard by whoever wants some snapshots, and before lines of JSON say so. A daemon that lives repeats its scores
+/// much more often.
 const SILENCE: Duration = Duration::from_secs(10);
 /// How often the screen is drawn again when no key is pressed.
 const FRAME: Duration = Duration::from_millis(100);
@@ -57,6 +58,20 @@ pub fn run(args: &Args) -> CommandResult {
     shown
 }
 
+/// What is said of a silence.
+fn silence(domain: &Domain) -> String {
+    let place = service::shown(domain);
+    format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs())
+}
+
+/// The end of a view that was asked to leave: whoever wanted more snapshots has not got them.
+fn left(count: u64, limit: Option<u64>) -> CommandResult {
+    match limit {
+        Some(limit) if count < limit => Err(service::interrupted(&format!("{count} of {limit} snapshots came"))),
+        _ => Ok(()),
+    }
+}
+
 fn ipc(error: roomcast_ipc::IpcError) -> Failure {
     Failure::new(exit_code::IPC, error)
 }
@@ -76,6 +91,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
     let (mut point_ns, mut status_ns) = (0, 0);
     let mut taken = None;
     let mut count = 0;
+    let mut heard = Instant::now();
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
         if !view.paused {
@@ -89,6 +105,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
                 match received {
                     Ok(message) => {
                         view.scores(&message);
+                        heard = Instant::now();
                         let name = Some((message.epoch, message.sequence));
                         count += u64::from(taken != name);
                         taken = name;
@@ -127,6 +144,12 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
         if limit.is_some_and(|limit| count >= limit) {
             return Ok(());
         }
+        // Nothing is received while the view is paused.
+        if view.paused {
+            heard = Instant::now();
+        } else if limit.is_some() && heard.elapsed() >= SILENCE {
+            return Err(Failure::new(exit_code::IPC, silence(domain)));
+        }
         if !event::poll(FRAME).map_err(terminal_failure)? {
             continue;
         }
@@ -135,17 +158,17 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
         {
             let control = key.modifiers.contains(event::KeyModifiers::CONTROL);
             match key.code {
-                KeyCode::Char('c') if control => return Ok(()),
+                KeyCode::Char('c') if control => return left(count, limit),
                 KeyCode::Char('q') => return Ok(()),
                 KeyCode::Esc if !view.help => return Ok(()),
-                KeyCode::Char(' ') => view.paused = !view.paused,
+                KeyCode::Char(' ') if !control => view.paused = !view.paused,
                 KeyCode::Char('h' | '?') => view.help = !view.help,
                 KeyCode::Esc => view.help = false,
                 _ => {}
             }
         }
     }
-    Ok(())
+    left(count, limit)
 }
 
 /// One line of JSON per snapshot, heartbeats left out.
@@ -166,13 +189,10 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
                 print_line(&known, &mut others)?;
             }
             if silent_from.is_some_and(|from| from.elapsed() >= SILENCE) {
-                let place = service::shown(domain);
-                let told =
-                    format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs());
                 if limit.is_some() {
-                    return Err(Failure::new(exit_code::IPC, told));
+                    return Err(Failure::new(exit_code::IPC, silence(domain)));
                 }
-                super::tell(format_args!("roomcast: {told}; this waits for it"));
+                super::tell(format_args!("roomcast: {}; this waits for it", silence(domain)));
                 silent_from = None;
             }
             continue;
@@ -188,7 +208,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
             print_line(&snapshot, &mut others)?;
         }
     }
-    Ok(())
+    left(count, limit)
 }
 
 /// Prints a snapshot, with what came beside it since the last line.
@@ -381,6 +401,13 @@ mod tests {
     use roomcast_ipc::{action, text};
 
     use super::*;
+
+    #[test]
+    fn whoever_leaves_before_what_was_wanted_has_been_interrupted() {
+        let code = |count, limit| left(count, limit).map_or_else(|failure| failure.code, |()| exit_code::OK);
+        assert_eq!([code(0, None), code(3, Some(3)), code(0, Some(0))], [exit_code::OK; 3]);
+        assert_eq!([code(0, Some(1)), code(2, Some(3))], [exit_code::INTERRUPTED; 2]);
+    }
 
     #[test]
     fn a_decision_is_told_by_names_beside_its_numbers() {

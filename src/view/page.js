@@ -40,6 +40,8 @@ let paused = false;
 let playing = false;
 let timer = null;
 let asking = false;
+// What was chosen while an answer was under way is asked for after it.
+let again = false;
 // 0 is the next thing; 1 is now; the others are the horizons after it.
 let when = 1;
 let chosenTime = null;
@@ -304,36 +306,51 @@ const get = async (path) => {
   return answer.json();
 };
 
+const setPlaying = (goesOn) => {
+  playing = goesOn;
+  const button = element("play");
+  button.setAttribute("aria-pressed", playing);
+  button.textContent = playing ? "Stop" : "Play";
+};
+
 const ask = async () => {
-  if (asking) return;
+  if (asking) { again = true; return; }
   asking = true;
+  again = false;
   clearTimeout(timer);
-  let wait = POLL_MS;
+  let fault = null;
+  const drawn = plan;
   try {
     if (playing && chosenTime !== null) {
       const now = performance.now();
       chosenTime = Math.min(chosenTime + (now - playedAt) / 1000, state ? state.length_s : Infinity);
       playedAt = now;
     }
-    state = await get(chosenTime === null ? "state" : `state?at=${chosenTime.toFixed(3)}`);
-    if (state.map && (!plan || plan.map !== state.map)) {
-      plan = await get(`plan?map=${state.map}`);
-      drawPlan();
-    }
-    show();
+    state = await get(chosenTime === null ? "state" : `state?at=${chosenTime}`);
+    // A plan of another map is none.
+    if (!state.map) plan = null;
+    else if (!plan || plan.map !== state.map) plan = await get(`plan?map=${state.map}`);
   } catch (error) {
-    const daemon = element("daemon");
-    daemon.className = "alarm";
-    daemon.textContent = error.refused
+    fault = error.refused
       ? "This page has no key, or that of an earlier start: open the address that `roomcast view` printed when it started."
       : "No answer from `roomcast view`: start it again, and open the address that it prints.";
-    wait = RETRY_MS;
   }
   asking = false;
+  // Nothing comes after the end.
+  if (!fault && playing && chosenTime >= state.length_s) setPlaying(false);
   const goesOn = state && !state.live ? playing : !paused;
   // Nobody looks at a hidden page.
-  if (goesOn && !document.hidden) timer = setTimeout(ask, wait);
-  else if (wait === RETRY_MS && !document.hidden) timer = setTimeout(ask, wait);
+  if (again) timer = setTimeout(ask, fault ? RETRY_MS : 0);
+  else if ((goesOn || fault) && !document.hidden) timer = setTimeout(ask, fault ? RETRY_MS : POLL_MS);
+  // What follows is no fault of the connection, whatever it is.
+  if (plan !== drawn) drawPlan();
+  if (fault) {
+    const daemon = element("daemon");
+    daemon.className = "alarm";
+    daemon.textContent = fault;
+  } else {
+    show();
+  }
 };
 
 element("horizon").addEventListener("input", (event) => { when = Number(event.target.value); show(); });
@@ -349,13 +366,11 @@ element("time").addEventListener("input", (event) => {
   playedAt = performance.now();
   ask();
 });
-element("play").addEventListener("click", (event) => {
-  playing = !playing;
+element("play").addEventListener("click", () => {
+  setPlaying(!playing);
   if (playing && chosenTime === null) chosenTime = 0;
   if (playing && state && chosenTime >= state.length_s) chosenTime = 0;
   playedAt = performance.now();
-  event.target.setAttribute("aria-pressed", playing);
-  event.target.textContent = playing ? "Stop" : "Play";
   ask();
 });
 // Letters keep their size when the window changes.

@@ -442,15 +442,15 @@ pub fn figures(cells: &[&Cell], naive: Option<&[&Cell]>) -> Figures {
     let room_time_s = cells.first().map_or(0, |cell| cell.room_time_s);
     let against = |value: fn(&Run) -> f64| {
         let base = naive?.iter().flat_map(|cell| &cell.runs);
-        let mut shares = [0.0; 3];
+        let mut counts = [0_usize; 3];
         for (own, base) in runs().zip(base) {
-            shares[match value(own).total_cmp(&value(base)) {
+            counts[match value(own).total_cmp(&value(base)) {
                 std::cmp::Ordering::Less => 0,
                 std::cmp::Ordering::Equal => 1,
                 std::cmp::Ordering::Greater => 2,
-            }] += 1.0 / restarts.max(1) as f64;
+            }] += 1;
         }
-        Some(shares)
+        Some(counts.map(|count| count as f64 / restarts.max(1) as f64))
     };
     // From the starts that were drawn, so that chance in the draw is no regret.
     let of_run = |cell: &&Cell| -> Vec<Optimum> { cell.runs.iter().map(|run| cell.optima[run.start]).collect() };
@@ -501,6 +501,13 @@ pub struct HorizonRow {
     pub nll_nats: f64,
 }
 
+/// Who is here stays here: 0.95, and the rest evenly over the other rooms. Where there is none, all.
+fn persistence(rooms: usize, here: usize) -> Vec<f64> {
+    let others = rooms.saturating_sub(1);
+    let other = if others > 0 { 0.05 / others as f64 } else { 0.0 };
+    (0..rooms).map(|room| if room == here { 1.0 - other * others as f64 } else { other }).collect()
+}
+
 /// Evaluates the forecast after every completed action at each horizon. Persistence puts 0.95 on the likeliest present room,
 /// since a certain forecast that is wrong once has no finite likelihood.
 #[must_use]
@@ -517,8 +524,7 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
                 forecaster.expect_next(home.grounding, &track.labels[index + 1], 0);
                 let belief = forecaster.belief();
                 let here = (0..rooms).max_by(|a, b| belief[*a].total_cmp(&belief[*b])).unwrap_or(0);
-                let other = 0.05 / (rooms.max(2) - 1) as f64;
-                let stays: Vec<f64> = (0..rooms).map(|room| if room == here { 0.95 } else { other }).collect();
+                let stays = persistence(rooms, here);
                 for (column, horizon_s) in horizons_s.iter().enumerate() {
                     let Some(truth) = track.timeline.rooms.get(done.at_s as usize + horizon_s) else { continue };
                     let joined: Vec<f64> = forecaster.at(done.at_s, *horizon_s as f64).collect();
@@ -597,7 +603,7 @@ mod tests {
             assert!(best.regret_s.unwrap().abs() < 1e-6, "{best:?}");
             assert!(cells.iter().all(|cell| figures(&[cell], None).regret_s.is_none_or(|regret| regret > -1e-6)));
             let shares = best.disturbance_against_naive.unwrap();
-            assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+            assert_eq!(shares.iter().sum::<f64>(), 1.0, "{shares:?}");
             // A plan with the true costs always covers when the weight is high, and so does the forecast's.
             assert_eq!(figures(&[&cells[2]], None).failure_rate, 0.0);
             let again = run(homes, &[25, 50], &ALL, &options(), &Progress::hidden()).unwrap();
@@ -618,6 +624,17 @@ mod tests {
                 });
             });
         });
+    }
+
+    #[test]
+    fn persistence_is_a_distribution_in_any_map() {
+        for rooms in 1..9 {
+            for here in 0..rooms {
+                let stays = persistence(rooms, here);
+                assert!((stays.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{stays:?}");
+                assert!(stays.iter().all(|p| *p <= stays[here]), "{stays:?}");
+            }
+        }
     }
 
     #[test]

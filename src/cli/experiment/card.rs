@@ -82,10 +82,17 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
         let title = format!("Disturbance against coverage, test split: {items}, acts up to {longest_act} s");
         add(&title, &line, [unseen.clone(), weights(&["0", "5", "10", "20", "30", "42", "60", "1000"])].concat());
     }
-    for (title, command) in tables {
-        if args.only.as_ref().is_some_and(|only| !title.contains(only)) {
-            continue;
+    if let Some(only) = &args.only {
+        let titles = tables.iter().map(|(title, _)| format!("\n  {title}")).collect::<String>();
+        tables.retain(|(title, _)| title.contains(only));
+        if tables.is_empty() {
+            return Err(Failure::new(
+                exit_code::USAGE,
+                format!("no table's title has {only:?} in it: there are{titles}"),
+            ));
         }
+    }
+    for (title, command) in tables {
         print(&format!("### {title}\n\n    roomcast experiment {} --markdown\n\n", command.join(" ")))?;
         let line = ["experiment".to_owned()].into_iter().chain(command).chain(["--markdown".to_owned()]);
         let parsed = Args::augment_args(clap::Command::new("experiment")).try_get_matches_from(line);

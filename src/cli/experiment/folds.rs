@@ -9,7 +9,7 @@ use super::{
     BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, forecast_markdown, forecast_text, maps, report_faults,
 };
 use crate::cli::choice::choice;
-use crate::cli::{CommandResult, Failure, print, print_json};
+use crate::cli::{CommandResult, Failure, count, print, print_json};
 use crate::exit_code;
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::Grounding;
@@ -156,10 +156,10 @@ pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
     refuse_model(&args.model, "--folds")?;
     let folders = folders(&args.folds, "manifest.json")?;
     if folders.len() < 2 {
-        let found = folders.len();
+        let found = count(folders.len(), "finished fold");
         let folds = args.folds.display();
         let fault = format!(
-            "{folds}: {found} finished folds, and it takes two at least: `python training/run.py --shared DATA --folds {folds}` trains them"
+            "{folds}: {found}, and it takes two at least: `python training/run.py --shared DATA --folds {folds}` trains them"
         );
         return Err(Failure::new(exit_code::INPUT, fault));
     }

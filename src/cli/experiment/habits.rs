@@ -48,7 +48,7 @@ pub(super) struct HabitsArgs {
     #[arg(long, value_name = "FILE")]
     scene: PathBuf,
     /// Which of a label's items an object of a day means, where the map has none with its number.
-    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::First)]
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::First, conflicts_with_all = ["sensors", "rules", "presence"])]
     items: ItemChoice,
     /// Days after which what was seen counts half; 0 for never.
     #[arg(long, value_name = "DAYS", default_value_t = HabitsOptions::default().half_life_days, value_parser = ranges::time_s)]

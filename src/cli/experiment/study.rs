@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde_json::json;
 
-use super::{LikeThingsArgs, ModelArgs, maps, report_faults};
+use super::{LikeThingsArgs, ModelArgs, distinct, maps, report_faults};
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
@@ -32,7 +32,10 @@ use roomcast_lab::simulation::world::Disturbance;
 use roomcast_llama::LlamaModel;
 use roomcast_services::setup;
 
-/// What all simulations share.
+/// The paper's pace, in seconds per action.
+const PACE_S: f64 = 24.0;
+
+/// What all simulations share, with a robot or without.
 #[derive(Debug, clap::Args)]
 pub(super) struct StudyArgs {
     /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated. The three apartments when left out.
@@ -43,23 +46,14 @@ pub(super) struct StudyArgs {
     /// folder.
     #[arg(long, value_name = "FILE")]
     program: Vec<PathBuf>,
-    /// T_r, the time the robot works in each room, in seconds; may be repeated.
-    #[arg(long, value_name = "SECONDS", value_parser = ranges::room_time_s())]
-    room_time: Vec<usize>,
-    /// Restarts per cell and policy.
-    #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = ranges::some())]
-    restarts: u64,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
     /// Which of a label's items the person goes to for an object of a program.
     #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = Options::default().items)]
     items: ItemChoice,
-    /// When the robot disturbs: same-room, in-sight, or near:METRES.
-    #[arg(long, value_name = "KIND", default_value = "same-room")]
-    disturbance: DisturbanceArg,
     /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
-    #[arg(long, value_name = "SECONDS", default_value_t = 24.0, value_parser = ranges::act_s_or_none)]
+    #[arg(long, value_name = "SECONDS", default_value_t = PACE_S, value_parser = ranges::act_s_or_none)]
     pace: f64,
     /// Longest time of one act before stretching, in seconds: a demonstration shows an act, it does not wait for its end.
     #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max, value_parser = ranges::act_s)]
@@ -94,6 +88,20 @@ pub(super) struct StudyArgs {
     markdown: bool,
 }
 
+/// What the robot does.
+#[derive(Debug, clap::Args)]
+struct RobotArgs {
+    /// T_r, the time the robot works in each room, in seconds; may be repeated.
+    #[arg(long, value_name = "SECONDS", value_parser = ranges::room_time_s())]
+    room_time: Vec<usize>,
+    /// Restarts per cell and policy.
+    #[arg(long, value_name = "N", default_value_t = Options::default().restarts, value_parser = ranges::some())]
+    restarts: u64,
+    /// When the robot disturbs: same-room, in-sight, or near:METRES.
+    #[arg(long, value_name = "KIND", default_value = "same-room")]
+    disturbance: DisturbanceArg,
+}
+
 #[derive(Debug, Clone, Copy)]
 struct DisturbanceArg(Disturbance);
 
@@ -120,6 +128,8 @@ pub(super) struct Table1Args {
     #[arg(long, value_name = "POLICY", default_value = "informed-avoidance")]
     policy: PolicyName,
     #[command(flatten)]
+    robot: RobotArgs,
+    #[command(flatten)]
     study: StudyArgs,
 }
 
@@ -137,6 +147,8 @@ pub(super) struct Table2Args {
     #[arg(long, value_name = "FILE", requires = "setups", conflicts_with_all = OF_ONE_SETUP)]
     also_model: Vec<PathBuf>,
     #[command(flatten)]
+    robot: RobotArgs,
+    #[command(flatten)]
     study: StudyArgs,
 }
 
@@ -153,6 +165,8 @@ pub(super) struct AblationArgs {
     #[arg(long, value_name = "N", default_values_t = [1, 2, 4, 8, 16], value_parser = ranges::observations())]
     window: Vec<usize>,
     #[command(flatten)]
+    robot: RobotArgs,
+    #[command(flatten)]
     study: StudyArgs,
 }
 
@@ -163,6 +177,8 @@ pub(super) struct ParetoArgs {
     #[arg(long, value_name = "SECONDS", default_values_t = [0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 150.0, 200.0, 300.0, 1000.0], value_parser = ranges::time_s)]
     weight: Vec<f64>,
     #[command(flatten)]
+    robot: RobotArgs,
+    #[command(flatten)]
     study: StudyArgs,
 }
 
@@ -170,11 +186,48 @@ type Scene = (SemanticMap, Grounding);
 /// Names of files and SVG text.
 type Pictures = Vec<(String, String)>;
 
+/// An activity with its names.
+struct Named {
+    /// The file; the name of what the program ships.
+    path: PathBuf,
+    /// What it is called in results. No two are called the same: they would be taken for one.
+    name: String,
+    /// What its draws go by. It says nothing of where the files lie, so that these can be moved.
+    drawn_by: String,
+    activity: Activity,
+}
+
+/// The last so many parts of a path.
+fn last_parts(path: &Path, count: usize) -> String {
+    let parts: Vec<_> = path.components().collect();
+    parts[parts.len().saturating_sub(count)..].iter().collect::<PathBuf>().display().to_string()
+}
+
+/// Gives activities that are called the same as much of their paths as tells them apart.
+fn tell_apart(activities: &mut [Named]) -> CommandResult {
+    for parts in 2.. {
+        let mut called = HashMap::<&str, usize>::new();
+        activities.iter().for_each(|own| *called.entry(&own.name).or_default() += 1);
+        let alike: Vec<usize> = (0..activities.len()).filter(|own| called[&*activities[*own].name] > 1).collect();
+        let Some(first) = alike.first() else { break };
+        if alike.iter().all(|own| activities[*own].path.components().count() < parts) && parts > 2 {
+            let text = format!("--program has {} twice: give it once", activities[*first].path.display());
+            return Err(Failure::new(exit_code::USAGE, text));
+        }
+        for own in alike {
+            activities[own].name = last_parts(&activities[own].path, parts);
+        }
+    }
+    Ok(())
+}
+
 /// Everything that was loaded for a study.
 struct Setup<'a> {
     args: &'a StudyArgs,
     scenes: Vec<Scene>,
-    activities: Vec<(String, Activity)>,
+    activities: Vec<Named>,
+    /// What the robot meets and does is what the paper's figures are of: places, activities, T_r, disturbance and pace.
+    is_of_the_paper: bool,
     /// Some activities come from folders: those too short for every room are left out.
     folders: bool,
     room_times_s: Vec<usize>,
@@ -183,10 +236,12 @@ struct Setup<'a> {
 
 impl StudyArgs {
     /// The activities of a file, of a folder, or of the binary.
-    fn load(&self, path: &Path) -> Result<Vec<(String, Activity)>, Failure> {
+    fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
         let input = |error: roomcast_core::narration::ProgramError| Failure::new(exit_code::INPUT, error);
         if let Some(shipped) = setup::shipped_program(path) {
-            return Ok(vec![(path.display().to_string(), Activity::Program(shipped.map_err(input)?))]);
+            let name = path.display().to_string();
+            let activity = Activity::Program(shipped.map_err(input)?);
+            return Ok(vec![Named { path: path.to_owned(), name: name.clone(), drawn_by: name, activity }]);
         }
         let (mut files, faults) = super::prediction::load_programs(path)?;
         report_faults(&faults);
@@ -210,37 +265,56 @@ impl StudyArgs {
                 Some(text) => Activity::Day(Day::parse(&text).map_err(input)?),
                 None => Activity::Program(file.program),
             };
-            activities.push((name, activity));
+            activities.push(Named { path: file.path, name: name.clone(), drawn_by: name, activity });
         }
         Ok(activities)
     }
 
-    fn setup(&self, room_times_s: &[usize], scenes: &[&str], programs: &[&str]) -> Result<Setup<'_>, Failure> {
+    /// Loads what was given, or in its place the paper's: its T_r, scenes and programs.
+    fn setup(
+        &self,
+        robot: Option<&RobotArgs>,
+        room_times_s: &[usize],
+        scenes: &[&str],
+        programs: &[&str],
+    ) -> Result<Setup<'_>, Failure> {
         let or = |given: &[PathBuf], default: &[&str]| -> Vec<PathBuf> {
             if given.is_empty() { default.iter().map(PathBuf::from).collect() } else { given.to_vec() }
         };
+        let is_papers = |given: &[PathBuf], default: &[&str]| {
+            given.is_empty() || given.iter().map(PathBuf::as_path).eq(default.iter().map(Path::new))
+        };
+        let is_of_the_paper = is_papers(&self.scene, scenes) && is_papers(&self.program, programs);
         let scenes = maps(&or(&self.scene, scenes))?;
         let (mut activities, mut folders) = (Vec::new(), false);
         for path in or(&self.program, programs) {
             folders |= path.is_dir();
             activities.extend(self.load(&path)?);
         }
+        tell_apart(&mut activities)?;
         let mean_action_s = (self.pace > 0.0).then_some(self.pace);
+        let default = Options::default();
         let options = Options {
             history: self.model.limits(),
             items: self.items,
             person: PersonOptions { mean_action_s, action_s_max: self.longest_act, ..PersonOptions::default() },
-            disturbance: self.disturbance.0,
+            disturbance: robot.map_or(default.disturbance, |robot| robot.disturbance.0),
             forecast: ForecastOptions {
                 object_s: self.object_time,
                 stay_s: self.stay_time,
                 ..self.like_things.options()
             },
-            restarts: self.restarts,
+            restarts: robot.map_or(default.restarts, |robot| robot.restarts),
             seed: self.model.seed,
         };
-        let room_times_s = if self.room_time.is_empty() { room_times_s.to_vec() } else { self.room_time.clone() };
-        Ok(Setup { args: self, scenes, activities, folders, room_times_s, options })
+        let given_s = robot.map_or_else(Vec::new, |robot| distinct(&robot.room_time));
+        let given_s = if given_s.is_empty() { room_times_s.to_vec() } else { given_s };
+        let is_of_the_paper = is_of_the_paper
+            && given_s == room_times_s
+            && options.disturbance == default.disturbance
+            && self.pace == PACE_S
+            && !self.together;
+        Ok(Setup { args: self, scenes, activities, is_of_the_paper, folders, room_times_s: given_s, options })
     }
 }
 
@@ -253,15 +327,16 @@ impl Setup<'_> {
         options: &Options,
         skipped: &mut Vec<String>,
     ) -> Result<Vec<Home<'s>>, Failure> {
-        let groups: Vec<Vec<(String, &Activity)>> = if self.args.together {
-            vec![self.activities.iter().map(|(name, activity)| (name.clone(), activity)).collect()]
-        } else {
-            self.activities.iter().map(|(name, activity)| vec![(name.clone(), activity)]).collect()
-        };
+        let at_once = if self.args.together { self.activities.len() } else { 1 };
         let shortest_s = self.room_times_s.iter().max().copied().unwrap_or(0) * map.rooms().len();
-        let mut homes = Vec::with_capacity(groups.len());
-        for group in groups {
-            match Home::new(map, grounding, &group, source, binding, options) {
+        let mut homes = Vec::with_capacity(self.activities.len());
+        for group in self.activities.chunks(at_once.max(1)) {
+            let activities: Vec<_> = group.iter().map(|own| (own.drawn_by.clone(), &own.activity)).collect();
+            let home = Home::new(map, grounding, &activities, source, binding, options).map(|mut home| {
+                home.program = group.iter().map(|own| own.name.as_str()).collect::<Vec<_>>().join(" + ");
+                home
+            });
+            match home {
                 Ok(home) if !self.folders || home.cost().steps() >= shortest_s => homes.push(home),
                 Ok(home) => skipped.push(format!(
                     "{} in {}: its {} s leave no time to do every room for {} s",
@@ -299,8 +374,8 @@ impl Setup<'_> {
         lacking.dedup();
         if !lacking.is_empty() {
             crate::cli::tell(format_args!(
-                "roomcast: {} kinds of action were left out because a scene lacks their object, such as {}",
-                lacking.len(),
+                "roomcast: left out {} of action because a scene lacks the object, such as {}",
+                count(lacking.len(), "kind"),
                 lacking.iter().take(5).copied().collect::<Vec<_>>().join(", ")
             ));
         }
@@ -360,11 +435,21 @@ impl Setup<'_> {
         )
     }
 
-    /// The paper's rows, where the set-up is as there: the person takes any thing of a kind, and the window is the whole narration.
+    /// The paper's rows, where the set-up is as there: the person takes any thing of a kind, too, and the window is the whole narration.
     fn paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
-        let whole = |(_, activity): &(String, Activity)| matches!(activity, Activity::Program(program) if program.steps.len() <= self.options.history.observations);
+        let whole = |own: &Named| matches!(&own.activity, Activity::Program(program) if program.steps.len() <= self.options.history.observations);
         let same = self.options.items == ItemChoice::Uniform && self.activities.iter().all(whole);
-        if same { rows } else { &[] }
+        if same { self.of_the_paper(rows) } else { &[] }
+    }
+
+    /// The paper's rows, where all but what [`setups`] varies is as there.
+    fn of_the_paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
+        if self.is_of_the_paper { rows } else { &[] }
+    }
+
+    /// In what the paper's set-up differs, where it is the one that is meant.
+    fn differences(&self) -> Option<String> {
+        self.is_of_the_paper.then(|| DIFFERENCES.to_owned())
     }
 
     fn binding(&self) -> String {
@@ -416,15 +501,15 @@ const POLICIES: [Decider; 6] = [
 
 /// The paper's Table II.
 pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
-    let Table2Args { study, .. } = args;
-    let setup = study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let Table2Args { study, robot, .. } = args;
+    let setup = study.setup(Some(robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&study.model)?;
     let homes = setup.all_homes(&mut sources, &study.binding, &setup.options)?;
     let cells = setup.run(&homes, &POLICIES)?;
     let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
     let mut notes = setup.notes(&sources, &homes, &setup.binding());
     notes.insert(0, tables::headline(&table.overall));
-    notes.push(DIFFERENCES.to_owned());
+    notes.extend(setup.differences());
     let mut pictures = match study.out {
         Some(_) => setup.pictures(&mut sources)?,
         None => Vec::new(),
@@ -439,7 +524,7 @@ pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
     }
     let mut report = tables::table2_report(&table, &cells, notes, pictures);
     if args.setups {
-        report.tables.insert(1, setups::table(&rows));
+        report.tables.insert(1, setups::table(&rows, setup.of_the_paper(&PAPER_TABLE2)));
     }
     let mut json = json!(table);
     if let Some(object) = json.as_object_mut().filter(|_| args.setups) {
@@ -467,7 +552,7 @@ fn refuse_binding(args: &StudyArgs, instead: &str) -> CommandResult {
 /// The paper's Table I.
 pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
     refuse_binding(&args.study, "table1 scores with P0 to P5")?;
-    let setup = args.study.setup(&[25, 50], &APARTMENTS[..1], &PROGRAMS[2..])?;
+    let setup = args.study.setup(Some(&args.robot), &[25, 50], &APARTMENTS[..1], &PROGRAMS[2..])?;
     let mut sources = setup.sources(&args.study.model)?;
     let mut rows: Vec<Figures> = Vec::new();
     let mut notes = Vec::new();
@@ -488,14 +573,16 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
         "Rooms by {}, scored with each of the paper's prompts; random is the naive policy.",
         args.policy
     ));
-    notes.push(DIFFERENCES.to_owned());
+    notes.extend(setup.differences());
+    // The paper's Table I is of informed avoidance.
+    let paper = if args.policy == PolicyName::InformedAvoidance { setup.paper(&PAPER_TABLE1) } else { &[] };
     let report = Report {
         title: "Disturbance by prompt (the paper's Table I)".into(),
         notes,
-        tables: vec![tables::table_of("table1", "By prompt, over T_r", &rows, setup.paper(&PAPER_TABLE1))],
+        tables: vec![tables::table_of("table1", "By prompt, over T_r", &rows, paper)],
         figures: Vec::new(),
     };
-    setup.finish(&report, json!({ "rows": rows, "paper": setup.paper(&PAPER_TABLE1) }))
+    setup.finish(&report, json!({ "rows": rows, "paper": paper }))
 }
 
 /// Models, prompts, windows.
@@ -504,7 +591,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     if args.study.model.history.is_some() {
         return Err(Failure::new(exit_code::USAGE, "--history has no effect here: give --window"));
     }
-    let setup = args.study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let prompts: Vec<BindingSequence> =
         if args.prompt.is_empty() { BindingSequence::all_built_in().collect() } else { args.prompt.clone() };
     let models = std::iter::once(args.study.model.model.clone()).chain(args.also_model.iter().cloned().map(Some));
@@ -586,7 +673,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
 
 /// Disturbance against coverage.
 pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
-    let setup = args.study.setup(&[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
+    let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.study.model)?;
     let homes = setup.all_homes(&mut sources, &args.study.binding, &setup.options)?;
     let mut deciders = vec![
@@ -595,7 +682,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
         Decider::Policy(PolicyName::GreedyAvoidance),
         Decider::Policy(PolicyName::UncoveredFirst),
     ];
-    deciders.extend(args.weight.iter().map(|weight_s| Decider::CoverageAware(*weight_s)));
+    deciders.extend(distinct(&args.weight).into_iter().map(Decider::CoverageAware));
     deciders.push(Decider::Clairvoyant);
     let cells = setup.run(&homes, &deciders)?;
     let table = tables::table2(&cells, setup.paper(&PAPER_TABLE2));
@@ -630,7 +717,7 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
 
 /// The forecast by horizon.
 pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
-    let setup = args.setup(&[], &APARTMENTS, &PROGRAMS)?;
+    let setup = args.setup(None, &[], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.model)?;
     let homes = setup.all_homes(&mut sources, &args.binding, &setup.options)?;
     let rows = study::horizons(&homes, setup.options.forecast, &[1, 5, 10, 20, 30, 45, 60, 90, 120, 180, 240, 300]);
@@ -681,7 +768,9 @@ impl Setup<'_> {
     /// The grounding picture of the paper's Figure 3: each scene with the heat of its scores, half-way through the first
     /// program.
     fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Pictures, Failure> {
-        let Some((_, Activity::Program(program))) = self.activities.first() else { return Ok(Vec::new()) };
+        let Some(Named { activity: Activity::Program(program), .. }) = self.activities.first() else {
+            return Ok(Vec::new());
+        };
         let half = &program.steps[..program.steps.len().div_ceil(2)];
         let sentences: Vec<Sentence> = super::prediction::sentences(half)?;
         let mut pictures = Vec::new();
@@ -699,5 +788,94 @@ impl Setup<'_> {
             pictures.push((format!("grounding-{}", map.name()), svg));
         }
         Ok(pictures)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Args as _, FromArgMatches as _};
+    use roomcast_core::narration::Program;
+    use roomcast_services::embedded;
+
+    fn named(paths: &[&str]) -> Vec<Named> {
+        let activity = Activity::Program(Program::parse(embedded::PROGRAMS[0].text).unwrap());
+        let of = |path: &&str| {
+            let name = Path::new(path).file_stem().unwrap().to_string_lossy().into_owned();
+            Named { path: path.into(), name: name.clone(), drawn_by: name, activity: activity.clone() }
+        };
+        paths.iter().map(of).collect()
+    }
+
+    fn names(paths: &[&str]) -> Result<Vec<String>, Failure> {
+        let mut activities = named(paths);
+        tell_apart(&mut activities)?;
+        Ok(activities.into_iter().map(|own| own.name).collect())
+    }
+
+    /// Results go by the names of activities: two of one name would be one home.
+    #[test]
+    fn no_two_activities_are_called_the_same() {
+        let days = ["d/HouseholdA/test/000.txt", "d/HouseholdA/test/001.txt", "d/HouseholdB/test/000.txt"];
+        let told = names(&days).unwrap();
+        assert_eq!(told, ["HouseholdA/test/000.txt", "001", "HouseholdB/test/000.txt"]);
+        assert_eq!(names(&["a/x.txt", "b/y.txt"]).unwrap(), ["x", "y"]);
+        assert_eq!(names(&["x", "x.txt", "x.day"]).unwrap(), ["x", "x.txt", "x.day"]);
+        let paths: Vec<String> = ["", "a/", "b/", "a/b/", "b/a/", "b/b/", "/a/b/"]
+            .iter()
+            .flat_map(|folder| ["x.txt", "x.day", "x", "y.txt"].map(|file| format!("{folder}{file}")))
+            .collect();
+        let all: Vec<&str> = paths.iter().map(String::as_str).collect();
+        for from in 0..all.len() {
+            for to in from + 1..=all.len() {
+                let told = names(&all[from..to]).unwrap();
+                let different: std::collections::HashSet<_> = told.iter().collect();
+                assert_eq!(different.len(), to - from, "{told:?}");
+            }
+        }
+        let twice = names(&["a/x.txt", "b/y.txt", "a/x.txt"]).unwrap_err();
+        assert_eq!((twice.code, twice.to_string().contains("a/x.txt twice")), (exit_code::USAGE, true), "{twice}");
+    }
+
+    fn parsed(line: &str) -> Table2Args {
+        let command = Table2Args::augment_args(clap::Command::new("table2"));
+        let matches = command.try_get_matches_from(["table2"].into_iter().chain(line.split_whitespace())).unwrap();
+        Table2Args::from_arg_matches(&matches).unwrap()
+    }
+
+    /// How many of the paper's rows stand beside what this command line gives.
+    fn rows_of_the_paper(line: &str) -> usize {
+        let args = parsed(line);
+        let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS).unwrap();
+        setup.paper(&PAPER_TABLE2).len()
+    }
+
+    #[test]
+    fn the_papers_figures_stand_beside_its_set_up_alone() {
+        const PAPER: &str = "--items uniform --history 1000";
+        assert_eq!(rows_of_the_paper(PAPER), PAPER_TABLE2.len());
+        for same in ["--restarts 7", "--seed 3", "--room-time 25 --room-time 50 --room-time 100", "--longest-act 60"] {
+            assert_eq!(rows_of_the_paper(&format!("{PAPER} {same}")), PAPER_TABLE2.len(), "{same}");
+        }
+        for other in [
+            "--scene ward --program w0-medication-round",
+            "--scene apartment-e0",
+            "--program p2-long-evening",
+            "--room-time 25",
+            "--disturbance in-sight",
+            "--pace 10",
+            "--together",
+        ] {
+            assert_eq!(rows_of_the_paper(&format!("{PAPER} {other}")), 0, "{other}");
+        }
+        assert_eq!(rows_of_the_paper("--items uniform"), 0, "its window is the whole narration");
+    }
+
+    #[test]
+    fn what_is_given_twice_counts_once() {
+        let args = parsed("--room-time 50 --room-time 25 --room-time 50");
+        let setup = args.study.setup(Some(&args.robot), &[], &APARTMENTS[..1], &PROGRAMS[..1]).unwrap();
+        assert_eq!(setup.room_times_s, [50, 25]);
+        assert_eq!(distinct(&[5.0, 2.0, 5.0]), [5.0, 2.0]);
     }
 }

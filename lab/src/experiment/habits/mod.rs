@@ -727,12 +727,13 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
             Days::Some(_) => sums,
         }
     };
-    let whole = [ALL, HALF, UNSEEN];
+    // One day has no second half.
+    let whole = [ALL, HALF, UNSEEN].into_iter().filter(|stretch| *stretch != HALF || days > 1);
     let mut rows = Vec::new();
     let mut differences = Vec::new();
     for (target, target_name) in TARGETS.iter().enumerate() {
         for (predictor, predictor_name) in PREDICTORS.iter().enumerate() {
-            for day in (1..=days).map(Days::One).chain(whole) {
+            for day in (1..=days).map(Days::One).chain(whole.clone()) {
                 let groups = stretch(predictor, target, day);
                 let summary: Summary = summarise(&groups, options.seed);
                 if summary.cases == 0 {
@@ -860,11 +861,13 @@ mod tests {
             let trace = Trace::of_days(days, &home.0, &home.1, ItemChoice::First, 1).unwrap();
             let mut report = watch(&trace, &home, ForecastOptions::default());
             assert_eq!(report.days, days.len());
+            // One day has no second half.
+            assert_eq!(report.rows.iter().any(|row| row.day == HALF), days.len() > 1);
             let settled = |row: &Row| row.day == Days::One(1) || row.target.starts_with("room-at");
             report.rows.retain(|row| matches!(row.day, Days::One(day) if day < 3) && settled(row));
             report.rows
         };
-        let (until, whole) = (seen(&days[..2]), seen(&days));
+        let [_, until, whole] = [1, 2, 5].map(|count| seen(&days[..count]));
         assert!(until.iter().any(|row| row.day == Days::One(2) && row.target == "room-at-3600s"));
         assert_eq!(until, whole);
     }
