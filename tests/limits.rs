@@ -32,15 +32,14 @@ the code. Limits of configured values are in `roomcast config`, those of `roomca
 starts.
 ";
 
-/// Limits whose constants this test cannot see.
+/// Limits whose constants are of the program, or private.
 const FOOT: &str = "
 ## By hand
 
 These numbers are written by hand, and no test compares them with the code:
 
-- A line of narration has at most 8192 bytes, and so has one of a sensor log. A longer one is reported and skipped.
+- A line of a sensor log has at most 8192 bytes. A longer one is reported and skipped.
 - `persons.json` has at most 1 MiB, read or written. A change that would make it longer is refused.
-- At most 4096 lines of MQTT rules with `quiet_s` wait for silence, and at most 1 MiB of them. Further ones are not said.
 - `roomcast model pull` fetches at most 64 GiB. A larger file is refused.
 - An answer of Home Assistant has at most 64 MiB, and all questions of one connection take at most 60 s. Beyond that the command ends with an error.
 - The ports of `metrics` and `view` each serve 16 connections at a time, with 16 KiB before the body and 5 s for each (`metrics.md`).
@@ -84,6 +83,7 @@ fn page() -> String {
             ("days of `experiment habits`", &DAYS_MAX, "is refused"),
             ("bytes of a binding sequence", &prompt::BINDING_BYTES_MAX, "is refused"),
             ("observations of a person's window", &OBSERVATIONS_MAX, "is refused in the configuration"),
+            ("bytes of a line of narration, as JSON too", &narration::line::LINE_BYTES_MAX, "is reported and skipped"),
             ("narrators at once", &NarrationV1::SERVICE.publishers, "cannot join"),
             ("narrations a second of a narrator, by default", &intake.rate_per_s, "is dropped and counted"),
             ("narrations at once of a narrator, by default", &intake.burst, "is dropped and counted"),
@@ -97,7 +97,7 @@ fn page() -> String {
             (
                 "persons",
                 &PERSONS_MAX,
-                "a visitor is dropped, only without visitors a resident: the longest silent of the narrator that told of most",
+                "a visitor goes first; without visitors, the narrator that named most persons loses the one silent longest",
             ),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
             ("seconds that what a relayed narrator said above its rate is waited for", &HELD_S, "counts as missed"),
@@ -176,6 +176,8 @@ fn page() -> String {
             ("bytes of a file of rules, credentials or certificates", &sensor_log::RULES_BYTES_MAX, "is refused"),
             ("topics that init and doctor look at", &mqtt_look::TOPICS_MAX, "is passed over"),
             ("bytes that init and doctor keep of them", &mqtt_look::BYTES_MAX, "the topic is noted without them"),
+            ("lines of rules for MQTT that wait for silence", &mqtt::WAITING_MAX, "are not said"),
+            ("bytes of these lines", &mqtt::WAITING_BYTES_MAX, "are not said"),
             ("topics that are remembered", &mqtt::TOPICS_MAX, "is not remembered"),
             ("bytes of a packet", &mqtt::PACKET_BYTES_MAX, "the broker does not send it"),
             ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),

@@ -394,6 +394,7 @@ fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
         return None;
     }
     assert_eq!(words[0], "/usr/bin/roomcast", "{unit}");
+    assert!(words.iter().all(|word| !word.contains("://")), "{unit}: what the home has stands in the configuration");
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     std::fs::write(path("rules"), "[[rule]]\ntopic = \"lamp\"\nsay = \"They switch the lamp on.\"\n").unwrap();
     let broker = || "mqtt://127.0.0.1:9".to_owned();
@@ -407,8 +408,10 @@ fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
                 continue;
             }
             "--fifo" => path("fifo"),
-            "--rules" => path("rules"),
-            "--mqtt" => broker(),
+            "--mqtt" => {
+                command.extend([word, broker(), "--rules".to_owned(), path("rules")]);
+                continue;
+            }
             _ => {
                 command.push(word);
                 continue;

@@ -351,7 +351,7 @@ impl SensorRules {
         let fields: Vec<String> = fields.take(self.columns.len()).map(text).collect();
         if fields.len() < self.columns.len() {
             let (found, wanted) = (fields.len(), self.columns.len());
-            return Err(format!("{found} fields, {wanted} are expected, with tabs, semicolons or commas between them"));
+            return Err(format!("it has {found} of {wanted} fields, which tabs, semicolons or commas separate"));
         }
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
         for (column, field) in self.columns.iter().zip(fields) {
@@ -614,7 +614,7 @@ mod tests {
         for (error, part) in errors.iter().zip([
             "line 3: \"yesterday\" is no time",
             "line 4: it ends before",
-            "line 5: 2 fields",
+            "line 5: it has 2 of 5 fields",
             "line 7: ",
         ]) {
             assert!(error.starts_with(part), "{error}");
@@ -827,7 +827,7 @@ mod tests {
         let told = faults.told();
         assert!(told[0].starts_with("line 2: \"yyyy") && told[0].contains("yy\"... is no time"), "{}", told[0]);
         assert_eq!(told[1], "line 3: it has more than 8192 bytes");
-        assert!(told[2].starts_with("line 5: 1 fields, 5 are expected"), "{}", told[2]);
+        assert!(told[2].starts_with("line 5: it has 1 of 5 fields"), "{}", told[2]);
         assert!(told.iter().all(|text| text.len() < 200), "{told:?}");
     }
 

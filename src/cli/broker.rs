@@ -11,7 +11,8 @@ use crate::exit_code;
 /// The broker, in place of the configuration's section `[mqtt]`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The broker, in place of the configuration's: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca.
+    /// The broker, in place of the configuration's: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca. The configuration's login and
+    /// certificates are of its own broker, and not used then.
     #[arg(long, value_name = "URL")]
     mqtt: Option<String>,
     /// A file with the broker's user name and password, a line each.

@@ -176,7 +176,7 @@ struct ForecastArgs {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
-    /// Print the tables of the model card.
+    /// Print this experiment's tables in Markdown, as the model card has them.
     #[arg(long, conflicts_with = "json")]
     markdown: bool,
 }

@@ -39,6 +39,11 @@ const OWN_FOLDER: &str = ".homeassistant";
 /// Where Valetudo tells of its state and its map, behind its prefix and identifier.
 const STATUS: &str = "/StatusStateAttribute/status";
 const MAP: &str = "/MapData/map-data";
+/// The files beside the configuration, and the folder for what services keep. It names them as they lie beside it, so that all of them can be moved
+/// together, as to where the units read them.
+const SCENE_FILE: &str = "home.json";
+const RULES_FILE: &str = "home.rules.toml";
+const STATE_FOLDER: &str = "state";
 /// The name that docs/home.md gives the file with the token.
 const TOKEN_FILE: &str = "token";
 /// Size of a thing that Home Assistant knows in a room and the robot's map does not have, in metres.
@@ -74,7 +79,7 @@ pub struct Args {
     /// Names for the segments of the robot's map: a TOML file with a line such as `11 = "kitchen"` each.
     #[arg(long, value_name = "FILE")]
     names: Option<PathBuf>,
-    /// The robot: where it speaks at the broker, Valetudo's prefix and identifier; `none` for a home without.
+    /// The robot: where it speaks at the broker, Valetudo's prefix and identifier or homeassistant/vacuum/NAME; `none` for a home without.
     #[arg(long, value_name = "TOPIC|none")]
     robot: Option<String>,
     /// Who lives here; once for each, or with commas between: everybody else is a visitor. Without it, the persons that Home Assistant has;
@@ -118,10 +123,10 @@ pub fn run(args: &Args) -> CommandResult {
     let mut asker = Asker::new(args.yes);
     let folder = std::path::absolute(&args.folder)
         .map_err(|error| input(format!("the folder {}: {error}", args.folder.display())))?;
-    let files = ["home.json", "home.rules.toml", "roomcast.toml"].map(|name| folder.join(name));
+    let files = [SCENE_FILE, RULES_FILE, "roomcast.toml"].map(|name| folder.join(name));
     permit(&files, args.replace, &mut asker)?;
     let found = find(args, &mut asker)?;
-    let made = make(args, &folder, &files, &found)?;
+    let made = make(args, &files, &found)?;
     std::fs::create_dir_all(&folder).map_err(|error| cannot_make(&folder, &error))?;
     let [scene, rules, config] = &files;
     write(scene, made.map.to_json().as_bytes())?;
@@ -222,11 +227,7 @@ fn find_home_assistant(
 
 /// Whether an address can be one, before anything else is asked for it.
 fn usable_address(address: &str) -> CommandResult {
-    #[cfg(feature = "home")]
-    crate::home_assistant::check_address(address).map_err(input)?;
-    #[cfg(not(feature = "home"))]
-    let _unread = address;
-    Ok(())
+    crate::home_assistant::check_address(address).map_err(input)
 }
 
 /// The token's file for an address. Without one the way leads back to the address.
@@ -242,7 +243,6 @@ fn ask_token(asker: &mut Asker) -> Result<PathBuf, Failure> {
 
 /// A token's file, if a token can be read from it.
 fn usable_token(path: &Path) -> Result<PathBuf, Failure> {
-    #[cfg(feature = "home")]
     crate::home_assistant::read_token(path).map_err(input)?;
     Ok(path.to_owned())
 }
@@ -509,7 +509,7 @@ struct Made {
     notes: Vec<String>,
 }
 
-fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
+fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failure> {
     let [scene, rules_file, config_file] = files;
     let plan = robot_map(args, found)?;
     if plan.is_none() && args.names.is_some() {
@@ -541,7 +541,7 @@ fn make(args: &Args, folder: &Path, files: &[PathBuf; 3], found: &Found) -> Resu
     if let Some(text) = &rules {
         check_rules(rules_file, text)?;
     }
-    let config = configuration(folder, &map, [scene, rules_file], rules.is_some(), found);
+    let config = configuration(&map, rules.is_some(), found);
     let checked: Config =
         toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
     checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
@@ -637,7 +637,7 @@ fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) 
     }
     if homeless > 0 {
         notes.push(format!(
-            "{} of Home Assistant in areas that are no known room of the robot's map: left out.",
+            "{} of Home Assistant left out, in areas that are no known room of the robot's map.",
             count(homeless, "thing")
         ));
     }
@@ -645,7 +645,7 @@ fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) 
         return Ok(map.clone());
     }
     notes.push(format!(
-        "{} of Home Assistant stand in the middle of their rooms: their ids begin with \"home\".",
+        "{} of Home Assistant put into the middle of the rooms, with ids that begin with \"home\".",
         count(changes.len(), "thing")
     ));
     let changed =
@@ -748,7 +748,7 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
     }
     for (area, rules) in unknown {
         notes.push(format!(
-            "{} of the area {area:?}, and no room of the robot's map is known to be that, so they are comments: write one of {ids} there, and \
+            "{} of the area {area:?} written as comments, since no room of the robot's map is known to be that: write one of {ids} there, and \
              take out the signs #.",
             count(rules, "rule"),
         ));
@@ -757,20 +757,15 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
 }
 
 /// The configuration, with a word to each part.
-fn configuration(
-    folder: &Path,
-    map: &SemanticMap,
-    [scene, rules_file]: [&Path; 2],
-    has_rules: bool,
-    found: &Found,
-) -> String {
+fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let path = |path: &Path| quoted(&path.to_string_lossy());
     let mut text = format!(
         "# A home, as `roomcast init` has set it up. `roomcast config` prints every key with its default; `roomcast doctor --config` says what\n\
-         # is wrong. Every service reads this file.\n\n[scene]\npath = {}\n\n[daemon]\n# What was narrated and learned is kept here over restarts.\nstate = {}\n",
-        path(scene),
-        path(&folder.join("state"))
+         # is wrong. Every service reads this file. A relative path begins at this file's folder.\n\n[scene]\npath = {}\n\n[daemon]\n\
+         # What was narrated and learned is kept here over restarts; under systemd, in the folder that the unit has for it.\nstate = {}\n",
+        quoted(SCENE_FILE),
+        quoted(STATE_FOLDER)
     );
     text.push_str("\n[narrator]\nname = \"home\"\n");
     let names: Vec<String> = found.residents.iter().map(|name| quoted(name)).collect();
@@ -790,7 +785,7 @@ fn configuration(
                 let _ = writeln!(text, "{key} = {}", path(file));
             }
         }
-        let rules = format!("rules = {}", path(rules_file));
+        let rules = format!("rules = {}", quoted(RULES_FILE));
         let _ = match has_rules {
             true => writeln!(text, "{rules}"),
             false => {
@@ -846,7 +841,7 @@ impl Made {
         }
         let _ = writeln!(
             text,
-            "\nThen start it, each in a terminal of its own, or as a unit:\n\n  roomcast daemon --config {file}"
+            "\nThen start it, each in a terminal of its own, or as services (docs/home.md):\n\n  roomcast daemon --config {file}"
         );
         if narrates {
             let _ = writeln!(text, "  roomcast narrate --mqtt --config {file}");
@@ -904,6 +899,39 @@ mod tests {
         let registries =
             import::Registries { areas: &areas_text, entities: Some(&entities), ..import::Registries::default() };
         import::home_assistant(&registries, "home").unwrap()
+    }
+
+    /// A home is set up in a user's folder, and moved to where the units may read it.
+    #[test]
+    fn the_files_can_be_moved_together() {
+        let broker = Broker {
+            address: LOCAL_BROKER.to_owned(),
+            client: "init".to_owned(),
+            credentials: Some("/home/ada/secret".into()),
+            authority: None,
+        };
+        let found = Found {
+            broker: Some(broker),
+            seen: Seen::default(),
+            home_assistant: None,
+            robot: None,
+            valetudo: None,
+            residents: Vec::new(),
+            notes: Vec::new(),
+        };
+        let map = home_of(&[("kuche", "Küche")]).imported.map;
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(SCENE_FILE), "{}").unwrap();
+        let file = folder.path().join("roomcast.toml");
+        for has_rules in [true, false] {
+            // The line that waits for rules names the same file.
+            let text = configuration(&map, has_rules, &found).replace("# rules = ", "rules = ");
+            std::fs::write(&file, text).unwrap();
+            let Config { scene, daemon, mqtt, .. } = Config::load(&file).unwrap();
+            let at = |name: &str| Some(folder.path().join(name));
+            assert_eq!([scene.path, daemon.state, mqtt.rules], [SCENE_FILE, STATE_FOLDER, RULES_FILE].map(at));
+            assert_eq!(mqtt.credentials, Some("/home/ada/secret".into()));
+        }
     }
 
     /// What `init` does not know no program may take for known: the rules that it leaves name rooms by their ids alone.

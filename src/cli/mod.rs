@@ -239,7 +239,7 @@ enum Command {
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     #[cfg(all(feature = "lab", feature = "recordings"))]
     Explain(explain::Args),
-    /// Say what a running daemon has learned of the home, forget it, or take it elsewhere.
+    /// Say what a running daemon has learned of the home, let it learn from before, forget it, or take it elsewhere.
     Habits(habits::Args),
     /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for what is not given.
     #[cfg(feature = "home")]
@@ -259,7 +259,7 @@ enum Command {
     Metrics(metrics::Args),
     /// Inspect, check and fetch language models.
     Model(model::Args),
-    /// Publish what a person does: activity programs, JSON lines, plain sentences.
+    /// Publish what a person does: activity programs, JSON lines, plain sentences, sensor logs, or what devices say over MQTT.
     Narrate(narrate::Args),
     /// Say who a running daemon knows, forget somebody, or give somebody a name.
     Person(person::Args),
@@ -271,12 +271,12 @@ enum Command {
     /// Replay a recording, bit for bit, at any speed.
     #[cfg(feature = "recordings")]
     Replay(replay::Args),
-    /// Tell a robot's planner what the robot does: started, finished, failed, position, battery.
+    /// Tell a robot's planner what the robot does: started, finished, failed, blocked, cancelled, docked, position, battery.
     Report(report::Args),
     /// Drive a robot vacuum by the planner's decisions: Valetudo, or what Home Assistant has. Only says what it would do, until --obey.
     #[cfg(feature = "robot")]
     Robot(robot::Args),
-    /// Import, check, show and draw semantic maps.
+    /// Import, check, change, show and draw semantic maps.
     Scene(scene::Args),
     /// Score every label, item and partition of a scene once.
     Score(score::Args),

@@ -30,7 +30,7 @@ pub struct Args {
     #[arg(long, value_name = "PATH", conflicts_with = "speed")]
     fifo: Option<PathBuf>,
     /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the
-    /// broker of the configuration's section `[mqtt]`.
+    /// broker of the configuration's section `[mqtt]`, whose login and certificates are used for that one alone.
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "URL", conflicts_with_all = OTHER_INPUTS, num_args = 0..=1)]
     mqtt: Option<Option<String>>,

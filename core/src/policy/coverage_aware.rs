@@ -111,29 +111,35 @@ impl Policy for CoverageAware {
         let _: f64 = rand::RngExt::random(rng);
         let to_do = covered.iter().filter(|done| !**done).count();
         let stays = plan.partitions.len();
-        let s = if stays == 1 { "" } else { "s" };
         let all_done = state.covered.iter().all(|done| *done);
         let now = match (all_done, covered[first]) {
-            (true, _) => "all rooms are done: keeps where it is least likely to meet somebody",
+            (true, _) => "all rooms are done: waits where it is least likely to meet somebody",
             (false, true) => "waits in a room that is done",
-            (false, false) => "works in a room to do",
+            (false, false) => "works here",
         };
-        let work_s = plan.work_s;
+        let counted = |number: usize, noun: &str| format!("{number} {noun}{}", if number == 1 { "" } else { "s" });
+        // A room that is closed is no part of the plan, and still to do.
+        let is_all = to_do == state.covered.iter().filter(|done| !**done).count();
+        let does = match (plan.works, plan.undone) {
+            (0, _) => "no room".to_owned(),
+            (1, 0) if is_all => "the last room to do".to_owned(),
+            (works, 0) if is_all => format!("all {works} rooms to do"),
+            (1, 0) => "the only open room to do".to_owned(),
+            (works, 0) => format!("all {works} open rooms to do"),
+            (works, undone) => format!("{works} of {} to do", counted(works + undone, "room")),
+        };
         let beside = match plan.works {
-            0 => "does no room".to_owned(),
-            1 => format!("{work_s:.0} s beside people while doing 1 room"),
-            works => format!("{work_s:.0} s beside people while doing {works} rooms"),
+            0 => String::new(),
+            _ => format!(", {:.0} s of it beside people", plan.work_s),
         };
-        let rooms = if plan.undone == 1 { "1 room".to_owned() } else { format!("{} rooms", plan.undone) };
-        let end = match plan.undone {
-            0 if to_do == state.covered.iter().filter(|done| !**done).count() => "every room done".to_owned(),
-            0 => "every open room done".to_owned(),
-            _ if to_do > stays => format!("{rooms} left undone, since more do not fit"),
-            _ => format!("{rooms} left undone, where it would share more than {weight_s:.0} s of a stay"),
+        let left = match plan.undone {
+            0 => String::new(),
+            undone if to_do > stays => format!("; there is no time for {}", counted(undone, "room")),
+            undone => format!("; {} would take more than {weight_s:.0} s beside people", counted(undone, "room")),
         };
         Ok(Choice {
             partition: partition_id(open[first]),
-            reason: format!("{now}; plan for {stays} stay{s}: {beside}, {end}"),
+            reason: format!("{now}; the plan for {} does {does}{beside}{left}", counted(stays, "stay")),
         })
     }
 }
@@ -543,13 +549,13 @@ mod tests {
         let said = |covered: &[bool]| choose(covered, &alike, 600.0, None).reason;
         let whole = said(&[false; 6]);
         assert!(
-            whole.ends_with("plan for 144 stays: 600 s beside people while doing 6 rooms, every room done"),
+            whole.ends_with("works here; the plan for 144 stays does all 6 rooms to do, 600 s of it beside people"),
             "{whole}"
         );
         let one = said(&[true, true, false, true, true, true]);
-        assert!(one.ends_with("100 s beside people while doing 1 room, every room done"), "{one}");
+        assert!(one.ends_with("does the last room to do, 100 s of it beside people"), "{one}");
         let none = said(&[true; 6]);
-        assert!(none.ends_with("plan for 144 stays: does no room, every room done"), "{none}");
+        assert!(none.ends_with("; the plan for 144 stays does no room"), "{none}");
     }
 
     #[test]
@@ -567,10 +573,14 @@ mod tests {
         let plan = plan(&[5.0, 1.0, 3.0], &[false; 3], f64::INFINITY, 0.0).unwrap();
         assert_eq!((plan.partitions, plan.undone), (vec![1], 2));
         let few = choose(&[false; 3], &[5.0, 1.0, 3.0], 600.0, None);
-        assert!(few.reason.ends_with("2 rooms left undone, since more do not fit"), "{}", few.reason);
+        assert!(
+            few.reason.ends_with("does 1 of 3 rooms to do, 1 s of it beside people; there is no time for 2 rooms"),
+            "{}",
+            few.reason
+        );
         let dear = choose(&[false, true], &[590.0, 10.0], 600.0, None);
         assert!(dear.reason.starts_with("waits in a room that is done"), "{}", dear.reason);
-        let left = "1 room left undone, where it would share more than 240 s of a stay";
+        let left = "does no room; 1 room would take more than 240 s beside people";
         assert!(dear.reason.ends_with(left), "{}", dear.reason);
     }
 
@@ -582,7 +592,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
         assert_eq!(
-            (choice.partition.0, choice.reason.ends_with("every open room done")),
+            (choice.partition.0, choice.reason.contains("does the only open room to do, 120 s of it")),
             (1, true),
             "{}",
             choice.reason

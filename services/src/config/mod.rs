@@ -323,12 +323,19 @@ impl Config {
         let mut config: Self = toml::from_str(&text)
             .map_err(|error| ConfigError::Parse { path: path.to_owned(), error: Box::new(error) })?;
         let file = std::path::absolute(path).map_err(read)?;
-        config.begin_paths_at(file.parent().unwrap_or(Path::new("/")));
+        config.begin_paths_at(file.parent().unwrap_or(Path::new("/")), sections::state_of_service());
         Ok(config)
     }
 
-    /// Makes relative paths absolute. One key is left out: `ipc.root`, which is never relative.
-    fn begin_paths_at(&mut self, folder: &Path) {
+    /// Makes relative paths absolute. One key is left out: `ipc.root`, which is never relative. A state directory beside the file is that of
+    /// whoever starts Roomcast by hand: a service has one of its own, and may not write beside the file.
+    fn begin_paths_at(&mut self, folder: &Path, state_of_service: Option<PathBuf>) {
+        if let (Some(state), Some(of_service)) = (&mut self.daemon.state, state_of_service)
+            && state.is_relative()
+            && !state.as_os_str().is_empty()
+        {
+            *state = of_service;
+        }
         // A shipped scene is named without a file.
         let is_shipped = |path: &Path| !folder.join(path).exists() && path.to_str().and_then(embedded::scene).is_some();
         let scene = Some(&mut self.scene.path).filter(|path| !path.as_deref().is_some_and(is_shipped));
@@ -547,6 +554,42 @@ mod tests {
         assert!(tried >= 10, "{tried}");
     }
 
+    /// Whoever is refused by a limit finds it in the manual: beside the key stand the ends of what it may be.
+    #[test]
+    fn the_manual_states_every_limit() {
+        let mut missing = Vec::new();
+        for Limit { key, remedy, .. } in Config::default().limits() {
+            let (section, name) = key.rsplit_once('.').unwrap();
+            // A section that is one key has its comment beside its name.
+            let own = DEFAULT_TOML.lines().find(|line| line.starts_with(&format!("[{key}]")));
+            let of_section = [format!("\n[{section}]"), format!("\n# [[{section}]]")]
+                .iter()
+                .find_map(|head| DEFAULT_TOML.split_once(head))
+                .map_or("", |(_, rest)| rest);
+            let is_key =
+                |line: &str| line.contains(" = ") && line.starts_with(|first: char| first.is_ascii_lowercase());
+            let (mut comment, mut is_own) = (own.unwrap_or_default().to_owned(), false);
+            for line in of_section.lines().skip(1).take_while(|line| !line.starts_with('[')) {
+                let bare = line.trim_start_matches("# ");
+                if is_key(bare) {
+                    is_own = bare.starts_with(&format!("{name} = "));
+                }
+                if is_own {
+                    comment.push_str(line);
+                }
+            }
+            // 1 and 0 stand for "all" and "none" and need no word; a limit of a billion seconds is none.
+            let numbers =
+                remedy.split([' ', ',', ';']).filter(|word| word.parse::<f64>().is_ok_and(|n| n > 1.0 && n < 1e9));
+            missing.extend(
+                numbers
+                    .filter(|number| !comment.contains(*number))
+                    .map(|number| format!("{key}: {number} of {remedy}")),
+            );
+        }
+        assert_eq!(missing, [""; 0]);
+    }
+
     #[test]
     fn a_value_of_the_wrong_kind_is_told_in_words() {
         let told = |toml: &str| in_words(&toml::from_str::<Config>(toml).unwrap_err());
@@ -660,6 +703,23 @@ mod tests {
         assert_eq!(Config::load(&file).unwrap().scene.path, at("studio"));
         std::fs::write(&file, "[daemon]\nstate = \"\"\n").unwrap();
         assert!(Config::load(&file).unwrap_err().to_string().contains("daemon.state is empty"));
+    }
+
+    /// One file serves who starts it by hand and the units, which may write into no other folder than theirs.
+    #[test]
+    fn a_services_own_state_directory_goes_before_one_beside_the_file() {
+        let state_of = |toml: &str, of_service: Option<&str>| {
+            let mut config: Config = toml::from_str(toml).unwrap();
+            config.begin_paths_at(Path::new("/etc/roomcast"), of_service.map(PathBuf::from));
+            config.daemon.state
+        };
+        let (beside, own) = ("[daemon]\nstate = \"state\"", Some("/var/lib/roomcast"));
+        assert_eq!(state_of(beside, None), Some("/etc/roomcast/state".into()));
+        assert_eq!(state_of(beside, own), own.map(PathBuf::from));
+        // Whoever names a folder in full means that one; whoever names none has systemd's by `state_directory`.
+        assert_eq!(state_of("[daemon]\nstate = \"/srv/roomcast\"", own), Some("/srv/roomcast".into()));
+        assert_eq!(state_of("", own), None);
+        assert_eq!(state_of("[daemon]\nstate = \"\"", own), Some("".into()));
     }
 
     #[test]

@@ -12,7 +12,8 @@ use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaemonConfig {
-    /// The state directory with the narration journal; without one, systemd's `$STATE_DIRECTORY`, and without that no journal.
+    /// The state directory with the narration journal; without one, systemd's `$STATE_DIRECTORY`, and without that no journal. In a file a relative
+    /// one gives way to systemd's.
     pub state: Option<PathBuf>,
     /// Most bytes of the journal on disk.
     pub journal_bytes: u64,
@@ -46,9 +47,13 @@ impl DaemonConfig {
     /// The state directory: the one that is configured, else systemd's.
     #[must_use]
     pub fn state_directory(&self) -> Option<PathBuf> {
-        let given = || std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty());
-        self.state.clone().or_else(|| given().map(PathBuf::from))
+        self.state.clone().or_else(state_of_service)
     }
+}
+
+/// The state directory that systemd gives a service.
+pub(super) fn state_of_service() -> Option<PathBuf> {
+    std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty()).map(PathBuf::from)
 }
 
 /// What one narrator may send: everything that comes by one port.

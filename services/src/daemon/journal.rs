@@ -1320,6 +1320,10 @@ mod tests {
                 false => self.folder.sync_names(),
             }
         }
+
+        fn remove_aside(&mut self) -> io::Result<()> {
+            self.folder.remove_aside()
+        }
     }
 
     fn observation(sequence: u64) -> Observation {
@@ -1369,6 +1373,33 @@ mod tests {
         let (_journal, recovered) = Journal::open(&small).unwrap();
         assert_eq!(recovered.carried.iter().chain(&recovered.observations).last().unwrap().sequence, all);
         assert!(!PathBuf::from(format!("{}.large-2", older.display())).exists());
+    }
+
+    /// Whoever is forgotten is in no file of the state directory afterwards, whatever was kept aside.
+    #[test]
+    fn what_is_kept_aside_goes_when_somebody_is_forgotten() {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut journal, _) = Journal::open(&options(directory.path(), 16 << 20)).unwrap();
+        let carla = |sequence| {
+            let sentence = Sentence::new("Carla opens the fridge.").unwrap();
+            Observation { person: 7, source: 3, epoch: 1, ..Observation::of(sequence, sentence) }
+        };
+        (0..20_000).for_each(|sequence| _ = journal.append(&carla(sequence)));
+        drop(journal);
+        let (journal, _) = Journal::open(&options(directory.path(), 8192)).unwrap();
+        // One whose number follows none: somebody has removed the others.
+        let current = directory.path().join("narration.journal");
+        let first = PathBuf::from(format!("{}.large-1", current.display()));
+        fs::copy(&first, format!("{}.large-64", current.display())).unwrap();
+        let is_carla = |observation: &Observation, _: Option<u32>| observation.person == 7;
+        assert!(journal.handle().forget(7, is_carla, Duration::from_secs(60)).unwrap() > 0);
+        drop(journal);
+        for file in fs::read_dir(directory.path()).unwrap() {
+            let path = file.unwrap().path();
+            let bytes = fs::read(&path).unwrap();
+            assert!(!bytes.windows(5).any(|word| word == b"Carla"), "{}", path.display());
+        }
+        assert!(!first.exists());
     }
 
     #[test]

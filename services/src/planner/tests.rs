@@ -54,7 +54,7 @@ fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     planner.take_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
     let decision = planner.decide(S, 0).unwrap().unwrap();
     assert_eq!(decision.to(), "room-1");
-    assert!(decision.reason().contains("; plan for "), "{}", decision.reason());
+    assert!(decision.reason().contains("; the plan for "), "{}", decision.reason());
 }
 
 /// A home where somebody lies down in the bedroom, and what the daemon publishes of it.
@@ -122,7 +122,7 @@ fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
             assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
             if slot > 2 {
                 let said = decision.reason().contains("waits in a room that is done")
-                    && decision.reason().contains("1 room left undone");
+                    && decision.reason().contains("; 1 room would take more than ");
                 assert!(said, "slot {slot}: {}", decision.reason());
             } else if slot == 0 && round > 0 {
                 let ended = "the round's deadline came with 1 of 4 rooms undone, a round of all rooms begins: ";

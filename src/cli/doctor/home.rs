@@ -244,7 +244,11 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
         let found = format!("{} of {} steps failed", status.failed_steps, status.steps);
         return Finding::wrong(check, found, "its log says why; roomcast model check");
     }
-    let found = format!("{} narrations accepted, {}", status.accepted, count(status.persons as usize, "person"));
+    let found = format!(
+        "{} accepted, {}",
+        count(status.accepted as usize, "narration"),
+        count(status.persons as usize, "person")
+    );
     match status.accepted {
         0 => Finding::limited(
             check,

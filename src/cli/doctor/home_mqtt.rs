@@ -424,7 +424,7 @@ fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) 
     }
     if hours < COUNTED_H_MIN {
         let found = format!(
-            "{} of {} fitted a message in the {:.0} minutes that they are counted; ask again after a day",
+            "{} of {} fitted a message in the {:.0} minutes that they are counted; ask again after an hour",
             count(fitted.len() - never.len(), "rule"),
             fitted.len(),
             60.0 * hours

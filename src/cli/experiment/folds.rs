@@ -34,13 +34,14 @@ struct Asked {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
-    /// Print the tables of the model card.
+    /// Print this experiment's tables in Markdown, as the model card has them.
     #[arg(long, conflicts_with = "json")]
     markdown: bool,
 }
 
-/// Arguments of `roomcast experiment folds`.
+/// Arguments of `roomcast experiment folds`. The models that were trained for it are the only ones.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct FoldsArgs {
     /// What `training/run.py --folds` wrote: a folder per fold, with model, manifest and statistics.
     #[arg(long, value_name = "DIR")]
@@ -51,8 +52,9 @@ pub(super) struct FoldsArgs {
     model: ModelArgs,
 }
 
-/// Arguments of `roomcast experiment sealed`.
+/// Arguments of `roomcast experiment sealed`. The models that were trained for it are the only ones.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct SealedArgs {
     /// A folder with model, manifest and statistics, as `training/run.py --fold` writes it.
     #[arg(long, value_name = "DIR")]

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{LikeThingsArgs, ModelArgs, distinct, maps, report_faults};
-use crate::cli::choice::choice;
+use crate::cli::choice::{choice, policy};
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
 use roomcast_core::forecast::ForecastOptions;
@@ -77,7 +77,7 @@ pub(super) struct StudyArgs {
     together: bool,
     #[command(flatten)]
     model: ModelArgs,
-    /// Write CSV, SVG, PNG and report.html into this folder.
+    /// Write CSV, SVG and report.html into this folder; PNG, too, in a build with the feature `png`.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print one JSON object.
@@ -125,7 +125,7 @@ impl FromStr for DisturbanceArg {
 #[derive(Debug, clap::Args)]
 pub(super) struct Table1Args {
     /// Who decides, given the prompts' scores.
-    #[arg(long, value_name = "POLICY", default_value = "informed-avoidance")]
+    #[arg(long, value_name = "POLICY", value_parser = policy(), default_value_t = PolicyName::InformedAvoidance)]
     policy: PolicyName,
     #[command(flatten)]
     robot: RobotArgs,

@@ -705,7 +705,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     let of_robot = ["virtual_wall", "no_go_area", "no_mop_area", "active_zone"];
     let ignored = file.entities.iter().filter(|entity| of_robot.contains(&&*entity.r#type)).count();
     if ignored > 0 {
-        notes.push(format!("Left out {ignored} virtual walls and areas: they are the robot's to keep."));
+        notes.push(format!("Left out for the robot to keep: virtual walls and areas ({ignored})."));
     }
     let is_foreign =
         |room: &&RoomEntry| !room.label.is_ascii() && Names::built_in().kind_of_room(&room.label).is_none();
@@ -719,7 +719,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     }
     let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
     if unnamed > 0 {
-        notes.push(format!("{unnamed} rooms have no name: name them with --names, or in the robot's own program, so that their names say something."));
+        notes.push(format!("Rooms without a name ({unnamed}): name them with --names, or in the robot's own program, so that their names say something."));
     }
     let source = match tolerance_m {
         tolerance_m if tolerance_m.is_finite() => format!("Valetudo map, imported; outlines to {tolerance_m} m"),
@@ -889,7 +889,11 @@ mod tests {
         let labels: Vec<_> = imported.map.rooms.iter().map(|room| &*room.label).collect();
         assert_eq!(labels, ["room 1", "7", "room 3", "room 4", "a bc", "room 6"]);
         assert!(imported.map.items.is_empty(), "it has no charger");
-        assert!(imported.notes.iter().any(|note| note.starts_with("Left out 1 virtual walls")), "{:?}", imported.notes);
+        assert!(
+            imported.notes.iter().any(|note| note.ends_with("virtual walls and areas (1).")),
+            "{:?}",
+            imported.notes
+        );
         // Finer and coarser pixels, far from the origin; the first format, with each pixel by itself.
         for (pixel, area_m2) in [(1.0, 0.36), (2.5, 2.25), (10.0, 36.0)] {
             let map = named(&["Küche".into()], |map| map["pixelSize"] = pixel.into()).unwrap().map;

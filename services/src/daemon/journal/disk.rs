@@ -84,6 +84,12 @@ pub trait Disk: Debug {
     /// # Errors
     /// When the disk refuses.
     fn sync_names(&mut self) -> io::Result<()>;
+
+    /// Removes the halves that were too large and are kept aside.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    fn remove_aside(&mut self) -> io::Result<()>;
 }
 
 /// A folder of a real disk.
@@ -172,8 +178,7 @@ impl Folder {
             path = %path.display(),
             aside = %aside.display(),
             bytes,
-            "a file of the journal has more than daemon.journal_bytes: it is kept aside, and its newest part is read. Who is forgotten \
-             stays in what is kept aside, so remove it when it is not needed"
+            "a file of the journal has more than daemon.journal_bytes: it is kept aside until somebody is forgotten, and its newest part is read"
         );
         Ok(())
     }
@@ -265,15 +270,26 @@ impl Disk for Folder {
     fn sync_names(&mut self) -> io::Result<()> {
         sync_folder(&self.current)
     }
+
+    fn remove_aside(&mut self) -> io::Result<()> {
+        let halves = [&self.older, &self.current];
+        halves.into_iter().try_for_each(|half| (1..=ASIDE_MAX).try_for_each(|number| remove(&aside(half, number))))
+    }
+}
+
+/// The name of a half that is kept aside, beside its own.
+fn aside(half: &Path, number: usize) -> PathBuf {
+    let mut name = half.as_os_str().to_owned();
+    name.push(format!(".large-{number}"));
+    name.into()
 }
 
 /// Gives a file another name, beside its own.
 fn set_aside(path: &Path) -> io::Result<PathBuf> {
     for number in 1..=ASIDE_MAX {
-        let mut name = path.as_os_str().to_owned();
-        name.push(format!(".large-{number}"));
+        let name = aside(path, number);
         match fs::hard_link(path, &name) {
-            Ok(()) => return Ok(name.into()),
+            Ok(()) => return Ok(name),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error),
         }

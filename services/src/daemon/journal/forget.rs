@@ -17,7 +17,7 @@ const BLANK: &str = "Forgotten.";
 
 impl<D: Disk> Writer<D> {
     /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
-    /// successor is. Gives how many records were theirs.
+    /// successor is. What is kept aside is removed: it may hold more than can be read. Gives how many records were theirs.
     pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<usize> {
         self.rewrite()?;
         let (older, current) = (self.disk.read(Half::Older)?, self.disk.read(Half::Current)?);
@@ -47,6 +47,7 @@ impl<D: Disk> Writer<D> {
         self.last.retain(|_, last| last.record.len() > HEADER_BYTES);
         self.kept = forgets.without(&self.kept);
         self.progress.bytes.store(self.older_length + self.length, std::sync::atomic::Ordering::Relaxed);
+        self.disk.remove_aside()?;
         self.disk.sync_names()?;
         self.names_synced = true;
         // What was said of everybody before this does not bring them back after a restart.
