@@ -407,6 +407,11 @@ impl Disk for SimulatedDisk {
         Ok(())
     }
 
+    /// No half is ever too large here.
+    fn remove_aside(&mut self) -> io::Result<()> {
+        if self.0.borrow_mut().fails() { Err(refused()) } else { Ok(()) }
+    }
+
     fn is_current(&self) -> io::Result<bool> {
         let machine = &mut *self.0.borrow_mut();
         if machine.fails() { Err(refused()) } else { Ok(machine.names.current == Some(machine.open)) }
