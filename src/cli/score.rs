@@ -69,7 +69,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
     threads: usize,
     /// How the key-value cache is stored.
-    #[arg(long = "kv-cache", value_parser = choice::<CacheType>(), default_value_t)]
+    #[arg(long = "kv-cache", alias = "cache", value_parser = choice::<CacheType>(), default_value_t)]
     cache: CacheType,
     /// How many labels and items the tables show.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = ranges::whole(0..=usize::MAX))]
