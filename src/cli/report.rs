@@ -23,6 +23,8 @@ use roomcast_services::stop::Stop;
 
 /// A planner looks at its ports every 100 ms; after so long a running one has what was sent.
 const LINGER: Duration = Duration::from_millis(500);
+/// How long a planner may take to notice a new listener.
+const NOTICED_WITHIN: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(50);
 /// A daemon that runs repeats its scores within so long.
 const HEARTBEAT: Duration = Duration::from_millis(1500);
@@ -379,15 +381,22 @@ fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
         return Ok(Some(name.to_owned()));
     }
     let decisions = node.subscriber::<DecisionV1>()?;
-    while let Some(received) = decisions.receive()? {
-        if let Ok(decision) = received
-            && PLANNER.robot_of(planner) == Some(decision.robot)
-            && !decision.robot_name().is_empty()
-        {
-            return Ok(Some(decision.robot_name().to_owned()));
+    // The planner has to notice that somebody listens before it gives what it decided last.
+    let until = Instant::now() + NOTICED_WITHIN;
+    loop {
+        while let Some(received) = decisions.receive()? {
+            if let Ok(decision) = received
+                && PLANNER.robot_of(planner) == Some(decision.robot)
+                && !decision.robot_name().is_empty()
+            {
+                return Ok(Some(decision.robot_name().to_owned()));
+            }
         }
+        if Instant::now() >= until {
+            return Ok(None);
+        }
+        decisions.wait(TICK)?;
     }
-    Ok(None)
 }
 
 /// Waits for the robot's planner, and then as long as it takes to receive what was sent.
