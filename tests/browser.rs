@@ -299,6 +299,12 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let _daemon = quiet(roomcast(root, &["daemon"]));
     let file = root.join("day.mcap").display().to_string();
     let mut record = roomcast(root, &["record", &file]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    // It makes its file when it listens, and what was said before is not of it.
+    let start = Instant::now();
+    while !root.join("day.mcap").exists() {
+        assert!(start.elapsed() < PATIENCE, "nothing is recorded");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     let mut narrator = roomcast(root, &["narrate", "-"]).stdin(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
     narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();
