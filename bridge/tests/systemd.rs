@@ -92,7 +92,7 @@ fn the_units_bridge_says_that_it_lives_while_its_router_is_away() {
     assert!(start.elapsed() < Duration::from_secs(10), "three times before the watchdog would restart it");
 }
 
-/// Starting again is of no use, and whoever reads the log has to know what to mend.
+/// Starting again does not help. The log says what to change.
 #[test]
 fn a_scene_that_is_not_there_is_told_with_its_cause_and_is_of_the_configuration() {
     let ros2 = format!("[ros2]\nconnect = \"tcp/127.0.0.1:{}\"\nscene = \"gone.json\"\n", free_port());

@@ -15,10 +15,9 @@ use crate::exit_code;
 use crate::latency::{self, LatencyError, Narrator, Path, Probe, Row, Taken};
 use roomcast_core::narration::{Program, Sentence};
 use roomcast_core::prepared::ANSWERS_MAX;
+use roomcast_services::config::SPIN_US_MAX;
 use roomcast_services::stop::Stop;
 
-/// Most that the configuration takes as `ipc.spin_us`.
-const SPIN_US_MAX: u64 = 10_000_000;
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
 

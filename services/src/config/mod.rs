@@ -38,7 +38,7 @@ pub const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Most milliseconds that a step may take under `effort = "deadline"`.
 pub const DEADLINE_MS_MAX: u64 = 60_000;
 /// Most microseconds that daemon and planner stay awake after a message.
-const SPIN_US_MAX: u64 = 10_000_000;
+pub const SPIN_US_MAX: u64 = 10_000_000;
 /// Most milliseconds between two heartbeats: views and bridges take a daemon for gone after 1.5 s of silence, three heartbeats at least.
 const HEARTBEAT_MS_MAX: u64 = 500;
 
