@@ -277,37 +277,39 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     drop(broker);
 }
 
-/// When topics were told something while somebody looked.
-fn watch(port: u16, stop: Arc<Mutex<bool>>) -> std::thread::JoinHandle<BTreeMap<String, Vec<Instant>>> {
+/// When topics were told something.
+type Told = BTreeMap<String, Vec<Instant>>;
+
+/// Writes down when topics are told something, as long as somebody else owns the table, too.
+fn watch(port: u16, told: Arc<Mutex<Told>>) {
     std::thread::spawn(move || {
         let mut options = MqttOptions::new("watcher", "127.0.0.1", port);
         options.set_keep_alive(Duration::from_secs(5));
         let (client, mut connection) = Client::new(options, 4);
         client.subscribe("roomcast/#", QoS::AtLeastOnce).unwrap();
-        let mut told: BTreeMap<String, Vec<Instant>> = BTreeMap::new();
-        while !*stop.lock().unwrap() {
+        while Arc::strong_count(&told) > 1 {
             if let Ok(Ok(Event::Incoming(Packet::Publish(message)))) =
                 connection.recv_timeout(Duration::from_millis(50))
             {
-                told.entry(String::from_utf8(message.topic.to_vec()).unwrap()).or_default().push(Instant::now());
+                let topic = String::from_utf8(message.topic.to_vec()).unwrap();
+                told.lock().unwrap().entry(topic).or_default().push(Instant::now());
             }
         }
-        told
-    })
+    });
 }
 
 #[test]
 fn nothing_is_told_faster_than_the_interval_however_much_happens() {
-    const INTERVAL_S: f64 = 1.0;
+    const INTERVAL_S: f64 = 3.0;
     /// By so much a message may come later than the one after it, on a loaded machine.
-    const LATE_S: f64 = 0.6;
+    const LATE_S: f64 = 2.4;
     let Some(broker) = broker() else { return };
     let mut world = World::new("rate");
     let config = world.directory.path().join("roomcast.toml");
     std::fs::write(config, format!("[bridge]\ninterval_s = {INTERVAL_S:?}\n")).unwrap();
     world.start_daemon("state", &[]);
-    let stop = Arc::new(Mutex::new(false));
-    let watcher = watch(broker.port, Arc::clone(&stop));
+    let told = Arc::new(Mutex::new(Told::new()));
+    watch(broker.port, Arc::clone(&told));
     world.start_bridge(broker.port);
     kept_with(broker.port, "the bridge is at work", |kept| kept.contains_key("roomcast/rooms/kitchen"));
     for round in 0..5 {
@@ -315,10 +317,8 @@ fn nothing_is_told_faster_than_the_interval_however_much_happens() {
         let lines: Vec<_> = places.iter().map(|thing| format!("They walk to the {thing}.")).collect();
         world.narrate(&format!("{}\nThey look at the mug {round}.\n", lines.join("\n")));
     }
-    kept_with(broker.port, "narration is told of", |kept| at(kept, "roomcast/health")["narrated_unix_s"].is_u64());
-    *stop.lock().unwrap() = true;
-    let told = watcher.join().unwrap();
-    assert!(told["roomcast/rooms/kitchen"].len() >= 2, "{told:?}");
+    let twice = |told: &Told| told.get("roomcast/rooms/kitchen").is_some_and(|times| times.len() >= 2);
+    let told = eventually("the kitchen is told of again", || Some(told.lock().unwrap().clone()).filter(twice));
     // A burst and a silence after it are too fast, however few they are together.
     for (topic, told) in &told {
         for (first, times) in told.windows(2).enumerate() {

@@ -68,6 +68,21 @@ pub enum HubError {
     Thread(io::Error),
 }
 
+impl HubError {
+    /// Whether configuration or command line is at fault, or a file that they name: starting again is of no use then.
+    #[must_use]
+    pub fn is_of_configuration(&self) -> bool {
+        match self {
+            Self::Config(_) | Self::Link(LinkError::Config(_)) => true,
+            Self::Input { source, .. } => matches!(
+                source.kind(),
+                io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied | io::ErrorKind::IsADirectory
+            ),
+            Self::Link(_) | Self::Spool(_) | Self::Panic { .. } | Self::Thread(_) => false,
+        }
+    }
+}
+
 /// A robot that was not heard for so long since the start is told of.
 const UNHEARD_NS: u64 = 15_000_000_000;
 
@@ -264,6 +279,11 @@ fn read_lines(path: &Path, opened: (Input, Place), lines: &SyncSender<Line>, sto
             if left_after.zip(silent_since).is_some_and(|(silence, since)| since.elapsed() >= silence) {
                 match follow(path, Some(Place::default())) {
                     Ok((file, start)) => {
+                        // Nobody ends the last line of a file that another one has taken the place of.
+                        let is_left = left_after == Some(LEAVE);
+                        if is_left && !text.is_empty() && !is_rest && lines.send((text, place)).is_err() {
+                            return Ok(());
+                        }
                         tracing::warn!(path = %path.display(), "the input was written over or is another file: it is read from its start");
                         (input, place, text, is_rest) = (Input::Followed(file), start, Vec::new(), false);
                         (tail, is_told, silent_since) = (Tail::default(), false, None);

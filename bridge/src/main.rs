@@ -100,6 +100,7 @@ fn load(file: &File) -> Result<(Config, Stop), Failure> {
 }
 
 fn run(command: Command) -> Result<(), Failure> {
+    let code = |is_of_configuration| if is_of_configuration { CONFIG } else { FAILURE };
     let print = |text: &str| io::stdout().write_all(text.as_bytes()).map_err(failure);
     match command {
         Command::Config => print(config::MANUAL),
@@ -109,13 +110,13 @@ fn run(command: Command) -> Result<(), Failure> {
             config.ipc.root = root.or(config.ipc.root);
             config.ipc.domain = domain.unwrap_or(config.ipc.domain);
             config.check_robot().map_err(|error| (CONFIG, error.into()))?;
-            let code = |error: &BridgeError| if error.is_of_configuration() { CONFIG } else { FAILURE };
-            robot::run(&config, &stop).map_err(|error| (code(&error), error.into()))
+            robot::run(&config, &stop).map_err(|error| (code(error.is_of_configuration()), error.into()))
         }
         Command::Hub { file, input } => {
             let (config, stop) = load(&file)?;
             config.check_hub().map_err(|error| (CONFIG, error.into()))?;
-            let outcome = hub::run(&config, &input, &stop).map_err(failure)?;
+            let outcome =
+                hub::run(&config, &input, &stop).map_err(|error| (code(error.is_of_configuration()), error.into()))?;
             let line = serde_json::to_string(&outcome).map_err(failure)?;
             print(&format!("{line}\n"))
         }

@@ -53,7 +53,8 @@ impl BridgeError {
         match self {
             Self::Config(_) => true,
             Self::Ros2(error) => !matches!(error, Ros2Error::Ipc(_)),
-            Self::Link(_) | Self::Ipc(_) | Self::Panic(_) | Self::Thread(_) => false,
+            Self::Link(error) => matches!(error, LinkError::Config(_)),
+            Self::Ipc(_) | Self::Panic(_) | Self::Thread(_) => false,
         }
     }
 }

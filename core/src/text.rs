@@ -1,4 +1,4 @@
-//! Which characters may stand in names and sentences, and files of bounded size.
+//! Which characters may stand in names and sentences, numbers of things in words, and files of bounded size.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -16,11 +16,17 @@ pub fn read_at_most(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> 
 }
 
 /// What editors on Windows put before a text: no part of it.
-pub const BYTE_ORDER_MARK: char = '\u{feff}';
+const BYTE_ORDER_MARK: char = '\u{feff}';
+
+/// So many of something whose plural ends in s: "1 room", "2 rooms".
+#[must_use]
+pub fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
 
 /// A text without a byte order mark at its beginning.
 #[must_use]
-pub fn without_mark(text: &str) -> &str {
+pub(crate) fn without_mark(text: &str) -> &str {
     text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
 }
 

@@ -9,6 +9,7 @@ use svg::node::element::{Circle, Definitions, Group, Line, LinearGradient, Path,
 
 use roomcast_core::grounding::Grounding;
 use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space, Storeys};
+use roomcast_core::text::count;
 
 /// The font of all drawings; `png.rs` has it compiled in.
 pub(crate) const FONT: &str = "DejaVu Sans";
@@ -220,10 +221,6 @@ impl<'a> Label<'a> {
             text
         }
     }
-}
-
-fn count(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
 fn rounded(pixels: f64) -> f64 {

@@ -190,6 +190,7 @@ pub struct Interval {
 #[derive(Debug)]
 struct Matched<'a> {
     rule: &'a Rule,
+    place: &'a str,
     said: Said,
 }
 
@@ -271,16 +272,16 @@ impl SensorRules {
     #[must_use]
     pub fn narrate(&self, log: &[u8], person: &Who) -> SensorLog {
         let mut narrated = SensorLog::default();
-        let mut matched: Vec<Matched<'_>> = Vec::new();
-        let mut number = 0;
+        let mut intervals: Vec<(u64, Interval)> = Vec::new();
         for (line, interval) in self.lines(log) {
             match interval {
-                Ok(interval) => {
-                    self.say((number, &interval), person, line, &mut narrated, &mut matched);
-                    number += 1;
-                }
+                Ok(interval) => intervals.push((line, interval)),
                 Err(reason) => narrated.faults.add(line, reason),
             }
+        }
+        let mut matched: Vec<Matched<'_>> = Vec::new();
+        for (number, (line, interval)) in intervals.iter().enumerate() {
+            self.say((number, interval), person, *line, &mut narrated, &mut matched);
         }
         matched.sort_by(|a, b| a.said.at_s.total_cmp(&b.said.at_s));
         let all = matched.len();
@@ -288,9 +289,10 @@ impl SensorRules {
         narrated.silent += (all - matched.len()) as u64;
         matched.sort_by(|a, b| a.said.at_s.total_cmp(&b.said.at_s));
         let mut before_s = None;
-        let mut last: HashMap<(Who, String), f64> = HashMap::new();
-        for Matched { rule, mut said } in matched {
-            let same = last.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
+        // The kitchen's door is another than the bathroom's, though both are "the door".
+        let mut last: HashMap<(Who, String, &str), f64> = HashMap::new();
+        for Matched { rule, place, mut said } in matched {
+            let same = last.insert((said.item.person.clone(), said.item.text.clone(), place), said.at_s);
             if same.is_some_and(|same_s| said.at_s - same_s < rule.again_s) {
                 narrated.silent += 1;
                 continue;
@@ -382,7 +384,7 @@ impl SensorRules {
     /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.
     fn say<'a>(
         &'a self,
-        (number, interval): (usize, &Interval),
+        (number, interval): (usize, &'a Interval),
         person: &Who,
         line: u64,
         narrated: &mut SensorLog,
@@ -407,7 +409,10 @@ impl SensorRules {
                     _ => format!("{length_s:.0}"),
                 });
                 match line_item(&json, person) {
-                    Ok(item) => matched.push(Matched { rule, said: Said { item, at_s, line, interval: number } }),
+                    Ok(item) => {
+                        let said = Said { item, at_s, line, interval: number };
+                        matched.push(Matched { rule, place: &interval.place, said });
+                    }
                     Err(source) => narrated.faults.add(line, source),
                 }
             }
@@ -422,7 +427,7 @@ fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
     let mut next_s = f64::INFINITY;
     let mut again: HashMap<(Who, String), f64> = HashMap::new();
     let mut kept = Vec::with_capacity(matched.len());
-    for Matched { rule, mut said } in matched.into_iter().rev() {
+    for Matched { rule, place, mut said } in matched.into_iter().rev() {
         if let Some(quiet) = rule.saying.quiet() {
             let end_s = said.at_s + quiet.as_secs_f64();
             let same = again.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
@@ -433,7 +438,7 @@ fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
         } else {
             next_s = said.at_s;
         }
-        kept.push(Matched { rule, said });
+        kept.push(Matched { rule, place, said });
     }
     kept.reverse();
     kept

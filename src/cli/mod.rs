@@ -10,6 +10,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
+pub use roomcast_core::text::count;
 use roomcast_core::text::visible_lines;
 use roomcast_services::daemon::{DaemonError, JournalError};
 use roomcast_services::lessons::LessonError;
@@ -137,12 +138,6 @@ impl From<LessonError> for Failure {
 
 /// What every subcommand returns.
 pub type CommandResult = Result<(), Failure>;
-
-/// So many of something whose plural ends in s: "1 room", "2 rooms".
-#[must_use]
-pub fn count(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
-}
 
 /// An empty table in the one style that all commands print; in a terminal it keeps to its width.
 #[must_use]

@@ -360,7 +360,8 @@ impl Counts {
             true => f64::from(now_min.saturating_sub(row.touched_min)) / self.limits.half_life_min,
             false => 0.0,
         };
-        row.total.to_bits() as f32 / ONE - faded as f32
+        // What rounding leaves of a row that was emptied may be below zero.
+        row.total.max(0.0).to_bits() as f32 / ONE - faded as f32
     }
 
     /// Drops the least useful of the next rows; says whether there was one.

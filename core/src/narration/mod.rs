@@ -570,7 +570,7 @@ impl Said {
 
     /// Whether a name is another word for one person or several: "he", "everybody".
     #[must_use]
-    pub fn is_pronoun(name: &str) -> bool {
+    pub(crate) fn is_pronoun(name: &str) -> bool {
         let name = name.to_lowercase();
         clause::is(clause::Word::Pronoun, &name) || clause::is(clause::Word::Everybody, &name)
     }

@@ -1,6 +1,7 @@
 use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, UncoveredFirst, check, partition_id};
+use crate::text::count;
 
 /// Most partitions that the dynamic program holds: 2^12 sets of rooms per slot. More are planned by the heuristic of [`plan`].
 pub const DP_PARTITIONS_MAX: usize = 12;
@@ -117,7 +118,6 @@ impl Policy for CoverageAware {
             (false, true) => "waits in a room that is done",
             (false, false) => "works here",
         };
-        let counted = |number: usize, noun: &str| format!("{number} {noun}{}", if number == 1 { "" } else { "s" });
         // A room that is closed is no part of the plan, and still to do.
         let is_all = to_do == state.covered.iter().filter(|done| !**done).count();
         let does = match (plan.works, plan.undone) {
@@ -126,20 +126,25 @@ impl Policy for CoverageAware {
             (works, 0) if is_all => format!("all {works} rooms to do"),
             (1, 0) => "the only open room to do".to_owned(),
             (works, 0) => format!("all {works} open rooms to do"),
-            (works, undone) => format!("{works} of {} to do", counted(works + undone, "room")),
+            (works, undone) => format!("{works} of {} to do", count(works + undone, "room")),
         };
         let beside = match plan.works {
             0 => String::new(),
             _ => format!(", {:.0} s of it beside people", plan.work_s),
         };
-        let left = match plan.undone {
+        let late = plan.undone.min(to_do.saturating_sub(stays));
+        let mut left = match late {
             0 => String::new(),
-            undone if to_do > stays => format!("; there is no time for {}", counted(undone, "room")),
-            undone => format!("; {} would take more than {weight_s:.0} s beside people", counted(undone, "room")),
+            late => format!("; there is no time for {}", count(late, "room")),
         };
+        match plan.undone - late {
+            0 => {}
+            1 => left += &format!("; 1 room would take more than {weight_s:.0} s beside people"),
+            dear => left += &format!("; {dear} rooms would each take more than {weight_s:.0} s beside people"),
+        }
         Ok(Choice {
             partition: partition_id(open[first]),
-            reason: format!("{now}; the plan for {} does {does}{beside}{left}", counted(stays, "stay")),
+            reason: format!("{now}; the plan for {} does {does}{beside}{left}", count(stays, "stay")),
         })
     }
 }

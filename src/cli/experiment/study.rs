@@ -14,7 +14,7 @@ use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::Sentence;
 use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS};
+use roomcast_core::policy::{PolicyName, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, WEIGHT_DEFAULT_STAY};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::Tokenisation;
 use roomcast_core::scorer::correction::{Correction, CorrectionChoice};
@@ -694,7 +694,8 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
         format!(
             "Of {} points of the naive policy and of informed avoidance, one per cell, coverage-aware avoidance dominates {} with one \
              weight and {} more with two weights mixed; in {} the clairvoyant bound shows that nothing could; {} are not dominated. Its default weight is \
-             {WEIGHT_DEFAULT_S} s, or {WEIGHT_DEFAULT_SLOTS} T_r if that is more.",
+             the greatest of {WEIGHT_DEFAULT_S} s, {WEIGHT_DEFAULT_STAY} T_r, and {WEIGHT_DEFAULT_SLOTS} of the seconds of the next stays in \
+             which somebody is expected to be about.",
             domination.len(),
             count("dominated"),
             count("dominated by mixing weights"),

@@ -529,10 +529,9 @@ def _client_builder(node: Node, service: str, request: Any, response: Any) -> An
     )
 
 
-def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
-    """Sends a request and waits for the answer; sends it again now and then: a daemon that starts after it was sent never gets it. Where
+def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, deadline: float, timeout_s: float) -> T:
+    """Sends a request and waits for the answer until the deadline, which is `timeout_s` after the call; sends it again now and then: a daemon that starts after it was sent never gets it. Where
     `read` makes nothing of the answer, it is sent again at once."""
-    deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         pending = send()
         again = time.monotonic() + again_s
@@ -545,7 +544,11 @@ def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | Non
                     return copy
                 break
             time.sleep(0.002)
-    raise NoAnswerError(f"service {service}: no answer within {timeout_s} s; is the daemon running in this domain?")
+    raise _no_answer(service, timeout_s)
+
+
+def _no_answer(service: str, timeout_s: float) -> NoAnswerError:
+    return NoAnswerError(f"service {service}: no answer within {timeout_s} s; is the daemon running in this domain?")
 
 
 class _Client(Port):
@@ -554,6 +557,7 @@ class _Client(Port):
     def __init__(self, node: Node, service: str, open_client: Callable[[], Any]) -> None:
         self._node = node
         self._client = node.retry(service, open_client)
+        self._asking = threading.Lock()
         super().__init__(service, self._client)
 
     def _ask(self, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
@@ -564,8 +568,15 @@ class _Client(Port):
             _wake(self._node, self._service)
             return pending
 
+        deadline = time.monotonic() + timeout_s
         with self.use():
-            return _answer(self._service, send_and_wake, read, again_s, timeout_s)
+            # A client may have few requests under way, so that one thread asks and the others wait for it.
+            if not self._asking.acquire(timeout=max(0.0, timeout_s)):
+                raise _no_answer(self._service, timeout_s)
+            try:
+                return _answer(self._service, send_and_wake, read, again_s, deadline, timeout_s)
+            finally:
+                self._asking.release()
 
 
 class StatusClient(_Client):

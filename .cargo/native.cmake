@@ -1,0 +1,14 @@
+# What the builds of llama.cpp and HiGHS leave out here, and how their sources are grouped. One by one, the sources compile the same headers
+# over and over. config.toml names this file as a toolchain, which is what both builds read; it names itself to be read again at the end
+# of each project() call, where there is a project to change.
+set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
+if(PROJECT_NAME STREQUAL "llama.cpp")
+    # The binding crate asks for the common library, which nothing in Roomcast links.
+    set(LLAMA_BUILD_COMMON OFF CACHE BOOL "not linked by Roomcast" FORCE)
+    cmake_language(DEFER CALL set_target_properties llama PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 24)
+elseif(PROJECT_NAME STREQUAL "HIGHS")
+    # The laboratory alone solves with it, programs of a second or two.
+    set(CMAKE_CXX_FLAGS_RELEASE "-O1 -DNDEBUG")
+    cmake_language(DEFER CALL set_target_properties highs PROPERTIES
+        UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16 UNITY_BUILD_UNIQUE_ID HIGHS_UNITY_ID)
+endif()
