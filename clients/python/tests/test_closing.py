@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import samples
-from roomcast import Domain, MessageError, Narrator, Planner, Robot, layouts, ports
+from roomcast import Domain, MessageError, Narrator, NotIncludedError, Planner, Robot, StatusSubscription, layouts, ports
 
 KINDS = {
     "room scores": "Subscription(RoomScores, 'x', domain)",
@@ -231,3 +231,17 @@ def test_threads_that_share_a_subscription_get_each_message_once(domain: Domain)
 
     together(take)
     assert sorted(told) == list(range(1, 61))
+
+
+def test_threads_that_share_a_status_wait_for_one_another_and_for_the_daemon(domain: Domain) -> None:
+    with StatusSubscription("asker", domain) as status:
+        together(lambda _: status.next(0.1), threads=8, times=2)
+
+
+def test_a_narrator_that_is_closed_inside_its_block_says_what_is_in_no_scores(domain: Domain) -> None:
+    with Narrator("py-silent", domain) as narrator:
+        narrator.close()
+    with pytest.raises(NotIncludedError, match="1 of 1 narrations were in no scores when it was closed"):
+        with Narrator("py-narrator", domain) as narrator:
+            narrator.say("They sit.")
+            narrator.close()

@@ -461,14 +461,26 @@ class Narrator(_Participant):
             )
         return None
 
+    def _leave(self) -> None:
+        when = f"after {_PATIENCE_S:.0f} s"
+        try:
+            if self.wait_until_included(_PATIENCE_S) is not None:
+                return
+        except ClosedError:
+            # It was closed inside the block.
+            if not self.under_way:
+                return
+            when = "when it was closed"
+        raise NotIncludedError(
+            f"narrator {self.name!r}: {self.under_way} of {self.sequence} narrations were in no scores {when}, and go with the narrator; "
+            f"{_WHY_UNDER_WAY}"
+        )
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
             # What waits in shared memory dies with its publisher.
-            if kind is None and self.sequence and self.wait_until_included(_PATIENCE_S) is None:
-                raise NotIncludedError(
-                    f"narrator {self.name!r}: {self.under_way} of {self.sequence} narrations are in no scores after {_PATIENCE_S:.0f} s, and go "
-                    f"with the narrator; {_WHY_UNDER_WAY}"
-                )
+            if kind is None and self.sequence:
+                self._leave()
         finally:
             self.close()
 
