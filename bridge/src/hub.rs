@@ -761,6 +761,19 @@ mod tests {
         assert_eq!([(); 2].map(|()| reading.text()), ["four\n", "five\n"]);
     }
 
+    /// Nobody ends it any more.
+    #[test]
+    fn the_last_line_of_a_file_that_was_renamed_needs_no_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lines");
+        fs::write(&path, "one\ntwo").unwrap();
+        let reading = Reading::start(&path, Some(Place::default()));
+        assert_eq!(reading.text(), "one\n");
+        fs::rename(&path, folder.path().join("lines.1")).unwrap();
+        fs::write(&path, "three\n").unwrap();
+        assert_eq!([(); 2].map(|()| reading.text()), ["two", "three\n"]);
+    }
+
     #[test]
     fn a_fifo_is_read_from_its_first_writer_on_and_waits_for_none() {
         let folder = tempfile::tempdir().unwrap();

@@ -467,6 +467,13 @@ fn a_wrong_set_up_is_named() {
         let (code, said) = run(text);
         assert!(code == Some(2) && said.contains(says), "{text:?}: {said}");
     }
+    let spool = folder.path().join("spool");
+    let hub =
+        format!("[router]\nconnect = \"tcp/127.0.0.1:1\"\n[hub]\nname = \"a\"\nrobots = [\"b\"]\nspool = {spool:?}\n");
+    std::fs::write(&file, hub).unwrap();
+    let output = bridge().args(["hub", "--input", "/nowhere", "--config"]).arg(&file).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && said.contains("cannot read /nowhere"), "{said}");
     let printed = bridge().arg("config").output().unwrap();
     std::fs::write(&file, printed.stdout).unwrap();
     let output = bridge().args(["watch", "--config"]).arg(&file).output().unwrap();

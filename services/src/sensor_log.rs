@@ -666,6 +666,16 @@ mod tests {
     }
 
     #[test]
+    fn the_same_sentence_of_another_place_is_said() {
+        let rules = "[[rule]]\nsay = \"They open the door.\"\nagain_s = 30.0";
+        let log =
+            b"0,1,a,Magnetic,kitchen\n10,11,b,Magnetic,bathroom\n20,21,a,Magnetic,kitchen\n60,61,a,Magnetic,kitchen\n";
+        let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Somebody);
+        assert_eq!(log.said.iter().map(|said| said.at_s).collect::<Vec<_>>(), [0.0, 10.0, 60.0]);
+        assert_eq!(log.silent, 1);
+    }
+
+    #[test]
     fn malformed_rules_are_named() {
         for (text, part) in [
             ("", "missing field `rule`"),

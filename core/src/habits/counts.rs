@@ -503,6 +503,16 @@ mod tests {
     }
 
     #[test]
+    fn a_row_that_rounding_leaves_below_zero_gives_way_first() {
+        let mut counts = counts(2, 8, 0.0);
+        counts.add(1, 7, 1000.0, 0);
+        counts.add(2, 7, 1.0, 0);
+        counts.rows[1].total = -1e-6;
+        counts.add(3, 7, 1.0, 0);
+        assert!(counts.get(1, 0).is_some() && counts.get(2, 0).is_none());
+    }
+
+    #[test]
     fn on_a_clock_that_was_set_counts_are_as_old_as_before() {
         let mut counts = counts(8, 8, f64::from(DAY_MIN));
         counts.add(1, 7, 4.0, DAY_MIN);

@@ -583,6 +583,13 @@ mod tests {
             "{}",
             few.reason
         );
+        // Of three rooms two have time, and the better one of the others is too dear.
+        let both = choose(&[false; 3], &[0.0, 500.0, 500.0, 0.0, 500.0, 500.0], 600.0, None);
+        let left = "; there is no time for 1 room; 1 room would take more than 400 s beside people";
+        assert!(both.reason.ends_with(left), "{}", both.reason);
+        let dear = choose(&[false, true, false], &[590.0, 10.0, 590.0], 600.0, Some(240.0));
+        let left = "; there is no time for 1 room; 1 room would take more than 240 s beside people";
+        assert!(dear.reason.ends_with(left), "{}", dear.reason);
         let dear = choose(&[false, true], &[590.0, 10.0], 600.0, None);
         assert!(dear.reason.starts_with("waits in a room that is done"), "{}", dear.reason);
         let left = "does no room; 1 room would take more than 240 s beside people";
