@@ -30,6 +30,44 @@ pub(crate) fn without_mark(text: &str) -> &str {
     text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
 }
 
+/// Most characters of a line that an error quotes whole, and what it has of a longer one: its beginning and its end.
+const LINE_CHARS: usize = 640;
+const BEGINNING_CHARS: usize = 400;
+const END_CHARS: usize = 200;
+/// Most lines of it.
+const LINES: usize = 64;
+
+/// What an error has of a text that others wrote, a parser's message for instance, which quotes what it does not expect, whatever its
+/// length. Of a line that is too long beginning and end are left, and so of lines that are too many.
+///
+/// ```
+/// use roomcast_core::text::excerpt;
+///
+/// assert_eq!(excerpt("expected a number"), "expected a number");
+/// assert!(excerpt(&"k".repeat(10_000_000)).len() < 700);
+/// ```
+#[must_use]
+pub fn excerpt(text: &str) -> Cow<'_, str> {
+    let cut = |line: &str| line.char_indices().nth(LINE_CHARS).is_some();
+    if !text.lines().any(cut) && text.lines().nth(LINES).is_none() {
+        return Cow::Borrowed(text);
+    }
+    let lines: Vec<Cow<'_, str>> = text.lines().map(excerpt_of_line).collect();
+    Cow::Owned(match lines.len() {
+        0..=LINES => lines.join("\n"),
+        count => [&lines[..LINES / 2], &["...".into()], &lines[count - LINES / 2..]].concat().join("\n"),
+    })
+}
+
+fn excerpt_of_line(line: &str) -> Cow<'_, str> {
+    if line.char_indices().nth(LINE_CHARS).is_none() {
+        return Cow::Borrowed(line);
+    }
+    let until = line.char_indices().nth(BEGINNING_CHARS).map_or(line.len(), |(at, _)| at);
+    let from = line.char_indices().nth_back(END_CHARS - 1).map_or(0, |(at, _)| at);
+    Cow::Owned(format!("{} ... {}", line[..until].trim_end(), line[from..].trim_start()))
+}
+
 /// The same as text, without a byte order mark.
 ///
 /// # Errors
@@ -120,6 +158,21 @@ mod tests {
             "\\u001b]0;x\\u0007\\u009b\\u202e\\udb40\\udc41\\u000d\\u000a\\u0009"
         );
         assert_eq!(visible_lines("a\tb\n\u{1b}[1m\r"), "a\tb\n\\u001b[1m\\u000d");
+    }
+
+    #[test]
+    fn an_excerpt_is_short_and_has_both_ends() {
+        let whole = "ä".repeat(LINE_CHARS);
+        assert!(matches!(excerpt(&whole), Cow::Borrowed(_)));
+        let long = format!("invalid type: string \"{}\", expected a number at line 1", "ä".repeat(1 << 20));
+        let said = excerpt(&long);
+        assert!(said.starts_with("invalid type: string \"ää") && said.ends_with("ää\", expected a number at line 1"));
+        assert!(said.chars().count() <= LINE_CHARS, "{said}");
+        let lines = format!("first\n{}{long}\nlast", "kkk\n".repeat(1 << 16));
+        let said = excerpt(&lines);
+        assert!(said.starts_with("first\nkkk\n") && said.ends_with("\nlast") && said.len() < 4_000, "{said}");
+        // What is cut once is cut.
+        assert_eq!(excerpt(&excerpt(&long)), excerpt(&long));
     }
 
     /// A device says that it has no bytes, and has no end.

@@ -30,7 +30,7 @@ pub mod no_model;
 
 pub mod setup;
 
-mod state_file;
+pub mod state_file;
 
 pub mod slug;
 

@@ -77,7 +77,7 @@ use crate::narrator::Settled;
 use crate::rule::{Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
 use crate::stop::Stop;
-use roomcast_core::text::{read_at_most, read_text_at_most, visible};
+use roomcast_core::text::{excerpt, read_at_most, read_text_at_most, visible};
 use roomcast_ipc::clock;
 
 /// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
@@ -378,7 +378,7 @@ impl Rules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let file: RulesFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        let file: RulesFile = toml::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
             return Err(format!("{} rules; give 1 to {RULES_MAX}, each begins with [[rule]]", file.rules.len()));
         }

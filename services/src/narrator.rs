@@ -436,7 +436,7 @@ pub fn run(
                 warned = true;
                 tracing::warn!(
                     under_way = sender.account.under_way(),
-                    "no daemon confirms; waiting for one in this domain, with nothing lost"
+                    "no daemon has confirmed anything for 5 s, with nothing lost: one may be busy, or none may run in this domain; `roomcast top` shows which"
                 );
             }
         }

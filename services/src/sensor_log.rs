@@ -28,7 +28,7 @@ use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Keys, Saying};
 use roomcast_core::narration::Presence;
-use roomcast_core::text::{read_at_most, read_text_at_most};
+use roomcast_core::text::{excerpt, read_at_most, read_text_at_most};
 
 /// Largest log that is read, in bytes: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 256 << 20;
@@ -40,6 +40,9 @@ pub const RULES_BYTES_MAX: u64 = 4 << 20;
 const LINE_BYTES: usize = 256;
 /// A plain number above this is no number of seconds: it would be later than the year 5000, and milliseconds of today are more.
 const SECONDS_MAX: f64 = 1e11;
+/// By so much clocks are set back in autumn, in seconds, on a Sunday before three o'clock.
+const FOLD_S: f64 = 3_600.0;
+const FOLD_UNTIL_S: f64 = 3.0 * 3_600.0;
 /// Most characters of a field that an error quotes.
 const QUOTED_MAX: usize = 80;
 
@@ -238,7 +241,7 @@ impl SensorRules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let file: RulesFile = toml::from_str(text).map_err(|error| error.to_string())?;
+        let file: RulesFile = toml::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
             return Err(format!("{} rules; give 1 to {RULES_MAX}", file.rules.len()));
         }
@@ -356,11 +359,13 @@ impl SensorRules {
             return Err(format!("it has {found} of {wanted} fields, which tabs, semicolons or commas separate"));
         }
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
+        let mut is_local = true;
         for (column, field) in self.columns.iter().zip(fields) {
-            let time = || {
+            let mut time = || {
                 let is_number = field.parse().is_ok_and(f64::is_finite);
                 let hint = if is_number { "; are these milliseconds?" } else { "" };
                 let fault = || format!("{} is no time; expected 2024-03-01 08:15:00, or seconds{hint}", quoted(&field));
+                is_local &= is_clock_time(&field);
                 seconds(&field).ok_or_else(fault)
             };
             match column {
@@ -374,6 +379,10 @@ impl SensorRules {
         }
         if interval.end_s.is_nan() {
             interval.end_s = interval.start_s;
+        }
+        if interval.end_s < interval.start_s && is_local && may_be_folded(interval.start_s, interval.end_s) {
+            // The clock was set back in between: the end's reading came twice, and the later one is meant.
+            interval.end_s += FOLD_S;
         }
         if interval.end_s < interval.start_s {
             return Err("it ends before it begins".to_owned());
@@ -552,6 +561,20 @@ fn says_away(label: &str) -> Option<bool> {
         ["at", house] | ["in", house] if is_house(house) => Some(false),
         _ => None,
     }
+}
+
+/// Whether a time is what a clock on the wall shows: a date without a mark of UTC, no number of seconds.
+fn is_clock_time(field: &str) -> bool {
+    field.parse::<f64>().is_err() && !field.ends_with('Z')
+}
+
+/// Whether the clock may have been set back between two of its times. Where a log is from nobody says; but wherever summer time ends, it
+/// does so by an hour in the early hours of a Sunday.
+fn may_be_folded(start_s: f64, end_s: f64) -> bool {
+    // The first day of 1970 was a Thursday.
+    let is_sunday = (start_s / 86_400.0).floor().rem_euclid(7.0) == 3.0;
+    let of_night = |at_s: f64| at_s.rem_euclid(86_400.0) < FOLD_UNTIL_S;
+    is_sunday && of_night(start_s) && of_night(end_s) && (0.0..=FOLD_S).contains(&(start_s - end_s))
 }
 
 /// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, without regard to time zones and leap seconds;
@@ -791,6 +814,37 @@ mod tests {
         );
         for said in said {
             assert!(said.item.text.contains(&all[said.interval].place), "{said:?}");
+        }
+    }
+
+    /// On 25 October 2026 clocks in Europe go back from 03:00 to 02:00.
+    #[test]
+    fn an_interval_over_the_end_of_summer_time_has_its_length() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They sit on the {sensor} for {seconds} s.\"").unwrap();
+        let read = |start: &str, end: &str| {
+            let log = rules.narrate(format!("{start},{end},sofa,-,-\n").as_bytes(), &Who::Somebody);
+            log.said.first().map(|said| said.item.text.clone()).ok_or_else(|| log.faults.told().to_vec())
+        };
+        for (start, end, seconds) in [
+            ("2026-10-25 02:30:00", "2026-10-25 02:10:00", 2_400),
+            ("2026-10-25T02:59:59", "2026-10-25T02:00:00", 1),
+            // In New York on 1 November.
+            ("2026/11/01 01:45:00", "2026/11/01 01:30:00", 2_700),
+            // Forward, nothing is known of the clock.
+            ("2026-10-25 02:10:00", "2026-10-25 02:30:00", 1_200),
+        ] {
+            assert_eq!(read(start, end), Ok(format!("They sit on the sofa for {seconds} s.")));
+        }
+        for (start, end) in [
+            // A Saturday, by day, by more than an hour, over midnight; in UTC, where nothing is set back; seconds.
+            ("2026-10-24 02:30:00", "2026-10-24 02:10:00"),
+            ("2026-10-25 08:30:00", "2026-10-25 08:10:00"),
+            ("2026-10-25 02:30:00", "2026-10-25 01:10:00"),
+            ("2026-10-25 00:10:00", "2026-10-24 23:50:00"),
+            ("2026-10-25 02:30:00Z", "2026-10-25 02:10:00Z"),
+            ("1792895400", "1792894200"),
+        ] {
+            assert!(read(start, end).unwrap_err()[0].contains("it ends before it begins"), "{start} {end}");
         }
     }
 

@@ -1,9 +1,9 @@
-//! Small files in the state directory: read with a limit, replaced whole or not at all.
+//! Small files, in the state directory and where a command is told to write: read with a limit, replaced whole or not at all.
 
 use std::ffi::OsString;
-use std::fs::{DirBuilder, File};
+use std::fs::{DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::clock;
@@ -11,6 +11,8 @@ use serde::Serialize;
 
 use crate::logging::Limiter;
 
+/// Most links that are followed to where a file is to be, as the system does.
+const LINKS_MAX: usize = 40;
 /// How often a file that cannot be written is complained of.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
@@ -106,7 +108,7 @@ impl<T: PartialEq + Serialize> Kept<T> {
 /// # Errors
 /// When the directory cannot be written; the old file is as it was.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    write(path, bytes, false)
+    write(&target(path), bytes, OWNER_ALONE, false)
 }
 
 /// The same, and it outlives a loss of power.
@@ -114,20 +116,52 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`replace`], or when the disk refuses.
 pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    write(path, bytes, true)
+    write(&target(path), bytes, OWNER_ALONE, true)
 }
 
-fn write(path: &Path, bytes: &[u8], for_good: bool) -> io::Result<()> {
-    let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+/// Writes what somebody asked for to where they want it. A plain file is replaced as by a service, and all may read it, less what the umask
+/// takes. A device or a named pipe gets the bytes and stays what it is: `/dev/stdout` and `/dev/null` are good places for them.
+///
+/// # Errors
+/// When it cannot be written; an old file is as it was.
+pub fn write_out(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    match std::fs::metadata(path) {
+        // By the name that was given: that of an open pipe leads through /proc to no path.
+        Ok(found) if !found.is_file() => OpenOptions::new().write(true).open(path)?.write_all(bytes),
+        _ => write(&target(path), bytes, EVERYBODY, false),
+    }
+}
+
+/// What a file's permissions are before the umask takes some.
+const OWNER_ALONE: u32 = 0o600;
+const EVERYBODY: u32 = 0o666;
+
+fn write(path: &Path, bytes: &[u8], mode: u32, for_good: bool) -> io::Result<()> {
     // Nobody's device or named pipe is replaced by a file.
-    require_plain(&path)?;
-    let mut file = tempfile::Builder::new().prefix(&unfinished(&path)).tempfile_in(folder(&path))?;
+    require_plain(path)?;
+    let (prefix, permissions) = (unfinished(path), Permissions::from_mode(mode));
+    let mut file = tempfile::Builder::new().prefix(&prefix).permissions(permissions).tempfile_in(folder(path))?;
     file.write_all(bytes)?;
     if for_good {
         file.as_file().sync_all()?;
     }
-    file.persist(&path).map_err(|error| error.error)?;
-    if for_good { sync_folder(&path) } else { Ok(()) }
+    file.persist(path).map_err(|error| error.error)?;
+    if for_good { sync_folder(path) } else { Ok(()) }
+}
+
+/// Where a path leads, so that a link stays one: also one to a file that is not there yet.
+fn target(path: &Path) -> PathBuf {
+    let mut path = path.to_owned();
+    for _ in 0..LINKS_MAX {
+        if let Ok(found) = std::fs::canonicalize(&path) {
+            return found;
+        }
+        match std::fs::read_link(&path) {
+            Ok(next) => path = folder(&path).join(next),
+            Err(_) => break,
+        }
+    }
+    path
 }
 
 /// What the names of files begin with that are to take the place of one, until they are whole.
@@ -143,7 +177,7 @@ fn unfinished(path: &Path) -> OsString {
 /// # Errors
 /// When the directory cannot be read or written.
 pub(crate) fn remove_unfinished(path: &Path) -> io::Result<()> {
-    let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let path = target(path);
     let prefix = unfinished(&path);
     for entry in std::fs::read_dir(folder(&path))? {
         let entry = entry?;
@@ -235,6 +269,42 @@ mod tests {
         assert!(!std::fs::metadata(&path).unwrap().is_file());
     }
 
+    /// Whoever tries a command with `--out /dev/null` has a device afterwards, and whoever reads a pipe gets what was made.
+    #[test]
+    fn what_is_asked_for_goes_into_a_pipe_or_a_device_and_replaces_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let (pipe, link) = (directory.path().join("pipe"), directory.path().join("link"));
+        rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU, 0).unwrap();
+        std::os::unix::fs::symlink(&pipe, &link).unwrap();
+        for path in [&pipe, &link] {
+            let from = pipe.clone();
+            let reader = std::thread::spawn(move || std::fs::read(from).unwrap());
+            write_out(path, b"drawing").unwrap();
+            assert_eq!(reader.join().unwrap(), b"drawing");
+        }
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 2);
+        // A device of our own would need rights that tests may lack; a link to one needs none.
+        let null = directory.path().join("null");
+        std::os::unix::fs::symlink("/dev/null", &null).unwrap();
+        write_out(&null, b"drawing").unwrap();
+        assert!(std::fs::symlink_metadata(&null).unwrap().is_symlink());
+        assert!(write_out(directory.path(), b"drawing").is_err());
+    }
+
+    /// Others may read a drawing, and nobody what is kept of a home.
+    #[test]
+    fn what_is_asked_for_is_for_others_and_what_is_kept_is_not() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let plain = at("plain");
+        std::fs::write(&plain, "").unwrap();
+        write_out(&at("out"), b"new").unwrap();
+        replace(&at("kept"), b"new").unwrap();
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert_eq!((mode(&at("out")), mode(&at("kept"))), (mode(&plain), OWNER_ALONE));
+    }
+
     #[test]
     fn a_link_stays_one() {
         let directory = tempfile::tempdir().unwrap();
@@ -244,5 +314,16 @@ mod tests {
         replace(&link, b"new").unwrap();
         assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(std::fs::read_to_string(&file).unwrap(), "new");
+        // Also one whose file is not there yet, by way of another.
+        std::fs::remove_file(&file).unwrap();
+        let outer = directory.path().join("outer");
+        std::os::unix::fs::symlink("link", &outer).unwrap();
+        write_out(&outer, b"newer").unwrap();
+        assert!([&link, &outer].iter().all(|link| std::fs::symlink_metadata(link).unwrap().is_symlink()));
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "newer");
+        // Links that lead nowhere end.
+        let turn = directory.path().join("turn");
+        std::os::unix::fs::symlink("turn", &turn).unwrap();
+        assert!(write_out(&turn, b"new").is_err());
     }
 }

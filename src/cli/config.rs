@@ -27,8 +27,8 @@ pub struct Args {
 /// Prints the manual, or the checked file with every default filled in.
 ///
 /// # Errors
-/// When the file is malformed, or names a scene, a model file, cores or rules that this machine has not, a broker's address that is none, or a
-/// room that the scene has not.
+/// When the file is malformed, or names a scene, a model file, cores, rules or folders that this machine has not, a broker's address that is
+/// none, or a room that the scene has not.
 pub fn run(args: &Args) -> CommandResult {
     let text = match &args.check {
         None => DEFAULT_TOML.to_owned(),
@@ -48,7 +48,8 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
         let fault = ConfigError::InFile { path: file.to_owned(), fault: Box::new(fault) };
         Failure::new(exit_code::CONFIG, fault)
     };
-    let mut failures: Vec<Failure> = config.faults().into_iter().map(value).collect();
+    let folders = [config.root_fault(), config.state_fault()].into_iter().flatten();
+    let mut failures: Vec<Failure> = config.faults().into_iter().chain(folders).map(value).collect();
     let map = setup::load_map(config.scene.path.as_deref());
     let model = config.model.path.as_deref().map_or(Ok(()), |path| {
         Header::read_language_model(path).map(|_| ()).map_err(|error| Failure::new(exit_code::MODEL, error))

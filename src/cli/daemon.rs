@@ -45,6 +45,10 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    // Before each of its files is read, and fails by itself.
+    if let Some(fault) = config.state_fault() {
+        return Err(Failure::new(exit_code::CONFIG, fault));
+    }
     if !args.no_model {
         model::try_configured(&config)?;
     }

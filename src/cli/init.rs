@@ -24,7 +24,7 @@ use ask::Asker;
 
 use super::home_source::{check_rules, home_assistant, is_url};
 use super::scene::Furnish;
-use super::scene_files::{in_file, in_map, input, read, write};
+use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 
@@ -586,7 +586,7 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
 /// A robot's map, with the names that were given for its segments.
 fn import_map(args: &Args, json: &str, from: &Path) -> Result<Imported, Failure> {
     let names = match &args.names {
-        Some(path) => import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?,
+        Some(path) => segment_names(path)?,
         None => Default::default(),
     };
     import::valetudo(json, "home", &names).map_err(|error| in_map(from, args.names.as_deref(), &error))

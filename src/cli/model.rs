@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::choice::choice;
+use super::scene_files::write;
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 #[cfg(feature = "pull")]
@@ -356,9 +357,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         for (known, score) in case.labels.iter_mut().zip(&scores[0]) {
             known.log_prob_nats = *score;
         }
-        std::fs::write(record, format!("{:#}\n", json!(case))).map_err(|error| {
-            Failure::new(exit_code::FAILURE, format!("failed to write {}: {error}", record.display()))
-        })?;
+        write(record, format!("{:#}\n", json!(case)).as_bytes())?;
     }
     let failed = checked.iter().filter(|checked| !checked.ok).count();
     if as_json {

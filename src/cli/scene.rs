@@ -13,7 +13,7 @@ use super::choice::choice;
 #[cfg(feature = "lab")]
 use super::draw;
 use super::home_source::{home_assistant, write_rules};
-use super::scene_files::{in_file, in_map, input, load, read, write};
+use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
@@ -236,9 +236,7 @@ fn import(args: &Import) -> CommandResult {
                 return Err(Failure::new(exit_code::USAGE, "a Valetudo map is one file; give exactly one"));
             };
             let names = match &args.names {
-                Some(path) => {
-                    import::segment_names(&read("names", path)?).map_err(|error| in_file("names", path, &error))?
-                }
+                Some(path) => segment_names(path)?,
                 None => HashMap::new(),
             };
             import::valetudo(&read("map", graph)?, &name, &names)

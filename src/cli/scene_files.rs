@@ -1,12 +1,14 @@
 //! Reads and writes what the commands of scenes work on.
 
-use std::io::Write as _;
+use std::collections::HashMap;
 use std::path::Path;
 
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
-use roomcast_core::semantic_map::import::ImportError;
+use roomcast_core::semantic_map::import::{self, ImportError};
 use roomcast_core::semantic_map::{SceneError, SemanticMap, read_limited};
-use roomcast_services::{logging, setup};
+use roomcast_core::text::read_text_at_most;
+use roomcast_services::sensor_log::RULES_BYTES_MAX;
+use roomcast_services::{logging, setup, state_file};
 
 use super::{CommandResult, Failure};
 use crate::exit_code;
@@ -36,7 +38,16 @@ pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
     })
 }
 
-/// Writes beside the target and renames, so that no reader sees half a file.
+/// The names of a map's segments, from a file of at most as much as rules may have: who gives the map by mistake is told so at once.
+pub(super) fn segment_names(path: &Path) -> Result<HashMap<String, String>, Failure> {
+    let fault = |error: std::io::Error| {
+        input(format!("names {}: {error}; give a file with lines as 11 = \"kitchen\"", path.display()))
+    };
+    let text = read_text_at_most(path, RULES_BYTES_MAX).map_err(fault)?;
+    import::segment_names(&text).map_err(|error| in_file("names", path, &error))
+}
+
+/// Writes beside the target and renames, so that no reader sees half a file. A link, a device or a pipe stays one.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
     let fail = |error: std::io::Error| {
         // tempfile's errors end with the name of its file, which nobody has asked for.
@@ -44,17 +55,7 @@ pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
         let (path, error) = (path.display(), said.rsplit_once(" at path ").map_or(&said[..], |(said, _)| said));
         Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
     };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::Builder::new().permissions(permissions()).tempfile_in(folder).map_err(fail)?;
-    file.write_all(bytes).map_err(fail)?;
-    file.persist(path).map_err(|error| fail(error.error))?;
-    Ok(())
-}
-
-/// As other files that a command writes: readable by all, less what the umask takes.
-fn permissions() -> std::fs::Permissions {
-    use std::os::unix::fs::PermissionsExt;
-    std::fs::Permissions::from_mode(0o666)
+    state_file::write_out(path, bytes).map_err(fail)
 }
 
 pub(super) fn load(path: &Path, level: PartitionLevel) -> Result<(SemanticMap, Grounding), Failure> {

@@ -22,6 +22,7 @@
 use std::collections::BTreeMap;
 
 use crate::grounding::{Grounding, partition_names};
+use crate::text::excerpt;
 
 mod counts;
 mod frame;
@@ -876,7 +877,8 @@ impl Habits {
         if json.len() > 4 * BYTES_MAX {
             return Err(StoredError::TooLarge { bytes: json.len() });
         }
-        let stored: Stored = serde_json::from_str(json).map_err(|error| malformed(error.to_string()))?;
+        let stored: Stored =
+            serde_json::from_str(json).map_err(|error| malformed(excerpt(&error.to_string()).into_owned()))?;
         Self::restore(options, &stored.checked()?)
     }
 }

@@ -13,7 +13,7 @@ use super::{
     Action, DeviceState, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, Presence, PresenceError,
     PresenceStatement, SOMEBODY, Said, Sentence,
 };
-use crate::text::{visible, without_mark};
+use crate::text::{excerpt, visible, without_mark};
 
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -383,7 +383,7 @@ fn reason(reason: &str) -> LineError {
 #[must_use]
 pub fn error_of_one_line(error: &serde_json::Error) -> String {
     // It quotes a key as it came.
-    let said = visible(&error.to_string()).into_owned();
+    let said = excerpt(&visible(&error.to_string())).into_owned();
     let position = format!(" at line {} column {}", error.line(), error.column());
     let place = |said: &str| format!("{said} at column {}", error.column());
     said.strip_suffix(&position).map_or_else(|| said.clone(), place)

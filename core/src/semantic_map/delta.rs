@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, element_of, place};
 use super::{Box3, SceneError, SemanticMap};
-use crate::text::without_mark;
+use crate::text::{excerpt, without_mark};
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
 ///
@@ -77,7 +77,7 @@ pub enum DeltaError {
         message: String,
     },
     /// The item that should move or go is not there.
-    #[error("changes[{index}]: there is no item {id:?}; name one that `roomcast scene show --json` lists")]
+    #[error("changes[{index}]: there is no item {:?}; name one that `roomcast scene show --json` lists", excerpt(.id))]
     NoSuchItem {
         /// Which change.
         index: usize,
@@ -94,11 +94,14 @@ pub enum DeltaError {
 /// # Errors
 /// [`DeltaError::Json`].
 pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
-    let fail = |element: String, message: String| DeltaError::Json { element, message };
+    let fail = |element, error: &serde_json::Error| DeltaError::Json {
+        element,
+        message: excerpt(&error.to_string()).into_owned(),
+    };
     let mut parser = serde_json::Deserializer::from_str(without_mark(json));
-    let changes = serde_path_to_error::deserialize(&mut parser)
-        .map_err(|error| fail(element_of(error.path()), error.inner().to_string()))?;
-    parser.end().map_err(|error| fail("end".to_owned(), error.to_string()))?;
+    let changes =
+        serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;
+    parser.end().map_err(|error| fail("end".to_owned(), &error))?;
     Ok(changes)
 }
 

@@ -1,6 +1,6 @@
 //! The scene file, versions 1 and 2: reading, checking, writing. `scenes/README.md` documents it field by field.
 
-use crate::text::{is_hidden, without_mark};
+use crate::text::{excerpt, is_hidden, without_mark};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
@@ -255,7 +255,7 @@ pub(super) fn element_of(path: &serde_path_to_error::Path) -> String {
         element.push_str(if is_index || element.is_empty() { "" } else { "." });
         element.push_str(&segment.to_string());
     }
-    if element.is_empty() { ".".to_owned() } else { element }
+    if element.is_empty() { ".".to_owned() } else { excerpt(&element).into_owned() }
 }
 
 /// Where a text ends, for a message.
@@ -277,7 +277,7 @@ impl Place<'_> {
         SceneError::Element {
             element: format!("{}[{}] ({id:?})", self.list, self.index),
             field,
-            problem: problem.into(),
+            problem: excerpt(&problem.into()).into_owned(),
             remedy,
         }
     }
@@ -475,15 +475,18 @@ impl SemanticMap {
             return Err(SceneError::FileTooLarge);
         }
         let mut parser = serde_json::Deserializer::from_str(without_mark(text));
-        let json_error = |element: String, message: String| SceneError::Json { element, message };
+        let json_error = |element, error: &serde_json::Error| SceneError::Json {
+            element,
+            message: excerpt(&error.to_string()).into_owned(),
+        };
         let file: SceneFile = serde_path_to_error::deserialize(&mut parser).map_err(|error| {
             if error.inner().is_eof() {
                 let (line, element) = (error.inner().line(), element_of(error.path()));
                 return SceneError::CutOff { line, element };
             }
-            json_error(element_of(error.path()), error.inner().to_string())
+            json_error(element_of(error.path()), error.inner())
         })?;
-        parser.end().map_err(|error| json_error("end".to_owned(), error.to_string()))?;
+        parser.end().map_err(|error| json_error("end".to_owned(), &error))?;
         Self::check(file)
     }
 
@@ -875,6 +878,39 @@ mod tests {
             _ => panic!("{parent} holds nothing"),
         }
         message(&SemanticMap::from_json(&scene.to_string()).unwrap_err())
+    }
+
+    /// Whoever gives another file by mistake, or a damaged one, reads an error and not the file.
+    #[test]
+    fn an_error_does_not_repeat_the_scene() {
+        let long = || "k".repeat(1 << 20);
+        for pointer in [
+            "/format",
+            "/version",
+            "/name",
+            "/rooms",
+            "/rooms/0",
+            "/rooms/0/box",
+            "/rooms/0/id",
+            "/rooms/0/label",
+            "/rooms/0/floor",
+            "/items/0",
+            "/items/0/id",
+            "/items/0/label",
+            "/items/0/position_m",
+            "/doors",
+            "/aliases",
+            "/description",
+            "/source",
+        ] {
+            let error = refused(pointer, json!(long()));
+            assert!(error.len() < 2_000, "{pointer}: {} bytes, {}", error.len(), &error[..200]);
+        }
+        let key = format!("/{}", long());
+        assert!(refused(&key, json!(1)).len() < 2_000);
+        let mut aliases = serde_json::Map::new();
+        aliases.insert(long(), json!([long()]));
+        assert!(refused("/aliases", json!(aliases)).len() < 2_000);
     }
 
     #[test]

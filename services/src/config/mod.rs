@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::GroundingOptions;
-use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX};
+use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX, PERSONS_MAX};
 use roomcast_core::narration::{check_name, same_but_for_accents};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prepared::ANSWERS_MAX;
@@ -18,7 +18,7 @@ use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
 use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::{Continuation, PRIOR_WEIGHTS};
 use roomcast_core::scorer::{Method, Tokenisation};
-use roomcast_core::text::read_text_at_most;
+use roomcast_core::text::{excerpt, read_text_at_most};
 use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 use crate::embedded;
@@ -50,6 +50,9 @@ pub const TOPIC_BYTES_MAX: usize = 64;
 /// Most horizons that the bridge tells of.
 pub const BRIDGE_HORIZONS_MAX: usize = 8;
 
+/// Most entries of `persons.not_persons`.
+const NOT_PERSONS_MAX: usize = 256;
+
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
 
@@ -57,7 +60,9 @@ const JOURNAL_BYTES_MIN: u64 = 8192;
 fn in_words(error: &toml::de::Error) -> String {
     ["usize", "u64", "u32", "u16", "u8", "i64"]
         .iter()
-        .fold(error.to_string(), |text, number| text.replace(&format!("expected {number}"), "expected a whole number"))
+        .fold(excerpt(&error.to_string()).into_owned(), |text, number| {
+            text.replace(&format!("expected {number}"), "expected a whole number")
+        })
         .replace("expected f64", "expected a number")
 }
 
@@ -125,6 +130,23 @@ struct Limit {
 fn within<T: PartialOrd + fmt::Display>(key: &'static str, value: T, range: RangeInclusive<T>) -> Limit {
     let remedy = format!("give {} to {}", range.start(), range.end());
     Limit { key, holds: range.contains(&value), value: value.to_string(), remedy }
+}
+
+/// Why a path can be no folder on this machine, and not made one; none where it is one, or may be made.
+#[must_use]
+pub fn no_folder(path: &Path) -> Option<String> {
+    if path.as_os_str().as_encoded_bytes().contains(&0) {
+        return Some("no path has a NUL byte".to_owned());
+    }
+    // Links that lead nowhere are in the way, too.
+    let there = path.ancestors().find(|path| path.symlink_metadata().is_ok())?;
+    (!there.is_dir()).then(|| format!("{} is no folder", there.display()))
+}
+
+/// The fault of a key that names a folder.
+fn folder_fault(key: &'static str, folder: &Path) -> Option<ConfigError> {
+    let remedy = format!("{}; give another folder", no_folder(folder)?);
+    Some(ConfigError::Value { key, value: folder.display().to_string(), remedy })
 }
 
 /// Most seconds that a key may hold.
@@ -366,9 +388,23 @@ impl Config {
     #[must_use]
     pub fn faults(&self) -> Vec<ConfigError> {
         let limits = self.limits().into_iter().filter(|limit| !limit.holds);
-        let values = limits.map(|Limit { key, value, remedy, .. }| ConfigError::Value { key, value, remedy });
+        let value =
+            |Limit { key, value, remedy, .. }| ConfigError::Value { key, value: excerpt(&value).into_owned(), remedy };
+        let values = limits.map(value);
         let others = [self.binding().err(), self.ipc.domain().err().map(ConfigError::from)];
         values.chain(others.into_iter().flatten()).collect()
+    }
+
+    /// What is wrong with the domain's root path on this machine, as far as a look at it tells.
+    #[must_use]
+    pub fn root_fault(&self) -> Option<ConfigError> {
+        folder_fault("ipc.root", self.ipc.root.as_ref()?)
+    }
+
+    /// What is wrong with the state directory on this machine, as far as a look at it tells.
+    #[must_use]
+    pub fn state_fault(&self) -> Option<ConfigError> {
+        folder_fault("daemon.state", &self.daemon.state_directory()?)
     }
 
     /// Every limit, and whether it holds.
@@ -409,10 +445,12 @@ impl Config {
         let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_but_for_accents(other, name));
         // By number, or by a name as `person rename` takes it.
         let is_person = |name: &String| name.trim().parse::<u32>().is_ok() || check_name(name).is_ok();
-        let each_name_once =
-            (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
-        let are_no_residents =
-            persons.not_persons.iter().all(|name| is_name(name) && !is_one_of(name, &persons.residents));
+        // Each is compared with each.
+        let are_few = persons.residents.len() <= PERSONS_MAX && persons.not_persons.len() <= NOT_PERSONS_MAX;
+        let each_name_once = !are_few
+            || (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
+        let are_no_residents = !are_few
+            || persons.not_persons.iter().all(|name| is_name(name) && !is_one_of(name, &persons.residents));
         let known = &daemon.narrator;
         let names = format!("{:?}", known.iter().map(|known| &known.name).collect::<Vec<_>>());
         let each_narrator_once = (1..)
@@ -458,8 +496,8 @@ impl Config {
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
-            row("persons.not_persons", &not_persons, are_no_residents, &format!("give names that no resident has, {plain}")),
+            row("persons.residents", &residents, persons.residents.len() <= PERSONS_MAX && persons.residents.iter().all(is_person) && each_name_once, &format!("give at most {PERSONS_MAX}, each name or number once (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
+            row("persons.not_persons", &not_persons, persons.not_persons.len() <= NOT_PERSONS_MAX && are_no_residents, &format!("give at most {NOT_PERSONS_MAX} names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
             within("persons.guard_s", persons.guard_s, 0.0..=86_400.0),
@@ -512,7 +550,7 @@ impl Config {
     pub fn binding(&self) -> Result<BindingSequence, ConfigError> {
         self.scoring.binding.parse().map_err(|_| ConfigError::Value {
             key: "scoring.binding",
-            value: format!("{:?}", self.scoring.binding),
+            value: excerpt(&format!("{:?}", self.scoring.binding)).into_owned(),
             remedy: format!(
                 "give a built-in name (default, p0 to p5) or at most {BINDING_BYTES_MAX} bytes of text without control characters"
             ),
@@ -720,6 +758,67 @@ mod tests {
         assert_eq!(state_of("[daemon]\nstate = \"/srv/roomcast\"", own), Some("/srv/roomcast".into()));
         assert_eq!(state_of("", own), None);
         assert_eq!(state_of("[daemon]\nstate = \"\"", own), Some("".into()));
+    }
+
+    /// What the daemon could not begin with is found by whoever checks the file.
+    #[test]
+    fn a_folder_that_can_be_none_is_found() {
+        let outer = tempfile::tempdir().unwrap();
+        let at = |name: &str| outer.path().join(name);
+        std::fs::write(at("file"), "").unwrap();
+        std::os::unix::fs::symlink("nowhere", at("link")).unwrap();
+        for good in ["", "new", "new/er", "../new"] {
+            assert_eq!(no_folder(&at(good)), None, "{good}");
+        }
+        assert_eq!(no_folder(Path::new("beside/new")), None);
+        for (wrong, named) in [("file", "file"), ("file/new", "file"), ("link", "link"), ("link/new", "link")] {
+            assert_eq!(no_folder(&at(wrong)), Some(format!("{} is no folder", at(named).display())), "{wrong}");
+        }
+        let config: Config = toml::from_str("[ipc]\nroot = \"/dev/null\"\n[daemon]\nstate = \"a\\u0000b\"").unwrap();
+        let told = [config.root_fault(), config.state_fault()].map(|fault| fault.unwrap().to_string());
+        assert_eq!(told[0], "the configuration's ipc.root is /dev/null: /dev/null is no folder; give another folder");
+        assert!(told[1].contains("daemon.state is a\0b: no path has a NUL byte"), "{}", told[1]);
+        let none = Config::default();
+        assert!(none.root_fault().is_none());
+    }
+
+    /// More than are ever known are refused before each is compared with each.
+    #[test]
+    fn residents_are_as_many_as_can_be_known() {
+        let config = |residents: usize, others: usize| {
+            let names = |of: &str, count| (0..count).map(|number| format!("{of}{number}")).collect();
+            let mut config = Config::default();
+            (config.persons.residents, config.persons.not_persons) = (names("ada", residents), names("rex", others));
+            config
+        };
+        config(PERSONS_MAX, NOT_PERSONS_MAX).check().unwrap();
+        let told = config(100_000, 0).check().unwrap_err().to_string();
+        assert!(told.contains("give at most 64,") && told.len() < 2_000, "{told}");
+        let told = config(1, 100_000).check().unwrap_err().to_string();
+        assert!(told.contains("persons.not_persons") && told.contains("give at most 256 names"), "{told}");
+        let mut twice = config(PERSONS_MAX, 0);
+        twice.persons.residents[1] = "Ada0".to_owned();
+        assert!(twice.check().unwrap_err().to_string().contains("once"));
+    }
+
+    /// Whoever gives another file by mistake, of one line of megabytes perhaps, reads an error and not the file.
+    #[test]
+    fn an_error_does_not_repeat_the_file() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let long = "k".repeat(1 << 19);
+        let names = format!("{:?}", vec!["x"; 1 << 15]);
+        for text in [
+            format!("{{\"rooms\": \"{long}\"}}"),
+            format!("[model]\nthreads = \"{long}\""),
+            format!("[model]\n{long} = 1"),
+            format!("[persons]\nresidents = [\"{long}\"]"),
+            format!("[persons]\nnot_persons = {names}\nresidents = [\"x\"]"),
+            format!("[scoring]\nbinding = \"{long}\""),
+        ] {
+            std::fs::write(file.path(), &text).unwrap();
+            let error = crate::logging::chain(&Config::load(file.path()).unwrap_err());
+            assert!((40..4_000).contains(&error.len()), "{} {error}", &text[..30]);
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@
 //! changes in spring and autumn, or the machine slept, their times are moved by as much, so that nobody seems to have stayed for that long.
 
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
@@ -36,6 +37,15 @@ const ASLEEP_NS: u64 = 5 * TICK_NS;
 /// A room counts as the one where something was done if the person is believed to be there with more than this.
 const SURE: f64 = 0.5;
 
+/// Why there is no local time zone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NoZone {
+    /// What is missing.
+    pub reason: String,
+    /// What to do.
+    pub remedy: String,
+}
+
 /// The local time zone.
 #[derive(Debug, Clone)]
 pub struct Zone(Option<tz::TimeZone>);
@@ -44,14 +54,41 @@ impl Zone {
     /// Without one: local time is UTC.
     pub const UTC: Self = Self(None);
 
-    /// The machine's, from `TZ` or `/etc/localtime`; UTC where neither says one, and the log says so.
+    /// The machine's; UTC where it says none, and the log says so.
     #[must_use]
     pub fn local() -> Self {
-        let zone = tz::TimeZone::local();
-        if let Err(error) = &zone {
-            tracing::warn!(%error, "the local time zone cannot be read; hours of the day are those of UTC: set /etc/localtime or TZ");
+        Self::find().unwrap_or_else(|NoZone { reason, remedy }| {
+            tracing::warn!("{reason}; hours of the day are those of UTC: {remedy}");
+            Self::UTC
+        })
+    }
+
+    /// The machine's, as `date` has it: what the environment variable `TZ` says, a name as `Europe/Berlin`, a file or a rule as
+    /// `CET-1CEST,M3.5.0,M10.5.0/3`; UTC where it is empty, and `/etc/localtime` where it is not set.
+    ///
+    /// # Errors
+    /// [`NoZone`].
+    pub fn find() -> Result<Self, NoZone> {
+        Self::of_variable(std::env::var_os("TZ").as_deref())
+    }
+
+    fn of_variable(value: Option<&OsStr>) -> Result<Self, NoZone> {
+        let Some(value) = value else {
+            return tz::TimeZone::local().map(|zone| Self(Some(zone))).map_err(|error| NoZone {
+                reason: format!("no time zone is set: TZ is not, and /etc/localtime cannot be read: {error}"),
+                remedy: "timedatectl set-timezone Europe/Berlin, or your own, or set TZ".to_owned(),
+            });
+        };
+        if value.is_empty() {
+            return Ok(Self::UTC);
         }
-        Self(zone.ok())
+        // The library itself reads no environment.
+        let zone = value.to_str().and_then(|value| tz::TimeZone::from_posix_tz(value).ok());
+        zone.map(|zone| Self(Some(zone))).ok_or_else(|| NoZone {
+            reason: format!("TZ is {value:?}, which is no time zone of this machine"),
+            remedy: "correct it, or install the package tzdata; a rule as CET-1CEST,M3.5.0,M10.5.0/3 needs none"
+                .to_owned(),
+        })
     }
 
     /// Seconds since 1970 in local time.

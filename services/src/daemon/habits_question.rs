@@ -102,7 +102,7 @@ pub struct HabitsAnswer {
     /// Observations that were learned since the daemon started.
     pub taken: u64,
     /// Whether nothing changed because the daemon has learned something that was not expected.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub learned_meanwhile: bool,
     /// Persons of whom something is known.
     pub persons: Vec<HabitsLine>,
@@ -292,6 +292,16 @@ mod tests {
         };
         assert!(!is_done(format!("+{ada}")));
         assert!(is_done(format!(" {ada} ")) && !is_done("ada".to_owned()), "it is forgotten");
+    }
+
+    /// What only an import can be answered with is in no other answer, of which docs/json.md has the keys.
+    #[test]
+    fn an_answer_has_no_key_of_another_question() {
+        let told = |answer: &HabitsAnswer| serde_json::to_string(answer).unwrap();
+        assert!(!told(&HabitsAnswer::default()).contains("learned_meanwhile"));
+        let refused = HabitsAnswer { learned_meanwhile: true, ..HabitsAnswer::default() };
+        assert_eq!(serde_json::from_str::<HabitsAnswer>(&told(&refused)).unwrap(), refused);
+        assert!(!serde_json::from_str::<HabitsAnswer>(&told(&HabitsAnswer::default())).unwrap().learned_meanwhile);
     }
 
     #[test]

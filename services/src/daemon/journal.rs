@@ -600,14 +600,14 @@ impl<D: Disk> Writer<D> {
     /// Brings what was written to the disk, and the names of the halves; what that fails with is written again, for the next sync.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// When the disk refuses, or what is written has no name any more.
     pub fn sync(&mut self) -> io::Result<()> {
         self.sync_current()?;
         if !self.names_synced {
             self.disk.sync_names()?;
             self.names_synced = true;
         }
-        Ok(())
+        self.disk.require_name()
     }
 
     fn sync_current(&mut self) -> io::Result<()> {

@@ -62,7 +62,7 @@ pub use ahead::{Ahead, Now};
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
-pub use habits::{HomeHabits, Memory, Zone};
+pub use habits::{HomeHabits, Memory, NoZone, Zone};
 pub use habits_file::{HabitsFile, decode_memory, encode_memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};

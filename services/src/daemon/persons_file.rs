@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state_file;
 use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
+use roomcast_core::text::excerpt;
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
@@ -153,10 +154,10 @@ impl PersonsFile {
         of(one).chain(others).map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
 
-    /// Whether a change outlives the daemon.
+    /// Whether a change outlives the daemon: there is a state directory, and nobody has removed it meanwhile.
     #[must_use]
     pub fn is_kept(&self) -> bool {
-        self.path.is_some()
+        self.path.as_deref().and_then(Path::parent).is_some_and(Path::is_dir)
     }
 
     /// Puts a person in place of the one with that number. The file changes first: where it cannot be written, nothing does.
@@ -212,7 +213,8 @@ fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
 
 /// Reads the file; a name or number that stands twice would make two persons of one.
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
-    let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    let persons: Vec<KeptPerson> =
+        serde_json::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
     let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;

@@ -559,7 +559,9 @@ impl Recording {
                 Some(_) => None,
             });
             // Of several, nobody is said to have done what the recording does not say that they did.
-            let Some(person) = self.person_of(&observation, scores.epoch).or(likely) else { continue };
+            let person = self.person_of(&observation, scores.epoch);
+            let person = person.or_else(|| self.subject(&observation.said, scores.epoch)).or(likely);
+            let Some(person) = person else { continue };
             let of_person = narration.iter().filter(|(of, _)| *of == person).count();
             let is_contained = match told_of(person) {
                 Some(told) => message.observed_ns > 0 && message.observed_ns <= told.observed_ns,
@@ -935,6 +937,62 @@ mod tests {
         let unheard = messages[6..].iter().filter(|(at, told)| is_heard(*at, told));
         let texts: Vec<String> = of(&unheard.cloned().collect::<Vec<_>>()).into_iter().map(|(_, text)| text).collect();
         assert_eq!(texts, ["They dry themselves with the towel.", "They close the fridge."]);
+    }
+
+    /// Plain sentences of several persons, of whom nobody has a window when the recording begins: each names its own person.
+    #[test]
+    fn a_recording_that_begins_before_anybody_has_a_window_is_explained() {
+        let names = ["Anna", "Ben"];
+        let mut messages = Vec::new();
+        let mut tell = |sequence: u64, texts: &[&str], windows: [u64; 2], presences: [u32; 2], observed: [u64; 2]| {
+            for (text, number) in texts.iter().zip(sequence..) {
+                let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+                let person = SOMEBODY;
+                let narration = NarrationV1 {
+                    source: 7,
+                    epoch: 1,
+                    sequence: number,
+                    observed_ns: number * 1_000_000_000,
+                    person,
+                    ..message
+                };
+                messages.push((number, Recorded::Narration(Box::new(narration))));
+            }
+            let last = sequence + texts.len() as u64 - 1;
+            let mut scores =
+                RoomScoresV1 { epoch: 3, sequence: last, persons: 2, source_count: 1, ..Default::default() };
+            scores.included[0] = IncludedV1 { source: 7, epoch: 1, sequence: last, ..IncludedV1::default() };
+            scores.window = windows.iter().sum();
+            let mut persons = PersonScoresV1 { epoch: 3, sequence: last, persons: 2, ..Default::default() };
+            persons.person_count = 2;
+            for (told, at) in persons.person.iter_mut().zip(0..2) {
+                (told.person, told.name) = (person_number(names[at]), text::encode("name", names[at]).unwrap());
+                (told.window, told.presence) = (windows[at], presences[at]);
+                told.observed_ns = observed[at] * 1_000_000_000;
+            }
+            messages.push((last, Recorded::RoomScores(Box::new(scores))));
+            messages.push((last, Recorded::PersonScores(Box::new(persons))));
+        };
+        let (present, away) = (presence::PRESENT, presence::AWAY);
+        tell(1, &["Anna opens the fridge."], [1, 0], [present, away], [1, 0]);
+        tell(2, &["Ben sits on the sofa."], [1, 1], [present; 2], [1, 2]);
+        // Two in one step, of which the daemon tells the newest alone.
+        tell(3, &["Anna grabs the milk.", "Anna pours the milk."], [3, 1], [present; 2], [4, 2]);
+        tell(5, &["Ben leaves the house."], [3, 0], [present, away], [4, 5]);
+        let (anna, ben) = (person_number("Anna"), person_number("Ben"));
+        let of = |messages: &[(u64, Recorded)], sequence: u64| -> Vec<(u32, String)> {
+            let recording = Recording { messages: messages.to_vec(), moments: Vec::new() };
+            let narration = recording.moment(Some(sequence), None).unwrap().narration;
+            narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
+        };
+        let [fridge, sofa, grabs, pours] = [
+            (anna, "Anna opens the fridge.".to_owned()),
+            (ben, "Ben sits on the sofa.".to_owned()),
+            (anna, "Anna grabs the milk.".to_owned()),
+            (anna, "Anna pours the milk.".to_owned()),
+        ];
+        assert_eq!(of(&messages, 4), [fridge.clone(), sofa, grabs.clone(), pours.clone()]);
+        assert_eq!(of(&messages, 5), [fridge, grabs, pours]);
     }
 
     #[test]

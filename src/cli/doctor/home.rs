@@ -8,9 +8,13 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Said;
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_ipc::{Domain, sequence};
-use roomcast_services::config::Config;
+use roomcast_services::config::{Config, no_folder};
+use roomcast_services::daemon::{NoZone, Zone};
 use roomcast_services::logging::chain;
 use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
+
+use rustix::fs::Access;
+use rustix::io::Errno;
 
 use super::finding::{Finding, Place, segment_of_no_room, segment_of_two_rooms, some_of};
 #[cfg(feature = "mqtt")]
@@ -69,14 +73,12 @@ fn clock(config: &Config, place: &Place<'_>) -> Finding {
             format!("the clock is {seconds} s before {} was written, and habits go by the time of day", path.display());
         return Finding::wrong(check, found, "set the clock: timedatectl set-ntp true");
     }
-    if std::env::var_os("TZ").is_none() && !Path::new("/etc/localtime").exists() {
-        return Finding::limited(
-            check,
-            "no time zone is set, so hours of the day are those of UTC",
-            "timedatectl set-timezone Europe/Berlin, or your own",
-        );
+    match Zone::find() {
+        Ok(_) => Finding::good(check, "plausible, and a time zone is set"),
+        Err(NoZone { reason, remedy }) => {
+            Finding::limited(check, format!("{reason}, so hours of the day are those of UTC"), remedy)
+        }
     }
-    Finding::good(check, "plausible, and a time zone is set")
 }
 
 /// Whether what is learned can be kept.
@@ -84,18 +86,32 @@ fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     let check = "state";
     let folder = config.daemon.state_directory()?;
     let shown = folder.display();
+    let another = || format!("give another folder as daemon.state in {}", place.shown());
+    if let Some(reason) = no_folder(&folder) {
+        return Some(Finding::wrong(check, format!("nothing can be kept in {shown}: {reason}"), another()));
+    }
     // A folder that is not there yet is made by the daemon.
     let there = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
-    let finding = if !there.is_dir() {
-        let found = format!("nothing can be kept in {shown}: {} is no folder", there.display());
-        Finding::wrong(check, found, format!("give another folder as daemon.state in {}", place.shown()))
-    } else if rustix::fs::access(there, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK).is_err() {
-        let found = format!("nothing can be kept in {shown}: this user may not write into {}", there.display());
-        Finding::wrong(check, found, "run this as the user that the services run as, or give that user the folder")
-    } else {
-        Finding::good(check, format!("kept in {shown}"))
+    let finding = match rustix::fs::access(there, Access::WRITE_OK | Access::EXEC_OK) {
+        Ok(()) => Finding::good(check, format!("kept in {shown}")),
+        Err(error) => {
+            let remedy = remedy_of_state(error).map_or_else(another, str::to_owned);
+            let found = format!("nothing can be kept in {shown}: cannot write into {}: {error}", there.display());
+            Finding::wrong(check, found, remedy)
+        }
     };
     Some(finding)
+}
+
+/// What helps where a folder cannot be written, by the system's reason: none where only another folder does.
+fn remedy_of_state(error: Errno) -> Option<&'static str> {
+    match error {
+        Errno::ACCESS | Errno::PERM => {
+            Some("run this as the user that the services run as, or give that user the folder")
+        }
+        Errno::ROFS => Some("mount its disk so that it can be written: mount -o remount,rw"),
+        _ => None,
+    }
 }
 
 /// Whether there is anything in the rooms that a person can turn to.

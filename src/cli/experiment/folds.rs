@@ -18,6 +18,7 @@ use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report};
 use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_services::state_file;
 
 /// What both ask about.
 #[derive(Debug, clap::Args)]
@@ -206,7 +207,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
         let text = serde_json::to_string_pretty(entries).map_err(|e| failed(e.to_string()))?;
         let no_record =
             |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
-        std::fs::write(record, text + "\n").map_err(no_record)
+        state_file::write_out(record, (text + "\n").as_bytes()).map_err(no_record)
     };
     // Before anything is measured, too: the split is opened once.
     write(&entries)?;

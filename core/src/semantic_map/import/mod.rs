@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError, element_of};
 use super::{MAX_TEXT_BYTES, SemanticMap};
 use crate::names::{Names, plain_words};
-use crate::text::{is_hidden, without_mark};
+use crate::text::{excerpt, is_hidden, without_mark};
 
 mod furnish;
 mod home_assistant;
@@ -53,7 +53,7 @@ pub enum ImportError {
         remedy: &'static str,
     },
     /// The names of segments name one that the map does not have.
-    #[error("name the segment {unknown:?}, but the map has {}", .there.join(", "))]
+    #[error("name the segment {:?}, but the map has {}", excerpt(.unknown), excerpt(&.there.join(", ")))]
     Names {
         /// The segment that is not there.
         unknown: String,
@@ -66,11 +66,15 @@ pub enum ImportError {
 }
 
 fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -> Result<T, ImportError> {
-    let fail = |element: String, message: String| ImportError::Json { element, message, expected };
+    let fail = |element, error: &serde_json::Error| ImportError::Json {
+        element,
+        message: excerpt(&error.to_string()).into_owned(),
+        expected,
+    };
     let mut parser = serde_json::Deserializer::from_str(without_mark(json));
-    let value = serde_path_to_error::deserialize(&mut parser)
-        .map_err(|error| fail(element_of(error.path()), error.inner().to_string()))?;
-    parser.end().map_err(|error| fail("end".to_owned(), error.to_string()))?;
+    let value =
+        serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;
+    parser.end().map_err(|error| fail("end".to_owned(), &error))?;
     Ok(value)
 }
 

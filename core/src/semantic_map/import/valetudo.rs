@@ -18,6 +18,7 @@ use crate::semantic_map::schema::{
     DoorEntry, FARTHEST_M, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION,
 };
 use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
+use crate::text::excerpt;
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
@@ -529,7 +530,7 @@ fn text_of(value: &Value) -> Option<String> {
 pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError> {
     toml::from_str(toml).map_err(|error: toml::de::Error| ImportError::Json {
         element: ".".to_owned(),
-        message: error.to_string(),
+        message: excerpt(&error.to_string()).into_owned(),
         expected: "names of segments, as 11 = \"kitchen\" on a line each",
     })
 }
@@ -784,6 +785,11 @@ mod tests {
         let unknown = segment_names("4 = \"attic\"").unwrap();
         let error = valetudo(FLAT, "flat", &unknown).unwrap_err().to_string();
         assert!(error.contains("segment \"4\", but the map has 16, 17, 3"), "{error}");
+        // A map in place of its names.
+        let map = format!("{{\"layers\": \"{}\"}}", "1,2,".repeat(1 << 18));
+        assert!(segment_names(&map).unwrap_err().to_string().len() < 2_000);
+        let error = valetudo(&map, "x", &HashMap::new()).unwrap_err().to_string();
+        assert!(error.len() < 2_000, "{} bytes", error.len());
         assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
     }
 

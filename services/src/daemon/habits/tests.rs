@@ -662,3 +662,47 @@ fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
     house.board.tidy();
     assert_eq!(house.board.habits().persons(), [(3, 1.0)]);
 }
+
+/// 06:00 UTC is 08:00 in Berlin in summer and 07:00 in winter, by name and by rule.
+#[test]
+fn the_variable_names_the_time_zone() {
+    let hour = |zone: &Zone, unix_s: u64| (zone.local_s(unix_s * 1_000_000_000) / 3_600.0).rem_euclid(24.0);
+    let (summer, winter) = (1_784_008_800, 1_796_104_800);
+    let of = |value: &str| Zone::of_variable(Some(OsStr::new(value)));
+    let rule = of("CET-1CEST,M3.5.0,M10.5.0/3").unwrap();
+    assert_eq!([hour(&rule, summer), hour(&rule, winter)], [8.0, 7.0]);
+    assert_eq!(hour(&of("").unwrap(), summer), 6.0);
+    assert_eq!(hour(&of("<+03>-3").unwrap(), summer), 9.0);
+    for name in ["Europe/Berlin", ":Europe/Berlin", "/usr/share/zoneinfo/Europe/Berlin"] {
+        match of(name) {
+            Ok(zone) => assert_eq!([hour(&zone, summer), hour(&zone, winter)], [8.0, 7.0], "{name}"),
+            // A machine without the files says so.
+            Err(error) => assert!(error.reason.contains(name) && error.remedy.contains("tzdata"), "{error:?}"),
+        }
+    }
+    for wrong in ["Europe/Atlantis", "CET", ":CET-1", "noon", " "] {
+        match of(wrong) {
+            // "CET" is a name where there are files.
+            Ok(_) => assert_eq!(wrong, "CET"),
+            Err(error) => assert!(error.reason.contains(wrong), "{error:?}"),
+        }
+    }
+}
+
+/// The environment counts: this test runs again in a process of its own that has the variable.
+#[test]
+fn the_environment_of_a_process_sets_its_time_zone() {
+    const VARIABLE: &str = "<+0317>-3:17";
+    if std::env::var("TZ").is_ok_and(|value| value == VARIABLE) {
+        assert_eq!(Zone::local().local_s(0), 11_820.0);
+        return;
+    }
+    let name = std::thread::current().name().unwrap().to_owned();
+    let again = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", &name])
+        .env("TZ", VARIABLE)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&again.stdout);
+    assert!(again.status.success() && said.contains("1 passed"), "{said}");
+}

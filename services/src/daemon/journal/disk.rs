@@ -85,6 +85,15 @@ pub trait Disk: Debug {
     /// When the disk refuses.
     fn sync_names(&mut self) -> io::Result<()>;
 
+    /// Refuses where no half's name leads to the open file: whoever opens the journal next does not find what is in it. A disk whose files
+    /// nobody else removes has nothing to say.
+    ///
+    /// # Errors
+    /// When they were removed or moved, or their disk is gone.
+    fn require_name(&self) -> io::Result<()> {
+        Ok(())
+    }
+
     /// Removes the halves that were too large and are kept aside.
     ///
     /// # Errors
@@ -228,6 +237,21 @@ impl Disk for Folder {
         self.file.sync_data()
     }
 
+    fn require_name(&self) -> io::Result<()> {
+        let ours = self.file.metadata()?;
+        let leads_here = |path: &PathBuf| {
+            fs::metadata(path).is_ok_and(|there| (there.dev(), there.ino()) == (ours.dev(), ours.ino()))
+        };
+        // In the middle of a rotation it has the older half's name.
+        if leads_here(&self.current) || leads_here(&self.older) {
+            return Ok(());
+        }
+        Err(io::Error::new(
+            io::ErrorKind::NotFound,
+            "it was removed, or its disk is gone, so a restarted daemon will know nothing of it; restart the daemon, which makes a new one",
+        ))
+    }
+
     fn prepare(&mut self, bytes: &[u8]) -> io::Result<()> {
         let (path, next) = &mut self.next;
         *next = None;
@@ -313,6 +337,32 @@ fn open_file(path: &Path) -> io::Result<File> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Whoever removes or moves the state folder under a daemon, or lets its disk go, is told: what is confirmed is in no journal any more.
+    #[test]
+    fn a_journal_that_was_removed_is_noticed() {
+        let outer = tempfile::tempdir().unwrap();
+        let (state, moved) = (outer.path().join("state"), outer.path().join("moved"));
+        fs::create_dir(&state).unwrap();
+        let Ok(mut disk) = Folder::open(&state, 1 << 20) else { panic!("the folder can be used") };
+        disk.append(b"one").unwrap();
+        disk.require_name().unwrap();
+        disk.prepare(b"two").unwrap();
+        disk.retire().unwrap();
+        disk.require_name().unwrap();
+        disk.place(Half::Current).unwrap();
+        disk.require_name().unwrap();
+        fs::rename(&state, &moved).unwrap();
+        assert!(disk.require_name().unwrap_err().to_string().contains("restart the daemon"));
+        fs::rename(&moved, &state).unwrap();
+        disk.require_name().unwrap();
+        fs::remove_dir_all(&state).unwrap();
+        assert_eq!(disk.require_name().unwrap_err().kind(), io::ErrorKind::NotFound);
+        // Another daemon's file of the same name is not this one's.
+        fs::create_dir(&state).unwrap();
+        let Ok(_other) = Folder::open(&state, 1 << 20) else { panic!("the folder can be used") };
+        assert!(disk.require_name().is_err());
+    }
 
     #[test]
     fn the_log_names_a_folder_by_its_file() {
