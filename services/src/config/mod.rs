@@ -447,10 +447,10 @@ impl Config {
         let is_person = |name: &String| name.trim().parse::<u32>().is_ok() || check_name(name).is_ok();
         // Each is compared with each.
         let are_few = persons.residents.len() <= PERSONS_MAX && persons.not_persons.len() <= NOT_PERSONS_MAX;
-        let each_name_once = !are_few
-            || (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
-        let are_no_residents = !are_few
-            || persons.not_persons.iter().all(|name| is_name(name) && !is_one_of(name, &persons.residents));
+        let each_name_once =
+            !are_few || (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
+        let are_no_residents =
+            !are_few || persons.not_persons.iter().all(|name| is_name(name) && !is_one_of(name, &persons.residents));
         let known = &daemon.narrator;
         let names = format!("{:?}", known.iter().map(|known| &known.name).collect::<Vec<_>>());
         let each_narrator_once = (1..)
