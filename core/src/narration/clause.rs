@@ -268,6 +268,49 @@ pub(super) fn is_verb(word: &str) -> bool {
     (is_third || word.ends_with("ed") || has(&WORDS.past, word)) && !has(&WORDS.no_verbs, word)
 }
 
+/// Whether a word may by its letters be what one person does, said in the present: "opens", and not "lukas", "chris" or "carlos", nor what has an accent.
+pub(super) fn may_be_third_person(word: &str) -> bool {
+    const OTHERS: [&str; 4] = ["has", "is", "skis", "was"];
+    let ends = word.strip_suffix('s').is_some_and(|stem| !stem.ends_with(['a', 'i', 'o', 's', 'u', '-']));
+    word.is_ascii() && (ends && !word.contains('-') || OTHERS.contains(&word))
+}
+
+/// Whether a word is the form of a verb that the tables know, after one person.
+pub(super) fn is_known_verb(word: &str) -> bool {
+    static KNOWN: LazyLock<HashSet<&'static str>> = LazyLock::new(|| {
+        let lists = [
+            &WORDS.leaves,
+            &WORDS.goes,
+            &WORDS.travels,
+            &WORDS.moves,
+            &WORDS.vehicles,
+            &WORDS.stays,
+            &WORDS.visits,
+            &WORDS.drops_in,
+            &WORDS.on_leaving,
+            &WORDS.farewells,
+            &WORDS.takes,
+            &WORDS.lets,
+            &WORDS.comes,
+            &WORDS.speaks,
+            &WORDS.from_afar,
+            &WORDS.past,
+            &WORDS.perceives,
+            &WORDS.sends,
+        ];
+        let listed = lists.into_iter().flat_map(List::iter).map(|verb| first_word(verb));
+        let actions = super::action_table().values().flat_map(|action| [&*action.third, &*action.past]);
+        listed.chain(actions.map(first_word)).collect()
+    });
+    // A plural is what something is done to: "washes dishes", "grabs drinks".
+    let is_thing = |word: &str| !is_possible(word);
+    let singular = word.strip_suffix('s').unwrap_or(word);
+    is_verb(word)
+        && (KNOWN.contains(word) || deeds::is_form(word))
+        && !is_thing(singular)
+        && !singular.strip_suffix('e').is_some_and(is_thing)
+}
+
 /// Whether words after a subject say what was: "was in the kitchen".
 pub(super) fn is_past_state(rest: &str) -> bool {
     ["was ", "were ", "had been ", "has been "].iter().any(|verb| rest.starts_with(verb))

@@ -112,6 +112,15 @@ fn all_forms(verb: &str) -> Vec<String> {
     [verb.to_owned(), third, past, format!("{stem}ing")].into_iter().chain(doubled).chain(irregular).collect()
 }
 
+/// Whether a word is a form of a verb of the classes.
+pub(super) fn is_form(word: &str) -> bool {
+    let Classes { elsewhere, anywhere, boards, happens, moves, errands, fetches, alights, defeats, touches, gives } =
+        &*CLASSES;
+    [elsewhere, anywhere, boards, happens, moves, errands, fetches, alights, defeats, touches, gives]
+        .into_iter()
+        .any(|class| class.0.contains_key(word))
+}
+
 /// Words after a subject without what says only that it is done just now: "buys milk" of "is buying milk".
 fn plain(rest: &str) -> &str {
     let mut rest = rest;

@@ -29,8 +29,8 @@ pub use action::{
 };
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{
-    Named, PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, check_name, is_number, person_number,
-    same_but_for_accents, same_name,
+    NameWord, Named, PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, check_name, is_number, name_words,
+    person_number, same_but_for_accents, same_name,
 };
 pub use presence::{Presence, PresenceError, PresenceStatement};
 pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
@@ -433,6 +433,19 @@ impl Said {
         self.is(Fact::IsOfAPronoun, clause::is_of_a_pronoun)
     }
 
+    /// Whether it reads the same whoever is known, where its narrator says whose it is: one clause of a pronoun, or a presence of one person.
+    #[must_use]
+    pub fn is_read_alone(&self) -> bool {
+        match self {
+            Self::Sentence(sentence) => {
+                let is_of_one =
+                    || PresenceStatement::of_sentence(sentence.as_str()).is_none_or(|stated| !stated.is_of_everybody());
+                self.is_of_a_pronoun() && !self.goes_home() && !Self::may_be_several(sentence) && is_of_one()
+            }
+            Self::Presence(statement) => statement.subject().is_none() && !statement.is_of_everybody(),
+        }
+    }
+
     /// Whether it is about so many who are there and no others, and how many: "They both go to bed." is of two, "All three leave." of three.
     #[must_use]
     pub fn is_of_so_many(&self) -> Option<usize> {
@@ -566,6 +579,12 @@ impl Said {
     pub fn first_name(name: &str) -> Option<&str> {
         let (_, name) = clause::titled(name);
         clause::first_name(name)
+    }
+
+    /// A name without its title: "novak" of "mrs. novak".
+    #[must_use]
+    pub fn without_title(name: &str) -> &str {
+        clause::titled(name).1
     }
 
     /// Whether a name is another word for one person or several: "he", "everybody".

@@ -33,6 +33,39 @@ fn spaced(name: &str) -> String {
     owner.map_or_else(|| Names::bare(name), |owner| format!("{}'s", Names::bare(owner)))
 }
 
+/// A word of a text that may be part of a name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NameWord {
+    /// As it is written, in lower case.
+    pub said: String,
+    /// By its letters and digits alone, without accents. Empty where a name ends: behind what is somebody's, and behind a comma or a full stop.
+    pub bare: String,
+}
+
+/// The words of a text as names are compared: "ben", "hugs", "zoe" and "" of "Ben hugs Zoë's", and "lena", "o", "neill" of "lena_o_neill".
+#[must_use]
+pub fn name_words(text: &str) -> Vec<NameWord> {
+    /// A full stop behind so few letters is that of a short form: "Dr. Grey".
+    const SHORT_FORM: usize = 3;
+    let mut words = Vec::new();
+    for said in text.to_lowercase().split_whitespace() {
+        let word = said.trim_matches(|c: char| !c.is_alphanumeric());
+        let owner = word.strip_suffix("'s").or_else(|| word.strip_suffix("’s"));
+        let word = owner.unwrap_or(word);
+        let bare = Names::bare(word);
+        for part in bare.split(' ').filter(|part| !part.is_empty()) {
+            let is_whole = part.len() == bare.len();
+            words.push(NameWord { said: if is_whole { word } else { part }.to_owned(), bare: part.to_owned() });
+        }
+        let ends =
+            said.ends_with([',', ';', ':', '!', '?']) || said.ends_with('.') && word.chars().count() > SHORT_FORM;
+        if owner.is_some() || ends {
+            words.push(NameWord { said: String::new(), bare: String::new() });
+        }
+    }
+    words
+}
+
 /// Whether two names are one: without regard to case, to space more than needed, and to "the" before them.
 #[must_use]
 pub fn same_name(a: &str, b: &str) -> bool {
@@ -234,6 +267,20 @@ mod tests {
         for (name, other) in [("Ada S.", "ada's"), ("Anne-Marie", "annemarie"), ("Anne-Marie", "anne"), ("Li", "Lia")] {
             assert!(!is_one(name, other) && !same_but_for_accents(name, other), "{name} {other}");
         }
+    }
+
+    #[test]
+    fn names_in_a_text_are_found_by_their_letters() {
+        let bare = |text: &str| name_words(text).into_iter().map(|word| word.bare).collect::<Vec<_>>().join(" ");
+        for (text, words) in [
+            ("Ben takes Zoë's cup", "ben takes zoe  cup"),
+            ("hugs lena_o_neill.", "hugs lena o neill "),
+            ("Lena O’Neill, Ana-Maria", "lena o neill  ana maria"),
+            ("Dr. Grey sits. Ada S. too", "dr grey sits  ada s too"),
+        ] {
+            assert_eq!(bare(text), words, "{text}");
+        }
+        assert_eq!(name_words("Zoë")[0].said, "zoë");
     }
 
     /// Journals and narrators rely on it.

@@ -1,12 +1,10 @@
 //! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
 
-use std::collections::BTreeSet;
 use std::time::Duration;
 
 use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
-use roomcast_core::text::has_words;
 use roomcast_ipc::clock;
 
 use super::board::Board;
@@ -14,7 +12,7 @@ use super::habits_file::Keeper;
 use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
-use super::persons::NotRenamed;
+use super::persons::{Called, NotRenamed};
 
 /// A question to forget somebody waits at most this long for the journal.
 const FORGET_PATIENCE: Duration = Duration::from_secs(5);
@@ -117,35 +115,27 @@ fn forget<M: LanguageModel>(
     who: &str,
     is_somebody: bool,
 ) -> (Option<String>, usize) {
-    let file = board.persons().file().clone();
-    let mut names = board.persons().names_of(person);
-    names.extend(Some(who.trim().to_lowercase()).filter(|who| who.parse::<u32>().is_err()));
-    let others = board.persons().lines(0).into_iter().filter(|line| line.person != person);
-    let others: BTreeSet<String> = others.filter_map(|line| Some(line.name?.to_lowercase())).collect();
+    let called = Called::new(board.persons(), person, who);
     let is_theirs = move |observation: &Observation, found: Option<u32>| {
-        let is_own = |name: &str| file.number_of(name) == person || names.iter().any(|own| Said::may_mean(own, name));
-        // "Jonas Müller" is Jonas, where nobody else has that name.
-        let is_longer =
-            |name: &str| !others.contains(&name.to_lowercase()) && Said::first_name(name).is_some_and(is_own);
-        let is_name = |name: &str| is_own(name) || is_longer(name);
-        let own = match (&observation.name, found) {
-            (Some(name), _) => file.number_of(name) == person || names.iter().any(|own| Said::may_be_one(own, name)),
-            (None, Some(found)) => found == person,
-            (None, None) if observation.person == SOMEBODY => observation.said.may_name(is_name),
-            (None, None) => observation.person == person,
-        };
         let text = || match &observation.said {
-            Said::Sentence(sentence) => sentence.as_str().to_lowercase(),
-            Said::Presence(statement) => {
-                format!("{statement}, {}", statement.subject().unwrap_or_default()).to_lowercase()
+            Said::Sentence(sentence) => sentence.as_str().to_owned(),
+            Said::Presence(statement) => format!("{statement}, {}", statement.subject().unwrap_or_default()),
+        };
+        let is_about_them = || match &observation.said {
+            Said::Presence(statement) => statement.names().any(|name| called.is(name)),
+            said @ Said::Sentence(_) => {
+                found.is_none() && said.may_name(|name| called.is(name)) && called.is_in(&text())
             }
         };
-        let names_them = || match &observation.said {
-            Said::Presence(statement) => statement.names().any(is_name),
-            Said::Sentence(_) => false,
+        let own = match (&observation.name, found) {
+            (Some(name), _) if called.is_key(name) => true,
+            (_, Some(found)) if found == person => true,
+            (Some(_), _) => false,
+            (None, None) if observation.person == SOMEBODY => is_about_them(),
+            (None, _) => observation.person == person,
         };
         // What others did to them, and rooms that are called after them, tell of them, too.
-        own || is_somebody && (names_them() || names.iter().any(|name| has_words(&text(), name)))
+        own || is_somebody && (is_about_them() || called.is_in(&text()))
     };
     board.forget(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));

@@ -11,14 +11,14 @@ use roomcast_ipc::{
 use super::ahead::Now;
 use super::habits::{HomeHabits, Name, PlaceSet};
 use super::intake::OTHERS;
-use super::journal::{Believed, Outcome, Recovered};
+use super::journal::{Believed, Move, Moved, Outcome, Recovered};
 use super::persons::{NotRenamed, Persons, is_bed, may_be_done_lying, sleeps};
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::narration::{Observation, Presence, Voice};
+use roomcast_core::narration::{Observation, Presence, SOMEBODY, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::LanguageModel;
@@ -101,6 +101,12 @@ fn observed_at_ns(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> O
     }
 }
 
+/// Whether an observation is its person's and no other's, whoever is known.
+fn is_read_alone(observation: &Observation) -> bool {
+    let is_keyed = observation.person != SOMEBODY && !observation.by_fit || observation.name.is_some();
+    is_keyed && observation.said.is_read_alone()
+}
+
 fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
@@ -153,6 +159,8 @@ pub struct Board<M> {
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
     attributed: Vec<Attributed>,
     rescored: Vec<u32>,
+    /// The same of whom observations moved that could be read otherwise by another company.
+    moved: Vec<Moved>,
     /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
     believed: Vec<Believed>,
     gone: Vec<u32>,
@@ -247,6 +255,7 @@ impl<M: LanguageModel> Board<M> {
             named: BTreeSet::new(),
             newest_persons: Vec::new(),
             attributed: Vec::new(),
+            moved: Vec::new(),
             rescored: Vec::new(),
             believed: Vec::new(),
             gone: Vec::new(),
@@ -527,7 +536,7 @@ impl<M: LanguageModel> Board<M> {
     /// the model said after some of them. Gives how many were left out, because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: u64, now_unix_ns: u64) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
-        let Recovered { observations, mut expectations, forgotten, of_other_boots, .. } = recovered;
+        let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
         let started_unix_ns = now_unix_ns.saturating_sub(now_ns);
         let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
@@ -564,21 +573,33 @@ impl<M: LanguageModel> Board<M> {
             let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
             self.pipeline.include(&observation, voice);
             let mut persons = Vec::new();
-            for clause in self.clauses(observation) {
-                self.exclude(&clause, is_strange, at_ns);
-                for own in self.of_persons(clause, is_strange) {
-                    let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
-                    let person = own.person;
-                    persons.push(person);
-                    self.pipeline.enter(voice, own);
-                    self.follow();
-                    match self.persons.get_mut(person) {
-                        // They were told of.
-                        Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
-                        Some(known) => known.restored = true,
-                        None => {}
+            if let Some(moves) = moved.remove(&name) {
+                for own in moves {
+                    let person = self.persons.file().current(own.person);
+                    let own = Move { person, ..own }.apply(&observation);
+                    if let Some(own) = self.retake(own, is_strange, at_ns) {
+                        persons.push(own.person);
+                        self.enter_restored(voice, own);
                     }
-                    self.said.remove(&person);
+                }
+            } else {
+                // An older daemon has not said whom it moved, or one that was killed.
+                let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
+                let mut moves = Vec::new();
+                for clause in self.clauses(observation) {
+                    if self.exclude(&clause, is_strange, at_ns) {
+                        moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
+                    }
+                    for own in self.of_persons(clause, is_strange) {
+                        let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
+                        moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
+                        persons.push(own.person);
+                        self.enter_restored(voice, own);
+                    }
+                }
+                // It stays so, whoever is known at the next start. Whose one of one person is was told already.
+                if persons.is_empty() || observed.is_some() && moves.len() != 1 {
+                    self.moved.push(Moved { observation: name, moves });
                 }
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
@@ -612,6 +633,20 @@ impl<M: LanguageModel> Board<M> {
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
+    }
+
+    /// Enters an observation of a former run that is a person's.
+    fn enter_restored(&mut self, voice: Voice, own: Observation) {
+        let person = own.person;
+        self.pipeline.enter(voice, own);
+        self.follow();
+        match self.persons.get_mut(person) {
+            // They were told of.
+            Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
+            Some(known) => known.restored = true,
+            None => {}
+        }
+        self.said.remove(&person);
     }
 
     /// Takes note up to which sequence a former run has dealt with the starts of sources, of which the journal tells no more.
@@ -649,6 +684,7 @@ impl<M: LanguageModel> Board<M> {
         self.follow();
         self.persons.remove(person);
         self.attributed.retain(|attributed| attributed.person != person);
+        self.moved.iter_mut().for_each(|moved| moved.moves.retain(|own| own.person != person));
         self.drop_person(person);
     }
 
@@ -826,13 +862,24 @@ impl<M: LanguageModel> Board<M> {
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
             let is_strange = !self.named.is_empty() && voice.number == OTHERS;
             self.pipeline.include(&observation, voice);
+            let name = (observation.source, observation.epoch, observation.sequence);
+            let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
+            let (mut moves, mut is_taken) = (Vec::new(), false);
             for clause in self.clauses(observation) {
-                self.exclude(&clause, is_strange, at_ns);
+                if self.exclude(&clause, is_strange, at_ns) {
+                    moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
+                }
                 for own in self.of_persons(clause, is_strange) {
                     if let Some(own) = self.take(own, voice, is_strange, at_ns) {
+                        moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
+                        is_taken = true;
                         self.pipeline.enter(voice, own);
                     }
                 }
+            }
+            // What moves nobody may be of one who is away, and calls.
+            if observed.is_some() || !is_taken {
+                self.moved.push(Moved { observation: name, moves });
             }
         }
         if costly > 0 {
@@ -888,6 +935,14 @@ impl<M: LanguageModel> Board<M> {
     pub fn tell_outcomes(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         self.tell_whose(&mut tell);
         self.tell_expected(tell);
+        // Who does not ask for it has no journal to keep it in.
+        self.moved.clear();
+    }
+
+    /// Whom the observations of the last step moved, nobody included, for the journal; each is told once. A restart that read them again would do so
+    /// with those who are known then.
+    pub(super) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
+        self.moved.drain(..).for_each(|moved| tell(&moved));
     }
 
     /// Of the outcomes those on which scores rest: whose an observation is that names nobody.

@@ -13,6 +13,7 @@
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
 //! | `RCJ7`, `RCJ8` | `RCJ1` and `RCJ3` of what was last said of a person, before all that the halves hold of it; `RCJ5` follows |
 //! | `RCJ9` | that a person was forgotten then, or was a visitor and is gone by silence: the number (u32), and whether that was before all observations of the halves (u8) |
+//! | `RCJB` | whom an observation moved that was written before, so that it is not read again with those who are known at a restart: its source, epoch and sequence (u64 each), and for each person whom it moved, in their order: the number (u32; all ones where it says that a room is empty), what it is (u8; bits 0 and 1 as in `RCJ3`, bit 2: it is what was observed, bit 3: it is what the one before is), the name (u8 of bytes, the bytes), and without bits 2 and 3 what it says of them (u16 of bytes, the bytes). None where it moved nobody |
 //! | `RCJA` | where a person was believed to be when the map was changed: what was observed of them last by its source, epoch and sequence (u64 each), the person (u32), the changed map's fingerprint (its first 8 bytes), for how many seconds they had then been at what they did, and the totals and counts of how long they are at one thing and in one room (f32 each), and per room of that map the probability that they were in it (f32) |
 //!
 //! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
@@ -26,6 +27,7 @@
 //! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
 //! its power is at most the last [`JournalOptions::sync_ms`].
 
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
@@ -38,11 +40,12 @@ use std::time::{Duration, Instant};
 
 use self::disk::Folder;
 pub use self::disk::{Disk, Half};
-use self::forget::{IsTheirs, each_record};
+use self::forget::IsTheirs;
+pub(super) use self::forget::each_record;
 use crate::state_file;
 use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{Observation, PresenceStatement, Said, Sentence};
+use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
@@ -62,8 +65,9 @@ const MAGIC_KEPT: [u8; 4] = *b"RCJ7";
 const MAGIC_NAMED_KEPT: [u8; 4] = *b"RCJ8";
 const MAGIC_FORGOTTEN: [u8; 4] = *b"RCJ9";
 const MAGIC_BELIEVED: [u8; 4] = *b"RCJA";
+const MAGIC_MOVED: [u8; 4] = *b"RCJB";
 /// Letters that a record may begin with.
-const MAGICS: [[u8; 4]; 10] = [
+const MAGICS: [[u8; 4]; 11] = [
     MAGIC,
     MAGIC_CARRIED,
     MAGIC_NAMED,
@@ -74,6 +78,7 @@ const MAGICS: [[u8; 4]; 10] = [
     MAGIC_NAMED_KEPT,
     MAGIC_FORGOTTEN,
     MAGIC_BELIEVED,
+    MAGIC_MOVED,
 ];
 /// Those of an observation as it came, or carried over so that it is not taken again.
 const MAGICS_TAKEN: [[u8; 4]; 4] = [MAGIC, MAGIC_CARRIED, MAGIC_NAMED, MAGIC_NAMED_CARRIED];
@@ -86,6 +91,8 @@ const BOOT_AT: usize = 5 * 8 + 4;
 const FIXED_BYTES: usize = BOOT_AT + 16;
 /// No payload is longer: a sentence has at most 1024 bytes, a statement with its names not twice as many, and a name comes with two more.
 const PAYLOAD_BYTES_MAX: usize = FIXED_BYTES + 2 + NAME_BYTES + 2 * roomcast_core::narration::SENTENCE_BYTES_MAX;
+/// None of whom an observation moved is longer: eight clauses, each with what it says, of all who may be known.
+const MOVED_BYTES_MAX: usize = 64 << 10;
 /// A port, with which `RCJ6` ends.
 const PORT_BYTES: usize = 16;
 /// What `RCJ5` holds beside the rooms.
@@ -93,6 +100,9 @@ const OUTCOME_BYTES: usize = 3 * 8 + 4 + 1 + 8;
 /// Bits of what a named record is.
 const IS_PRESENCE: u8 = 1;
 const IS_BY_FIT: u8 = 1 << 1;
+/// The same of whom an observation moved: what it says of them is what was observed, or what it says of the one before.
+const IS_AS_OBSERVED: u8 = 1 << 2;
+const IS_AS_BEFORE: u8 = 1 << 3;
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 65_536;
 /// So often in a row a rotation is put off where what was last said of persons cannot be read, before it goes on without that.
@@ -146,6 +156,8 @@ pub struct Recovered {
     pub expectations: Vec<(usize, u32, Expectation)>,
     /// Who was forgotten, after the index of the observation that came next.
     pub forgotten: Vec<(usize, u32)>,
+    /// Whom observations moved, by their source, epoch and sequence. Of others it is read in them.
+    pub moved: HashMap<(u64, u64, u64), Vec<Move>>,
     /// The last observations of persons that were made before all these, until [`Recovered::join`] puts them in their place.
     kept: KeptWords,
     /// Those that were made before the machine was started last, by source, epoch and sequence.
@@ -196,6 +208,50 @@ pub struct Believed {
     pub paces: [f64; PACES],
     /// Per room of the changed map the probability that they were in it.
     pub probability: Vec<f64>,
+}
+
+/// What an observation said of one person whom it moved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Move {
+    /// The person; [`SOMEBODY`] where it says that a room is empty.
+    pub person: u32,
+    /// By which name they were meant; none where that was by number, by fit, or as one of a group.
+    pub name: Option<Box<str>>,
+    /// Whether they were found by fit.
+    pub by_fit: bool,
+    /// What it says of them; none where it is what was observed.
+    pub said: Option<Said>,
+}
+
+impl Move {
+    /// Of an observation that was found to be of a person, what is not as it was `observed`.
+    #[must_use]
+    pub fn of(own: &Observation, observed: &Said) -> Self {
+        let said = Some(&own.said).filter(|said| *said != observed).cloned();
+        Self { person: own.person, name: own.name.clone(), by_fit: own.by_fit, said }
+    }
+
+    /// The same of one that says that a room is empty.
+    #[must_use]
+    pub fn of_a_room(own: &Observation, observed: &Said) -> Self {
+        Self { person: SOMEBODY, name: None, by_fit: false, ..Self::of(own, observed) }
+    }
+
+    /// The observation of the person, made of the one that moved them.
+    #[must_use]
+    pub fn apply(self, observed: &Observation) -> Observation {
+        let said = self.said.unwrap_or_else(|| observed.said.clone());
+        Observation { person: self.person, name: self.name, by_fit: self.by_fit, said, ..*observed }
+    }
+}
+
+/// Whom an observation moved.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moved {
+    /// The observation's source, epoch and sequence.
+    pub observation: (u64, u64, u64),
+    /// The persons, in the order in which they were.
+    pub moves: Vec<Move>,
 }
 
 /// What became of an observation: whom it is of, and what the model said of that person after it.
@@ -337,6 +393,11 @@ impl JournalHandle {
     /// Hands to the writer what became of an observation; returns its number, for [`JournalHandle::wait_for`].
     pub fn append(&self, outcome: &Outcome<'_>) -> u64 {
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_outcome(outcome))
+    }
+
+    /// Hands to the writer whom an observation moved; returns its number, for [`JournalHandle::wait_for`].
+    pub(super) fn keep_moved(&self, moved: &Moved) -> u64 {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_moved(moved))
     }
 
     /// Hands to the writer where somebody was believed to be when the map was changed; returns its number, for [`JournalHandle::wait_for`].
@@ -833,15 +894,9 @@ fn boot_id() -> [u8; 16] {
 #[must_use]
 pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     let name = observation.name.as_deref().unwrap_or_default().as_bytes();
-    let presence = match &observation.said {
-        Said::Sentence(_) => None,
-        Said::Presence(statement) => Some(match statement.subject() {
-            Some(subject) => format!("{statement}\n{subject}"),
-            None => statement.to_string(),
-        }),
-    };
-    let kind = if presence.is_some() { IS_PRESENCE } else { 0 } | if observation.by_fit { IS_BY_FIT } else { 0 };
-    let text = presence.as_deref().or(observation.sentence()).unwrap_or_default().as_bytes();
+    let (is_presence, text) = text_of(&observation.said);
+    let kind = is_presence | if observation.by_fit { IS_BY_FIT } else { 0 };
+    let text = text.as_bytes();
     let named = kind != 0 || !name.is_empty();
     let mut payload = Vec::with_capacity(HEADER_BYTES + FIXED_BYTES + 2 + name.len() + text.len());
     payload.extend_from_slice(&[0; HEADER_BYTES]);
@@ -863,6 +918,63 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     }
     payload.extend_from_slice(text);
     sealed(if named { MAGIC_NAMED } else { MAGIC }, payload)
+}
+
+/// What is said as a record has it, and whether it is a presence.
+fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
+    match said {
+        Said::Sentence(sentence) => (0, Cow::Borrowed(sentence.as_str())),
+        Said::Presence(statement) => {
+            let text = match statement.subject() {
+                Some(subject) => format!("{statement}\n{subject}"),
+                None => statement.to_string(),
+            };
+            (IS_PRESENCE, Cow::Owned(text))
+        }
+    }
+}
+
+/// What such a text says.
+fn said_of(text: &str, kind: u8) -> Option<Said> {
+    Some(match kind & IS_PRESENCE {
+        0 => Said::Sentence(Sentence::new(text).ok()?),
+        _ => Said::Presence(match text.split_once('\n') {
+            Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
+            None => PresenceStatement::parse(text).ok()?,
+        }),
+    })
+}
+
+/// Whom an observation moved, as a record.
+#[must_use]
+pub fn encode_moved(moved: &Moved) -> Vec<u8> {
+    let (source, epoch, sequence) = moved.observation;
+    let mut payload = vec![0; HEADER_BYTES];
+    for number in [source, epoch, sequence] {
+        payload.extend_from_slice(&number.to_le_bytes());
+    }
+    let mut before = None;
+    for Move { person, name, by_fit, said } in &moved.moves {
+        let name = name.as_deref().unwrap_or_default().as_bytes();
+        let (kind, text) = match said {
+            None => (IS_AS_OBSERVED, None),
+            Some(said) if before == Some(said) => (IS_AS_BEFORE, None),
+            Some(said) => {
+                let (kind, text) = text_of(said);
+                (kind, Some(text))
+            }
+        };
+        payload.extend_from_slice(&person.to_le_bytes());
+        // A name has at most 48 bytes.
+        payload.extend_from_slice(&[kind | if *by_fit { IS_BY_FIT } else { 0 }, name.len() as u8]);
+        payload.extend_from_slice(name);
+        if let Some(text) = text {
+            payload.extend_from_slice(&(text.len() as u16).to_le_bytes());
+            payload.extend_from_slice(text.as_bytes());
+        }
+        before = said.as_ref();
+    }
+    sealed(MAGIC_MOVED, payload)
 }
 
 /// What became of an observation, as a record.
@@ -1007,6 +1119,9 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     Record::Outcome { name, person, by_fit, expectation } => {
                         recovered.note_outcome(name, person, by_fit, expectation);
                     }
+                    Record::Moved(Moved { observation, moves }) => {
+                        recovered.moved.insert(observation, moves);
+                    }
                     Record::Port { name, port } => {
                         recovered.ports.insert(name, port);
                     }
@@ -1105,10 +1220,11 @@ impl Recovered {
 }
 
 /// What a record holds.
-enum Record {
+pub(super) enum Record {
     Observation(Observation),
     Carried(Observation),
     Outcome { name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation },
+    Moved(Moved),
     Port { name: (u64, u64), port: Port },
     Kept(Observation),
     Forgotten { person: u32, is_before: bool },
@@ -1122,7 +1238,7 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
     }
     let length = take_u32(&mut header)? as usize;
     let checksum = take_u32(&mut header)?;
-    if length > PAYLOAD_BYTES_MAX {
+    if length > if magic == MAGIC_MOVED { MOVED_BYTES_MAX } else { PAYLOAD_BYTES_MAX } {
         return None;
     }
     let payload = header.get(..length)?;
@@ -1132,6 +1248,7 @@ fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)> {
     let record = match magic {
         MAGIC_OUTCOME => decode_outcome(payload)?,
         MAGIC_BELIEVED => decode_believed(payload)?,
+        MAGIC_MOVED => Record::Moved(decode_moved(payload)?),
         MAGIC_PORT => decode_port(payload)?,
         MAGIC_FORGOTTEN => decode_forgotten(payload)?,
         MAGIC_KEPT | MAGIC_NAMED_KEPT => Record::Kept(decode_observation(payload, magic == MAGIC_NAMED_KEPT, boot_id)?),
@@ -1148,22 +1265,42 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
     let (boot, mut text) = payload.split_at_checked(boot_id.len())?;
     let (mut kind, mut name) = (0, None);
     if named {
-        let (&[what, length], rest) = text.split_first_chunk()?;
-        let (told, rest) = rest.split_at_checked(length.into())?;
-        let told = std::str::from_utf8(told).ok().filter(|told| told.len() <= NAME_BYTES)?;
-        (kind, name, text) = (what, Some(told).filter(|told| !told.is_empty()), rest);
+        (kind, name) = take_kind_and_name(&mut text)?;
     }
-    let text = std::str::from_utf8(text).ok()?;
-    let said = match kind & IS_PRESENCE {
-        0 => Said::Sentence(Sentence::new(text).ok()?),
-        _ => Said::Presence(match text.split_once('\n') {
-            Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
-            None => PresenceStatement::parse(text).ok()?,
-        }),
-    };
+    let said = said_of(std::str::from_utf8(text).ok()?, kind)?;
     let observed_ns = if boot == boot_id { observed_ns } else { 0 };
-    let (name, by_fit) = (name.map(Into::into), kind & IS_BY_FIT != 0);
+    let by_fit = kind & IS_BY_FIT != 0;
     Some(Observation { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, said })
+}
+
+/// What somebody's part of a record is, and their name, if they have one there.
+fn take_kind_and_name(bytes: &mut &[u8]) -> Option<(u8, Option<Box<str>>)> {
+    let (&[kind, length], rest) = bytes.split_first_chunk()?;
+    let (name, rest) = rest.split_at_checked(length.into())?;
+    let name = std::str::from_utf8(name).ok().filter(|name| name.len() <= NAME_BYTES)?;
+    *bytes = rest;
+    Some((kind, Some(name).filter(|name| !name.is_empty()).map(Into::into)))
+}
+
+fn decode_moved(mut payload: &[u8]) -> Option<Moved> {
+    let observation = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
+    let mut moves = Vec::<Move>::new();
+    while !payload.is_empty() {
+        let person = take_u32(&mut payload)?;
+        let (kind, name) = take_kind_and_name(&mut payload)?;
+        let said = if kind & IS_AS_OBSERVED != 0 {
+            None
+        } else if kind & IS_AS_BEFORE != 0 {
+            moves.last()?.said.clone()
+        } else {
+            let (length, rest) = payload.split_first_chunk()?;
+            let (text, rest) = rest.split_at_checked(u16::from_le_bytes(*length).into())?;
+            payload = rest;
+            Some(said_of(std::str::from_utf8(text).ok()?, kind)?)
+        };
+        moves.push(Move { person, name, by_fit: kind & IS_BY_FIT != 0, said });
+    }
+    Some(Moved { observation, moves })
 }
 
 fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
@@ -1841,6 +1978,34 @@ mod tests {
         let was = Expectation { map: 78, paces: Some([40.5; PACES]), probability: vec![0.5, 0.5] };
         assert_eq!(recovered.expectations, [(1, 9, next), (1, 9, was)]);
         assert_eq!(recovered.damaged_bytes, 0);
+        // Whom an observation moved comes back in its order, nobody included.
+        let said = |text: &str| PresenceStatement::parse(text).ok().map(Said::Presence);
+        let sentence = Sentence::new("Mia cooks.").ok().map(Said::Sentence);
+        let by = |person: u32, name: &str, said: Option<Said>| {
+            let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
+            Move { person, name, by_fit: person == 3, said }
+        };
+        let moved = [
+            Moved { observation: (7, 1, 1), moves: Vec::new() },
+            Moved {
+                observation: (7, 1, 2),
+                moves: vec![
+                    by(1, "Éva", None),
+                    by(2, "", said("away")),
+                    by(3, "", said("away")),
+                    by(u32::MAX, "", said("nobody in the kitchen")),
+                    by(4, "Mia", sentence.clone()),
+                    by(5, "", sentence),
+                    by(6, "", None),
+                ],
+            },
+        ];
+        let mut again = Recovered::default();
+        read_records(&moved.iter().flat_map(encode_moved).collect::<Vec<u8>>(), &boot, &mut again);
+        assert_eq!(again.damaged_bytes, 0);
+        for Moved { observation, moves } in moved {
+            assert_eq!(again.moved.remove(&observation), Some(moves));
+        }
         // An attribution that is carried over stays one.
         let mut again = Recovered::default();
         read_records(&encode(&attributed, &boot), &boot, &mut again);

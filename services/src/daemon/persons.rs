@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use roomcast_core::narration::{
     About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice, check_name,
-    is_number,
+    is_number, same_name,
 };
 use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
@@ -59,6 +59,10 @@ impl Name {
         Self { said: said.into(), read: ReadName::new(said) }
     }
 }
+
+pub(super) use called::Called;
+
+mod called;
 
 /// What is known of a person beside their narration and where they will be.
 #[derive(Debug, Clone, PartialEq)]
@@ -150,7 +154,7 @@ pub enum NotRenamed {
 }
 
 /// All persons that the daemon knows.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Clone)]
 pub struct Persons {
     config: PersonsConfig,
     /// The configuration's names, read.
@@ -875,7 +879,12 @@ impl Persons {
         let former = self.file.of_number(number);
         let kept = match former {
             Some(former) => former.renamed(name),
-            None => KeptPerson { number, name: name.to_owned(), resident: None, former: Vec::new() },
+            None => {
+                // Narrators go on with what they called them, and so does what they have said.
+                let own = self.name_of(number).filter(|own| !same_name(own, name));
+                let former = own.map(str::to_owned).into_iter().collect();
+                KeptPerson { number, name: name.to_owned(), resident: None, former }
+            }
         };
         let failed =
             |error| NotRenamed::Failed(format!("the persons file cannot be written: {error}; nothing was changed"));

@@ -247,6 +247,9 @@ impl<M: LanguageModel> Scoring<M> {
         self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
         // Whose an observation is does not depend on scores: a model that fails takes nothing of it.
         let (journal, mut attributed) = (&self.journal, 0);
+        self.cycle.board_mut().tell_moved(|moved| {
+            attributed = journal.as_ref().map_or(0, |journal| journal.keep_moved(moved));
+        });
         self.cycle.board_mut().tell_whose(|outcome| {
             attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome));
         });

@@ -142,8 +142,6 @@ impl<M: LanguageModel> Board<M> {
         if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
             return None;
         }
-        let at_ns = at_ns.map(|at_ns| self.persons.in_order(&observation, at_ns));
-        let noted_ns = at_ns.unwrap_or_default();
         self.persons.see_off(&mut observation);
         // Where the map has no office by that name, it is the one that people go to work at.
         let has_office =
@@ -154,14 +152,41 @@ impl<M: LanguageModel> Board<M> {
         {
             observation.said = Said::Presence(away);
         }
+        self.admit(observation, voice, (is_strange, false), at_ns)
+    }
+
+    /// Takes again what a former run found an observation to say of a person, whoever is known by now; of an empty room nothing is left then.
+    pub(super) fn retake(&mut self, own: Observation, is_strange: bool, at_ns: Option<i64>) -> Option<Observation> {
+        if own.person == SOMEBODY {
+            self.exclude(&own, is_strange, at_ns);
+            return None;
+        }
+        if own.name.is_some() {
+            self.persons.remember((is_strange, own.source), own.person, at_ns.unwrap_or_default());
+        }
+        self.admit(own, Voice::EARLIER, (is_strange, true), at_ns)
+    }
+
+    /// Takes in what is said of a person, unless something later says otherwise; what a former run has taken in says something in any case.
+    fn admit(
+        &mut self,
+        observation: Observation,
+        voice: Voice,
+        (is_strange, was_taken): (bool, bool),
+        at_ns: Option<i64>,
+    ) -> Option<Observation> {
+        let at_ns = at_ns.map(|at_ns| self.persons.in_order(&observation, at_ns));
+        let noted_ns = at_ns.unwrap_or_default();
         // After such a silence a visitor was gone, whether or not anybody looked meanwhile.
         if self.persons.has_expired(observation.person, noted_ns) {
             self.watch();
             self.persons.remove(observation.person);
             self.drop_person(observation.person);
         }
-        let is_outdated = at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns));
-        if is_outdated || self.persons.is_heard_from_afar(&observation) || self.is_out_still(&observation) {
+        let is_outdated = || at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns));
+        if !was_taken
+            && (is_outdated() || self.persons.is_heard_from_afar(&observation) || self.is_out_still(&observation))
+        {
             return None;
         }
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
@@ -218,16 +243,16 @@ impl<M: LanguageModel> Board<M> {
             && observation.sentence().is_some_and(|sentence| self.mentions.last(sentence).is_none())
     }
 
-    /// Takes a statement that a room is empty into the forecasts.
-    pub(super) fn exclude(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
-        let Said::Presence(statement) = &observation.said else { return };
-        let Some(empty) = statement.empty_room() else { return };
+    /// Takes a statement that a room is empty into the forecasts; gives whether it is one that is believed.
+    pub(super) fn exclude(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) -> bool {
+        let Said::Presence(statement) = &observation.said else { return false };
+        let Some(empty) = statement.empty_room() else { return false };
         if is_strange && self.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
-            return;
+            return false;
         }
         self.note_room(empty);
         // Of a changed map nobody knows yet where they are.
-        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return };
+        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return true };
         // What was observed before it comes first.
         self.follow();
         if let Some(room) = room_named(empty, &self.map, self.pipeline.grounding()) {
@@ -240,6 +265,7 @@ impl<M: LanguageModel> Board<M> {
             }
             self.followed = followed;
         }
+        true
     }
 
     /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.

@@ -9,7 +9,7 @@ use std::io;
 use roomcast_core::narration::{SOMEBODY, person_number};
 
 use super::forget::each_record;
-use super::{Disk, Half, MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Record, Writer, encode_forgotten};
+use super::{Disk, Half, MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, Writer, encode_forgotten};
 
 /// At most so many observations of each person are kept, fewer where they do not fit.
 const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
@@ -61,7 +61,9 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
             names.insert((observation.source, observation.epoch, observation.sequence));
             before.push((raw, record));
         }
-        Record::Outcome { name, .. } if names.contains(&name) => before.push((raw, record)),
+        Record::Outcome { name, .. } | Record::Moved(Moved { observation: name, .. }) if names.contains(&name) => {
+            before.push((raw, record));
+        }
         Record::Forgotten { is_before: true, .. } => before.push((raw, record)),
         _ => {}
     });
@@ -137,12 +139,17 @@ fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>
     let mut needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
     // Of each kind the newest.
     let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool, bool), &[u8]>>::new();
+    let mut moved = BTreeMap::<Name, &[u8]>::new();
     for (raw, record) in goes.iter().chain(stays) {
-        if let Record::Outcome { name, person, by_fit, expectation } = record
-            && needed.contains(name)
-        {
-            let is_belief = expectation.paces.is_some();
-            outcomes.entry(*name).or_default().insert((*person, *by_fit, is_belief), raw);
+        match record {
+            Record::Outcome { name, person, by_fit, expectation } if needed.contains(name) => {
+                let is_belief = expectation.paces.is_some();
+                outcomes.entry(*name).or_default().insert((*person, *by_fit, is_belief), raw);
+            }
+            Record::Moved(Moved { observation, .. }) if needed.contains(observation) => {
+                moved.insert(*observation, raw);
+            }
+            _ => {}
         }
     }
     let forgotten = |record: &Record| match record {
@@ -161,6 +168,7 @@ fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>
                 let is_named = raw.starts_with(&MAGIC_NAMED) || raw.starts_with(&MAGIC_NAMED_KEPT);
                 let mut words = if is_named { MAGIC_NAMED_KEPT.to_vec() } else { MAGIC_KEPT.to_vec() };
                 words.extend_from_slice(&raw[MAGIC.len()..]);
+                words.extend_from_slice(moved.get(&name).copied().unwrap_or_default());
                 words.extend(outcomes.into_values().flatten());
                 kept.push(words);
             }

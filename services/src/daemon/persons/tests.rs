@@ -5,9 +5,12 @@ use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
 
+use super::super::answers::answer_about_person;
 use super::super::journal::{
-    Outcome, Recovered, encode, encode_believed, encode_forgotten, encode_outcome, read_records,
+    Journal, JournalOptions, Outcome, Recovered, each_record, encode, encode_believed, encode_forgotten, encode_moved,
+    encode_outcome, read_records,
 };
+use super::super::person_question::{PersonAnswer, PersonQuestion};
 use super::super::{Board, Entry};
 use super::*;
 
@@ -74,6 +77,7 @@ impl House {
         self.board.step(entry, self.now_ns, 1_000_000 * S + self.now_ns).unwrap();
         let journal = &mut self.journal;
         self.board.tell_beliefs(|believed| journal.extend(encode_believed(&believed)));
+        self.board.tell_moved(|moved| journal.extend(encode_moved(moved)));
         self.board.tell_gone(|person| journal.extend(encode_forgotten(person, false)));
         self.board.tell_outcomes(|outcome| journal.extend(encode_outcome(outcome)));
     }
@@ -1874,6 +1878,218 @@ fn the_later_line_of_a_source_counts_whatever_its_time_was_rounded_to() {
     house.now_ns -= S / 20;
     house.after(0, "Ada", "away");
     assert_eq!(house.board.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
+}
+
+/// Who is known, and whether they are in the house.
+fn presences(house: &House) -> BTreeMap<u32, Presence> {
+    let here = house.board.persons().iter().filter(|(_, known)| known.presence != Presence::Gone);
+    here.map(|(number, known)| (number, known.presence)).collect()
+}
+
+/// Somebody is forgotten, also in the journal.
+fn forget(house: &mut House, who: &str) -> PersonAnswer {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("narration.journal");
+    std::fs::write(&file, &house.journal).unwrap();
+    let options = JournalOptions { directory: directory.path().into(), bytes_max: 16 << 20, sync_ms: 1000 };
+    let (journal, _) = Journal::open(&options).unwrap();
+    let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
+    let answer = answer_about_person(&mut house.board, (Some(&journal.handle()), None), Ok(question));
+    drop(journal);
+    house.journal = std::fs::read(&file).unwrap();
+    house.step(None);
+    answer
+}
+
+const COMPANY: [&str; 5] = ["Anna", "Ben", "Igor", "Sophia", "Lukas"];
+const SAID: [&str; 24] = [
+    "They open the fridge.",
+    "They leave the house.",
+    "They come home.",
+    "NAME sits on the sofa.",
+    "NAME leaves the house.",
+    "NAME comes home.",
+    "NAME goes to bed.",
+    "NAME calls.",
+    "NAME hugs OTHER.",
+    "NAME takes OTHER home.",
+    "NAME and OTHER leave the house.",
+    "NAME cooks and OTHER leaves the house.",
+    "Everybody except NAME leaves.",
+    "Only NAME is home.",
+    "Both leave.",
+    "Both come home.",
+    "All three leave.",
+    "Everybody goes to bed.",
+    "Everybody leaves the house.",
+    "The guests leave.",
+    "The guest leaves.",
+    "I'm home!",
+    "Somebody leaves the house.",
+    "Nobody is in the kitchen.",
+];
+
+fn narrate(house: &mut House, said: &[(usize, usize, usize, bool)]) {
+    for (sentence, name, other, is_keyed) in said {
+        let text = SAID[*sentence].replace("NAME", COMPANY[*name]).replace("OTHER", COMPANY[*other]);
+        let who = if *is_keyed { COMPANY[(*name + *other) % 5] } else { "somebody" };
+        house.after(20, who, &text);
+    }
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 150, ..Default::default() })]
+
+    /// Nobody else is moved by what the home forgets of somebody, nor by who lives there from now on.
+    #[test]
+    fn who_is_forgotten_or_moves_in_moves_nobody_else(
+        said in proptest::collection::vec((0..SAID.len(), 0..5_usize, 0..5_usize, proptest::bool::weighted(0.2)), 1..14),
+        who in 0..5_usize,
+        residents in proptest::collection::vec(proptest::bool::ANY, 5),
+    ) {
+        let mut house = House::new(&["Anna", "Ben"]);
+        narrate(&mut house, &said);
+        let forgotten = house.board.persons().number_of(COMPANY[who]);
+        let mut before = presences(&house);
+        let journal = house.journal.clone();
+        forget(&mut house, COMPANY[who]);
+        let was_known = before.remove(&forgotten).is_some();
+        proptest::prop_assert_eq!(&presences(&house), &before);
+        for _ in 0..2 {
+            house.restart();
+            proptest::prop_assert_eq!(&presences(&house), &before, "{} is forgotten", COMPANY[who]);
+        }
+        let text = String::from_utf8_lossy(&house.journal).to_lowercase();
+        // Where nobody was known by the name it is a word that a sentence has.
+        proptest::prop_assert!(!was_known || !text.contains(&COMPANY[who].to_lowercase()), "{}", text);
+
+        let mut house = House::new(&["Anna", "Ben"]);
+        narrate(&mut house, &said);
+        let before = presences(&house);
+        proptest::prop_assert!(house.journal == journal);
+        let live_here = COMPANY.iter().zip(&residents).filter(|(_, lives_here)| **lives_here);
+        house.config.residents = live_here.map(|(name, _)| (*name).to_owned()).collect();
+        house.restart();
+        proptest::prop_assert_eq!(&presences(&house), &before, "{:?} live here", house.config.residents);
+    }
+}
+
+/// The journals of older daemons do not say whom their sentences moved: these are read with who is known, and once.
+#[test]
+fn an_older_journal_is_read_as_before() {
+    let mut house = House::new(&["Anna", "Ben"]);
+    for (who, what) in [("Anna", "They sit down."), ("Ben", "They sit down."), ("somebody", "Both leave.")] {
+        house.after(10, who, what);
+    }
+    let both_away = presences(&house);
+    let mut older = Vec::new();
+    each_record(&house.journal, |raw, _| {
+        if !raw.starts_with(b"RCJB") {
+            older.extend_from_slice(raw);
+        }
+    });
+    assert!(older.len() < house.journal.len());
+    house.journal = older;
+    house.restart();
+    assert_eq!(presences(&house), both_away);
+    // From now on it is known whom it moved.
+    house.config.residents.push("Igor".to_owned());
+    assert!(house.journal.windows(4).any(|letters| letters == b"RCJB"));
+    house.restart();
+    assert_eq!(presences(&house), both_away);
+}
+
+/// What is said of somebody goes with them, however their name is written there; what is said of others stays, also of who has a longer name.
+#[test]
+fn what_names_who_is_forgotten_goes_and_no_more() {
+    let keyed = [("Zoë", "They open the fridge."), ("Lena O'Neill", "They sit down."), ("Tom", "They sit down.")];
+    for (others, who, goes, stays) in [
+        (
+            &[][..],
+            "zoë",
+            &["Tom gives Zoe a kiss", "Tom takes Zoe's cup", "Tom takes ZOË’S cup", "Tom looks at Zoë"][..],
+            &["Tom sees Zoella", "Tom hugs Lena"][..],
+        ),
+        (
+            &[],
+            "lena o'neill",
+            &["Tom hugs lena_o_neill", "Tom hugs Lena O’Neill", "Tom hugs Lena", "Tom takes Lena's cup"],
+            &["Tom hugs Zoe", "Tom visits Mr. O'Neill"],
+        ),
+        (
+            &["Lena"],
+            "Lena",
+            &["Tom hugs Lena", "Tom takes Lena's cup", "Lena sits down"],
+            &["Tom hugs Lena O'Neill", "Lena O’Neill sits down", "Tom takes lena_o_neill's cup"],
+        ),
+        (
+            &["Lena"],
+            "Lena O'Neill",
+            &["Tom hugs lena_o_neill", "Lena O'Neill goes to bed"],
+            &["Tom hugs Lena", "Lena goes to bed"],
+        ),
+        (
+            &["Anna", "Anna Maria"],
+            "Anna",
+            &["Tom hugs Anna", "Anna goes to bed", "Tom greets Anna. Maria sings"],
+            &["Tom hugs Anna Maria", "Anna Maria leaves the house", "Tom takes Anna-Maria's cup"],
+        ),
+    ] {
+        let mut house = House::new(&[]);
+        for (who, what) in keyed {
+            house.after(1, who, what);
+        }
+        for other in others {
+            house.after(1, other, "They sit down.");
+        }
+        for (number, text) in goes.iter().chain(stays).enumerate() {
+            house.after(100, "Tom", &format!("{text} MARK{number:02}."));
+        }
+        let answer = forget(&mut house, who);
+        assert!(answer.done, "{answer:?}");
+        let text = String::from_utf8_lossy(&house.journal).into_owned();
+        for (number, said) in goes.iter().chain(stays).enumerate() {
+            assert_eq!(text.contains(&format!("MARK{number:02}")), number >= goes.len(), "{who}: {said}");
+        }
+    }
+    // A name that they had before the home gave them one, also where the file does not say it.
+    let mut house = House::new(&[]);
+    for (who, what) in [("ben", "They sit down."), ("Tom", "They sit down."), ("Tom", "Tom hugs Ben MARK.")] {
+        house.after(1, who, what);
+    }
+    house.board.rename(person_number("ben"), "Ana-Maria").unwrap();
+    assert_eq!(house.board.persons().file().persons()[0].former, ["ben"]);
+    house.after(1, "Tom", "Tom hugs Ana Maria MARK.");
+    house.after(1, "Tom", "Tom takes Ben's cup MARK.");
+    assert!(forget(&mut house, "ana-maria").done);
+    assert!(!String::from_utf8_lossy(&house.journal).contains("MARK"));
+}
+
+/// Where nothing is of somebody nothing is written, and nobody is said to be forgotten.
+#[test]
+fn who_was_never_known_is_not_forgotten() {
+    let mut house = House::new(&["Anna"]);
+    house.after(1, "Anna", "They sit down.");
+    let before = house.journal.clone();
+    let answer = forget(&mut house, "Ben");
+    assert!(!answer.done && answer.reason.is_some_and(|reason| reason.contains("nobody is known as")));
+    assert_eq!(house.journal, before);
+}
+
+/// Who ends in s is somebody, too, and moves nobody else.
+#[test]
+fn a_name_that_ends_as_a_verb_does_is_a_name() {
+    for name in ["Lukas", "Thomas", "Chris", "Iris", "Niklas", "Jens", "James", "Agnes"] {
+        let mut house = House::new(&[]);
+        house.after(1, "somebody", "Anna goes to bed.");
+        house.after(1, "Lily", "away");
+        let before = presences(&house);
+        house.after(60, "somebody", &format!("{name} comes home."));
+        house.after(60, "somebody", &format!("{name} opens the fridge."));
+        let mut after = presences(&house);
+        assert_eq!(after.remove(&person_number(name)), Some(Presence::Present), "{name}");
+        assert_eq!(after, before, "{name}");
+    }
 }
 
 /// Messages and narration have one word for a presence.
