@@ -6,10 +6,14 @@
 //! Whoever is out of the house is in no partition: their probabilities are 0, and the others' scores are as if those others were alone. What
 //! they did before they left does not say what they do when they are back.
 //!
+//! Where many persons' windows have changed, [`Pipeline::score_within`] asks the model about some of them, and the next call about others.
+//! Scores are of whole windows all the same: those of a person who waits are of the window before. No narration counts as included before
+//! every person of whom it tells has been scored with it.
+//!
 //! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
 //! this one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
@@ -20,13 +24,15 @@ use crate::prompt::{BindingSequence, write_prompt};
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::correction::{Correction, CorrectionChoice};
 use crate::scorer::{
-    DecodeStats, IsStopped, LabelScores, LanguageModel, Method, ModelError, ModelInfo, PreparedLabels, ScoreError,
-    Scorer, TextStart, TokenCounter, Tokenisation,
+    DecodeStats, IsStopped, LabelScores, LanguageModel, Method, ModelError, ModelInfo, PreparedLabels, Progress,
+    ScoreError, Scorer, TextStart, TokenCounter, Tokenisation,
 };
 use crate::semantic_map::SemanticMap;
 
 /// Most starts of narration sources that scores name; the one heard longest ago makes room for a new one.
 pub const SOURCES_MAX: usize = 64;
+/// So many steps of what a source said wait for their scores apart from each other; the newest ones wait together.
+const TRAIL_MAX: usize = 32;
 
 /// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
 #[derive(Debug, thiserror::Error)]
@@ -197,6 +203,37 @@ enum Due {
     Scoring,
 }
 
+/// What a person's scores do not contain yet, of one start of a source: from this narration on.
+#[derive(Debug, Clone, Copy)]
+struct Unscored {
+    source: u64,
+    epoch: u64,
+    sequence: u64,
+    /// The number of the voice that it was heard as.
+    voice: u64,
+}
+
+/// What was heard of one start of a source.
+#[derive(Debug)]
+struct Heard {
+    /// The last of what the scores contain, and all before it.
+    included: Option<Included>,
+    /// What came after it, oldest first.
+    trail: VecDeque<Included>,
+    /// The newest scores do not contain all of it.
+    is_late: bool,
+}
+
+impl Heard {
+    fn newest(&self) -> Option<&Included> {
+        self.trail.back().or(self.included.as_ref())
+    }
+
+    fn is_of(&self, source: u64, epoch: u64) -> bool {
+        self.newest().is_some_and(|newest| (newest.source, newest.epoch) == (source, epoch))
+    }
+}
+
 #[derive(Debug)]
 struct Person {
     id: u32,
@@ -208,6 +245,12 @@ struct Person {
     /// Kept only where partial answers are asked for.
     certified: Option<Certified>,
     due: Due,
+    /// The turns of the first and the newest narration that wait for the scores.
+    waits_from: u64,
+    waits_until: u64,
+    unscored: Vec<Unscored>,
+    /// They had scores of the map before, and have none of the map in use yet.
+    is_owed: bool,
     /// Of the scores, among those of all persons.
     number: u64,
     /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
@@ -227,11 +270,39 @@ impl Person {
             upper_log_score_nats: Vec::new(),
             certified: None,
             due: Due::Scoring,
+            waits_from: 0,
+            waits_until: 0,
+            unscored: Vec::new(),
+            is_owed: false,
             number: 0,
             prompt: String::new(),
             sentence_ends: Vec::new(),
             window: 0,
         }
+    }
+
+    /// The model has to be asked about them.
+    fn waits(&self) -> bool {
+        self.at_home && self.due == Due::Scoring
+    }
+
+    /// They have scores of the map in use.
+    fn is_scored(&self) -> bool {
+        !self.grounded.partition_probability.is_empty()
+    }
+
+    /// For whom the model would be asked about them: for those who told of them, and for nobody where time alone has changed their scores.
+    fn voices(&self) -> impl Iterator<Item = u64> {
+        let of_none = self.unscored.is_empty().then_some(Voice::EARLIER.number);
+        self.unscored.iter().map(|own| own.voice).chain(of_none)
+    }
+
+    /// The model has to be asked about them from this turn on.
+    fn wait_from(&mut self, turn: u64) {
+        if self.due != Due::Scoring {
+            self.waits_from = turn;
+        }
+        (self.due, self.waits_until) = (Due::Scoring, turn);
     }
 
     /// Writes the prompt for what is known of the person.
@@ -348,6 +419,12 @@ pub struct Pipeline<M> {
     turns: u64,
     /// How often persons' scores were grounded.
     groundings: u64,
+    /// What was heard of each start of a source.
+    heard: Vec<Heard>,
+    newest_observed_ns: u64,
+    /// Tokens that the model was given for each voice whose persons wait, and where the one stood that was served last.
+    given: BTreeMap<u64, u64>,
+    given_last: u64,
     /// Per start of a source up to which sequence a former run has dealt with it, and does not tell of it any more.
     settled: BTreeMap<(u64, u64), u64>,
     answers: PreparedAnswers,
@@ -379,6 +456,10 @@ impl<M: LanguageModel> Pipeline<M> {
             is_unread: false,
             turns: 0,
             groundings: 0,
+            heard: Vec::new(),
+            newest_observed_ns: 0,
+            given: BTreeMap::new(),
+            given_last: 0,
             settled: BTreeMap::new(),
             answers: PreparedAnswers::default(),
             scores: Scores::default(),
@@ -445,6 +526,7 @@ impl<M: LanguageModel> Pipeline<M> {
             // Of the old map's partitions.
             person.grounded = GroundedScores::default();
             person.due = person.due.max(due);
+            person.is_owed = true;
         }
         Ok(prepared)
     }
@@ -466,13 +548,36 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// Each person's own scores, as far as the map in use has given them any, in the order of their numbers.
     pub fn persons(&self) -> impl Iterator<Item = PersonScores<'_>> {
-        self.persons.iter().map(Person::view).filter(|person| !person.grounded.partition_probability.is_empty())
+        self.persons.iter().filter(|person| person.is_scored()).map(Person::view)
     }
 
     /// One person's own scores, if they have any.
     #[must_use]
     pub fn person(&self, person: u32) -> Option<PersonScores<'_>> {
         self.persons().find(|scores| scores.person == person)
+    }
+
+    /// Whether the model has to be asked about a person: their scores are of what they did before, or there are none yet.
+    #[must_use]
+    pub fn waits(&self, person: u32) -> bool {
+        self.persons.iter().any(|own| own.id == person && own.waits())
+    }
+
+    /// Whether the model has to be asked about anybody.
+    #[must_use]
+    pub fn is_behind(&self) -> bool {
+        self.persons.iter().any(Person::waits)
+    }
+
+    /// Whether somebody who had scores of the map before has none of the map in use.
+    #[must_use]
+    pub fn is_owing(&self) -> bool {
+        self.persons.iter().any(|own| own.at_home && own.is_owed)
+    }
+
+    /// Has `moved` called after each call of the decoder: a thread that works so long is not taken for one that stands still.
+    pub fn watch(&mut self, moved: Progress) {
+        self.scorer.watch(moved);
     }
 
     /// Counts the tokens that a sentence costs, on any thread; with the one behind it that is held against
@@ -553,6 +658,7 @@ impl<M: LanguageModel> Pipeline<M> {
 
     fn enter_of(&mut self, voice: Voice, observation: Observation, tokens: Option<usize>) {
         let (person, presence) = (observation.person, observation.said.presence());
+        let Observation { source, epoch, sequence, .. } = observation;
         if presence == Presence::Gone {
             self.forget_person(person);
             return;
@@ -568,7 +674,8 @@ impl<M: LanguageModel> Pipeline<M> {
         };
         let place = self.persons.binary_search_by_key(&person, |known| known.id);
         let place = place.unwrap_or_else(|place| {
-            self.persons.insert(place, Person::new(person));
+            self.persons
+                .insert(place, Person { waits_from: self.turns, waits_until: self.turns, ..Person::new(person) });
             place
         });
         let own = &mut self.persons[place];
@@ -578,7 +685,14 @@ impl<M: LanguageModel> Pipeline<M> {
         }
         if changed || own.at_home != at_home {
             own.at_home = at_home;
-            own.due = if at_home { Due::Scoring } else { Due::Grounding };
+            if at_home {
+                own.wait_from(self.turns);
+            } else {
+                own.due = Due::Grounding;
+            }
+        }
+        if own.due != Due::Nothing && !own.unscored.iter().any(|known| (known.source, known.epoch) == (source, epoch)) {
+            own.unscored.push(Unscored { source, epoch, sequence, voice: voice.number });
         }
         self.persons.retain(|p| self.histories.get(p.id).is_some());
     }
@@ -591,8 +705,14 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// All that was heard so far is of a former run: whose voice it was is not known any more.
+    ///
+    /// Of those about whom the model has not been asked since, whoever was heard of last comes first.
     pub fn forget_voices(&mut self) {
         self.histories.forget_voices();
+        for own in &mut self.persons {
+            own.unscored.iter_mut().for_each(|unscored| unscored.voice = Voice::EARLIER.number);
+            own.waits_from = u64::MAX - own.waits_until;
+        }
     }
 
     /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
@@ -600,29 +720,29 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn end_window(&mut self, person: u32) -> bool {
         let ended = self.histories.get_mut(person).is_some_and(|history| history.end() > 0);
         if let Some(own) = self.persons.iter_mut().find(|own| ended && own.id == person) {
-            own.due = Due::Scoring;
+            own.wait_from(self.turns);
         }
         ended
     }
 
     /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
     pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        let included = self.included(source, epoch);
-        included.sequence = included.sequence.max(sequence);
+        self.note(source, epoch, |included| included.sequence = included.sequence.max(sequence));
     }
 
     /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
     pub fn include(&mut self, observation: &Observation, voice: Voice) {
         let settled = self.settled_of(observation.source, observation.epoch);
         let observed_ns = observation.observed_ns;
-        self.scores.newest_observed_ns = self.scores.newest_observed_ns.max(observed_ns);
+        self.newest_observed_ns = self.newest_observed_ns.max(observed_ns);
         self.turns += 1;
         let turn = self.turns;
-        let included = self.included(observation.source, observation.epoch);
-        // What was refused after it may be named already.
-        included.sequence = included.sequence.max(observation.sequence);
-        included.accepted += u64::from(observation.sequence > settled);
-        (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
+        self.note(observation.source, observation.epoch, |included| {
+            // What was refused after it may be named already.
+            included.sequence = included.sequence.max(observation.sequence);
+            included.accepted += u64::from(observation.sequence > settled);
+            (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
+        });
     }
 
     /// Takes note up to which sequence a former run has dealt with the starts of sources. Which of it was accepted nobody can say any more, so
@@ -635,26 +755,61 @@ impl<M: LanguageModel> Pipeline<M> {
         self.settled.get(&(source, epoch)).copied().unwrap_or_default()
     }
 
-    /// The place of one start of a source, known or new.
-    fn included(&mut self, source: u64, epoch: u64) -> &mut Included {
+    /// Takes note of what was heard of one start of a source, known or new, until the scores contain it.
+    fn note(&mut self, source: u64, epoch: u64, change: impl FnOnce(&mut Included)) {
         let accepted = self.settled_of(source, epoch);
-        let sources = &mut self.scores.included;
-        let known = sources.iter().position(|i| (i.source, i.epoch) == (source, epoch));
+        let known = self.heard.iter().position(|heard| heard.is_of(source, epoch));
         let place = known.unwrap_or_else(|| {
-            if sources.len() >= SOURCES_MAX
-                && let Some(oldest) = (0..sources.len()).min_by_key(|&i| sources[i].turn)
+            let turn = |heard: &Heard| heard.newest().map_or(0, |newest| newest.turn);
+            if self.heard.len() >= SOURCES_MAX
+                && let Some(oldest) = (0..self.heard.len()).min_by_key(|&i| turn(&self.heard[i]))
             {
-                sources.swap_remove(oldest);
+                self.heard.swap_remove(oldest);
             }
-            sources.push(Included { source, epoch, sequence: 0, observed_ns: 0, accepted, voice: 0, turn: 0 });
-            sources.len() - 1
+            self.heard.push(Heard { included: None, trail: VecDeque::new(), is_late: false });
+            self.heard.len() - 1
         });
-        &mut sources[place]
+        let heard = &mut self.heard[place];
+        let none = Included { source, epoch, sequence: 0, observed_ns: 0, accepted, voice: 0, turn: 0 };
+        let mut newest = heard.newest().copied().unwrap_or(none);
+        change(&mut newest);
+        if heard.trail.len() >= TRAIL_MAX {
+            heard.trail.pop_back();
+        }
+        heard.trail.push_back(newest);
+    }
+
+    /// Says what the newest scores include: of each source all before the first narration with which somebody has not been scored.
+    fn tell_included(&mut self) {
+        let Self { heard, persons, scores, turns, .. } = self;
+        scores.included.clear();
+        let mut is_late = false;
+        for own in heard {
+            let Some(&Included { source, epoch, .. }) = own.newest() else { continue };
+            let unscored = persons.iter().flat_map(|person| &person.unscored);
+            let first = unscored.filter(|known| (known.source, known.epoch) == (source, epoch));
+            let first = first.map(|known| known.sequence).min().unwrap_or(u64::MAX);
+            let news = own.trail.iter().take_while(|next| next.sequence < first).count();
+            if let Some(mut included) = own.trail.drain(..news).next_back() {
+                if own.is_late {
+                    // It is news now, however long ago it was heard.
+                    *turns += 1;
+                    included.turn = *turns;
+                }
+                own.included = Some(included);
+            }
+            own.is_late = !own.trail.is_empty();
+            is_late |= own.is_late;
+            scores.included.extend(own.included);
+        }
+        let observed_ns = scores.included.iter().map(|included| included.observed_ns).max().unwrap_or_default();
+        let newest_ns = if is_late { observed_ns } else { self.newest_observed_ns };
+        scores.newest_observed_ns = scores.newest_observed_ns.max(newest_ns);
     }
 
     /// Forgets a start of a source, which gave way to another one.
     pub fn forget_source(&mut self, source: u64, epoch: u64) {
-        self.scores.included.retain(|i| (i.source, i.epoch) != (source, epoch));
+        self.heard.retain(|heard| !heard.is_of(source, epoch));
     }
 
     /// Forgets a person, for instance one who has left the map.
@@ -671,67 +826,120 @@ impl<M: LanguageModel> Pipeline<M> {
     /// # Errors
     /// When the model fails. The histories stay, and the next step scores what this one could not.
     pub fn score(&mut self) -> Result<&Scores, PipelineError> {
+        self.score_within(u64::MAX)
+    }
+
+    /// As [`Pipeline::score`], but once `patience_ns` have passed the model is asked about nobody else: the next call goes on
+    /// ([`Pipeline::is_behind`]). One is always asked about.
+    ///
+    /// Whoever tells of many persons delays others' persons by one prompt at most: of all voices, the one comes next for which the model has
+    /// read least, and of its persons the one who has waited longest.
+    ///
+    /// # Errors
+    /// As [`Pipeline::score`].
+    pub fn score_within(&mut self, patience_ns: u64) -> Result<&Scores, PipelineError> {
         let now = self.scorer.model().clock();
         let start = now();
         let mut timing = Timing::default();
         self.scores.stats = DecodeStats::default();
         (self.scores.prompt_tokens, self.scores.asked, self.scores.prepared) = (0, 0, 0);
-        let is_exact = self.keeps_answers();
+        if self.persons.is_empty() {
+            let mut nobody = std::mem::replace(&mut self.nobody, Person::new(0));
+            let asked = if nobody.waits() { self.ask(&mut nobody, start, &mut timing) } else { Ok(()) };
+            self.nobody = nobody;
+            asked?;
+        }
+        while let Some((place, voice)) = self.next_person() {
+            if self.scores.asked > 0 && now().saturating_sub(start) >= patience_ns {
+                break;
+            }
+            let before = self.scores.stats;
+            let mut person = std::mem::replace(&mut self.persons[place], Person::new(0));
+            let asked = self.ask(&mut person, start, &mut timing);
+            self.persons[place] = person;
+            asked?;
+            let stats = self.scores.stats;
+            let given = (stats.prompt_tokens_decoded - before.prompt_tokens_decoded)
+                + (stats.tree_tokens_decoded - before.tree_tokens_decoded);
+            self.given_last = self.given_of(voice);
+            self.given.insert(voice, self.given_last + u64::from(given));
+        }
+        let grounding = now();
         let persons = match self.persons.as_mut_slice() {
             [] => std::slice::from_mut(&mut self.nobody),
             persons => persons,
         };
-        for person in persons.iter_mut().filter(|p| p.due == Due::Scoring && p.at_home) {
-            let writing = now();
-            person.write_prompt(self.histories.get(person.id), &self.options);
-            timing.tokenise_ns += now().saturating_sub(writing);
-            self.scores.asked += 1;
-            let is_prepared = is_exact
-                && self.answers.take(&person.prompt, |answer| {
-                    std::mem::swap(&mut person.scores, &mut answer.scores);
-                    self.scorer.exchange_nodes(&mut answer.node_log_prob_nats);
-                });
-            (self.read, self.is_unread) = (Some(person.id), is_prepared);
-            if is_prepared {
-                person.due = Due::Grounding;
-                self.scores.prompt_tokens += person.scores.prompt_tokens;
-                self.scores.prepared += 1;
-                continue;
-            }
-            if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
-                let state =
-                    (person.certified).get_or_insert_with(|| Certified::new(&self.prepared, &self.grounding.weights));
-                let deadline_ns = start.saturating_add(self.options.deadline_ns);
-                self.scorer.score_certified(
-                    &self.prepared,
-                    state,
-                    &person.prompt,
-                    self.options.effort,
-                    Some(deadline_ns),
-                    &mut person.scores,
-                )?;
-            } else {
-                self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
-            }
-            person.due = Due::Grounding;
-            timing.tokenise_ns += person.scores.tokenise_ns;
-            timing.prefix_ns += person.scores.prefix_ns;
-            timing.trie_ns += person.scores.trie_ns;
-            self.scores.prompt_tokens += person.scores.prompt_tokens;
-            self.scores.stats += person.scores.stats;
-        }
-        let grounding = now();
-        for person in persons.iter_mut().filter(|p| p.due != Due::Nothing) {
+        for person in persons.iter_mut().filter(|p| p.due != Due::Nothing && !p.waits()) {
             person.ground(&self.grounding)?;
-            person.due = Due::Nothing;
+            (person.due, person.is_owed) = (Due::Nothing, false);
+            person.unscored.clear();
             self.groundings += 1;
             person.number = self.groundings;
         }
         together(persons, &mut self.scores);
+        self.tell_included();
+        let persons = &self.persons;
+        self.given
+            .retain(|voice, _| persons.iter().any(|own| own.waits() && own.voices().any(|other| other == *voice)));
         timing.ground_ns = now().saturating_sub(grounding);
         timing.total_ns = now().saturating_sub(start);
         self.scores.timing = timing;
         Ok(&self.scores)
+    }
+
+    /// How much the model has read for a voice; for one that has not waited so far, as much as for the one that was served last.
+    fn given_of(&self, voice: u64) -> u64 {
+        self.given.get(&voice).copied().unwrap_or(self.given_last)
+    }
+
+    /// About whom the model is asked next, and for whose voice.
+    fn next_person(&self) -> Option<(usize, u64)> {
+        let waiting = self.persons.iter().enumerate().filter(|(_, own)| own.waits());
+        let ways = waiting.flat_map(|(place, own)| own.voices().map(move |voice| (place, voice)));
+        ways.min_by_key(|(place, voice)| (self.given_of(*voice), self.persons[*place].waits_from, *place))
+    }
+
+    /// Asks the model about one person, in a step that began at `start`.
+    fn ask(&mut self, person: &mut Person, start: u64, timing: &mut Timing) -> Result<(), PipelineError> {
+        let now = self.scorer.model().clock();
+        let writing = now();
+        person.write_prompt(self.histories.get(person.id), &self.options);
+        timing.tokenise_ns += now().saturating_sub(writing);
+        self.scores.asked += 1;
+        let is_prepared = self.keeps_answers()
+            && self.answers.take(&person.prompt, |answer| {
+                std::mem::swap(&mut person.scores, &mut answer.scores);
+                self.scorer.exchange_nodes(&mut answer.node_log_prob_nats);
+            });
+        (self.read, self.is_unread) = (Some(person.id), is_prepared);
+        if is_prepared {
+            person.due = Due::Grounding;
+            self.scores.prompt_tokens += person.scores.prompt_tokens;
+            self.scores.prepared += 1;
+            return Ok(());
+        }
+        if self.options.method == Method::Trie && self.options.effort != Effort::Exact {
+            let state =
+                (person.certified).get_or_insert_with(|| Certified::new(&self.prepared, &self.grounding.weights));
+            let deadline_ns = start.saturating_add(self.options.deadline_ns);
+            self.scorer.score_certified(
+                &self.prepared,
+                state,
+                &person.prompt,
+                self.options.effort,
+                Some(deadline_ns),
+                &mut person.scores,
+            )?;
+        } else {
+            self.scorer.score(&self.prepared, &person.prompt, self.options.method, &mut person.scores)?;
+        }
+        person.due = Due::Grounding;
+        timing.tokenise_ns += person.scores.tokenise_ns;
+        timing.prefix_ns += person.scores.prefix_ns;
+        timing.trie_ns += person.scores.trie_ns;
+        self.scores.prompt_tokens += person.scores.prompt_tokens;
+        self.scores.stats += person.scores.stats;
+        Ok(())
     }
 
     /// Whether answers can be prepared: exact ones by the trie.
@@ -823,11 +1031,12 @@ fn prepare<M: LanguageModel>(
     Ok((prepared, context - needed))
 }
 
-/// The scores of all persons who are in the house together; without anybody there, no partition is likely.
+/// The scores of all persons together who are in the house and have scores; without anybody there, no partition is likely.
 fn together(persons: &[Person], scores: &mut Scores) {
-    let at_home = || persons.iter().filter(|person| person.at_home);
+    let scored = || persons.iter().filter(|person| person.is_scored());
+    let at_home = || scored().filter(|person| person.at_home);
     let count = at_home().count();
-    let Some(first) = at_home().next().or(persons.first()) else { return };
+    let Some(first) = at_home().next().or(scored().next()) else { return };
     if count <= 1 {
         scores.label_log_prob_nats.clone_from(&first.scores.log_prob_nats);
         scores.grounded.copy_from(&first.grounded);
@@ -947,6 +1156,79 @@ mod tests {
         fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
             Ok(Some(Self(self.0.clone())))
         }
+    }
+
+    thread_local! {
+        static PROMPTS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+    }
+
+    /// Whose clock moves on by 1 with every prompt.
+    #[derive(Debug)]
+    struct Slow(TableModel);
+
+    impl LanguageModel for Slow {
+        fn info(&self) -> &ModelInfo {
+            self.0.info()
+        }
+
+        fn clock(&self) -> crate::scorer::Clock {
+            || PROMPTS.get()
+        }
+
+        fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+            self.0.tokenise(text, start, out)
+        }
+
+        fn token_text(&self, token: Token) -> String {
+            self.0.token_text(token)
+        }
+
+        fn forget(&mut self) {}
+
+        fn decode(
+            &mut self,
+            prompt: &[Token],
+            tree: &TokenTree,
+            want_prompt_row: bool,
+            visit: &mut dyn FnMut(usize, &[f32]),
+        ) -> Result<DecodeStats, ModelError> {
+            PROMPTS.set(PROMPTS.get() + 1);
+            self.0.decode(prompt, tree, want_prompt_row, visit)
+        }
+
+        fn tidy(&mut self, _keep: usize) {}
+    }
+
+    /// Somebody who tells of many persons, also of one of another's, delays the other by one prompt at most.
+    #[test]
+    fn who_tells_of_many_persons_delays_nobody_elses() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut pipeline = pipeline_of(Slow(TableModel::new(7)), &map, Effort::Exact, CORRECTED);
+        pipeline.score().unwrap();
+        let told = |source: u64, number: u64, person: u32| Observation { source, ..observation(number, person) };
+        let (mut invented, mut own) = (0, 0);
+        for _ in 0..20 {
+            let of_invented: Vec<_> =
+                (0..6).map(|n| told(9, invented + n + 1, 2 + (invented + n) as u32 % 60)).collect();
+            invented += 6;
+            pipeline.observe(of_invented);
+            pipeline.score_within(1).unwrap();
+            own += 1;
+            pipeline.observe([told(5, own, 1)]);
+            for _ in 0..2 {
+                pipeline.score_within(1).unwrap();
+                assert_eq!(pipeline.scores().asked, 1);
+            }
+            assert!(!pipeline.waits(1) && pipeline.is_behind());
+            let claim = |source: u64| pipeline.scores().included.iter().find(|known| known.source == source);
+            assert_eq!(claim(5).map(|claim| claim.sequence), Some(own));
+            assert!(claim(9).is_some_and(|claim| claim.sequence < invented));
+        }
+        // No flood ends the others' turns: who was told of is scored, and confirmed.
+        while pipeline.is_behind() {
+            pipeline.score_within(1).unwrap();
+        }
+        assert!(pipeline.scores().included.iter().any(|claim| (claim.source, claim.sequence) == (9, invented)));
     }
 
     fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
@@ -1275,6 +1557,64 @@ mod tests {
             }
             for (free, p) in free.iter().zip(&with.scores().grounded.partition_probability) {
                 prop_assert!((1.0 - free) - 1e-12 <= *p && *p <= 1.0, "{p}, and the others alone give {}", 1.0 - free);
+            }
+        }
+
+        /// However few persons a step scores, what it says is included is in the scores of everybody; after the last one the scores are those of
+        /// a step without a bound.
+        #[test]
+        fn what_is_included_is_scored(
+            said in prop::collection::vec((0u32..5, 0u64..3, 0usize..9, 0u64..4, any::<bool>()), 1..80),
+        ) {
+            let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+            let mut bounded = pipeline_of(Slow(TableModel::new(7)), &map, Effort::Exact, CORRECTED);
+            let mut free = pipeline(&map, Effort::Exact, CORRECTED);
+            bounded.score().unwrap();
+            // Per narration its source, its number there, its person, and whether they were scored with it.
+            let mut told: Vec<(u64, u64, u32, bool)> = Vec::new();
+            for (number, &(person, source, what, steps, restarts)) in (1..).zip(&said) {
+                let spoken = match what {
+                    0 => presence(number, person, "away"),
+                    1 => presence(number, person, "present"),
+                    _ => observation(number, person),
+                };
+                let next = Observation { source, ..spoken };
+                free.observe([next.clone()]);
+                bounded.observe([next]);
+                // Who is out waits for nothing, and what changes nothing does not either.
+                told.push((source, number, person, !bounded.waits(person)));
+                if restarts {
+                    bounded.forget_voices();
+                    free.forget_voices();
+                }
+                for _ in 0..steps {
+                    let before = bounded.scores().included.clone();
+                    bounded.score_within(1).unwrap();
+                    prop_assert!(bounded.scores().asked <= 1);
+                    told.iter_mut().for_each(|own| own.3 |= !bounded.waits(own.2));
+                    for claim in &bounded.scores().included {
+                        let all = told.iter().filter(|own| own.0 == claim.source && own.1 <= claim.sequence);
+                        prop_assert!(all.clone().all(|own| own.3), "{claim:?}");
+                        prop_assert_eq!(all.count() as u64, claim.accepted);
+                        let earlier = before.iter().find(|earlier| earlier.source == claim.source);
+                        prop_assert!(earlier.is_none_or(|earlier| earlier.sequence <= claim.sequence));
+                    }
+                }
+            }
+            while bounded.is_behind() {
+                bounded.score_within(1).unwrap();
+            }
+            bounded.score().unwrap();
+            free.score().unwrap();
+            let newest = |pipeline: &Scores| {
+                let of = |claim: &Included| (claim.source, claim.sequence, claim.accepted, claim.observed_ns);
+                pipeline.included.iter().map(of).collect::<std::collections::BTreeSet<_>>()
+            };
+            prop_assert_eq!(newest(bounded.scores()), newest(free.scores()));
+            prop_assert_eq!(bounded.scores().newest_observed_ns, free.scores().newest_observed_ns);
+            prop_assert_eq!(&bounded.scores().grounded.partition_probability, &free.scores().grounded.partition_probability);
+            for own in free.persons() {
+                prop_assert_eq!(values(own), values(bounded.person(own.person).unwrap()));
             }
         }
 

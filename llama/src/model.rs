@@ -29,7 +29,8 @@ use sha2::{Digest, Sha256};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{
-    Clock, DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token, TokenCounter, common_prefix,
+    Clock, DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, Progress, TextStart, Token, TokenCounter,
+    common_prefix,
 };
 
 use crate::gguf::{Header, open_plain};
@@ -179,6 +180,7 @@ pub struct LlamaModel {
     small_tokens: usize,
     /// Of one that works ahead on a thread of its own.
     is_stopped: Option<IsStopped>,
+    moved: Option<Progress>,
     add_start_token: bool,
     start_token: Token,
     sentences_apart: bool,
@@ -384,6 +386,7 @@ impl LlamaModel {
             options: options.clone(),
             small_tokens,
             is_stopped: None,
+            moved: None,
             add_start_token,
             start_token,
             sentences_apart,
@@ -445,6 +448,9 @@ impl LlamaModel {
         self.batch.clear();
         self.rows.clear();
         stats.calls += 1;
+        if let Some(moved) = &self.moved {
+            moved();
+        }
         result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
     }
 
@@ -537,6 +543,7 @@ impl LanguageModel for LlamaModel {
             info: self.info.clone(),
             options,
             is_stopped: Some(is_stopped),
+            moved: None,
             kept: Vec::new(),
             kept_sequences: 1,
             untidy: false,
@@ -545,6 +552,10 @@ impl LanguageModel for LlamaModel {
             tokens: RefCell::new(Vec::new()),
             ..*self
         }))
+    }
+
+    fn watch(&mut self, moved: Progress) {
+        self.moved = Some(moved);
     }
 
     fn tidy(&mut self, keep: usize) {

@@ -135,6 +135,9 @@ pub type TokenCounter = Arc<dyn Fn(&str) -> usize + Send + Sync>;
 /// Whether work for which nobody waits is to stop.
 pub type IsStopped = Arc<dyn Fn() -> bool + Send + Sync>;
 
+/// Whom work tells that it goes on.
+pub type Progress = Arc<dyn Fn() + Send + Sync>;
+
 /// What the scoring algorithm needs of a model.
 pub trait LanguageModel {
     /// What the model says of itself.
@@ -207,6 +210,9 @@ pub trait LanguageModel {
     {
         Ok(None)
     }
+
+    /// Has `moved` called after each call of the decoder. By the one given here nothing takes so long that anybody waits for it.
+    fn watch(&mut self, _moved: Progress) {}
 
     /// Drops what the last call left behind beyond the first `keep` tokens of its prompt, all that the next prompt will have of them;
     /// called while idle.
@@ -456,6 +462,11 @@ impl<M: LanguageModel> Scorer<M> {
     /// The model.
     pub fn model(&self) -> &M {
         &self.model
+    }
+
+    /// Has `moved` called after each call of the decoder.
+    pub fn watch(&mut self, moved: Progress) {
+        self.model.watch(moved);
     }
 
     /// Forgets the kept prefix, as a fresh scorer would start.

@@ -21,7 +21,7 @@ use roomcast_core::habits::{Place as Whereabouts, WhenShares};
 use roomcast_core::narration::{Observation, Presence, SOMEBODY, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
-use roomcast_core::scorer::LanguageModel;
+use roomcast_core::scorer::{LanguageModel, Progress};
 use roomcast_core::semantic_map::SemanticMap;
 
 use messages::{NamedRooms, named_rooms};
@@ -167,7 +167,8 @@ pub struct Board<M> {
     /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
     seen: Vec<Seen>,
     unwatched: usize,
-    /// Of the narration that no step has scored yet: when its first was received, and whether some was lost before it.
+    /// Of the narration that no step has scored yet: when its first was received, of each person and of nobody, and whether some was lost before it.
+    unscored: BTreeMap<u32, u64>,
     unscored_ns: Option<u64>,
     unscored_gap: bool,
     /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
@@ -261,6 +262,7 @@ impl<M: LanguageModel> Board<M> {
             gone: Vec::new(),
             seen: Vec::new(),
             unwatched: 0,
+            unscored: BTreeMap::new(),
             unscored_ns: None,
             unscored_gap: false,
             strange_rooms: BTreeSet::new(),
@@ -302,6 +304,11 @@ impl<M: LanguageModel> Board<M> {
     pub fn with_habits(self, mut home: HomeHabits) -> Self {
         home.bind(self.pipeline.grounding());
         Self { home, ..self }
+    }
+
+    /// Has `moved` called after each call of the model's decoder.
+    pub(super) fn watch_model(&mut self, moved: Progress) {
+        self.pipeline.watch(moved);
     }
 
     /// The ids of the map's rooms, in the order in which habits have them.
@@ -839,6 +846,23 @@ impl<M: LanguageModel> Board<M> {
         now_ns: u64,
         now_unix_ns: u64,
     ) -> Result<Option<u64>, PipelineError> {
+        self.step_within(entries, now_ns, now_unix_ns, u64::MAX)
+    }
+
+    /// The same, but once `patience_ns` have passed nobody else is scored: the next step goes on ([`Pipeline::score_within`]). The snapshot then
+    /// has the last scores of those who wait, does not claim what they wait for, and says that it is behind. After a change of the map it
+    /// stays of the map before until everybody has scores of the new one.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::step`].
+    pub fn step_within(
+        &mut self,
+        entries: impl IntoIterator<Item = Entry>,
+        now_ns: u64,
+        now_unix_ns: u64,
+        patience_ns: u64,
+    ) -> Result<Option<u64>, PipelineError> {
         // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
         self.watch();
         if self.next_rooms.is_some() {
@@ -849,7 +873,6 @@ impl<M: LanguageModel> Board<M> {
         self.home.set_clock(now_ns, now_unix_ns);
         let mut costly = 0;
         for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
-            self.unscored_ns = Some(self.unscored_ns.map_or(received_ns, |first| first.min(received_ns)));
             self.unscored_gap |= after_gap;
             if let Some((source, epoch)) = leaves {
                 self.pipeline.forget_source(source, epoch);
@@ -857,6 +880,7 @@ impl<M: LanguageModel> Board<M> {
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.source, observation.epoch, observation.sequence);
+                self.unscored_ns.get_or_insert(received_ns);
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
@@ -873,6 +897,7 @@ impl<M: LanguageModel> Board<M> {
                     if let Some(own) = self.take(own, voice, is_strange, at_ns) {
                         moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
                         is_taken = true;
+                        self.unscored.entry(own.person).or_insert(received_ns);
                         self.pipeline.enter(voice, own);
                     }
                 }
@@ -880,6 +905,9 @@ impl<M: LanguageModel> Board<M> {
             // What moves nobody may be of one who is away, and calls.
             if observed.is_some() || !is_taken {
                 self.moved.push(Moved { observation: name, moves });
+            }
+            if !is_taken {
+                self.unscored_ns.get_or_insert(received_ns);
             }
         }
         if costly > 0 {
@@ -893,17 +921,29 @@ impl<M: LanguageModel> Board<M> {
             self.follow();
         }
         self.lapse(now_ns);
-        if let Err(error) = self.pipeline.score() {
+        if let Err(error) = self.pipeline.score_within(patience_ns) {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
             self.count_prepared();
             return Err(error);
         }
+        if self.next_rooms.is_some() && self.pipeline.is_owing() {
+            self.count_prepared();
+            return Ok(None);
+        }
         self.adopt_map();
-        self.home.rescored(&self.rescored);
+        let pipeline = &self.pipeline;
+        self.rescored.iter().filter(|person| !pipeline.waits(**person)).for_each(|person| self.home.rescored(*person));
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns;
         self.snapshot.computed_unix_ns = now_unix_ns;
-        let received_ns = self.unscored_ns.take();
+        let mut received_ns = self.unscored_ns.take();
+        self.unscored.retain(|person, first_ns| {
+            let waits = pipeline.waits(*person);
+            if !waits {
+                received_ns = Some(received_ns.map_or(*first_ns, |before_ns| before_ns.min(*first_ns)));
+            }
+            waits
+        });
         self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
         self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
         self.snapshot.flags = if std::mem::take(&mut self.unscored_gap) { score_flags::GAP } else { 0 };
@@ -957,8 +997,11 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn tell_expected(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         self.watch();
         let map = self.map_number();
-        let (recalled, said) = (std::mem::take(&mut self.recalled), std::mem::take(&mut self.said));
-        for person in self.rescored.drain(..) {
+        let (recalled, said) = (self.recalled, &self.said);
+        self.rescored.retain(|&person| {
+            if self.pipeline.waits(person) {
+                return true;
+            }
             // Of who is out it says whose the observation is.
             let own = self.pipeline.person(person).filter(|own| own.at_home);
             let expected = self.followed.get(&person).and_then(Forecaster::expected);
@@ -967,10 +1010,16 @@ impl<M: LanguageModel> Board<M> {
             // And what a daemon that was killed did not tell, or lost with the power, is told now.
             let is_same = said.get(&person).is_some_and(|said| own.is_none_or(|own| are_alike(said, own)));
             let is_said = |restored| recalled && restored && is_same;
-            let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) else { continue };
-            let probability = own.unwrap_or_default();
-            let (source, epoch, sequence) = known.last;
-            tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
+            if let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) {
+                let probability = own.unwrap_or_default();
+                let (source, epoch, sequence) = known.last;
+                tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
+            }
+            false
+        });
+        if !self.pipeline.is_behind() {
+            self.recalled = false;
+            self.said.clear();
         }
     }
 

@@ -12,6 +12,8 @@ use roomcast_core::scorer::LanguageModel;
 
 /// So much narration is taken by one step at most: scores, heartbeats and signs of life do not wait for all of a flood.
 const STEP_ENTRIES_MAX: usize = 512;
+/// Once a step has taken so long, the model is asked about nobody else in it, for the same reason: one narrator may tell of many persons.
+const STEP_NS_MAX: u64 = 250_000_000;
 /// A failing scorer is tried again after this.
 const RETRY_NS: u64 = 1_000_000_000;
 
@@ -25,7 +27,7 @@ pub struct Cycle<M> {
     entered_record: u64,
     /// The same of the newest record that the scores rest on: an observation, or whose one is.
     scored_record: u64,
-    /// There is something to score: new narration, a step that failed, or nothing scored yet.
+    /// There is something to score: new narration, persons whom no step had time for, a step that failed, or nothing scored yet.
     due: bool,
     retry_ns: u64,
     /// The newest scores were not sent yet.
@@ -98,7 +100,8 @@ impl<M: LanguageModel> Cycle<M> {
         due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
 
-    /// Takes what waits in, as much as a step takes at most, and scores once.
+    /// Takes what waits in, as much as a step takes at most, and scores once: so many persons as there is time for, at least one. Another step
+    /// is due at once where there is more.
     ///
     /// # Errors
     ///
@@ -111,7 +114,8 @@ impl<M: LanguageModel> Cycle<M> {
             *entered_record = (*entered_record).max(record);
             entry
         });
-        match self.board.step(entries, now_ns, now_unix_ns) {
+        let sequence = self.board.snapshot().sequence;
+        match self.board.step_within(entries, now_ns, now_unix_ns, STEP_NS_MAX) {
             Ok(received_ns) => self.received_ns = received_ns,
             Err(error) => {
                 if !failed_before {
@@ -123,8 +127,8 @@ impl<M: LanguageModel> Cycle<M> {
                 return Err(error);
             }
         }
-        self.due = !self.waiting.is_empty();
-        self.fresh = true;
+        self.due = !self.waiting.is_empty() || self.board.pipeline().is_behind();
+        self.fresh |= self.board.snapshot().sequence > sequence;
         self.scored_record = self.scored_record.max(self.entered_record);
         Ok(())
     }

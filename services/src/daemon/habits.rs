@@ -463,10 +463,10 @@ impl HomeHabits {
         }
     }
 
-    /// These persons' scores are new.
-    pub(super) fn rescored(&mut self, persons: &[u32]) {
+    /// A person's scores are new.
+    pub(super) fn rescored(&mut self, person: u32) {
         if !self.is_idle() {
-            self.rescored.extend_from_slice(persons);
+            self.rescored.push(person);
         }
     }
 

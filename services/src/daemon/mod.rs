@@ -186,6 +186,8 @@ fn run_with<M: LanguageModel + Send + 'static>(
         desk: ahead.is_some().then_some(desk),
         stop: stop.clone(),
     };
+    let moved_ns = Arc::clone(&progress.scoring_ns);
+    cycle.board_mut().watch_model(Arc::new(move || moved_ns.store(clock::monotonic_ns(), Ordering::Relaxed)));
     let inbox = Inbox::new(narration, intake, journal, counters);
     let (inbox, relief) = Lending::new(inbox, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
     let mut scoring = Scoring::new(cycle, ports, inbox, tools, tally);

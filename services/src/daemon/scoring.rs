@@ -196,7 +196,7 @@ impl<M: LanguageModel> Scoring<M> {
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
             }
-            if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 {
+            if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns()) {
                 self.look_after_habits(now_ns);
                 self.use_silence();
             }
@@ -270,7 +270,8 @@ impl<M: LanguageModel> Scoring<M> {
                 "the journal is slower than the scorer; narration is confirmed when it is written"
             );
         }
-        true
+        // Not while some have no scores of a changed map yet.
+        self.cycle.board().is_scored()
     }
 
     /// Writes down what is expected of whom, and who is gone, so that a restart believes the same.

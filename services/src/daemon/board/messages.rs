@@ -123,6 +123,9 @@ impl<M: LanguageModel> Board<M> {
 
     /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
     pub fn message(&mut self, now_ns: u64, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
+        // What a failed scorer is behind with has a flag of its own.
+        let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.is_behind();
+        let behind = behind || waits;
         let message = &mut self.snapshot;
         message.published_ns = now_ns;
         message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);

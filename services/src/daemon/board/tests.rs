@@ -11,7 +11,7 @@ use roomcast_core::narration::{SOMEBODY, Sentence};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
-use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
+use roomcast_core::scorer::{Clock, DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
@@ -618,6 +618,114 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     board.step([], 30 * S, 30 * S).unwrap();
     let after = board.forecast(30 * S).probability[1][0];
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
+}
+
+thread_local! {
+    static PROMPTS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// Every prompt takes it 400 ms, by its own clock.
+#[derive(Debug)]
+struct Slow(TableModel);
+
+impl LanguageModel for Slow {
+    fn info(&self) -> &ModelInfo {
+        self.0.info()
+    }
+
+    fn clock(&self) -> Clock {
+        || PROMPTS.get() * 400_000_000
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.0.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.0.token_text(token)
+    }
+
+    fn forget(&mut self) {}
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        PROMPTS.set(PROMPTS.get() + 1);
+        self.0.decode(prompt, tree, want_prompt_row, visit)
+    }
+
+    fn tidy(&mut self, _keep: usize) {}
+}
+
+fn slow_board() -> Board<Slow> {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let pipeline = Pipeline::new(Slow(TableModel::new(7)), grounding, PipelineOptions::default()).unwrap();
+    Board::new(pipeline, map, options, 1).unwrap()
+}
+
+/// Between any two steps the daemon hears, sends and shows that it lives: no step may ask the model about everybody, in a flood, after a start
+/// and with a changed map.
+#[test]
+fn a_step_scores_few_persons_and_claims_no_others() {
+    const INVENTED: u64 = 40;
+    let mut cycle = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
+    let heard = |source: u64, sequence: u64, person: u32| Observation {
+        source,
+        epoch: 1,
+        sequence,
+        ..observation(person, 10 * S + sequence, "They open the fridge.")
+    };
+    let claim = |message: &RoomScoresV1, source: u64| {
+        let own = message.included().iter().find(|own| own.source == source);
+        own.map_or(0, |own| own.sequence)
+    };
+    let step = |cycle: &mut crate::daemon::cycle::Cycle<Slow>| {
+        let before = PROMPTS.get();
+        cycle.step(20 * S, 1_000_020 * S).unwrap();
+        assert!(PROMPTS.get() - before <= 1);
+        cycle.board_mut().tell_outcomes(|_| {});
+        cycle.message(20 * S, u64::MAX, false).copied()
+    };
+    let flood = (1..=INVENTED).map(|n| heard(9, n, 10 + n as u32));
+    flood.clone().for_each(|invented| cycle.enter(Entry::new(invented, 20 * S), 0));
+    let first = step(&mut cycle).unwrap();
+    assert!(cycle.step_due(20 * S) && first.has(score_flags::BEHIND) && claim(&first, 9) == 1);
+    cycle.enter(Entry::new(heard(5, 1, 1), 20 * S), 0);
+    assert_eq!([(); 2].map(|()| claim(&step(&mut cycle).unwrap(), 5))[1], 1);
+    let mut last = first;
+    for _ in 0..INVENTED {
+        last = step(&mut cycle).unwrap_or(last);
+    }
+    assert!(!cycle.step_due(20 * S) && !last.has(score_flags::BEHIND));
+    assert_eq!((claim(&last, 9), claim(&last, 5)), (INVENTED, 1));
+
+    // A changed map is told of when everybody has scores of it; until then heartbeats go out.
+    let lamp = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}]"#;
+    let map = cycle.board().map().changed(parse_changes(lamp).unwrap()).unwrap();
+    cycle.board_mut().change_map(map).unwrap();
+    cycle.score_again();
+    for _ in 0..INVENTED {
+        assert!(step(&mut cycle).is_none() && !cycle.board().is_scored());
+    }
+    assert!(step(&mut cycle).is_some_and(|message| message.map_fingerprint != first.map_fingerprint));
+    assert!(cycle.board().is_scored() && !cycle.step_due(20 * S));
+
+    // After a start, whoever was heard of last comes first.
+    let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
+    let kept = recovered(flood.chain([heard(5, 1, 1)]));
+    again.board_mut().restore(kept, 20 * S, 1_000_020 * S);
+    let told = step(&mut again).unwrap();
+    assert_eq!((claim(&told, 5), claim(&told, 9), told.has(score_flags::BEHIND)), (1, 0, true));
+    for _ in 0..INVENTED {
+        last = step(&mut again).unwrap();
+    }
+    assert_eq!((claim(&last, 9), last.has(score_flags::BEHIND)), (INVENTED, false));
 }
 
 /// Of a flood a step takes a part, and what scores rest on never becomes less.
