@@ -5,6 +5,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
+use std::sync::Arc;
 
 use crate::text::is_hidden;
 
@@ -61,9 +62,9 @@ pub enum SentenceError {
     },
 }
 
-/// A plain sentence in the form the prompt wants: single spaces, a capital first letter, closing punctuation.
+/// A plain sentence in the form the prompt wants: single spaces, a capital first letter, closing punctuation. Its copies share one text.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct Sentence(String);
+pub struct Sentence(Arc<str>);
 
 impl Sentence {
     /// Normalises `text`. Line breaks and tabs count as space.
@@ -98,7 +99,7 @@ impl Sentence {
             sentence.push('.');
         }
         match sentence.len() {
-            0..=SENTENCE_BYTES_MAX => Ok(Self(sentence)),
+            0..=SENTENCE_BYTES_MAX => Ok(Self(sentence.into())),
             bytes => Err(SentenceError::TooLong { bytes }),
         }
     }

@@ -161,6 +161,8 @@ pub struct Board<M> {
     rescored: Vec<u32>,
     /// The same of whom observations moved that could be read otherwise by another company.
     moved: Vec<Moved>,
+    /// Memory for the moves of further observations.
+    no_moves: Vec<Vec<Move>>,
     /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
     believed: Vec<Believed>,
     gone: Vec<u32>,
@@ -257,6 +259,7 @@ impl<M: LanguageModel> Board<M> {
             newest_persons: Vec::new(),
             attributed: Vec::new(),
             moved: Vec::new(),
+            no_moves: Vec::new(),
             rescored: Vec::new(),
             believed: Vec::new(),
             gone: Vec::new(),
@@ -888,7 +891,7 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             let name = (observation.source, observation.epoch, observation.sequence);
             let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
-            let (mut moves, mut is_taken) = (Vec::new(), false);
+            let (mut moves, mut is_taken) = (self.no_moves.pop().unwrap_or_default(), false);
             for clause in self.clauses(observation) {
                 if self.exclude(&clause, is_strange, at_ns) {
                     moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
@@ -905,6 +908,8 @@ impl<M: LanguageModel> Board<M> {
             // What moves nobody may be of one who is away, and calls.
             if observed.is_some() || !is_taken {
                 self.moved.push(Moved { observation: name, moves });
+            } else {
+                self.no_moves.push(moves);
             }
             if !is_taken {
                 self.unscored_ns.get_or_insert(received_ns);
@@ -976,13 +981,17 @@ impl<M: LanguageModel> Board<M> {
         self.tell_whose(&mut tell);
         self.tell_expected(tell);
         // Who does not ask for it has no journal to keep it in.
-        self.moved.clear();
+        self.tell_moved(|_| {});
     }
 
     /// Whom the observations of the last step moved, nobody included, for the journal; each is told once. A restart that read them again would do so
     /// with those who are known then.
     pub(super) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
-        self.moved.drain(..).for_each(|moved| tell(&moved));
+        for mut moved in self.moved.drain(..) {
+            tell(&moved);
+            moved.moves.clear();
+            self.no_moves.push(moved.moves);
+        }
     }
 
     /// Of the outcomes those on which scores rest: whose an observation is that names nobody.
