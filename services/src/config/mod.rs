@@ -496,7 +496,7 @@ impl Config {
             row("daemon.narrator.trust", &trust, known.iter().all(|known| (1..=100).contains(&known.trust)), "give 1 to 100"),
             row("daemon.narrator.share", &share, known.iter().all(|known| (1..=100).contains(&known.share)), "give 1 to 100"),
             row("daemon.narrator.rate_per_s", &rates, known.iter().all(|known| known.rate_per_s.is_none_or(is_rate)), "give 0 (no limit) or more"),
-            row("persons.residents", &residents, persons.residents.len() <= PERSONS_MAX && persons.residents.iter().all(is_person) && each_name_once, &format!("give at most {PERSONS_MAX}, each name or number once (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
+            row("persons.residents", &residents, persons.residents.len() <= PERSONS_MAX && persons.residents.iter().all(is_person) && each_name_once, &format!("give each name or number once, at most {PERSONS_MAX} (\"Zoë\" and \"Zoe\" are one); a name is {plain}, with a letter or digit")),
             row("persons.not_persons", &not_persons, persons.not_persons.len() <= NOT_PERSONS_MAX && are_no_residents, &format!("give at most {NOT_PERSONS_MAX} names that no resident has, {plain}")),
             within("persons.visitor_s", persons.visitor_s, 1.0..=SECONDS_MAX),
             within("persons.asleep_s", persons.asleep_s, seconds.clone()),
