@@ -165,7 +165,8 @@ impl<M: LanguageModel> Scoring<M> {
             self.take_answers(events > 0);
             let mut is_scored = false;
             if self.cycle.step_due(now_ns) {
-                if !last && self.step_ns >= SHORT_STEP_NS {
+                // Once it is to stop, what it hears with stays here: else it would go on as long as a step is due.
+                if !last && !self.stop.requested() && self.step_ns >= SHORT_STEP_NS {
                     self.inbox.lend();
                 }
                 is_scored = self.step(now_ns);
