@@ -793,7 +793,7 @@ mod tests {
         };
         config(PERSONS_MAX, NOT_PERSONS_MAX).check().unwrap();
         let told = config(100_000, 0).check().unwrap_err().to_string();
-        assert!(told.contains("give at most 64,") && told.len() < 2_000, "{told}");
+        assert!(told.contains("once, at most 64 ") && told.len() < 2_000, "{told}");
         let told = config(1, 100_000).check().unwrap_err().to_string();
         assert!(told.contains("persons.not_persons") && told.contains("give at most 256 names"), "{told}");
         let mut twice = config(PERSONS_MAX, 0);
