@@ -7,7 +7,7 @@ if(PROJECT_NAME STREQUAL "llama.cpp")
     set(LLAMA_BUILD_COMMON OFF CACHE BOOL "not linked by Roomcast" FORCE)
     cmake_language(DEFER CALL set_target_properties llama PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 24)
 elseif(PROJECT_NAME STREQUAL "HIGHS")
-    # The laboratory alone solves with it, programs of a second or two.
+    # The laboratory alone solves with it.
     set(CMAKE_CXX_FLAGS_RELEASE "-O1 -DNDEBUG")
     cmake_language(DEFER CALL set_target_properties highs PROPERTIES
         UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16 UNITY_BUILD_UNIQUE_ID HIGHS_UNITY_ID)

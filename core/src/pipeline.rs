@@ -1158,52 +1158,11 @@ mod tests {
         }
     }
 
-    thread_local! {
-        static PROMPTS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
-    }
-
-    /// Whose clock moves on by 1 with every prompt.
-    #[derive(Debug)]
-    struct Slow(TableModel);
-
-    impl LanguageModel for Slow {
-        fn info(&self) -> &ModelInfo {
-            self.0.info()
-        }
-
-        fn clock(&self) -> crate::scorer::Clock {
-            || PROMPTS.get()
-        }
-
-        fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
-            self.0.tokenise(text, start, out)
-        }
-
-        fn token_text(&self, token: Token) -> String {
-            self.0.token_text(token)
-        }
-
-        fn forget(&mut self) {}
-
-        fn decode(
-            &mut self,
-            prompt: &[Token],
-            tree: &TokenTree,
-            want_prompt_row: bool,
-            visit: &mut dyn FnMut(usize, &[f32]),
-        ) -> Result<DecodeStats, ModelError> {
-            PROMPTS.set(PROMPTS.get() + 1);
-            self.0.decode(prompt, tree, want_prompt_row, visit)
-        }
-
-        fn tidy(&mut self, _keep: usize) {}
-    }
-
     /// Somebody who tells of many persons, also of one of another's, delays the other by one prompt at most.
     #[test]
     fn who_tells_of_many_persons_delays_nobody_elses() {
         let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-        let mut pipeline = pipeline_of(Slow(TableModel::new(7)), &map, Effort::Exact, CORRECTED);
+        let mut pipeline = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
         pipeline.score().unwrap();
         let told = |source: u64, number: u64, person: u32| Observation { source, ..observation(number, person) };
         let (mut invented, mut own) = (0, 0);
@@ -1567,7 +1526,7 @@ mod tests {
             said in prop::collection::vec((0u32..5, 0u64..3, 0usize..9, 0u64..4, any::<bool>()), 1..80),
         ) {
             let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-            let mut bounded = pipeline_of(Slow(TableModel::new(7)), &map, Effort::Exact, CORRECTED);
+            let mut bounded = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
             let mut free = pipeline(&map, Effort::Exact, CORRECTED);
             bounded.score().unwrap();
             // Per narration its source, its number there, its person, and whether they were scored with it.

@@ -4,8 +4,14 @@
 //! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
 
 use super::correction::Correction;
-use super::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
+use std::cell::Cell;
+
+use super::{Clock, DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use crate::label_trie::{PROMPT, TokenTree};
+
+thread_local! {
+    static NOW_NS: Cell<u64> = const { Cell::new(0) };
+}
 
 /// The model. See the module's documentation.
 #[derive(Debug, Clone)]
@@ -15,9 +21,12 @@ pub struct TableModel {
     row: Vec<f32>,
     history: Vec<Token>,
     kept: Vec<Token>,
+    is_slow: bool,
 }
 
 impl TableModel {
+    /// What a prompt takes a slow one, in nanoseconds of its clock.
+    pub const PROMPT_NS: u64 = 400_000_000;
     /// Tokens that the next one depends on.
     pub const MEMORY: usize = 8;
     /// Bytes, and the start token.
@@ -48,7 +57,14 @@ impl TableModel {
             row: vec![0.0; Self::VOCABULARY],
             history: Vec::new(),
             kept: Vec::new(),
+            is_slow: false,
         }
+    }
+
+    /// The same, but each prompt takes it [`Self::PROMPT_NS`] by its own clock, which stands still otherwise and is one for all of a thread.
+    #[must_use]
+    pub fn slow(seed: u64) -> Self {
+        Self { is_slow: true, ..Self::new(seed) }
     }
 
     /// The logits after `sequence`, one per token: a fixed function of seed and the last [`Self::MEMORY`] tokens.
@@ -84,6 +100,10 @@ impl LanguageModel for TableModel {
         &self.info
     }
 
+    fn clock(&self) -> Clock {
+        if self.is_slow { || NOW_NS.get() } else { || 0 }
+    }
+
     fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
         if start == TextStart::Sequence {
             out.push(Self::START);
@@ -113,6 +133,9 @@ impl LanguageModel for TableModel {
         want_prompt_row: bool,
         visit: &mut dyn FnMut(usize, &[f32]),
     ) -> Result<DecodeStats, ModelError> {
+        if self.is_slow {
+            NOW_NS.set(NOW_NS.get() + Self::PROMPT_NS);
+        }
         let context = self.info.context_tokens;
         if prompt.len() + tree.len() > context {
             return Err(ModelError::TooLong { prompt: prompt.len(), tree: tree.len(), context });

@@ -594,22 +594,16 @@ impl<M: LanguageModel> Board<M> {
                 }
             } else {
                 // An older daemon has not said whom it moved, or one that was killed.
-                let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
-                let mut moves = Vec::new();
-                for clause in self.clauses(observation) {
-                    if self.exclude(&clause, is_strange, at_ns) {
-                        moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
-                    }
-                    for own in self.of_persons(clause, is_strange) {
-                        let Some(own) = self.take(own, Voice::EARLIER, is_strange, at_ns) else { continue };
-                        moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
-                        persons.push(own.person);
-                        self.enter_restored(voice, own);
-                    }
-                }
+                let enter = |board: &mut Self, own: Observation| {
+                    persons.push(own.person);
+                    board.enter_restored(voice, own);
+                };
+                let (is_read_alone, moves) = self.moves(observation, Voice::EARLIER, is_strange, at_ns, enter);
                 // It stays so, whoever is known at the next start. Whose one of one person is was told already.
-                if persons.is_empty() || observed.is_some() && moves.len() != 1 {
+                if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.moved.push(Moved { observation: name, moves });
+                } else {
+                    self.no_moves.push(moves);
                 }
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
@@ -643,6 +637,32 @@ impl<M: LanguageModel> Board<M> {
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
+    }
+
+    /// Takes in an observation, read with those who are known now, and gives each person's part to `enter`. Gives whether it reads the same whoever is known, and where it
+    /// does not, whom it moved.
+    fn moves(
+        &mut self,
+        observation: Observation,
+        voice: Voice,
+        is_strange: bool,
+        at_ns: Option<i64>,
+        mut enter: impl FnMut(&mut Self, Observation),
+    ) -> (bool, Vec<Move>) {
+        let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
+        let mut moves = self.no_moves.pop().unwrap_or_default();
+        for clause in self.clauses(observation) {
+            if self.exclude(&clause, is_strange, at_ns) {
+                moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
+            }
+            for own in self.of_persons(clause, is_strange) {
+                if let Some(own) = self.take(own, voice, is_strange, at_ns) {
+                    moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
+                    enter(self, own);
+                }
+            }
+        }
+        (observed.is_none(), moves)
     }
 
     /// Enters an observation of a former run that is a person's.
@@ -890,23 +910,15 @@ impl<M: LanguageModel> Board<M> {
             let is_strange = !self.named.is_empty() && voice.number == OTHERS;
             self.pipeline.include(&observation, voice);
             let name = (observation.source, observation.epoch, observation.sequence);
-            let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
-            let (mut moves, mut is_taken) = (self.no_moves.pop().unwrap_or_default(), false);
-            for clause in self.clauses(observation) {
-                if self.exclude(&clause, is_strange, at_ns) {
-                    moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
-                }
-                for own in self.of_persons(clause, is_strange) {
-                    if let Some(own) = self.take(own, voice, is_strange, at_ns) {
-                        moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
-                        is_taken = true;
-                        self.unscored.entry(own.person).or_insert(received_ns);
-                        self.pipeline.enter(voice, own);
-                    }
-                }
-            }
+            let mut is_taken = false;
+            let enter = |board: &mut Self, own: Observation| {
+                is_taken = true;
+                board.unscored.entry(own.person).or_insert(received_ns);
+                board.pipeline.enter(voice, own);
+            };
+            let (is_read_alone, moves) = self.moves(observation, voice, is_strange, at_ns, enter);
             // What moves nobody may be of one who is away, and calls.
-            if observed.is_some() || !is_taken {
+            if !is_read_alone || !is_taken {
                 self.moved.push(Moved { observation: name, moves });
             } else {
                 self.no_moves.push(moves);

@@ -11,7 +11,7 @@ use roomcast_core::narration::{SOMEBODY, Sentence};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
-use roomcast_core::scorer::{Clock, DecodeStats, ModelError, ModelInfo, TextStart, Token};
+use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
@@ -620,52 +620,11 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
 
-thread_local! {
-    static PROMPTS: Cell<u64> = const { Cell::new(0) };
-}
-
-/// Every prompt takes it 400 ms, by its own clock.
-#[derive(Debug)]
-struct Slow(TableModel);
-
-impl LanguageModel for Slow {
-    fn info(&self) -> &ModelInfo {
-        self.0.info()
-    }
-
-    fn clock(&self) -> Clock {
-        || PROMPTS.get() * 400_000_000
-    }
-
-    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
-        self.0.tokenise(text, start, out)
-    }
-
-    fn token_text(&self, token: Token) -> String {
-        self.0.token_text(token)
-    }
-
-    fn forget(&mut self) {}
-
-    fn decode(
-        &mut self,
-        prompt: &[Token],
-        tree: &TokenTree,
-        want_prompt_row: bool,
-        visit: &mut dyn FnMut(usize, &[f32]),
-    ) -> Result<DecodeStats, ModelError> {
-        PROMPTS.set(PROMPTS.get() + 1);
-        self.0.decode(prompt, tree, want_prompt_row, visit)
-    }
-
-    fn tidy(&mut self, _keep: usize) {}
-}
-
-fn slow_board() -> Board<Slow> {
+fn slow_board() -> Board<TableModel> {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let options = GroundingOptions::default();
     let grounding = Grounding::new(&map, &options).unwrap();
-    let pipeline = Pipeline::new(Slow(TableModel::new(7)), grounding, PipelineOptions::default()).unwrap();
+    let pipeline = Pipeline::new(TableModel::slow(7), grounding, PipelineOptions::default()).unwrap();
     Board::new(pipeline, map, options, 1).unwrap()
 }
 
@@ -685,10 +644,11 @@ fn a_step_scores_few_persons_and_claims_no_others() {
         let own = message.included().iter().find(|own| own.source == source);
         own.map_or(0, |own| own.sequence)
     };
-    let step = |cycle: &mut crate::daemon::cycle::Cycle<Slow>| {
-        let before = PROMPTS.get();
+    let now_ns = TableModel::slow(7).clock();
+    let step = |cycle: &mut crate::daemon::cycle::Cycle<TableModel>| {
+        let before_ns = now_ns();
         cycle.step(20 * S, 1_000_020 * S).unwrap();
-        assert!(PROMPTS.get() - before <= 1);
+        assert!(now_ns() - before_ns <= TableModel::PROMPT_NS);
         cycle.board_mut().tell_outcomes(|_| {});
         cycle.message(20 * S, u64::MAX, false).copied()
     };
