@@ -81,10 +81,7 @@ impl Args {
             config.ipc.domain.clone_from(name);
         }
         let domain = config.ipc.domain().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-        match config.root_fault() {
-            Some(fault) => Err(Failure::new(exit_code::CONFIG, fault)),
-            None => Ok((config, domain)),
-        }
+        Ok((config, domain))
     }
 }
 

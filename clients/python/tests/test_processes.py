@@ -202,7 +202,7 @@ def test_no_more_is_under_way_than_the_service_keeps(domain: Domain, monkeypatch
 
 def test_leaving_says_what_is_in_no_scores(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(roomcast, "_PATIENCE_S", 0.3)
-    with pytest.raises(NotIncludedError, match="2 of 2 narrations are in no scores.*`malformed`"), Narrator("py-narrator", domain) as narrator:
+    with pytest.raises(NotIncludedError, match="2 of 2 narrations were in no scores.*`malformed`"), Narrator("py-narrator", domain) as narrator:
         narrator.say("They sit.")
         narrator.say("They stand up.")
     # Whoever fails inside hears of that, and whoever has said nothing has lost nothing.
@@ -481,7 +481,7 @@ def test_an_answer_whose_file_is_gone_is_asked_for_until_the_time_is_over() -> N
         asked.append(len(asked))
         return Told()
 
-    assert ports._answer(ports.MOMENT, send, lambda _: len(asked) if len(asked) == 50 else None, 0.5, 60) == 50
+    assert ports._answer(ports.MOMENT, send, lambda _: len(asked) if len(asked) == 50 else None, 0.5, time.monotonic() + 60, 60) == 50
 
 
 def test_an_answer_that_is_not_given_says_why(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
