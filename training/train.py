@@ -168,8 +168,8 @@ def work(
     weights = dict(model.named_parameters())
     averaged = {name: value.detach().clone() for name, value in weights.items()}
     kept = []
-    # Processors without bfloat16 arithmetic imitate it, dozens of times slower than single precision.
-    half = device != "cpu" or torch.cpu.get_capabilities().get("avx512_bf16", False)
+    # Without tiles (AMX), processors compute bfloat16 slower than single precision: half as fast with AVX512_BF16, dozens of times slower where they imitate it.
+    half = device != "cpu" or torch.cpu.get_capabilities().get("amx_bf16", False)
     optimisers = optimisers_of(model, schedule, rank, workers, half)
     model.train()
     if found:
