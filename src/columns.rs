@@ -2,11 +2,13 @@
 
 use std::io::{self, IsTerminal};
 
+use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
+
 /// How wide the terminal is; any width where there is none.
 pub(crate) fn columns() -> usize {
-    let size = io::stdout().is_terminal().then(crossterm::terminal::size).and_then(Result::ok);
+    let size = io::stdout().is_terminal().then(|| rustix::termios::tcgetwinsize(io::stdout())).and_then(Result::ok);
     // A terminal that does not know says 0.
-    size.map(|(columns, _)| usize::from(columns)).filter(|columns| *columns > 0).unwrap_or(usize::MAX)
+    size.map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(usize::MAX)
 }
 
 /// The longest line of prose, where the terminal has room for more.
@@ -14,34 +16,31 @@ const PROSE: usize = 125;
 
 /// A text for the terminal, each of its lines wrapped between words.
 pub(crate) fn prose(text: &str) -> String {
-    let columns = columns().min(PROSE);
-    text.lines().map(|line| wrapped(line, columns, 0)).collect::<Vec<_>>().join("\n")
+    wrapped(text, columns().min(PROSE), 0)
 }
 
-/// A line as several of so many columns, broken between words; those after the first begin with `indent` spaces.
-pub(crate) fn wrapped(line: &str, columns: usize, indent: usize) -> String {
-    let mut text = String::new();
-    let mut rest = line.to_owned();
-    loop {
-        let fits = cut(&rest, columns);
-        let words = fits.rfind(' ').filter(|at| !fits[..*at].trim_start().is_empty());
-        let (false, Some(at)) = (fits.len() == rest.len(), words) else {
-            // It fits, or has no gap: the terminal breaks it.
-            text.push_str(&rest);
-            return text;
-        };
-        // A word that ends where the line does is whole.
-        let at = if rest[fits.len()..].starts_with(' ') { fits.len() } else { at };
-        text.push_str(rest[..at].trim_end());
-        text.push('\n');
-        rest = format!("{:indent$}{}", "", rest[at..].trim_start());
-    }
+/// A text in lines of so many columns, broken between words; what is left of a broken line begins with `indent` spaces. A word that is longer
+/// is left to the terminal, which breaks it.
+pub(crate) fn wrapped(text: &str, columns: usize, indent: usize) -> String {
+    let indent = " ".repeat(indent);
+    let line = |line: &str| {
+        let words = line.trim_start_matches(' ');
+        let options = Options::new(columns)
+            .initial_indent(&line[..line.len() - words.len()])
+            .subsequent_indent(&indent)
+            .break_words(false)
+            .word_separator(WordSeparator::AsciiSpace)
+            .word_splitter(WordSplitter::NoHyphenation)
+            .wrap_algorithm(WrapAlgorithm::FirstFit);
+        textwrap::wrap(words, options).join("\n")
+    };
+    text.split('\n').map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// As much of a line as fits into so many columns.
 pub(crate) fn cut(line: &str, columns: usize) -> String {
     let mut line = line.to_owned();
-    while ratatui::text::Line::raw(&line).width() > columns {
+    while textwrap::core::display_width(&line) > columns {
         line.pop();
     }
     line
@@ -59,6 +58,9 @@ mod tests {
         assert_eq!(wrapped("one two three", 6, 0), "one\ntwo\nthree");
         assert_eq!(wrapped("     3 s  robot goes on", 16, 10), "     3 s  robot\n          goes\n          on");
         assert_eq!(wrapped("indivisible", 4, 0), "indivisible", "the terminal breaks it");
+        assert_eq!(wrapped("mqtt://a.very.long.name is no broker", 10, 0), "mqtt://a.very.long.name\nis no\nbroker");
+        assert_eq!(wrapped("one two\n three-four\n\n", 8, 0), "one two\n three-four\n\n");
+        assert_eq!(wrapped("厨房 客厅", 6, 0), "厨房\n客厅", "by the columns that they take");
         assert_eq!(wrapped("", 0, 0), "");
     }
 

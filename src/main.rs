@@ -11,7 +11,6 @@ mod bar;
 #[cfg(feature = "bridge")]
 mod bridge;
 mod cli;
-#[cfg(any(feature = "demo", feature = "top"))]
 mod columns;
 mod exit_code;
 #[cfg(any(feature = "bridge", feature = "top", feature = "view"))]

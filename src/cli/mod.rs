@@ -148,18 +148,6 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
-/// A text whose lines keep to a terminal's width, as tables do, and break between words.
-#[must_use]
-pub fn prose(text: &str) -> String {
-    let mut table = comfy_table::Table::new();
-    table.load_style(comfy_table::presets::NOTHING).set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
-    table.add_row([text]);
-    if let Some(column) = table.column_mut(0) {
-        column.set_padding((0, 0));
-    }
-    table.trim_fmt()
-}
-
 /// Prints on standard output, to the end: what is left in a buffer would be lost without an error. Much of it comes from outside, and
 /// none of it reaches a terminal as anything but text.
 ///

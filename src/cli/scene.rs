@@ -15,6 +15,7 @@ use super::draw;
 use super::home_source::{home_assistant, write_rules};
 use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
+use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
@@ -618,7 +619,7 @@ fn table<const N: usize>(header: [&str; N], numbers: std::ops::Range<usize>) -> 
 fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
     let mut text = format!("{}  ({})\n", map.name(), map.short_fingerprint());
     for line in [map.description(), map.source()].into_iter().filter(|line| !line.is_empty()) {
-        let _ = writeln!(text, "{}", super::prose(line));
+        let _ = writeln!(text, "{}", prose(line));
     }
     let (items, labels) = (count(map.items().len(), "item"), count(map.labels().len(), "label"));
     let _ = writeln!(text, "{items}, {labels}, {}\n", doors(map));
@@ -682,7 +683,7 @@ fn tables(map: &SemanticMap, grounding: &Grounding) -> String {
         }
     }
     for warning in warnings(map, grounding) {
-        let _ = writeln!(text, "{}", super::prose(&format!("warning  {warning}")));
+        let _ = writeln!(text, "{}", prose(&format!("warning  {warning}")));
     }
     text
 }

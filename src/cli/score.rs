@@ -8,6 +8,7 @@ use serde_json::json;
 use super::choice::{CorrectionArgs, choice};
 use super::{CommandResult, Failure, count, model, ranges};
 use crate::bar::bar;
+use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::narration::history::HistoryLimits;
@@ -303,6 +304,6 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         timing.trie_ns as f64 / 1e6,
         timing.ground_ns as f64 / 1e6
     );
-    let _ = writeln!(text, "{}", super::prose(&format!("{told}\n{times}")));
+    let _ = writeln!(text, "{}", prose(&format!("{told}\n{times}")));
     text
 }

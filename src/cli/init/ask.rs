@@ -3,11 +3,9 @@
 use std::io::{self, BufRead, IsTerminal, Write};
 
 use crate::cli::Failure;
+use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::text::{visible, visible_lines};
-
-/// Columns of a terminal that does not say how many it has.
-const COLUMNS: usize = 80;
 
 /// Asks, or does not.
 pub(super) struct Asker {
@@ -17,27 +15,21 @@ pub(super) struct Asker {
 struct Terminal {
     input: Box<dyn BufRead>,
     output: Box<dyn Write>,
-    columns: usize,
 }
 
 impl Asker {
     /// One that asks where both ends are a terminal, unless it is to ask nothing.
     pub(super) fn new(silent: bool) -> Self {
         let asks = !silent && io::stdin().is_terminal() && io::stdout().is_terminal();
-        let columns = rustix::termios::tcgetwinsize(io::stdout()).map_or(0, |size| usize::from(size.ws_col));
-        let terminal = || Terminal {
-            input: Box::new(io::BufReader::new(io::stdin())),
-            output: Box::new(io::stdout()),
-            columns: if columns == 0 { COLUMNS } else { columns },
-        };
+        let terminal = || Terminal { input: Box::new(io::BufReader::new(io::stdin())), output: Box::new(io::stdout()) };
         Self { terminal: asks.then(terminal) }
     }
 
     /// Says something where questions are asked, in lines that fit.
     pub(super) fn say(&mut self, text: &str) -> Result<(), Failure> {
-        let Some(Terminal { output, columns, .. }) = &mut self.terminal else { return Ok(()) };
+        let Some(Terminal { output, .. }) = &mut self.terminal else { return Ok(()) };
         // Of topics and of what others answer, somebody else says what they are.
-        writeln!(output, "{}", wrapped(&visible_lines(text), *columns)).and_then(|()| output.flush()).map_err(failed)
+        writeln!(output, "{}", prose(&visible_lines(text))).and_then(|()| output.flush()).map_err(failed)
     }
 
     /// The answer to a question, the default where the line is empty; none where nothing is asked.
@@ -88,34 +80,13 @@ fn failed(error: io::Error) -> Failure {
     Failure::new(exit_code::FAILURE, format!("cannot ask: {error}; give --yes and the options"))
 }
 
-/// A text in lines of at most so many columns, broken between words; a word that is longer has a line of its own.
-fn wrapped(text: &str, columns: usize) -> String {
-    let line = |line: &str| {
-        let (mut whole, mut used) = (String::new(), 0);
-        for word in line.split(' ') {
-            let long = word.chars().count();
-            if used > 0 && used + 1 + long > columns {
-                whole.push('\n');
-                used = 0;
-            } else if used > 0 {
-                whole.push(' ');
-                used += 1;
-            }
-            whole.push_str(word);
-            used += long;
-        }
-        whole
-    };
-    text.split('\n').map(line).collect::<Vec<_>>().join("\n")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn asker(answers: &'static str) -> Asker {
         let (input, output) = (Box::new(answers.as_bytes()), Box::new(io::sink()));
-        Asker { terminal: Some(Terminal { input, output, columns: 40 }) }
+        Asker { terminal: Some(Terminal { input, output }) }
     }
 
     #[test]
@@ -145,7 +116,7 @@ mod tests {
         }
         let shown = Shown::default();
         let (input, output) = (Box::new(&b"\n"[..]), Box::new(shown.clone()));
-        let mut asker = Asker { terminal: Some(Terminal { input, output, columns: 80 }) };
+        let mut asker = Asker { terminal: Some(Terminal { input, output }) };
         let topic = "\u{1b}]0;x\u{7}rob/one";
         assert_eq!(asker.text(&format!("Under {topic}?"), topic).unwrap().as_deref(), Some(topic));
         let shown = String::from_utf8(shown.0.borrow().clone()).unwrap();
@@ -161,13 +132,6 @@ mod tests {
         };
         assert_eq!(asker.until("How many?", "", number).unwrap(), Some(7));
         assert_eq!(asker.until("How many?", "", number).unwrap_err().code, exit_code::INTERRUPTED);
-    }
-
-    #[test]
-    fn lines_fit_the_terminal_and_break_between_words() {
-        let text = "Home Assistant: its address, or its folder\nof configuration";
-        assert_eq!(wrapped(text, 20), "Home Assistant: its\naddress, or its\nfolder\nof configuration");
-        assert_eq!(wrapped("mqtt://a.very.long.name is no broker", 10), "mqtt://a.very.long.name\nis no\nbroker");
     }
 
     #[test]
