@@ -1,13 +1,15 @@
 //! Scores of probabilistic forecasts, added up per group, with bootstrap intervals over groups.
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
+
+use super::resampling::{ci95, drawn};
 
 /// Bins of the expected calibration error, of equal width over the probability of the likeliest outcome.
 pub(crate) const ECE_BINS: usize = 15;
 /// Resamples of the bootstrap.
-pub(crate) const RESAMPLES: usize = 1000;
+pub(super) const RESAMPLES: usize = 1000;
 
 /// Sums over cases: additive, so that a bootstrap resamples groups of cases by adding their sums.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -223,19 +225,17 @@ fn bootstrap<const ROWS: usize>(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut samples: [Vec<f64>; METRICS.len()] = Default::default();
     for _ in 0..if groups.len() > 1 { RESAMPLES } else { 0 } {
-        let drawn: Vec<usize> = groups.iter().map(|_| groups[rng.random_range(0..groups.len())]).collect();
-        let sample = total(&drawn);
+        let sample = total(&drawn(&groups, &mut rng));
         if sample.iter().all(|sums| sums.cases > 0.0) {
             samples.iter_mut().zip(value(sample)).for_each(|(samples, mean)| samples.push(mean));
         }
     }
-    let ci95 = (!samples[0].is_empty()).then(|| {
-        let [nll_nats, top1, top5, mrr, brier, ece] = samples.map(|mut values| {
-            values.sort_by(f64::total_cmp);
-            [0.025, 0.975].map(|share| values[(share * values.len() as f64) as usize])
-        });
-        Intervals { nll_nats, top1, top5, mrr, brier, ece }
-    });
+    let intervals = samples.map(ci95);
+    let ci95 = if let [Some(nll_nats), Some(top1), Some(top5), Some(mrr), Some(brier), Some(ece)] = intervals {
+        Some(Intervals { nll_nats, top1, top5, mrr, brier, ece })
+    } else {
+        None
+    };
     let [nll_nats, top1, top5, mrr, brier, ece] = value(all);
     let cases = all.first().map_or(0.0, |sums| sums.cases) as usize;
     Summary { cases, nll_nats, top1, top5, mrr, brier, ece, ci95 }

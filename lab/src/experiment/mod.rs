@@ -16,6 +16,7 @@ pub mod habits;
 pub mod losses;
 pub mod prediction;
 pub mod report;
+mod resampling;
 pub mod scores;
 pub mod setups;
 pub mod study;

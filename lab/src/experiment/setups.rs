@@ -5,13 +5,14 @@
 //! policy's share of failures*: a policy that fails more often is mixed, run by run, with `uncovered-first`, which always
 //! covers; one that fails less often counts as it is. Coverage-aware avoidance takes the best mixture of its weights.
 
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::chart::{Chart, Mark, Series};
 use super::losses::RESAMPLES;
 use super::report::Table;
+use super::resampling::{ci95, drawn};
 use super::study::{Cell, Decider};
 use super::tables::{PaperRow, mixed};
 use crate::simulation::binding::ItemChoice;
@@ -155,19 +156,18 @@ pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
         };
         first.deciders.iter().enumerate().map(of_decider).collect()
     };
-    let all = points(&(0..totals.len()).collect::<Vec<_>>(), &(0..homes).collect::<Vec<_>>());
+    let [every_model, every_home]: [Vec<usize>; 2] = [totals.len(), homes].map(|count| (0..count).collect());
+    let all = points(&every_model, &every_home);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut draw = |count: usize| (0..count).map(|_| rng.random_range(0..count)).collect::<Vec<_>>();
-    let samples: Vec<_> = (0..RESAMPLES).map(|_| points(&draw(totals.len()), &draw(homes))).collect();
+    let samples: Vec<_> =
+        (0..RESAMPLES).map(|_| points(&drawn(&every_model, &mut rng), &drawn(&every_home, &mut rng))).collect();
     let named = first.deciders.iter().filter(|decider| !matches!(decider, Decider::CoverageAware(_)));
     let row = |decider: &Decider| {
         let values = shown(&all, *decider);
         let resampled: Vec<[f64; 3]> = samples.iter().map(|points| shown(points, *decider)).collect();
         let share = |index: usize| {
-            let mut sorted: Vec<f64> = resampled.iter().map(|values| values[index]).collect();
-            sorted.sort_by(f64::total_cmp);
-            let at = |share: f64| sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)];
-            Share { value: values[index], ci95: [at(0.025), at(0.975)] }
+            let value = values[index];
+            Share { value, ci95: ci95(resampled.iter().map(|values| values[index]).collect()).unwrap_or([value; 2]) }
         };
         let disturbance_mean = all.iter().find(|(other, _)| other == decider).map_or(0.0, |(_, (_, d))| *d);
         SetupRow {

@@ -9,6 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
+use super::super::resampling::{ci95, drawn};
 use super::trace::Trace;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
 
@@ -194,8 +195,7 @@ impl Cleaning {
         };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let resamples = if days.len() > 1 { RESAMPLES } else { 0 };
-        let samples: Vec<Vec<usize>> =
-            (0..resamples).map(|_| days.iter().map(|_| days[rng.random_range(0..days.len())]).collect()).collect();
+        let samples: Vec<Vec<usize>> = (0..resamples).map(|_| drawn(&days, &mut rng)).collect();
         let less = |own: usize, other: usize, of: &[usize]| {
             let (own, other) = (rates(own, of), rates(other, of));
             [own[0] - other[0], own[1] - other[1]]
@@ -208,11 +208,7 @@ impl Cleaning {
                 for sample in &samples {
                     values.iter_mut().zip(less(own, other, sample)).for_each(|(values, value)| values.push(value));
                 }
-                let [disturbance_ci95, coverage_ci95] = values.map(|mut values| {
-                    values.sort_by(f64::total_cmp);
-                    let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();
-                    at(0.025).zip(at(0.975)).map(<[f64; 2]>::from)
-                });
+                let [disturbance_ci95, coverage_ci95] = values.map(ci95);
                 let [disturbance_s_per_h, coverage] = less(own, other, &days);
                 Less { disturbance_s_per_h, disturbance_ci95, coverage, coverage_ci95 }
             });
