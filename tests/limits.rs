@@ -22,8 +22,9 @@ use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{
     self, ANSWERS_REMEMBERED, FORMER_SOURCES_MAX, HELD_S, QUESTION_NAME_BYTES_MAX, SOURCES_OF_A_PORT,
 };
+use roomcast_services::mqtt::{link, look};
 use roomcast_services::narrator::Faults;
-use roomcast_services::{mqtt, mqtt_link, mqtt_look, recording, reporter, sensor_log};
+use roomcast_services::{mqtt, recording, reporter, sensor_log};
 
 const HEAD: &str = "# Limits
 
@@ -174,8 +175,8 @@ fn page() -> String {
             ("bytes of a record or chunk of a recording", &recording::RECORD_BYTES_MAX, "is refused"),
             ("rules for MQTT", &mqtt::RULES_MAX, "is refused"),
             ("bytes of a file of rules, credentials or certificates", &sensor_log::RULES_BYTES_MAX, "is refused"),
-            ("topics that init and doctor look at", &mqtt_look::TOPICS_MAX, "is passed over"),
-            ("bytes that init and doctor keep of them", &mqtt_look::BYTES_MAX, "the topic is noted without them"),
+            ("topics that init and doctor look at", &look::TOPICS_MAX, "is passed over"),
+            ("bytes that init and doctor keep of them", &look::BYTES_MAX, "the topic is noted without them"),
             ("lines of rules for MQTT that wait for silence", &mqtt::WAITING_MAX, "are not said"),
             ("bytes of these lines", &mqtt::WAITING_BYTES_MAX, "are not said"),
             ("topics that are remembered", &mqtt::TOPICS_MAX, "is not remembered"),
@@ -183,8 +184,8 @@ fn page() -> String {
             ("bytes of a payload", &mqtt::PAYLOAD_BYTES_MAX, "is passed over, with its topic in the log"),
             ("messages that the broker sends ahead", &mqtt::MESSAGES_AHEAD_MAX, "wait at the broker"),
             ("bytes of what it sends further ahead all the same", &mqtt::HELD_BYTES_MAX, "the oldest is said at once"),
-            ("messages of bridge or robot that wait to be sent", &mqtt_link::SAYING_MAX, "wait until there is room"),
-            ("bytes that wait to be read by bridge or robot", &mqtt_link::HEARING_BYTES_MAX, "the oldest give way"),
+            ("messages of bridge or robot that wait to be sent", &link::SAYING_MAX, "wait until there is room"),
+            ("bytes that wait to be read by bridge or robot", &link::HEARING_BYTES_MAX, "the oldest give way"),
             (
                 "bytes of what topics of the bridge begin with",
                 &config::TOPIC_BYTES_MAX,

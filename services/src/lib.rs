@@ -57,16 +57,7 @@ pub mod narrator;
 pub mod sensor_log;
 
 #[cfg(feature = "mqtt")]
-pub mod mqtt_tally;
-
-#[cfg(feature = "mqtt")]
 pub mod mqtt;
-
-#[cfg(feature = "mqtt")]
-pub mod mqtt_look;
-
-#[cfg(feature = "mqtt")]
-pub mod mqtt_link;
 
 pub mod planner;
 

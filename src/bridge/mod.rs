@@ -12,8 +12,8 @@ use roomcast_ipc::{
 };
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
+use roomcast_services::mqtt::link::{Heard, Link, Will};
 use roomcast_services::mqtt::{Broker, MqttError};
-use roomcast_services::mqtt_link::{Heard, Link, Will};
 use roomcast_services::notify::{Watchdog, notify};
 use roomcast_services::receive::receive;
 use roomcast_services::stop::Stop;

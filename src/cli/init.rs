@@ -14,8 +14,8 @@ use roomcast_core::names::Names;
 use roomcast_core::semantic_map::import::{self, Home, Imported};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, RoomId, SemanticMap, delta};
 use roomcast_services::config::Config;
+use roomcast_services::mqtt::look::{self, LookError, Seen};
 use roomcast_services::mqtt::{Broker, MqttError};
-use roomcast_services::mqtt_look::{self, LookError, Seen};
 use serde_json::json;
 
 mod ask;
@@ -264,7 +264,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
     };
     let look = |broker: &Broker| {
         let filters = [format!("+/+{STATUS}"), "+/+/$state".to_owned(), format!("+/+{MAP}")];
-        mqtt_look::look(broker, &filters, LOOK, |_| false)
+        look::look(broker, &filters, LOOK, |_| false)
     };
     let told = |error: LookError| format!("{error}: {}", error.remedy());
     if args.mqtt.is_none() {

@@ -12,9 +12,9 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::daemon::Persons;
 use roomcast_services::logging::chain;
+use roomcast_services::mqtt::look::{self, LookError, Seen};
+use roomcast_services::mqtt::tally::Counted;
 use roomcast_services::mqtt::{self, Broker, MqttError, Rules};
-use roomcast_services::mqtt_look::{self, LookError, Seen};
-use roomcast_services::mqtt_tally::Counted;
 use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
 
 use super::finding::{Finding, Place, nearest, segment_of_no_room, some_of};
@@ -64,7 +64,7 @@ pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, 
         credentials: config.mqtt.credentials.clone(),
         authority: config.mqtt.ca.clone(),
     };
-    let seen = match mqtt_look::look(&broker, &filters(config, rules.as_ref()), place.wait, |_| false) {
+    let seen = match look::look(&broker, &filters(config, rules.as_ref()), place.wait, |_| false) {
         Ok(seen) => {
             findings.push(reached(&broker, &seen));
             seen
@@ -642,7 +642,7 @@ mod tests {
         config.robot.topic = "homeassistant/vacuum/dusty".to_owned();
         let place = Place { config: Path::new("roomcast.toml"), wait: std::time::Duration::ZERO };
         let mut seen = Seen::default();
-        let message = mqtt_look::Said { payload: b"docked".to_vec(), retained: true };
+        let message = look::Said { payload: b"docked".to_vec(), retained: true };
         seen.topics.insert("homeassistant/vacuum/dusty/state".to_owned(), message);
         let mut told = |segments: &[(&str, &str)]| {
             config.robot.segments = segments.iter().map(|(room, own)| (room.to_string(), own.to_string())).collect();
@@ -680,7 +680,7 @@ mod tests {
         let place = Place { config: &path, wait: std::time::Duration::from_secs(5) };
         let told = |said: &[&str]| {
             let mut seen = Seen::default();
-            let message = mqtt_look::Said { payload: b"on".to_vec(), retained: true };
+            let message = look::Said { payload: b"on".to_vec(), retained: true };
             seen.topics.extend(said.iter().map(|topic| (format!("home/{topic}"), message.clone())));
             let findings = topics(&rules, &path, &seen, &config, &place);
             let found = findings.into_iter().find(|own| own.check == "topics").unwrap();

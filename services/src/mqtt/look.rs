@@ -13,7 +13,7 @@ use tokio::time::{Instant, timeout_at};
 
 use roomcast_core::text::is_hidden;
 
-use crate::mqtt::{Broker, MqttError};
+use super::{Broker, MqttError};
 
 /// Topics that are remembered at most.
 pub const TOPICS_MAX: usize = 10_000;
@@ -289,7 +289,7 @@ mod tests {
             return;
         };
         let link =
-            crate::mqtt_link::Link::start(&Broker { client: "speaker".to_owned(), ..broker(port) }, vec![], None)
+            crate::mqtt::link::Link::start(&Broker { client: "speaker".to_owned(), ..broker(port) }, vec![], None)
                 .unwrap();
         while link.connection() == 0 {
             std::thread::sleep(Duration::from_millis(10));

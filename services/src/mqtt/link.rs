@@ -18,11 +18,9 @@ use rumqttc::v5::mqttbytes::v5::{Filter, LastWill, Packet, PubAckReason, Publish
 use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
+use super::client::{broken, correct_keep_alive, fault_of, renew};
+use super::{Broker, FAREWELL, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::logging::Limiter;
-use crate::mqtt::{
-    Broker, FAREWELL, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX, broken, correct_keep_alive,
-    fault_of, renew,
-};
 use crate::stop::Stop;
 
 /// Messages that may wait to be sent.

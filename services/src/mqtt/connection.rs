@@ -1,0 +1,377 @@
+//! A connection that listens.
+
+use std::collections::{HashSet, VecDeque};
+use std::fmt::Display;
+use std::io::Write;
+use std::pin::pin;
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::clock;
+use rumqttc::Outgoing;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
+use tokio::time::{sleep, timeout_at};
+
+use super::acknowledgements::Acknowledgements;
+use super::client::{broken, correct_keep_alive, fault_of, renew};
+use super::listener::{Heard, Listener};
+use super::recent::Recent;
+use super::rehearsal::{Remark, remarked, report};
+use super::rules::Rules;
+use super::tally::Tally;
+use super::{FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
+use crate::logging::Limiter;
+use crate::stop::Stop;
+
+/// What a message that waits takes beside its topic and payload.
+const HELD_BYTES_EACH: usize = 256;
+/// Complaints about the connection come at most so often.
+const QUIET_NS: u64 = 30_000_000_000;
+/// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
+const SETTLING: Duration = Duration::from_secs(4);
+
+/// A subscription to each filter, one after the other, so that it is known which one the broker answers.
+#[derive(Debug)]
+struct Subscriptions {
+    filters: Vec<String>,
+    answered: usize,
+    granted: usize,
+    /// The next filter is to be asked for, as soon as the client has room.
+    due: bool,
+    /// The packet that the broker has to answer: more answers than questions say nothing.
+    asked: Option<u16>,
+    /// Filters whose refusal was told.
+    told: HashSet<String>,
+}
+
+impl Subscriptions {
+    fn new(filters: Vec<String>) -> Self {
+        Self { filters, answered: 0, granted: 0, due: false, asked: None, told: HashSet::new() }
+    }
+
+    /// Begins at the first filter.
+    fn start(&mut self) {
+        (self.answered, self.granted, self.due, self.asked) = (0, 0, true, None);
+    }
+
+    /// Asks for the filter that is due, where the client has room.
+    fn send(&mut self, client: &AsyncClient) {
+        if self.due {
+            let filter = self.filters.get(self.answered);
+            self.due = filter.is_some_and(|filter| client.try_subscribe(filter, QoS::AtLeastOnce).is_err());
+        }
+    }
+
+    /// Takes the broker's answer to the filter asked for last.
+    fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
+        let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)) else {
+            return Ok(());
+        };
+        let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
+        (self.answered, self.asked, self.due) = (self.answered + 1, None, true);
+        match reason {
+            SubscribeReasonCode::Success(quality) => {
+                self.granted += 1;
+                self.told.remove(filter);
+                if quality == QoS::AtMostOnce {
+                    tracing::warn!(
+                        broker,
+                        filter,
+                        "the broker grants quality 0 only: what it sends while away is lost"
+                    );
+                }
+            }
+            refused => {
+                if self.told.insert(filter.clone()) {
+                    tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
+                }
+                if self.answered == self.filters.len() && self.granted == 0 {
+                    let reason = format!("{filter:?}: {refused:?}");
+                    return Err(MqttError::Refused { broker: broker.to_owned(), reason });
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The client, what it has heard and where it says it.
+pub(super) struct Connection<'a, W> {
+    broker: String,
+    client: AsyncClient,
+    events: EventLoop,
+    listener: Listener,
+    subscriptions: Subscriptions,
+    recent: Recent,
+    pub(super) acknowledgements: Acknowledgements,
+    /// Messages that wait until others are acknowledged, oldest first, and their bytes.
+    held: VecDeque<Publish>,
+    held_bytes: usize,
+    connected: bool,
+    log: Limiter,
+    greetings: Limiter,
+    /// The pause before the next connection.
+    pause: Duration,
+    /// What comes is left to the next session.
+    leaves: bool,
+    /// Reports what would be said, with a remark, in place of saying it.
+    pub(super) rehearsal: Option<&'a mut Remark<'a>>,
+    /// Keeps how often each rule fits.
+    pub(super) tally: Option<Tally>,
+    out: W,
+}
+
+/// Why the connection that an event tells of is of no use; none for one that is, and for other events.
+pub(super) fn fault(event: &Event) -> Option<&'static str> {
+    if let Event::Incoming(Packet::ConnAck(greeting)) = event { fault_of(greeting) } else { None }
+}
+
+/// What listening comes to.
+enum Turn {
+    /// More is to come.
+    On,
+    /// Nobody reads any more.
+    Unread,
+}
+
+/// What a message takes while it waits.
+fn held_bytes(message: &Publish) -> usize {
+    message.topic.len() + message.payload.len() + HELD_BYTES_EACH
+}
+
+fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
+    writeln!(out, "{line}").and_then(|()| out.flush())
+}
+
+impl<'a, W: Write> Connection<'a, W> {
+    pub(super) fn new(mut options: MqttOptions, rules: Rules, out: W) -> Self {
+        options.set_manual_acks(true);
+        let (host, port) = options.broker_address();
+        let subscriptions = Subscriptions::new(rules.filters());
+        // One subscription, one farewell, and every acknowledgement.
+        let (client, events) = AsyncClient::new(options, 2 + usize::from(MESSAGES_AHEAD_MAX));
+        let (listener, recent) = (Listener::new(rules), Recent::default());
+        Self {
+            broker: format!("{host}:{port}"),
+            client,
+            events,
+            listener,
+            subscriptions,
+            recent,
+            acknowledgements: Acknowledgements::default(),
+            held: VecDeque::new(),
+            held_bytes: 0,
+            connected: false,
+            log: Limiter::new(QUIET_NS),
+            greetings: Limiter::new(QUIET_NS),
+            pause: RECONNECT,
+            leaves: false,
+            rehearsal: None,
+            tally: None,
+            out,
+        }
+    }
+
+    pub(super) async fn listen(mut self, stop: &Stop) -> Result<Heard, MqttError> {
+        let mut connections = 0_u64;
+        loop {
+            let turn = match self.next(|_| stop.requested()).await {
+                Ok(Some(Ok(event))) => match fault(&event) {
+                    Some(fault) => {
+                        let turn = self.lost(&fault, &mut connections, stop).await?;
+                        self.pause = (self.pause * 2).min(RECONNECT_BROKEN_MAX);
+                        turn
+                    }
+                    None => self.take(&event, &mut connections)?,
+                },
+                Ok(Some(Err(error))) => self.lost(&broken(&error), &mut connections, stop).await?,
+                Ok(None) => break,
+                Err(_) => Turn::Unread,
+            };
+            self.keep_tally(false);
+            if matches!(turn, Turn::Unread) {
+                self.keep_tally(true);
+                return Ok(self.listener.heard);
+            }
+        }
+        self.leave(&mut connections).await?;
+        self.keep_tally(true);
+        Ok(self.listener.heard)
+    }
+
+    /// The next event; none when `is_over`, an error when nobody reads any more. Looking at that, acknowledging what is settled, and saying what
+    /// it was quiet for long enough to say, breaks off nothing that is under way: a slow broker has the client's own limit to answer in.
+    async fn next(
+        &mut self,
+        is_over: impl Fn(&Acknowledgements) -> bool,
+    ) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
+        let Self {
+            client, events, listener, subscriptions, acknowledgements, out, connected, leaves, rehearsal, ..
+        } = self;
+        let mut poll = pin!(events.poll());
+        loop {
+            subscriptions.send(client);
+            acknowledgements.send(client);
+            if is_over(acknowledgements) {
+                return Ok(None);
+            }
+            // Without a connection nothing can be heard, which is no silence.
+            let due = if *connected && !*leaves { listener.due(Instant::now()) } else { Vec::new() };
+            let mut shown = |line: &String| match rehearsal {
+                Some(remark) => format!("after silence\n  says {}", remarked(line, *remark)),
+                None => line.clone(),
+            };
+            due.iter().try_for_each(|line| write_line(out, &shown(line)))?;
+            acknowledgements.written += due.len() as u64;
+            tokio::select! {
+                event = poll.as_mut() => return Ok(Some(event)),
+                news = acknowledgements.news() => news?,
+                () = sleep(POLL) => {}
+            }
+        }
+    }
+
+    fn keep_tally(&mut self, at_end: bool) {
+        if let Some(tally) = &mut self.tally {
+            tally.keep(&self.listener.fitted, at_end);
+        }
+    }
+
+    fn take(&mut self, event: &Event, connections: &mut u64) -> Result<Turn, MqttError> {
+        match event {
+            Event::Incoming(Packet::ConnAck(greeting)) => {
+                *connections += 1;
+                (self.connected, self.pause) = (true, RECONNECT);
+                correct_keep_alive(&mut self.events);
+                self.recent.connect(greeting.session_present);
+                self.listener.first_connection = *connections == 1;
+                self.listener.listen_from(Instant::now());
+                if let Some(held_back) = self.greetings.pass(clock::monotonic_ns()) {
+                    tracing::info!(broker = self.broker, connections, held_back, "connected");
+                }
+                // Again at every connection: a broker that lost its sessions would say nothing any more.
+                self.subscriptions.start();
+            }
+            Event::Outgoing(Outgoing::Subscribe(pkid)) => self.subscriptions.asked = Some(*pkid),
+            Event::Outgoing(packet) => {
+                self.recent.sent(packet);
+                if matches!(packet, Outgoing::PubAck(_)) {
+                    self.acknowledgements.on_way = self.acknowledgements.on_way.saturating_sub(1);
+                    return self.say_held(*connections, |_, room| room);
+                }
+            }
+            Event::Incoming(Packet::PingResp(_)) => self.recent.answered(),
+            Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.broker)?,
+            Event::Incoming(Packet::Publish(_)) if self.leaves => {}
+            Event::Incoming(Packet::Publish(message)) => {
+                self.held_bytes += held_bytes(message);
+                self.held.push_back(message.clone());
+                return self.say_held(*connections, |_, room| room);
+            }
+            _ => {}
+        }
+        Ok(Turn::On)
+    }
+
+    /// Says what waits, oldest first, while `may` allows it, which hears whether there is room for one more, and where too much waits.
+    fn say_held(&mut self, connections: u64, may: impl Fn(&Publish, bool) -> bool) -> Result<Turn, MqttError> {
+        while let Some(message) = self.held.pop_front() {
+            let room = self.acknowledgements.have_room() || self.held_bytes > HELD_BYTES_MAX;
+            if !may(&message, room) {
+                self.held.push_front(message);
+                break;
+            }
+            self.held_bytes = self.held_bytes.saturating_sub(held_bytes(&message));
+            let line = match self.recent.again(connections, &message) {
+                Some(line) => line,
+                None => {
+                    if self.hear(&message).is_err() {
+                        return Ok(Turn::Unread);
+                    }
+                    self.recent.take(connections, &message, self.acknowledgements.written);
+                    self.acknowledgements.written
+                }
+            };
+            self.acknowledgements.put(&message, line);
+        }
+        Ok(Turn::On)
+    }
+
+    /// Writes what a message says, or what becomes of it.
+    fn hear(&mut self, message: &Publish) -> std::io::Result<()> {
+        let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
+        if let Some(remark) = &mut self.rehearsal {
+            let outcomes = self.listener.outcomes(topic, payload, retained, now);
+            let text = report(&self.listener.rules, (topic, payload, retained), &outcomes, *remark);
+            return write_line(&mut self.out, &text);
+        }
+        let lines = self.listener.hear(topic, payload, retained, now);
+        self.acknowledgements.written += lines.len() as u64;
+        lines.iter().try_for_each(|line| write_line(&mut self.out, line))
+    }
+
+    /// Takes what was read before the connection broke: the broker sends it again and it is recognised. Then a pause.
+    async fn lost(&mut self, error: &impl Display, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
+        // Whoever is asked to stop tries no more.
+        if !stop.requested()
+            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+        }
+        let mut turn = self.drain(connections)?;
+        if matches!(turn, Turn::On) {
+            turn = self.say_held(*connections, |_, _| true)?;
+        }
+        // Subscriptions that were not sent are made again at the next connection.
+        renew(&mut self.events);
+        self.subscriptions.due = false;
+        self.acknowledgements.forget();
+        self.connected = false;
+        let pause = Instant::now();
+        while !stop.requested() && pause.elapsed() < self.pause {
+            sleep(POLL).await;
+        }
+        Ok(turn)
+    }
+
+    fn drain(&mut self, connections: &mut u64) -> Result<Turn, MqttError> {
+        while let Some(event) = self.events.state.events.pop_front() {
+            if matches!(self.take(&event, connections)?, Turn::Unread) {
+                return Ok(Turn::Unread);
+            }
+        }
+        Ok(Turn::On)
+    }
+
+    /// Waits until what was said is settled and acknowledged, and sends a farewell behind that; then stays until the broker has closed the
+    /// connection: it has read all then. What it sends meanwhile, and what nobody settles, is not acknowledged and comes again in the next session.
+    async fn leave(&mut self, connections: &mut u64) -> Result<(), MqttError> {
+        if !self.connected {
+            return Ok(());
+        }
+        // What was read with an event before is said still: nobody has seen it yet. What waits comes again, but for what the broker does not keep.
+        if matches!(self.drain(connections)?, Turn::Unread) {
+            return Ok(());
+        }
+        self.held.retain(|message| message.qos == QoS::AtMostOnce);
+        self.held_bytes = self.held.iter().map(held_bytes).sum();
+        if matches!(self.say_held(*connections, |_, _| true)?, Turn::Unread) {
+            return Ok(());
+        }
+        self.leaves = true;
+        let end = Instant::now() + SETTLING;
+        let is_settled = |open: &Acknowledgements| open.waiting.is_empty() || Instant::now() >= end;
+        while let Ok(Some(event)) = self.next(is_settled).await {
+            let Ok(event) = event else { return Ok(()) };
+            self.take(&event, connections)?;
+        }
+        let end = tokio::time::Instant::now() + FAREWELL;
+        // It finds no room while too many acknowledgements are on their way.
+        let mut said = false;
+        loop {
+            said = said || self.client.try_disconnect().is_ok();
+            let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await else { return Ok(()) };
+        }
+    }
+}

@@ -1,0 +1,219 @@
+//! Which messages are said.
+
+use std::collections::{HashMap, HashSet};
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use super::rules::{Fingerprint, Rules, Said, Value, fingerprint};
+use super::{PAYLOAD_BYTES_MAX, TOPICS_MAX, WAITING_BYTES_MAX, WAITING_MAX};
+
+/// What Home Assistant says of a device that it does not hear: no state of the device, unless a rule speaks of it.
+const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
+
+/// Counts of what came and what was said.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Lines of narration that messages became.
+    pub said: u64,
+    /// Messages that no rule fits.
+    pub unfit: u64,
+    /// Messages that said nothing new, or how things are.
+    pub silent: u64,
+    /// Messages of which a rule would say what is no narration.
+    pub unsayable: u64,
+    /// Messages that are larger than [`PAYLOAD_BYTES_MAX`].
+    pub oversized: u64,
+}
+
+/// What becomes of a message by one rule.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Outcome {
+    /// The rule's number, from 1.
+    pub(super) number: usize,
+    /// What it read.
+    pub(super) value: Rc<Value>,
+    pub(super) what: What,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum What {
+    /// Said at once, as a line of JSON.
+    Said(String),
+    /// To be said after this silence.
+    Waits(String, Duration),
+    /// A rule before it has spoken of this value.
+    Later,
+    /// It speaks of other values.
+    OtherValue,
+    /// The topic's last value was the same.
+    Repeated,
+    /// Retained: how things are, not what has just happened.
+    State,
+    /// What it would say is no narration, for this reason.
+    Unfit(String),
+}
+
+/// What is said unless something else is said before.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    pub(super) line: String,
+    since: Instant,
+    quiet: Duration,
+}
+
+/// Decides which messages are said. Pure: time comes in.
+#[derive(Debug)]
+pub struct Listener {
+    pub(super) rules: Rules,
+    /// The last value of each topic.
+    last: HashMap<Fingerprint, Fingerprint>,
+    /// What rules with `quiet_s` have to say, each line once.
+    pub(super) waiting: Vec<Waiting>,
+    /// Whether what is retained now was retained before this process first listened.
+    pub(super) first_connection: bool,
+    pub(super) heard: Heard,
+    /// Lines that rules would have said and that are no narration, and lines that found no room to wait for silence.
+    pub(super) refused: u64,
+    /// How often each rule fitted a message.
+    pub(super) fitted: Vec<u64>,
+}
+
+impl Listener {
+    /// One that has heard nothing yet.
+    #[must_use]
+    pub fn new(rules: Rules) -> Self {
+        let fitted = vec![0; rules.0.len()];
+        let (last, waiting, heard) = (HashMap::new(), Vec::new(), Heard::default());
+        Self { rules, last, waiting, first_connection: true, heard, refused: 0, fitted }
+    }
+
+    /// The narration of a message that is to be said at once, as lines of JSON; `retained` is what the broker calls it.
+    pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<String> {
+        let outcomes = self.outcomes(topic, payload, retained, now).into_iter();
+        let said = outcomes.filter_map(|outcome| if let What::Said(line) = outcome.what { Some(line) } else { None });
+        said.collect()
+    }
+
+    /// What becomes of a message by each rule that can read it, in their order; nothing where none can.
+    pub(super) fn outcomes(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<Outcome> {
+        let Ok(topic) = std::str::from_utf8(topic) else {
+            self.heard.unfit += 1;
+            return Vec::new();
+        };
+        if payload.len() > PAYLOAD_BYTES_MAX {
+            self.heard.oversized += 1;
+            // Each doubling of their number is one line: a camera behind a wide filter does not fill the log.
+            if self.heard.oversized.is_power_of_two() {
+                tracing::warn!(
+                    topic,
+                    bytes = payload.len(),
+                    limit = PAYLOAD_BYTES_MAX,
+                    oversized = self.heard.oversized,
+                    "a message is too large and is passed over; leave its topic out of the rules"
+                );
+            }
+            return Vec::new();
+        }
+        let readings = self.rules.readings(topic, payload);
+        if readings.iter().all(|said| said.line.is_none()) {
+            self.heard.unfit += 1;
+        }
+        let spoken_of: HashSet<Option<&str>> =
+            readings.iter().filter(|said| said.line.is_some()).map(|said| said.rule.field.as_deref()).collect();
+        let mut known: HashMap<Option<&str>, Option<Fingerprint>> = HashMap::new();
+        let mut spoken: HashSet<(Option<&str>, bool)> = HashSet::new();
+        let mut outcomes = Vec::with_capacity(readings.len());
+        for Said { number, rule, line, value } in readings {
+            let field = rule.field.as_deref();
+            let own = value.own;
+            // Every rule that reads one field reads one value there.
+            let known = *known.entry(field).or_insert_with(|| {
+                let place = fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes());
+                let known = self.last.get(&place).copied();
+                let is_state =
+                    spoken_of.contains(&field) || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value.text));
+                if is_state && (known.is_some() || self.last.len() < TOPICS_MAX) {
+                    self.last.insert(place, own);
+                }
+                known
+            });
+            let unknown = self.first_connection || known.is_none();
+            let quiet = rule.saying.quiet();
+            let what = match line {
+                None => What::OtherValue,
+                // The first that speaks of a value at once.
+                Some(_) if quiet.is_none() && !spoken.insert((field, rule.presence)) => What::Later,
+                Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
+                Some(_) if retained && !rule.retained && unknown => What::State,
+                Some(Err(reason)) => What::Unfit(reason),
+                Some(Ok(line)) => match quiet {
+                    None => What::Said(line),
+                    Some(quiet) => What::Waits(line, quiet),
+                },
+            };
+            outcomes.push(Outcome { number, value, what });
+        }
+        let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
+        if said > 0 {
+            self.heard.said += said as u64;
+            self.waiting.clear();
+        }
+        for outcome in &outcomes {
+            match &outcome.what {
+                What::Waits(line, quiet) if !self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet }) => {
+                    self.refuse(topic, outcome.number, "too much waits for silence");
+                }
+                What::Unfit(reason) => self.refuse(topic, outcome.number, reason),
+                _ => {}
+            }
+        }
+        for outcome in outcomes.iter().filter(|outcome| outcome.what != What::OtherValue) {
+            if let Some(count) = self.fitted.get_mut(outcome.number.wrapping_sub(1)) {
+                *count = count.saturating_add(1);
+            }
+        }
+        let acts = |outcome: &Outcome| matches!(outcome.what, What::Said(_) | What::Waits(..));
+        let fits = |outcome: &Outcome| outcome.what != What::OtherValue;
+        if outcomes.iter().any(fits) && !outcomes.iter().any(acts) {
+            let is_unsayable = outcomes.iter().any(|outcome| matches!(outcome.what, What::Unfit(_)));
+            *(if is_unsayable { &mut self.heard.unsayable } else { &mut self.heard.silent }) += 1;
+        }
+        outcomes
+    }
+
+    /// Begins to wait; the same line begins again. Whether there is room.
+    fn wait(&mut self, waiting: Waiting) -> bool {
+        self.waiting.retain(|other| other.line != waiting.line);
+        let has_room =
+            self.waiting.len() < WAITING_MAX && self.waiting_bytes() + waiting.line.len() <= WAITING_BYTES_MAX;
+        if has_room {
+            self.waiting.push(waiting);
+        }
+        has_room
+    }
+
+    fn waiting_bytes(&self) -> usize {
+        self.waiting.iter().map(|waiting| waiting.line.capacity()).sum()
+    }
+
+    /// Each doubling of their number is one line of the log.
+    fn refuse(&mut self, topic: &str, rule: usize, reason: &str) {
+        self.refused += 1;
+        if self.refused.is_power_of_two() {
+            tracing::warn!(topic, rule, reason, refused = self.refused, "what a rule would say is not narrated");
+        }
+    }
+
+    /// What it was quiet for long enough to say, as lines of JSON.
+    pub fn due(&mut self, now: Instant) -> Vec<String> {
+        let due = |waiting: &mut Waiting| now.saturating_duration_since(waiting.since) >= waiting.quiet;
+        let lines: Vec<_> = self.waiting.extract_if(.., due).map(|waiting| waiting.line).collect();
+        self.heard.said += lines.len() as u64;
+        lines
+    }
+
+    /// Silence counts from now on: before, nothing could be heard.
+    pub(super) fn listen_from(&mut self, now: Instant) {
+        self.waiting.iter_mut().for_each(|waiting| waiting.since = now);
+    }
+}

@@ -1,0 +1,1258 @@
+//! Rules, what is remembered, and real brokers.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::Command;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::Packet;
+use rumqttc::v5::{AsyncClient, Client, Event};
+
+use super::client::broken;
+use super::rehearsal::report;
+use super::rules::matches;
+use super::*;
+use crate::line::{Who, line_item};
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::skipped::skipped;
+
+const RULES: &str = r#"
+    [[rule]]
+    topic = "home/binary_sensor/fridge_door/state"
+    when = "on"
+    say = "They open the fridge."
+
+    [[rule]]
+    topic = "home/+/+/json"
+    field = "/state/power"
+    say = "the {2} is {value}"
+    person = 1
+    retained = true
+"#;
+
+fn hear(listener: &mut Listener, topic: &str, payload: &str, retained: bool) -> Option<String> {
+    let mut lines = listener.hear(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
+    assert!(lines.len() <= 1, "{lines:?}");
+    lines.pop()
+}
+
+#[test]
+fn rules_make_sentences() {
+    let rules = Rules::parse(RULES).unwrap();
+    let line =
+        |topic: &str, payload: &[u8]| rules.readings(topic, payload).into_iter().find_map(|said| said.line?.ok());
+    let fridge = line("home/binary_sensor/fridge_door/state", b"ON").unwrap();
+    assert_eq!(fridge, r#"{"text":"They open the fridge."}"#);
+    assert_eq!(rules.readings("home/binary_sensor/fridge_door/state", b"off")[0].line, None);
+    let coffee = line("home/switch/coffee_maker/json", br#"{"state": {"power": "on"}}"#).unwrap();
+    assert_eq!(coffee, r#"{"person":1,"text":"the coffee maker is on"}"#);
+    assert!(rules.readings("home/switch/coffee_maker/json", b"{").is_empty());
+    assert!(rules.readings("elsewhere", b"\xff\xfe").is_empty());
+}
+
+const SEVERAL: &str = r#"
+    [[rule]]
+    topic = "z/+"
+    field = "/occupancy"
+    when = "true"
+    presence = "present"
+    room = "{1}"
+
+    [[rule]]
+    topic = "z/+"
+    field = "/state"
+    when = "on"
+    say = "They turn on the lamp."
+
+    [[rule]]
+    topic = "z/+"
+    field = "/state"
+    say = "the lamp is {value}"
+
+    [[rule]]
+    topic = "z/+"
+    field = "/state"
+    when = "on"
+    presence = "present"
+"#;
+
+#[test]
+fn one_message_says_several_things() {
+    let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
+    let mut said = |payload: &str| listener.hear(b"z/hall", payload.as_bytes(), false, Instant::now());
+    assert_eq!(
+        said(r#"{"occupancy": true, "state": "ON", "linkquality": 80}"#),
+        [
+            r#"{"presence":"present","room":"hall"}"#,
+            r#"{"text":"They turn on the lamp."}"#,
+            r#"{"presence":"present"}"#
+        ]
+    );
+    assert!(said(r#"{"occupancy": true, "state": "ON", "linkquality": 81}"#).is_empty(), "both values repeat");
+    assert_eq!(said(r#"{"occupancy": true, "state": "OFF"}"#), [r#"{"text":"the lamp is OFF"}"#], "one of two is news");
+    assert_eq!(said(r#"{"occupancy": false}"#), Vec::<String>::new());
+    assert_eq!(said(r#"{"occupancy": true}"#).len(), 1);
+    assert_eq!(listener.heard, Heard { said: 5, unfit: 1, silent: 1, ..Heard::default() });
+}
+
+#[test]
+fn a_person_is_named_by_the_payload() {
+    let rules = "[[rule]]\ntopic = \"faces\"\nfield = \"/event\"\nwhen = \"seen\"\npresence = \"present\"\n\
+        room = \"{/where/room}\"\nperson = \"{/name}\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let mut said = |payload: &str| hear(&mut listener, "faces", payload, false);
+    let line = said(r#"{"event": "seen", "name": "ada", "where": {"room": "hall"}}"#).unwrap();
+    assert_eq!(line, r#"{"person":"ada","presence":"present","room":"hall"}"#);
+    assert_eq!(said(r#"{"event": "seen", "where": {"room": "hall"}}"#), None, "nobody is named");
+}
+
+#[test]
+fn a_rehearsal_tells_which_rule_says_what() {
+    let mut listener = Listener::new(Rules::parse(SEVERAL).unwrap());
+    let mut told = |topic: &str, payload: &str, retained| {
+        let outcomes = listener.outcomes(topic.as_bytes(), payload.as_bytes(), retained, Instant::now());
+        let mut remark = |line: &str| line.contains("kitchen").then(|| "no kitchen\u{1b}".to_owned());
+        report(&listener.rules, (topic.as_bytes(), payload.as_bytes(), retained), &outcomes, &mut remark)
+    };
+    let on = r#"{"occupancy": true, "state": "ON"}"#;
+    let text = told("z/hall", on, true);
+    assert_eq!(text.matches("is silent: retained").count(), 3, "{text}");
+    let text = told("z/kitchen", on, false);
+    assert!(text.starts_with(&format!("z/kitchen  {on}\n")), "JSON can be read: {text}");
+    let said = "\n  rule 1 says {\"presence\":\"present\",\"room\":\"kitchen\"}\n    no kitchen\\u001b\n";
+    assert!(text.contains(said), "{text}");
+    assert!(text.contains("\n  rule 2 says {\"text\":\"They turn on the lamp.\"}"), "{text}");
+    assert!(text.contains("\n  rule 3 is silent: a rule before it"), "{text}");
+    assert_eq!(told("z/kitchen", on, false).matches("is what the topic said before").count(), 3);
+    assert!(
+        told("z/kitchen", r#"{"occupancy": false}"#, false).contains("rule 1 is silent: \"false\" is not its `when`")
+    );
+    let text = told("else\u{1b}[2J", "\u{7}", false);
+    assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
+    // What turns the direction of a line, or makes it long, does neither.
+    let text = told("z/kitchen", &format!("{{\"state\": \"\u{202e}\u{9b}{}\"}}", "x".repeat(200)), false);
+    assert!(text.starts_with("z/kitchen  {\"state\": \"\\u202e\\u009bxxx") && text.contains("xxx..."), "{text:?}");
+    assert!(!text.contains(['\u{202e}', '\u{9b}']), "{text:?}");
+    for (payload, lacks) in [("ON", "is no JSON"), (r#"{"linkquality": 80}"#, "has nothing at /occupancy")] {
+        let text = told("z/hall", payload, false);
+        assert!(text.ends_with(&format!("\n  rule 1 cannot read it: the payload {lacks}")), "{text}");
+    }
+}
+
+#[test]
+fn what_an_unread_payload_lacks_is_known() {
+    let rules = Rules::parse(
+        "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"face\"\n\
+        field = \"/event\"\npresence = \"present\"\nperson = \"{/name}\"",
+    );
+    let rules = rules.unwrap();
+    let lack = |topic, payload: &[u8]| rules.unreadable(topic, payload);
+    assert_eq!(lack("lamp", b"on"), None);
+    assert_eq!(lack("else", b"on"), None, "no rule listens there");
+    assert_eq!(lack("lamp", b"\xff"), Some((1, "is no text".to_owned())));
+    assert_eq!(lack("lamp", b" "), Some((1, "is empty".to_owned())));
+    assert_eq!(lack("face", b"seen"), Some((2, "is no JSON".to_owned())));
+    assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
+    assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
+    assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+}
+
+/// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
+#[test]
+fn an_empty_payload_says_nothing() {
+    let rules = "[[rule]]\ntopic = \"person\"\nunless = [\"home\", \"unknown\"]\npresence = \"away\"\nperson = \"ada\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    for (payload, lines) in [("", 0), (" \n", 0), ("home", 0), ("not_home", 1)] {
+        assert_eq!(listener.hear(b"person", payload.as_bytes(), false, Instant::now()).len(), lines, "{payload:?}");
+    }
+}
+
+/// Of a payload of JSON a rule names the values; all of it is no words of a sentence.
+#[test]
+fn an_object_in_braces_is_not_said() {
+    let rules = "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"plug\"\n\
+        field = \"/state\"\nsay = \"the plug is {value}, {/more}\"\n[[rule]]\ntopic = \"door\"\nsay = \"They use the door.\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let mut hear =
+        |topic: &str, payload: &str| listener.hear(topic.as_bytes(), payload.as_bytes(), false, Instant::now());
+    assert!(hear("lamp", r#"{"state": "on"}"#).is_empty() && hear("lamp", "[1, 2]").is_empty());
+    assert!(hear("plug", r#"{"state": "on", "more": {"a": 1}}"#).is_empty());
+    assert_eq!(hear("plug", r#"{"state": "off", "more": "idle"}"#), [r#"{"text":"the plug is off, idle"}"#]);
+    assert_eq!(hear("lamp", "{on"), [r#"{"text":"the lamp is {on"}"#], "no JSON");
+    assert_eq!(hear("door", r#"{"state": "on"}"#).len(), 1, "it says nothing of the value");
+    assert_eq!(listener.heard, Heard { said: 3, unsayable: 3, ..Heard::default() });
+}
+
+#[test]
+fn an_address_without_a_scheme_is_told_with_one() {
+    let told = |address: &str| {
+        let broker = Broker { address: address.to_owned(), ..Broker::default() };
+        broker.options().unwrap_err().to_string()
+    };
+    assert!(told("192.168.1.5:1884").ends_with("with a CA file, here mqtt://192.168.1.5:1884"));
+    assert!(told("broker.lan").ends_with("with a CA file, here mqtt://broker.lan:1883"));
+    for address in ["tcp://broker.lan", "", "a:b:c"] {
+        assert!(told(address).ends_with("with a CA file"), "{}", told(address));
+    }
+}
+
+#[test]
+fn missing_rules_are_told_with_the_whole_path() {
+    let told = Rules::load(Path::new("no-such-rules.toml")).unwrap_err().to_string();
+    let whole = std::path::absolute("no-such-rules.toml").unwrap();
+    assert!(told.contains(&whole.display().to_string()), "{told}");
+}
+
+/// What programs and devices of smart homes send, in their own shapes.
+#[test]
+fn devices_of_many_makers_are_understood() {
+    let rules = r#"
+        [[rule]]
+        topic = "zigbee2mqtt/hall_motion"
+        field = "/occupancy"
+        when = "true"
+        presence = "present"
+        room = "hall"
+        [[rule]]
+        topic = "zigbee2mqtt/fridge"
+        field = "/contact"
+        when = "false"
+        say = "They open the fridge."
+        [[rule]]
+        topic = "zigbee2mqtt/button"
+        field = "/action"
+        when = "single"
+        repeats = true
+        say = "They press the button."
+        [[rule]]
+        topic = "stat/+/POWER"
+        when = "ON"
+        say = "They turn on the {1}."
+        [[rule]]
+        topic = "tele/door/SENSOR"
+        field = "/Switch1"
+        when = "ON"
+        say = "They open the front door."
+        [[rule]]
+        topic = "esp-bath/binary_sensor/motion/state"
+        when = "ON"
+        presence = "present"
+        room = "bathroom"
+        [[rule]]
+        topic = "frigate/+/person"
+        unless = ["0"]
+        presence = "present"
+        room = "{1}"
+        [[rule]]
+        topic = "shellies/+/input_event/0"
+        field = "/event"
+        when = "S"
+        say = "They press the {1}."
+        [[rule]]
+        topic = "owntracks/+/phone/event"
+        field = "/event"
+        when = "leave"
+        presence = "away"
+        person = "{1}"
+        [[rule]]
+        topic = "homeassistant/person/ada/state"
+        when = "home"
+        presence = "present"
+        person = "Ada"
+        [[rule]]
+        topic = "homeassistant/person/ada/state"
+        unless = ["home", "unknown", "unavailable"]
+        presence = "away"
+        person = "Ada""#;
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    for (topic, payload, expected) in [
+        (
+            "zigbee2mqtt/hall_motion",
+            r#"{"battery":97,"illuminance":12,"occupancy":true,"linkquality":120}"#,
+            r#"{"presence":"present","room":"hall"}"#,
+        ),
+        ("zigbee2mqtt/hall_motion", r#"{"battery":96,"occupancy":true}"#, ""),
+        ("zigbee2mqtt/hall_motion", r#"{"battery":96}"#, ""),
+        (
+            "zigbee2mqtt/fridge",
+            r#"{"battery":100,"contact":false,"voltage":3005}"#,
+            r#"{"text":"They open the fridge."}"#,
+        ),
+        ("zigbee2mqtt/button", r#"{"action":"single"}"#, r#"{"text":"They press the button."}"#),
+        ("zigbee2mqtt/button", r#"{"battery":88}"#, ""),
+        ("zigbee2mqtt/button", r#"{"action":"single"}"#, r#"{"text":"They press the button."}"#),
+        ("stat/coffee_maker/POWER", "ON", r#"{"text":"They turn on the coffee maker."}"#),
+        (
+            "tele/door/SENSOR",
+            r#"{"Time":"2025-11-24T07:30:00","Switch1":"ON"}"#,
+            r#"{"text":"They open the front door."}"#,
+        ),
+        ("esp-bath/binary_sensor/motion/state", "ON", r#"{"presence":"present","room":"bathroom"}"#),
+        ("frigate/kitchen/person", "0", ""),
+        ("frigate/kitchen/person", "2", r#"{"presence":"present","room":"kitchen"}"#),
+        (
+            "shellies/door_bell/input_event/0",
+            r#"{"event":"S","event_cnt":7}"#,
+            r#"{"text":"They press the door bell."}"#,
+        ),
+        (
+            "owntracks/ada/phone/event",
+            r#"{"_type":"transition","event":"leave","desc":"Home"}"#,
+            r#"{"person":"ada","presence":"away"}"#,
+        ),
+        ("homeassistant/person/ada/state", "home", r#"{"person":"Ada","presence":"present"}"#),
+        // Another zone than home is out of the house, and what Home Assistant does not know is nothing.
+        ("homeassistant/person/ada/state", "unavailable", ""),
+        ("homeassistant/person/ada/state", "home", ""),
+        ("homeassistant/person/ada/state", "Work", r#"{"person":"Ada","presence":"away"}"#),
+        ("homeassistant/person/ada/state", "unknown", ""),
+        ("homeassistant/person/ada/state", "not_home", r#"{"person":"Ada","presence":"away"}"#),
+    ] {
+        let said = hear(&mut listener, topic, payload, false).unwrap_or_default();
+        assert_eq!(said, expected, "{topic} {payload}");
+    }
+}
+
+#[test]
+fn a_device_that_was_not_heard_for_a_while_has_done_nothing() {
+    let rules = "[[rule]]\ntopic = \"door\"\nwhen = \"off\"\nsay = \"They close the door.\"\n\
+        [[rule]]\ntopic = \"watched\"\nwhen = \"unavailable\"\nsay = \"the lamp is gone\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let said = ["off", "unavailable", "off", "unknown", "off", "on", "off"]
+        .map(|value| hear(&mut listener, "door", value, false).is_some());
+    assert_eq!(said, [true, false, false, false, false, false, true]);
+    let said = ["unavailable", "unavailable", "on", "unavailable"]
+        .map(|value| hear(&mut listener, "watched", value, false).is_some());
+    assert_eq!(said, [true, false, false, true], "a rule that speaks of it");
+    let mut rehearsed =
+        Listener::new(Rules::parse("[[rule]]\ntopic = \"a\"\nunless = [\"0\"]\npresence = \"present\"").unwrap());
+    let outcomes = rehearsed.outcomes(b"a", b"0", false, Instant::now());
+    assert!(
+        report(&rehearsed.rules, (b"a", b"0", false), &outcomes, &mut |_| None).ends_with("\"0\" is in its `unless`")
+    );
+}
+
+#[test]
+fn rules_say_who_is_where() {
+    let rules = "[[rule]]\ntopic = \"motion/+\"\nwhen = \"on\"\npresence = \"present\"\nroom = \"{1}\"\n\
+        [[rule]]\ntopic = \"phone/+\"\nwhen = \"not_home\"\npresence = \"away\"\nperson = \"{1}\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let mut said = |topic, payload| hear(&mut listener, topic, payload, false);
+    assert_eq!(said("motion/living_room", "on").unwrap(), r#"{"presence":"present","room":"living room"}"#);
+    assert_eq!(said("phone/ada", "not_home").unwrap(), r#"{"person":"ada","presence":"away"}"#);
+    assert_eq!(said("phone/ada", "home"), None);
+}
+
+#[test]
+fn silence_after_the_front_door_says_that_they_are_away() {
+    let rules = "[[rule]]\ntopic = \"door\"\nwhen = \"closed\"\nsay = \"They close the front door.\"\n\
+        [[rule]]\ntopic = \"door\"\nwhen = \"closed\"\npresence = \"away\"\nperson = \"ada\"\nquiet_s = 600.0\n\
+        [[rule]]\ntopic = \"door\"\nwhen = \"closed\"\npresence = \"away\"\nperson = \"ben\"\nquiet_s = 900.0\n\
+        [[rule]]\ntopic = \"motion\"\nwhen = \"on\"\npresence = \"present\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let start = Instant::now();
+    let at = |seconds| start + Duration::from_secs(seconds);
+    let door = |listener: &mut Listener, value: &str, seconds| {
+        !listener.hear(b"door", value.as_bytes(), false, at(seconds)).is_empty()
+    };
+    assert!(door(&mut listener, "closed", 0));
+    assert_eq!(listener.hear(b"motion", b"on", false, at(300)).len(), 1);
+    assert_eq!(listener.due(at(10_000)), Vec::<String>::new(), "somebody moved");
+    // Opening it says nothing, so it breaks no silence; closing it begins the silence again.
+    assert!(!door(&mut listener, "open", 20_000) && door(&mut listener, "closed", 20_100));
+    assert!(!door(&mut listener, "open", 20_200) && door(&mut listener, "closed", 20_300));
+    assert!(!door(&mut listener, "closed", 20_400), "a value that repeats says nothing new");
+    assert_eq!(listener.due(at(20_899)), Vec::<String>::new());
+    // One silence does not end the other.
+    assert_eq!(listener.due(at(20_900)), [r#"{"person":"ada","presence":"away"}"#]);
+    assert_eq!(listener.due(at(21_200)), [r#"{"person":"ben","presence":"away"}"#]);
+    assert_eq!(listener.due(at(99_999)), Vec::<String>::new());
+    // Time without a connection is no silence.
+    assert!(!door(&mut listener, "open", 100_000) && door(&mut listener, "closed", 100_000));
+    listener.listen_from(at(100_599));
+    assert_eq!(listener.due(at(101_198)), Vec::<String>::new());
+    assert_eq!(listener.due(at(101_199)).len(), 1);
+    // What is retained from before this process is no event.
+    listener.first_connection = true;
+    assert!(listener.hear(b"door", b"open", true, at(200_000)).is_empty());
+    assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_empty());
+    assert_eq!(listener.due(at(300_000)).len(), 1, "ben's silence of before");
+    assert_eq!(listener.heard, Heard { said: 9, unfit: 4, silent: 2, ..Heard::default() });
+}
+
+#[test]
+fn filters_fit_as_mqtt_has_it() {
+    assert_eq!(matches("a/+/c", "a/b/c"), Some(vec!["b"]));
+    assert_eq!(matches("a/#", "a/b/c"), Some(vec![]));
+    assert_eq!(matches("a/#", "a"), Some(vec![]));
+    assert_eq!(matches("a/+", "a/b/c"), None);
+    assert_eq!(matches("a/b/c", "a/b"), None);
+}
+
+#[test]
+fn malformed_rules_are_named() {
+    for (text, part) in [
+        ("[[rule]]\ntopic = \"a/b#\"\nsay = \"x\"", "rule 1: the topic"),
+        ("[[rule]]\ntopic = \"#/b\"\nsay = \"x\"", "rule 1: the topic"),
+        ("[[rule]]\ntopic = \"a\"\nsay = \" \"", "rule 1: say is empty"),
+        ("[[rule]]\ntopic = \"a/+\"\nsay = \"the {2} is {value}\"", "rule 1: say has {2}; it knows {value}, {1}"),
+        ("[[rule]]\ntopic = \"a\"\npresence = \"present\"\nroom = \"{1}\"", "rule 1: room has {1}; it knows {value}"),
+        (
+            "[[rule]]\ntopic = \"a\"\npresence = \"home\"",
+            "unknown variant `home`, expected one of `present`, `away`, `gone`, `empty`",
+        ),
+        ("[[rule]]\ntopic = \"a\"\npresence = \"empty\"", "rule 1: presence = \"empty\" says that nobody"),
+        ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
+        ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
+        ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
+        ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nwhen = \"on\"\nunless = [\"off\"]", "rule 1: when and unless exclude"),
+        ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown field"),
+    ] {
+        let error = Rules::parse(text).unwrap_err();
+        assert!(error.contains(part), "{text}: {error}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let error = Rules::load(&pem(folder.path(), "rules.toml", "")).unwrap_err().to_string();
+    assert!(error.ends_with("docs/mqtt.md shows what they look like"), "{error}");
+}
+
+#[test]
+fn what_no_rule_speaks_of_makes_the_next_value_news() {
+    let mut listener = Listener::new(Rules::parse(RULES).unwrap());
+    let door = "home/binary_sensor/fridge_door/state";
+    let said = ["on", "on", "off", "on", "off", "on"].map(|value| hear(&mut listener, door, value, false).is_some());
+    assert_eq!(said, [true, false, false, true, false, true]);
+    assert_eq!(listener.heard, Heard { said: 3, unfit: 2, silent: 1, ..Heard::default() });
+}
+
+#[test]
+fn retained_and_repeated_messages_say_nothing_new() {
+    let mut listener = Listener::new(Rules::parse(RULES).unwrap());
+    let door = "home/binary_sensor/fridge_door/state";
+    let oven = "home/switch/oven/json";
+    assert_eq!(hear(&mut listener, door, "on", true), None);
+    assert!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true).unwrap().contains("the oven is on"));
+    assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, false), None);
+    listener.first_connection = false;
+    // Retained again after a reconnection: changed while away, so it is an event; the same, so it is not.
+    assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true), None);
+    assert!(hear(&mut listener, oven, r#"{"state": {"power": "off"}}"#, true).unwrap().contains("the oven is off"));
+    assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, ..Heard::default() });
+}
+
+#[test]
+fn addresses_and_their_faults() {
+    let broker = |address: &str| Broker { address: address.into(), client: "test".into(), ..Broker::default() };
+    assert_eq!(broker("mqtt://hub").options().unwrap().broker_address(), ("hub".into(), 1883));
+    assert_eq!(broker("mqtt://hub:99").options().unwrap().broker_address(), ("hub".into(), 99));
+    assert_eq!(broker("mqtt://hub:99/").options().unwrap().broker_address(), ("hub".into(), 99));
+    assert_eq!(broker("mqtt://[::1]").options().unwrap().broker_address(), ("[::1]".into(), 1883));
+    assert_eq!(broker("mqtt://[::1]:99").options().unwrap().broker_address(), ("[::1]".into(), 99));
+    for wrong in [
+        "hub",
+        "http://hub",
+        "mqtt://",
+        "mqtt://hub:port",
+        "mqtt://hub:99999",
+        "mqtt://::1",
+        "mqtt://hub/a",
+        "mqtt://a:1:2",
+    ] {
+        assert!(matches!(broker(wrong).options(), Err(MqttError::Address { .. })), "{wrong}");
+    }
+    let login = broker("mqtt://home:secret@hub").options().unwrap_err().to_string();
+    assert!(login.contains("--mqtt-credentials FILE") && !login.contains("secret"), "{login}");
+    let folder = tempfile::tempdir().unwrap();
+    let with = |address: &str, authority| Broker { authority, ..broker(address) }.options().unwrap_err();
+    let text = Some(pem(folder.path(), "text", "no certificate"));
+    assert!(with("mqtts://hub", None).to_string().contains("without a CA file"));
+    assert!(with("mqtt://hub", text.clone()).to_string().contains("with a CA file"));
+    assert!(matches!(with("mqtts://hub", text), MqttError::Authority { .. }));
+    assert!(matches!(with("mqtts://hub", Some(folder.path().join("nowhere"))), MqttError::Read { .. }));
+    for text in ["robot\n", "robot", "", "\nsecret\n"] {
+        let credentials = Some(pem(folder.path(), "short", text));
+        let broker = Broker { credentials, address: "mqtt://hub".to_owned(), ..Broker::default() };
+        let error = broker.options().unwrap_err();
+        assert!(matches!(error, MqttError::Credentials { .. }), "{text:?}: {error}");
+    }
+}
+
+/// A PEM file, and its path.
+fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// An authority that signs a certificate for this machine; gives the authority's certificate, and the other with its key.
+fn certificates() -> (String, String, String) {
+    use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
+    let mut params = CertificateParams::new(Vec::new()).unwrap();
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    let authority = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
+    let key = KeyPair::generate().unwrap();
+    let params = CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
+    let own = params.signed_by(&key, &authority).unwrap();
+    (authority.as_ref().pem(), own.pem(), key.serialize_pem())
+}
+
+/// How a connection that must not come about ends: with what the client says of its first attempt.
+fn refusal(broker: &Broker) -> String {
+    let (_client, mut connection) = Client::new(broker.options().unwrap(), 10);
+    connection.recv().unwrap().unwrap_err().to_string()
+}
+
+/// TLS with certificates of an own authority, and credentials from a file.
+#[test]
+fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let folder = tempfile::tempdir().unwrap();
+    let (authority, own, key) = certificates();
+    let authority = pem(folder.path(), "authority.pem", &authority);
+    let (own, key) = (pem(folder.path(), "broker.pem", &own), pem(folder.path(), "broker.key", &key));
+    let passwords = folder.path().join("passwords");
+    let made = Command::new("mosquitto_passwd").args(["-b", "-c"]).arg(&passwords).args(["robot", "secret"]).output();
+    if !made.is_ok_and(|made| made.status.success()) {
+        skipped(NO_BROKER);
+        return;
+    }
+    let (authority_path, own, key) = (authority.display(), own.display(), key.display());
+    let access = format!(
+        "cafile {authority_path}\ncertfile {own}\nkeyfile {key}\nallow_anonymous false\npassword_file {}",
+        passwords.display()
+    );
+    let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), &access) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let to = Broker {
+        address: format!("mqtts://localhost:{port}"),
+        client: "listener".into(),
+        credentials: Some(pem(folder.path(), "credentials", "robot\nsecret\n")),
+        authority: Some(authority.clone()),
+    };
+
+    // Another authority, another password, no TLS: no connection.
+    let stranger = pem(folder.path(), "stranger.pem", &certificates().0);
+    let error = refusal(&Broker { authority: Some(stranger), ..to.clone() });
+    assert!(error.contains("certificate"), "{error}");
+    let wrong = pem(folder.path(), "wrong", "robot\nguess\n");
+    let error = refusal(&Broker { credentials: Some(wrong), ..to.clone() });
+    assert!(error.contains("NotAuthorized") || error.contains("BadUserNamePassword"), "{error}");
+    refusal(&Broker { address: format!("mqtt://localhost:{port}"), authority: None, ..to.clone() });
+
+    let rules =
+        Rules::parse("[[rule]]\ntopic = \"home/oven\"\nsay = \"the oven is {value}\"\nretained = true").unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    let stop = Stop::new();
+    let (own_stop, own_options) = (stop.clone(), to.options().unwrap());
+    let listening = std::thread::spawn(move || listen(own_options, rules, writer, &own_stop));
+    let (client, mut connection) = Client::new(Broker { client: "publisher".into(), ..to }.options().unwrap(), 10);
+    client.try_publish("home/oven", QoS::AtLeastOnce, true, "on").unwrap();
+    while !matches!(connection.recv().unwrap().unwrap(), Event::Incoming(Packet::PubAck(_))) {}
+    let line = BufReader::new(reader).lines().next().unwrap().unwrap();
+    assert!(line.contains("the oven is on"), "{line}");
+    stop.request();
+    assert_eq!(listening.join().unwrap().unwrap().said, 1);
+}
+
+/// Two clients of one name at a real broker: whoever loses its place is told what it may be.
+#[tokio::test]
+async fn a_client_whose_place_is_taken_says_so() {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let address = format!("mqtt://127.0.0.1:{port}");
+    let broker = Broker { address, client: "roomcast-home".to_owned(), credentials: None, authority: None };
+    let client = || AsyncClient::new(broker.options().unwrap(), 4);
+    let ((_one, mut first), (_other, mut second)) = (client(), client());
+    while !matches!(first.poll().await, Ok(Event::Incoming(Packet::ConnAck(_)))) {}
+    while !matches!(second.poll().await, Ok(Event::Incoming(Packet::ConnAck(_)))) {}
+    let error = loop {
+        if let Err(error) = first.poll().await {
+            break error;
+        }
+    };
+    assert!(broken(&error).contains("another client has this one's name"), "{error}");
+}
+
+/// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
+#[test]
+fn nothing_is_lost_over_a_restart_of_the_broker() {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    broker.publish(&[("home/switch/oven/json", r#"{"state": {"power": "on"}}"#.into(), true)]);
+    let rules = Rules::parse("[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"\n[[rule]]\ntopic = \"home/+/+/json\"\nfield = \"/state/power\"\nsay = \"the {2} is {value}\"\nretained = true").unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    let stop = Stop::new();
+    let own_stop = stop.clone();
+    let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+    let listening = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
+    let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
+    // What is retained comes first: the subscription stands.
+    assert!(lines.next().unwrap().contains("the oven is on"));
+    let steps = |range: std::ops::Range<u32>| range.map(|n| ("home/step", n.to_string(), false)).collect::<Vec<_>>();
+    // So many that it is known to count its identifiers.
+    broker.publish(&steps(1000..1100));
+    for n in 1000..1100 {
+        assert!(lines.next().unwrap().contains(&format!("They do step {n}.")));
+    }
+    broker.publish(&steps(0..50));
+    let broker = broker.restart();
+    // The listener may not be back yet: its session is.
+    broker.publish(&steps(50..100));
+    for n in 0..100 {
+        let line = lines.next().unwrap();
+        assert!(line.contains(&format!("They do step {n}.")), "step {n}: {line}");
+    }
+    stop.request();
+    let heard = listening.join().unwrap().unwrap();
+    assert_eq!((heard.said, heard.unfit), (201, 0));
+}
+
+/// Held by tests that look at the memory of this process: one must not see what the other's messages take.
+static MEMORY: Mutex<()> = Mutex::new(());
+
+/// Memory that this process has, in bytes.
+fn resident() -> u64 {
+    let text = std::fs::read_to_string("/proc/self/status").unwrap();
+    let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
+    kilobytes.unwrap().parse::<u64>().unwrap() << 10
+}
+
+/// A listener in a thread of its own, and what it says.
+struct Listening {
+    thread: std::thread::JoinHandle<Result<Heard, MqttError>>,
+    lines: std::io::Lines<BufReader<std::io::PipeReader>>,
+    stop: Stop,
+}
+
+impl Listening {
+    fn start(port: u16, rules: &str) -> Self {
+        let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+        let (reader, writer) = std::io::pipe().unwrap();
+        let (stop, rules) = (Stop::new(), Rules::parse(rules).unwrap());
+        let own_stop = stop.clone();
+        let thread = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
+        Self { thread, lines: BufReader::new(reader).lines(), stop }
+    }
+
+    fn next(&mut self) -> Option<String> {
+        self.lines.next().map(Result::unwrap)
+    }
+
+    /// Stops it as a signal does; what it still says, and its counts.
+    fn end(self) -> (Vec<String>, Heard) {
+        self.stop.request();
+        let rest = self.lines.map(Result::unwrap).collect();
+        (rest, self.thread.join().unwrap().unwrap())
+    }
+}
+
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// What a stand-in for a broker greets with.
+const CONNACK: [u8; 5] = [0x20, 3, 0, 0, 0];
+
+const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
+
+/// A rehearsal beside the narrator of the same name: it tells what would be said, and the narrator's session keeps every message.
+#[test]
+fn a_rehearsal_takes_nothing_from_the_narrator() {
+    let port = free_port();
+    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    broker.publish(&[("home/start", "first".into(), true)]);
+    let rules = format!("{STEPS}\n[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {{value}}.\"\nretained = true");
+    let mut first = Listening::start(port, &rules);
+    assert!(first.next().unwrap().contains("the first"));
+    first.end();
+    broker.publish(&[("home/step", "1".into(), false)]);
+
+    let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+    let (reader, writer) = std::io::pipe().unwrap();
+    let (stop, own) = (Stop::new(), Rules::parse(&rules).unwrap());
+    let own_stop = stop.clone();
+    let rehearsal = std::thread::spawn(move || rehearse(to.options().unwrap(), own, writer, &own_stop, &mut |_| None));
+    let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
+    assert_eq!(lines.next().unwrap(), "home/start  first  (retained)");
+    assert_eq!(lines.next().unwrap(), r#"  rule 2 says {"text":"They do the first."}"#);
+    broker.publish(&[("home/step", "2".into(), false)]);
+    assert_eq!(lines.next().unwrap(), "home/step  2");
+    assert_eq!(lines.next().unwrap(), r#"  rule 1 says {"text":"They do step 2."}"#);
+    stop.request();
+    assert_eq!(rehearsal.join().unwrap().unwrap().said, 2);
+
+    let mut second = Listening::start(port, &rules);
+    let said: Vec<_> = (0..3).map(|_| second.next().unwrap()).collect();
+    for step in ["step 1", "step 2"] {
+        assert!(said.iter().any(|line| line.contains(step)), "{said:?}");
+    }
+    second.end();
+}
+
+/// Row "MQTT backlog" of the attacks. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
+/// `ROOMCAST_MQTT_SEED` chooses other moments.
+#[test]
+fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
+    const BACKLOG: u32 = 5_000;
+    let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
+    let restarts = std::env::var("ROOMCAST_MQTT_RESTARTS").map_or(6, |text| text.parse().unwrap());
+    let port = free_port();
+    let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let seed = std::env::var("ROOMCAST_MQTT_SEED").map_or(22, |text| text.parse().unwrap());
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // Its session stands when what is said after it has come.
+    broker.publish(&[("home/start", "first".into(), true)]);
+    let start = "[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {value}.\"\nretained = true";
+    let mut first = Listening::start(port, &format!("{STEPS}\n{start}"));
+    assert!(first.next().unwrap().contains("the first"));
+    assert_eq!(first.end().1.said, 1);
+    let before = resident();
+    let mut largest = 0;
+    let (mut published, mut said) = (0, 0);
+    let mut check = |line: &str| {
+        assert!(line.contains(&format!("They do step {said}.")), "step {said}: {line}");
+        said += 1;
+        said
+    };
+    for restart in 0..restarts {
+        let backlog: Vec<_> = (published..published + BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
+        broker.publish(&backlog);
+        published += BACKLOG;
+        // One is asked to stop in the middle of the backlog, and the next one goes on; now and then the broker restarts, too.
+        if restart % 3 == 2 {
+            broker = broker.restart();
+        }
+        let mut listening = Listening::start(port, STEPS);
+        for _ in 0..rng.random_range(0..BACKLOG) {
+            check(&listening.next().unwrap());
+        }
+        largest = largest.max(resident().saturating_sub(before));
+        let (rest, heard) = listening.end();
+        assert_eq!((heard.unfit, heard.oversized), (0, 0));
+        let mut now = rest.iter().map(|line| check(line)).last().unwrap_or_default();
+        let mut listening = Listening::start(port, STEPS);
+        let mut middle = (restart % 3 == 1).then(|| published - rng.random_range(0..BACKLOG / 2));
+        while now < published {
+            now = check(&listening.next().unwrap());
+            if middle.is_some_and(|middle| now >= middle) {
+                middle = None;
+                broker = broker.restart();
+                // It is behind all that the broker sends again: whoever has said it has acknowledged that.
+                broker.publish(&[("home/step", published.to_string(), false)]);
+                published += 1;
+            }
+        }
+        let (rest, _heard) = listening.end();
+        assert_eq!(rest, Vec::<String>::new());
+    }
+    println!("{restarts} restarts, {published} messages, at most {largest} bytes more than before");
+    assert!(largest < 64 << 20, "{largest} bytes more");
+}
+
+/// Hears lines as a daemon takes them that is slower than the broker.
+struct Slow(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Slow {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        std::thread::sleep(Duration::from_millis(2));
+        Ok(())
+    }
+}
+
+/// mosquitto 2.0.11 sends its whole queue at once, however few messages it was told to send ahead.
+#[test]
+fn who_is_killed_in_a_backlog_says_few_messages_twice() {
+    const BACKLOG: u64 = 2_000;
+    let port = free_port();
+    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let (mut next, mut twice, mut lives) = (0, 0, 0);
+    let mut live = |most: Duration| {
+        let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "killed".into(), ..Broker::default() };
+        let (out, stop) = (Arc::new(Mutex::new(Vec::new())), Stop::new());
+        let connection = Connection::new(to.options().unwrap(), Rules::parse(STEPS).unwrap(), Slow(Arc::clone(&out)));
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
+        // It is gone from one moment to the next, without a farewell.
+        let killed = runtime.block_on(async { tokio::time::timeout(most, connection.listen(&stop)).await.is_err() });
+        assert!(killed);
+        let said = String::from_utf8(std::mem::take(&mut *out.lock().unwrap())).unwrap();
+        let steps = said.lines().map(|line| {
+            let (_, step) = line.split_once("step ").unwrap();
+            step.split_once('.').unwrap().0.parse::<u64>().unwrap()
+        });
+        let steps: Vec<u64> = steps.collect();
+        let Some(first) = steps.first().copied() else { return next };
+        assert!(first <= next && next - first <= u64::from(MESSAGES_AHEAD_MAX), "{next} is next, and {first} is said");
+        assert!(steps.iter().copied().eq(first..first + steps.len() as u64), "{steps:?}");
+        (twice, lives) = (twice + next - first, lives + 1);
+        next = first + steps.len() as u64;
+        next
+    };
+    // The session, and then what waits for it.
+    live(Duration::from_millis(300));
+    let backlog: Vec<_> = (0..BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
+    broker.publish(&backlog);
+    let began = Instant::now();
+    while live(Duration::from_millis(700)) < BACKLOG {
+        assert!(began.elapsed() < Duration::from_secs(120));
+    }
+    println!("{lives} lives, {BACKLOG} messages, {twice} of them twice");
+    assert!(lives > 2);
+}
+
+#[test]
+fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
+    let port = free_port();
+    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let door = "[[rule]]\ntopic = \"home/door\"\nwhen = \"closed\"\npresence = \"away\"\nquiet_s = 1.0";
+    broker.publish(&[("home/step", "first".into(), true)]);
+    let mut listening = Listening::start(port, &format!("{STEPS}\nretained = true\n{door}"));
+    assert!(listening.next().unwrap().contains("step first"));
+    // A step that follows breaks the silence of the first closing, and nothing that of the second.
+    broker.publish(&[("home/door", "closed".into(), false), ("home/step", "next".into(), false)]);
+    assert!(listening.next().unwrap().contains("step next"));
+    broker.publish(&[("home/door", "open".into(), false), ("home/door", "closed".into(), false)]);
+    let closed = Instant::now();
+    assert_eq!(listening.next().unwrap(), r#"{"presence":"away"}"#);
+    assert!(closed.elapsed() > Duration::from_millis(500), "it waited: {:?}", closed.elapsed());
+    assert_eq!(listening.end().0, Vec::<String>::new());
+}
+
+/// Row "MQTT payloads of 10 MB" of the attacks.
+#[test]
+fn oversized_messages_are_refused_by_name_and_passed_over() {
+    let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
+    let port = free_port();
+    let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    broker.publish(&[("home/step", "first".into(), true)]);
+    let rules =
+        format!("{STEPS}\nretained = true\n[[rule]]\ntopic = \"home/camera\"\nsay = \"They look at {{value}}.\"");
+    let mut listening = Listening::start(port, &rules);
+    assert!(listening.next().unwrap().contains("step first"));
+    let before = resident();
+    let of = |bytes: usize| "x".repeat(bytes);
+    for round in 0..6 {
+        // What the broker passes over itself, what is refused here, and what is narration after all.
+        broker.publish(&[("home/camera", of(10 << 20), false), ("home/camera", of(17 << 20), false)]);
+        broker.publish(&[("home/camera", of(PAYLOAD_BYTES_MAX + 1), false)]);
+        broker.publish(&[("home/camera", of(PACKET_BYTES_MAX as usize - 64), false)]);
+        broker.publish(&[("home/step", round.to_string(), false)]);
+        assert!(listening.next().unwrap().contains(&format!("They do step {round}.")));
+    }
+    let more = resident().saturating_sub(before);
+    let (rest, heard) = listening.end();
+    assert_eq!((rest.len(), heard.said, heard.oversized), (0, 7, 12));
+    assert!(more < 128 << 20, "{more} bytes more");
+}
+
+/// Row "a refused subscription" of the attacks. mosquitto's own list of rights grants every subscription, so the broker is a stand-in.
+#[test]
+fn a_refused_subscription_is_an_error_with_its_name() {
+    const NOT_AUTHORIZED: u8 = 0x87;
+    let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = socket.local_addr().unwrap().port();
+    let broker = move |codes: &[u8]| {
+        let (mut stream, _) = socket.accept().unwrap();
+        let mut packet = [0; 512];
+        let _connect = stream.read(&mut packet).unwrap();
+        stream.write_all(&CONNACK).unwrap();
+        for code in codes {
+            let _subscribe = stream.read(&mut packet).unwrap();
+            stream.write_all(&[0x90, 4, packet[2], packet[3], 0, *code]).unwrap();
+        }
+        // A granted filter gets a message of quality 0.
+        if codes.iter().any(|code| *code < 0x80) {
+            stream.write_all(b"\x30\x0d\x00\x09home/step\x001").unwrap();
+        }
+        // Until the client has left.
+        let _rest = stream.read_to_end(&mut Vec::new());
+    };
+    let refused = "[[rule]]\ntopic = \"secret/#\"\nsay = \"They hide {value}.\"";
+    let listening = Listening::start(port, refused);
+    broker(&[NOT_AUTHORIZED]);
+    let error = listening.thread.join().unwrap().unwrap_err().to_string();
+    assert!(error.contains("\"secret/#\": NotAuthorized"), "{error}");
+    // Where another filter is granted, that one is heard.
+    let mut listening = Listening::start(port, &format!("{STEPS}\n{refused}"));
+    let answering = std::thread::spawn(move || broker(&[0, NOT_AUTHORIZED]));
+    assert!(listening.next().unwrap().contains("step 1"));
+    assert_eq!(listening.end().1.said, 1);
+    answering.join().unwrap();
+}
+
+/// A broker that sends anything: the generator of its kind, by seeds.
+#[test]
+fn a_broker_that_sends_anything_is_survived() {
+    let message = |rng: &mut ChaCha8Rng| {
+        let topic = b"home/step";
+        let payload: Vec<u8> = (0..rng.random_range(0..40)).map(|_| rng.random()).collect();
+        let mut packet = vec![0x30 | (rng.random_range(0..16_u8))];
+        packet.push(u8::try_from(2 + topic.len() + 2 + 1 + payload.len()).unwrap());
+        packet.extend([0, u8::try_from(topic.len()).unwrap()]);
+        packet.extend(topic);
+        packet.extend([0, rng.random(), 0]);
+        packet.extend(payload);
+        packet
+    };
+    let seeds: Vec<u64> = (0..64).collect();
+    std::thread::scope(|scope| {
+        for seeds in seeds.chunks(8) {
+            scope.spawn(move || {
+                for seed in seeds {
+                    let mut rng = ChaCha8Rng::seed_from_u64(*seed);
+                    let mut bytes = Vec::new();
+                    for _ in 0..rng.random_range(1..200) {
+                        bytes.extend(message(&mut rng));
+                    }
+                    for _ in 0..rng.random_range(0..8) {
+                        let at = rng.random_range(0..bytes.len());
+                        bytes[at] = rng.random();
+                    }
+                    let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+                    let mut listening = Listening::start(socket.local_addr().unwrap().port(), STEPS);
+                    let (mut stream, _) = socket.accept().unwrap();
+                    let mut greeting = [0; 256];
+                    let _read = stream.read(&mut greeting).unwrap();
+                    let _gone = stream.write_all(&CONNACK).and_then(|()| stream.write_all(&bytes));
+                    drop(stream);
+                    listening.stop.request();
+                    while listening.next().is_some() {}
+                    let ended = listening.thread.join();
+                    assert!(ended.is_ok_and(|heard| heard.is_ok()), "seed {seed}");
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn an_occupancy_sensor_says_that_a_room_is_empty() {
+    let rules = "[[rule]]\ntopic = \"+/occupancy\"\nwhen = \"off\"\npresence = \"empty\"\nroom = \"{1}\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let said = hear(&mut listener, "living_room/occupancy", "off", false).unwrap();
+    assert_eq!(said, r#"{"presence":"empty","room":"living room"}"#);
+}
+
+/// Row "4 200 messages of control characters" of the attacks: whatever is published, what waits for silence has few bytes.
+#[test]
+fn what_waits_for_silence_is_bounded_in_bytes() {
+    let rules = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"the {1} is {value}\"\nquiet_s = 600.0";
+    let start = Instant::now();
+    let after = start + Duration::from_secs(600);
+    let bytes = |listener: &Listener| listener.waiting.iter().map(|waiting| waiting.line.capacity()).sum::<usize>();
+    for (text, waits) in [
+        ("\u{1}".repeat(PAYLOAD_BYTES_MAX - 20), false),
+        ("x".repeat(PAYLOAD_BYTES_MAX - 20), false),
+        ("\u{1}".repeat(1_300), false),
+        ("on\u{1b}[2J".to_owned(), false),
+        ("x".repeat(400), true),
+        ("on".to_owned(), true),
+    ] {
+        let mut listener = Listener::new(Rules::parse(rules).unwrap());
+        for n in 0..4_200 {
+            let (topic, payload) = (format!("home/t{n}/state"), format!("{text}{n:08}"));
+            assert!(listener.hear(topic.as_bytes(), payload.as_bytes(), false, start).is_empty());
+            assert!(bytes(&listener) <= WAITING_BYTES_MAX);
+        }
+        let kept = listener.waiting.len();
+        assert_eq!(kept > 0, waits, "{kept} lines of {} bytes", text.len());
+        assert!(kept <= WAITING_MAX && listener.refused == 4_200 - kept as u64, "{kept}: {:?}", listener.heard);
+        let due = listener.due(after);
+        assert_eq!(due.len(), kept);
+        assert!(due.iter().all(|line| line_item(line, &Who::Somebody).is_ok()));
+    }
+    // There is room again, and what cannot be said is no word that ends a silence.
+    let mut listener = Listener::new(Rules::parse(&format!("{rules}\n{STEPS}")).unwrap());
+    assert!(listener.hear(b"home/lamp/state", b"on", false, start).is_empty());
+    assert!(listener.hear(b"home/step", b"\x07", false, start).is_empty());
+    assert_eq!(listener.due(after), [r#"{"text":"the lamp is on"}"#]);
+}
+
+/// Row "900 rules for one field" of the attacks: a message is read once, however many rules look into it.
+#[test]
+fn a_message_is_read_once_for_all_rules() {
+    let rule =
+        |n: usize| format!("[[rule]]\ntopic = \"z\"\nfield = \"/a\"\nwhen = \"{n}\"\nsay = \"the lamp is on\"\n");
+    let mut listener = Listener::new(Rules::parse(&(0..900).map(rule).collect::<String>()).unwrap());
+    let items = "1,".repeat(PAYLOAD_BYTES_MAX / 2 - 20);
+    let payload = format!(r#"{{"b":[{items}1],"a":"none"}}"#);
+    let one = Instant::now();
+    for _ in 0..10 {
+        serde_json::from_str::<serde_json::Value>(&payload).unwrap();
+    }
+    let one = one.elapsed() / 10;
+    let all = Instant::now();
+    listener.hear(b"z", payload.as_bytes(), false, all);
+    let all = all.elapsed();
+    assert!(all < one * 100, "900 rules took {all:?}, reading it once {one:?}");
+    assert_eq!((listener.heard.unfit, listener.heard.oversized), (1, 0));
+}
+
+/// A broker that lies: it does what a test says.
+struct Liar {
+    socket: std::net::TcpListener,
+    stream: Option<std::net::TcpStream>,
+}
+
+/// A message of quality 1.
+fn message(topic: &str, payload: &str, pkid: u16, dup: bool) -> Vec<u8> {
+    let rest = 2 + topic.len() + 2 + 1 + payload.len();
+    assert!(rest < 128);
+    let mut packet = vec![0x32 | u8::from(dup) << 3, rest as u8, 0, topic.len() as u8];
+    packet.extend(topic.as_bytes());
+    packet.extend(pkid.to_be_bytes());
+    packet.push(0);
+    packet.extend(payload.as_bytes());
+    packet
+}
+
+impl Liar {
+    fn new() -> (Self, u16) {
+        let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = socket.local_addr().unwrap().port();
+        (Self { socket, stream: None }, port)
+    }
+
+    /// The next packet that comes.
+    fn read(&mut self) -> Option<(u8, Vec<u8>)> {
+        let stream = self.stream.as_mut().unwrap();
+        let mut head = [0; 2];
+        stream.read_exact(&mut head).ok()?;
+        let (mut length, mut shift, mut byte) = (usize::from(head[1] & 127), 7, head[1]);
+        while byte & 128 != 0 {
+            let mut more = [0];
+            stream.read_exact(&mut more).ok()?;
+            byte = more[0];
+            length |= usize::from(byte & 127) << shift;
+            shift += 7;
+        }
+        let mut body = vec![0; length];
+        stream.read_exact(&mut body).ok()?;
+        Some((head[0] >> 4, body))
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        self.stream.as_mut().unwrap().write_all(bytes).unwrap();
+    }
+
+    /// Takes a connection, greets it with these properties, and grants its subscription.
+    fn greet(&mut self, is_kept: bool, properties: &[u8]) {
+        // Whoever was connected learns that it is over.
+        self.stream = None;
+        self.stream = Some(self.socket.accept().unwrap().0);
+        let _connect = self.read().unwrap();
+        let length = properties.len() as u8;
+        let greeting = [&[0x20, 3 + length, u8::from(is_kept), 0, length], properties].concat();
+        self.write(&greeting);
+    }
+
+    fn grant(&mut self) {
+        let (_, subscribe) = self.read_kind(8);
+        self.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
+    }
+
+    /// The next packet of a kind; pings between are answered.
+    fn read_kind(&mut self, kind: u8) -> (u8, Vec<u8>) {
+        loop {
+            let packet = self.read().unwrap();
+            if packet.0 == 12 {
+                self.write(&[0xd0, 0]);
+            }
+            if packet.0 == kind {
+                return packet;
+            }
+        }
+    }
+
+    fn acknowledged(&mut self, messages: usize) {
+        (0..messages).for_each(|_| _ = self.read_kind(4));
+    }
+}
+
+const BELL: &str = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring the bell for {value}.\"";
+
+/// A broker that takes the lowest free identifier, whose acknowledgements it has, and whose new messages are lost on their way.
+#[test]
+fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, BELL);
+    for round in 0..4 {
+        broker.greet(round > 0, &[]);
+        broker.grant();
+        // From the second time on: their first sending was lost with the link.
+        broker.write(&[message("bell", "ada", 1, round > 0), message("bell", "ben", 2, round > 0)].concat());
+        for name in ["ada", "ben"] {
+            assert_eq!(listening.next().unwrap(), format!("{{\"text\":\"They ring the bell for {name}.\"}}"));
+        }
+        broker.acknowledged(2);
+    }
+    assert_eq!(listening.end().1.said, 8);
+}
+
+/// What this side has not acknowledged comes again for sure, whatever identifiers the broker takes.
+#[test]
+fn what_was_not_acknowledged_is_recognised() {
+    let (mut broker, port) = Liar::new();
+    let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
+    let (reader, writer) = std::io::pipe().unwrap();
+    let (stop, rules) = (Stop::new(), Rules::parse(BELL).unwrap());
+    let (mut tell, news) = settled();
+    let own_stop = stop.clone();
+    let thread =
+        std::thread::spawn(move || listen_until_settled(to.options().unwrap(), rules, None, writer, news, &own_stop));
+    let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
+    broker.greet(false, &[]);
+    broker.grant();
+    broker.write(&message("bell", "ada", 1, false));
+    assert!(lines.next().unwrap().contains("ada"));
+    broker.greet(true, &[]);
+    broker.grant();
+    broker.write(&[message("bell", "ada", 1, true), message("bell", "ben", 2, true)].concat());
+    assert!(lines.next().unwrap().contains("ben"));
+    tell(2);
+    broker.acknowledged(2);
+    stop.request();
+    assert_eq!(thread.join().unwrap().unwrap().said, 2);
+}
+
+/// A broker that counts, and has not got the last acknowledgements; until a ping shows that it has them.
+#[test]
+fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, BELL);
+    let all = 100_u16;
+    broker.greet(false, &[]);
+    broker.grant();
+    for n in 1..=all {
+        broker.write(&message("bell", &n.to_string(), n, false));
+        assert!(listening.next().unwrap().contains(&format!("for {n}.")));
+    }
+    broker.acknowledged(usize::from(all));
+    // It wants a ping each second now. The last message is new: its first sending was lost.
+    broker.greet(true, &[19, 0, 1]);
+    broker.grant();
+    let again: Vec<_> = (all - 20..=all).flat_map(|n| message("bell", &n.to_string(), n, true)).collect();
+    broker.write(&again);
+    broker.write(&message("bell", "last", all + 1, true));
+    assert!(listening.next().unwrap().contains("for last."), "the others are recognised");
+    broker.acknowledged(22);
+    broker.read_kind(12);
+    broker.write(&message("bell", "more", all + 2, false));
+    assert!(listening.next().unwrap().contains("for more."));
+    broker.greet(true, &[]);
+    broker.grant();
+    broker.write(&message("bell", "last", all + 1, true));
+    assert!(listening.next().unwrap().contains("for last."), "it had the acknowledgement");
+    // A session that is not kept brings nothing again.
+    broker.greet(false, &[]);
+    broker.grant();
+    broker.write(&message("bell", "more", all + 2, true));
+    assert!(listening.next().unwrap().contains("for more."));
+    listening.end();
+}
+
+/// A narrator that has just started, in the middle of a session whose broker counts; the broker ends before it has written down any
+/// acknowledgement, and sends everything again.
+#[test]
+fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, BELL);
+    let ids = 9_949..=10_001_u16;
+    let all = |dup: bool| ids.clone().flat_map(move |n| message("bell", &n.to_string(), n, dup)).collect::<Vec<_>>();
+    broker.greet(true, &[]);
+    broker.grant();
+    broker.write(&all(false));
+    for n in ids.clone() {
+        assert!(listening.next().unwrap().contains(&format!("for {n}.")));
+    }
+    broker.acknowledged(ids.len());
+    broker.greet(true, &[]);
+    broker.grant();
+    broker.write(&all(true));
+    broker.write(&message("bell", "last", 10_002, false));
+    assert!(listening.next().unwrap().contains("for last."));
+    broker.acknowledged(ids.len() + 1);
+    assert_eq!(listening.end().1.said, ids.len() as u64 + 1);
+}
+
+/// Row "server keep alive 0" of the attacks: the broker wants no pings, and none is too late.
+#[test]
+fn a_broker_that_wants_no_pings_is_not_left() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, STEPS);
+    broker.greet(false, &[19, 0, 0]);
+    broker.grant();
+    let start = Instant::now();
+    let mut n = 0;
+    while start.elapsed() < Duration::from_secs(4) {
+        broker.write(&message("home/step", &n.to_string(), 1, false));
+        assert!(listening.next().unwrap().contains(&format!("step {n}.")));
+        n += 1;
+        std::thread::sleep(Duration::from_millis(300));
+    }
+    broker.socket.set_nonblocking(true).unwrap();
+    assert!(broker.socket.accept().is_err(), "one connection is enough");
+    listening.end();
+}
+
+/// Row "receive maximum 0" of the attacks, and the same broker when it has come to its senses.
+#[test]
+fn a_broker_that_allows_nothing_is_tried_again() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, STEPS);
+    let start = Instant::now();
+    broker.greet(false, &[33, 0, 0]);
+    broker.greet(false, &[33, 0, 0]);
+    broker.greet(false, &[]);
+    assert!(start.elapsed() > Duration::from_millis(2_500), "the second pause is longer: {:?}", start.elapsed());
+    broker.grant();
+    broker.write(&message("home/step", "1", 1, false));
+    assert!(listening.next().unwrap().contains("step 1."));
+    listening.end();
+}
+
+/// Row "150 answers to one subscription" of the attacks.
+#[test]
+fn more_answers_than_questions_say_nothing() {
+    let rule = |n: usize| format!("[[rule]]\ntopic = \"t{n:03}\"\nsay = \"They do step {{value}}.\"\n");
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, &(0..200).map(rule).collect::<String>());
+    broker.greet(false, &[]);
+    let (_, subscribe) = broker.read_kind(8);
+    broker.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1].repeat(150));
+    (1..200).for_each(|_| broker.grant());
+    broker.write(&message("t199", "1", 1, false));
+    assert!(listening.next().unwrap().contains("step 1."));
+    listening.end();
+}
