@@ -125,7 +125,7 @@ const HALF_MARGIN: u64 = 1 << 20;
 const ASIDE_MAX: usize = 64;
 
 /// What failed at the start: the file, and what was done with it.
-pub(super) type Refused = (PathBuf, &'static str, io::Error);
+type Refused = (PathBuf, &'static str, io::Error);
 
 impl Folder {
     /// Opens the current half in the folder, or begins it, for this process alone. What a rotation that was cut short has left is put to

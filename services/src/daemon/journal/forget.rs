@@ -7,10 +7,12 @@ use std::io;
 
 use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
 
-use super::{
-    BOOT_AT, Disk, FIXED_BYTES, HEADER_BYTES, Half, MAGIC_CARRIED, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Move,
-    Moved, Record, Writer, decode, encode, encode_forgotten, encode_moved,
+use super::disk::{Disk, Half};
+use super::record::{
+    BOOT_AT, FIXED_BYTES, HEADER_BYTES, MAGIC_CARRIED, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Move, Moved, Record,
+    decode, each_record, encode, encode_forgotten, encode_moved,
 };
+use super::writer::{Last, Writer};
 
 /// Says whether an observation is of the forgotten person or names them. Of one that named nobody it is told whose it was found to be.
 pub(super) type IsTheirs = dyn Fn(&Observation, Option<u32>) -> bool + Send;
@@ -35,7 +37,7 @@ impl<D: Disk> Writer<D> {
         let kept = forgets.without(&current);
         let unwritten = forgets.without(&self.unwritten);
         let lasts: Vec<Vec<u8>> = self.last.values().map(|last| forgets.without(&last.record)).collect();
-        let is_same = |(last, own): (&super::Last, &Vec<u8>)| last.record == *own;
+        let is_same = |(last, own): (&Last, &Vec<u8>)| last.record == *own;
         if kept_older == older
             && kept == current
             && unwritten == self.unwritten
@@ -219,19 +221,4 @@ fn attributions(bytes: &[u8], found: &mut BTreeMap<Name, BTreeSet<u32>>, moved: 
         }
         _ => {}
     });
-}
-
-/// Every whole record with its bytes; what is none is stepped over.
-pub(in super::super) fn each_record<'a>(bytes: &'a [u8], mut take: impl FnMut(&'a [u8], Record)) {
-    let mut rest = bytes;
-    while !rest.is_empty() {
-        let length = match decode(rest, &[0; 16]) {
-            Some((record, length)) => {
-                take(&rest[..length], record);
-                length
-            }
-            None => 1,
-        };
-        rest = &rest[length..];
-    }
 }

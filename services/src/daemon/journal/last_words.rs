@@ -8,8 +8,9 @@ use std::io;
 
 use roomcast_core::narration::{SOMEBODY, person_number};
 
-use super::forget::each_record;
-use super::{Disk, Half, MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, Writer, encode_forgotten};
+use super::disk::{Disk, Half};
+use super::record::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, each_record, encode_forgotten};
+use super::writer::Writer;
 
 /// At most so many observations of each person are kept, fewer where they do not fit.
 const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
