@@ -1,16 +1,36 @@
-/* A robot's answer in C: reads one message of `roomcast/v1/decision` from a file, and writes that its work is finished, a message of
- * `roomcast/v1/robot-report`, into another; both byte for byte as they lie in shared memory. A robot that does the work first must not
- * begin it for a decision with ROOMCAST_DECISION_FLAGS_OWED, but report what became of it. */
+/* What the robot "robot" answers, in C: reads one message of `roomcast/v1/decision` from a file, and writes that its work is finished, a
+ * message of `roomcast/v1/robot-report`, into another; both byte for byte as they lie in shared memory. A robot that does the work first
+ * must not begin it for a decision with ROOMCAST_DECISION_FLAGS_OWED, but report what became of it. */
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
 
+#include "check.h"
 #include "roomcast.h"
+
+static const char NAME[] = "robot";
+
+/* A robot's number: the 64-bit FNV-1a of its name, never 0. */
+static uint64_t number_of(const char *name) {
+    uint64_t number = 0xcbf29ce484222325u;
+    for (; *name != 0; name++) {
+        number = (number ^ (uint8_t)*name) * 0x100000001b3u;
+    }
+    return number == 0 ? 1 : number;
+}
 
 static uint64_t now_ns(clockid_t clock) {
     struct timespec now;
     clock_gettime(clock, &now);
     return (uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec;
+}
+
+/* What comes from another process is checked before it is believed. A probability that is no number fails both comparisons. */
+static int is_sound(const RoomcastDecisionV1 *decision) {
+    return decision->action <= ROOMCAST_ACTION_PAUSE && decision->probability >= 0.0 && decision->probability <= 1.0 &&
+           is_text(decision->from, sizeof decision->from) && is_text(decision->to, sizeof decision->to) &&
+           is_text(decision->policy, sizeof decision->policy) && is_text(decision->robot_name, sizeof decision->robot_name) &&
+           is_text(decision->reason, sizeof decision->reason);
 }
 
 int main(int argc, char **argv) {
@@ -23,8 +43,12 @@ int main(int argc, char **argv) {
     size_t bytes = fread(&decision, 1, sizeof decision, from);
     int more = fgetc(from) != EOF;
     fclose(from);
-    if (bytes != sizeof decision || more || decision.action != ROOMCAST_ACTION_GO) {
-        fprintf(stderr, "report: this is no %s that sends a robot\n", ROOMCAST_TYPE_NAME_DECISIONV1);
+    if (bytes != sizeof decision || more || !is_sound(&decision)) {
+        fprintf(stderr, "report: this is no %s\n", ROOMCAST_TYPE_NAME_DECISIONV1);
+        return 1;
+    }
+    if (decision.robot != number_of(NAME) || decision.action != ROOMCAST_ACTION_GO) {
+        fprintf(stderr, "report: this sends \"%s\" nowhere\n", NAME);
         return 1;
     }
     RoomcastRobotReportV1 report = {
@@ -39,7 +63,7 @@ int main(int argc, char **argv) {
         .battery = 0.8,
         .flags = ROOMCAST_REPORT_FLAGS_HAS_BATTERY,
     };
-    memcpy(report.robot_name, "robot", 5);
+    memcpy(report.robot_name, NAME, strlen(NAME));
     memcpy(report.room, decision.to, sizeof report.room);
     FILE *to = fopen(argv[2], "wb");
     if (to == NULL || fwrite(&report, sizeof report, 1, to) != 1 || fclose(to) != 0) {

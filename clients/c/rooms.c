@@ -1,26 +1,9 @@
 /* A planner's choice in C: reads one message of `roomcast/v1/room-scores`, byte for byte as it lies in shared memory, from a file, and
  * names the room where the robot disturbs least. */
 #include <stdio.h>
-#include <string.h>
 
+#include "check.h"
 #include "roomcast.h"
-
-/* Whether a name may be shown: not empty, zeros behind it, and no control character, which a terminal would obey. */
-static int is_name(const uint8_t *name) {
-    size_t end = 0;
-    for (; end < ROOMCAST_NAME_BYTES && name[end] != 0; end++) {
-        int c1 = name[end] >= 0x80 && name[end] < 0xa0 && (end == 0 || name[end - 1] < 0x80 || name[end - 1] == 0xc2);
-        if (name[end] < ' ' || name[end] == 0x7f || c1) {
-            return 0;
-        }
-    }
-    for (size_t rest = end; rest < ROOMCAST_NAME_BYTES; rest++) {
-        if (name[rest] != 0) {
-            return 0;
-        }
-    }
-    return end > 0;
-}
 
 /* What comes from another process is checked before it is believed. A probability that is no number fails both comparisons. */
 static int is_sound(const RoomcastRoomScoresV1 *scores) {
@@ -29,7 +12,8 @@ static int is_sound(const RoomcastRoomScoresV1 *scores) {
     }
     for (uint32_t index = 0; index < scores->room_count; index++) {
         const RoomcastRoomV1 *room = &scores->room[index];
-        if (!is_name(room->id) || !(room->probability >= 0.0 && room->probability <= 1.0)) {
+        if (room->id[0] == 0 || !is_text(room->id, sizeof room->id) ||
+            !(room->probability >= 0.0 && room->probability <= 1.0)) {
             return 0;
         }
     }

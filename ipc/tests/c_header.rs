@@ -10,7 +10,7 @@ use std::process::Command;
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, NarrationV1,
     PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, RoomV1,
-    StatusRequestV1, StatusResponseV1, action, clock, report_kind, text,
+    StatusRequestV1, StatusResponseV1, action, clock, report_kind, sequence, text,
 };
 
 #[path = "../../tests/support/skipped.rs"]
@@ -249,7 +249,7 @@ fn a_c_robot_answers_its_decision() {
     let folder = tempfile::tempdir().unwrap();
     let Some(program) = compiled(folder.path(), "report", "-std=gnu11") else { return };
     let decision = DecisionV1 {
-        robot: 9,
+        robot: sequence::source_of_name("robot"),
         epoch: 7,
         sequence: 3,
         action: action::GO,
@@ -264,10 +264,11 @@ fn a_c_robot_answers_its_decision() {
     assert!(run(decision).status.success());
     let report = RobotReportV1::from_bytes(&std::fs::read(&to).unwrap()).unwrap();
     report.check().unwrap();
-    assert_eq!((report.robot, report.decision_epoch, report.decision_sequence), (9, 7, 3));
+    assert_eq!((report.robot, report.decision_epoch, report.decision_sequence), (decision.robot, 7, 3));
     assert_eq!((report.kind, report.room(), report.battery()), (report_kind::FINISHED, "kitchen", Some(0.8)));
     assert!(report.reported_ns <= clock::monotonic_ns(), "the clock is the contract's");
     assert!(!run(DecisionV1 { action: action::PAUSE, ..decision }).status.success());
+    assert!(!run(DecisionV1 { robot: 9, ..decision }).status.success(), "another robot's");
 }
 
 #[test]
