@@ -59,7 +59,8 @@ def agree(is_text: Callable[[bytes, int], int], data: bytes) -> None:
 def test_every_character_is_judged_in_c_as_in_python(is_text: Callable[[bytes, int], int]) -> None:
     for character in map(chr, range(0x110000)):
         data = character.encode(errors="surrogatepass")
-        assert bool(is_text(data, len(data))) == (not 0xD800 <= ord(character) <= 0xDFFF and (character == "\0" or not layouts._HIDDEN.match(character)))
+        surrogate, ends = 0xD800 <= ord(character) <= 0xDFFF, character == "\0"
+        assert bool(is_text(data, len(data))) == (ends or not (surrogate or layouts._HIDDEN.match(character))), hex(ord(character))
 
 
 # Bytes that begin, go on, are too many, or end a text.
@@ -109,7 +110,8 @@ def test_the_calmest_room_is_chosen(rooms: pathlib.Path, tmp_path: pathlib.Path,
 @pytest.mark.parametrize(
     "change",
     [
-        *map(named, [b"", b"\x1b[2Jhall", b"hall\n", b"hall\x7f", "hall\x9b2J".encode(), b"hall\x9b2J", b"hall\0kitchen", b"\xff", "a\u202eb".encode()]),
+        *map(named, [b"", b"\x1b[2Jhall", b"hall\n", b"hall\x7f", "hall\x9b2J".encode(), b"hall\x9b2J", b"hall\0kitchen"]),
+        *map(named, [b"\xff", "a\u202eb".encode()]),
         *map(likely, [math.nan, -0.1, 1.1, math.inf]),
         *map(counted, [0, layouts.MAX_ROOMS + 1]),
     ],
