@@ -11,6 +11,7 @@ import tempfile
 import textwrap
 from collections.abc import Iterator
 
+import iceoryx2 as iox2
 import pytest
 
 from roomcast import Domain, Planner, RoomcastError, layouts, ports
@@ -44,6 +45,24 @@ def test_a_name_that_cannot_be_part_of_a_file_name_is_refused(name: str) -> None
 def test_a_root_that_no_socket_can_have_is_refused(root: str) -> None:
     with pytest.raises(RoomcastError, match="domain root .*: give an absolute path of at most 40 bytes"):
         Domain(root)
+
+
+def test_a_root_may_be_a_path_of_any_type(folder: pathlib.Path) -> None:
+    assert Domain(folder, "x") == Domain(str(folder), "x")
+    with private_domain() as inside:
+        Domain(pathlib.Path(inside.root), inside.name).open("test")
+
+
+def test_the_characters_of_a_root_are_those_that_iceoryx2_takes() -> None:
+    for character in map(chr, [*range(0x180), 0x20AC, 0x1F600, 0xDCFF]):
+        root = f"/tmp/a{character}b"
+        try:
+            iox2.Path.new(root)
+        except Exception:
+            with pytest.raises(RoomcastError, match="domain root .* cannot be in it; give a path of ASCII characters"):
+                Domain(root)
+        else:
+            assert Domain(root).root == root
 
 
 def refused(root: pathlib.Path, words: str) -> None:
@@ -150,8 +169,13 @@ def test_pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are(fo
 
 
 def test_a_participant_is_named_in_the_refusal_of_its_name() -> None:
-    with private_domain() as domain, pytest.raises(RoomcastError, match=f"cannot join the domain at {domain.root} as 'aaa"):
-        domain.open("a" * 300)
+    with private_domain() as domain:
+        domain.open("ä" * 100)
+        for length in (101, 300):
+            with pytest.raises(
+                RoomcastError, match=f"cannot join the domain at {domain.root} as 'a+': a name of {length} characters; give at most 100$"
+            ):
+                domain.open("a" * length)
 
 
 def test_a_service_of_another_type_is_refused_at_once() -> None:

@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -19,9 +19,11 @@ from roomcast import (
     Decision,
     Domain,
     Forecast,
+    ItemScores,
     ItemScoresSubscription,
     MessageError,
     Narrator,
+    NoAnswerError,
     NotIncludedError,
     PersonForecasts,
     PersonScores,
@@ -32,6 +34,7 @@ from roomcast import (
     RobotReport,
     RoomcastError,
     RoomScores,
+    Status,
     StatusSubscription,
     Subscription,
     change_map,
@@ -172,7 +175,7 @@ def test_what_the_daemon_did_not_take_is_no_success(domain: Domain) -> None:
         narrator.wait_until_included(0.3)
     # It was only named later; a daemon that starts again counts in its own way.
     daemon.include(narrator, 3, 3)
-    assert narrator.wait_until_included(5) is not None and narrator.dropped == 0
+    assert narrator.wait_until_included(0) is not None and narrator.dropped == 0
     narrator.say("They sit.")
     daemon.include(narrator, 4, 1, daemon=4)
     assert narrator.wait_until_included(5) is not None
@@ -338,6 +341,82 @@ def test_however_short_a_wait_is_it_ends(domain: Domain) -> None:
         assert decisions.next(timeout_s=1e-4) is None
 
 
+def test_no_wait_is_without_end_because_its_length_is_no_number(domain: Domain) -> None:
+    nan = float("nan")
+    narrator = Narrator("py-narrator", domain)
+    narrator.say("They sit.")
+    with (
+        Planner("py-planner", domain) as planner,
+        Robot("robot", domain) as robot,
+        Subscription(Decision, "watcher", domain) as decisions,
+        ItemScoresSubscription("items", domain) as items,
+        StatusSubscription("statuses", domain) as statuses,
+    ):
+        for wait in [
+            lambda: narrator.wait_until_included(nan),
+            lambda: next(planner.scores(timeout_s=nan)),
+            *(lambda each=each: each.next(timeout_s=nan) for each in (robot, decisions, items, statuses)),
+            lambda: status(domain, timeout_s=nan),
+            lambda: moment(domain, timeout_s=nan),
+        ]:
+            with pytest.raises(ValueError, match="timeout_s is nan; give seconds"):
+                wait()
+    for every_s in (nan, -1.0):
+        with pytest.raises(ValueError, match="every_s is .*; give seconds"):
+            StatusSubscription("statuses", domain, every_s=every_s)
+
+
+def test_a_status_is_waited_for_no_longer_than_asked(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def ask(_: ports.StatusClient, timeout_s: float) -> layouts.StatusResponseV1:
+        asked.append(timeout_s)
+        raise NoAnswerError
+
+    monkeypatch.setattr(ports.StatusClient, "ask", ask)
+    with StatusSubscription("watcher", domain) as statuses:
+        for timeout_s in (0.0, 1e-3, 0.05):
+            asked.clear()
+            assert statuses.next(timeout_s) is None
+            assert asked and max(asked) <= max(timeout_s, 0.01), timeout_s
+
+
+def test_an_answer_may_be_waited_for_without_a_limit(domain: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "_answer", lambda *_: samples.status())
+    assert status(domain, timeout_s=float("inf")).map == "flat"
+
+
+def test_what_a_subscription_does_not_follow_is_refused_before_it_joins(domain: Domain) -> None:
+    others: list[object] = [Status, ItemScores, layouts.DecisionV1, "Decision", None, []]
+    for kind in others:
+        with pytest.raises(TypeError, match="give one of RoomScores, .*; ItemScoresSubscription and StatusSubscription follow the rest"):
+            Subscription(kind, "watcher", domain)  # type: ignore[arg-type]
+    assert not list(pathlib.Path(domain.root).iterdir()), "it joined all the same"
+
+
+def test_a_room_that_the_scores_do_not_have_is_no_place_to_go(domain: Domain) -> None:
+    daemon = ports.Publisher(domain.open("daemon"), ports.ROOM_SCORES)
+    takes: list[Callable[[Planner], object]] = [lambda planner: next(planner.scores()), Planner.newest]
+    for take in takes:
+        with Planner("py-planner", domain) as planner, Subscription(Decision, "watcher", domain) as decisions:
+            planner.decide("hall", "no scores are known")
+            daemon.send(samples.scores())
+            assert take(planner) is not None
+            for room in ("Kitchen", "hall", "kitchen "):
+                with pytest.raises(ValueError, match=f"room '{room}': .* no such room; give one of kitchen, bathroom, attic"):
+                    planner.decide(room, "it is empty")
+            for room in ("kitchen", ""):
+                planner.decide(room, "it is empty")
+            planner.pause("somebody comes")
+            told = [decision for _, decision in zip(range(4), decisions, strict=False)]
+            assert [(each.sequence, each.to_room, each.probability) for each in told] == [
+                (1, "hall", 0.0),
+                (2, "kitchen", 0.75),
+                (3, "", 0.0),
+                (4, "", 0.0),
+            ]
+
+
 def test_a_place_is_free_after_leaving(domain: Domain) -> None:
     kept: list[object] = []
     for _ in range(3):
@@ -401,6 +480,18 @@ def test_a_narrator_is_heard_and_a_planner_sees_the_same_scores(daemon: Domain) 
         assert (seen.epoch, seen.sequence, seen.rooms) == (heard.epoch, heard.sequence, heard.rooms)
         assert sum(room.probability for room in seen.rooms) == pytest.approx(1)
         assert not [room for room in seen.rooms if not room.id]
+
+
+def test_what_is_no_narration_counts_as_dropped_once_something_follows(daemon: Domain) -> None:
+    narrator = Narrator("py-narrator", daemon)
+    narrator.act("[Juggle] <mug> (1)")
+    while not status(daemon).malformed:
+        assert narrator.wait_until_included(0.1) is None
+    assert (narrator.under_way, narrator.dropped) == (1, 0)
+    narrator.say("They walk to the kitchen.")
+    with pytest.raises(NotIncludedError, match="has not taken 1 of 2 narrations"):
+        narrator.wait_until_included(20)
+    assert (narrator.under_way, narrator.dropped) == (0, 1)
 
 
 def test_a_late_planner_has_the_scores_at_once(daemon: Domain) -> None:

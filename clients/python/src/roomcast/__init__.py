@@ -97,6 +97,7 @@ SENTENCE, ACTION, DEVICE, PRESENCE = 0, 1, 2, 3
 
 T = TypeVar("T")
 Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport)
+_KINDS = (RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport)
 
 
 def source_of_name(name: str) -> int:
@@ -131,8 +132,8 @@ class _Follows(_Open, ABC, Generic[T]):
     """Messages one after the other. A context manager: leaving closes it. Threads may share it, and each message goes to one of them."""
 
     @abstractmethod
-    def _take(self) -> T | None:
-        """What is there already."""
+    def _take(self, left_s: float) -> T | None:
+        """What is there already. What has to be asked for is waited for, at most this long."""
 
     @abstractmethod
     def _sleep(self, timeout_s: float) -> None:
@@ -140,11 +141,11 @@ class _Follows(_Open, ABC, Generic[T]):
 
     def next(self, timeout_s: float | None = None) -> T | None:
         """Waits for the next one; none when the time is over. ClosedError when it is closed."""
-        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        deadline = ports.deadline_of(timeout_s)
         while True:
             for port in self._ports:
                 port.refuse_closed()
-            message = self._take()
+            message = self._take(deadline - time.monotonic())
             if message is not None:
                 return message
             left = deadline - time.monotonic()
@@ -167,6 +168,10 @@ class Subscription(_Follows[Kind]):
     """
 
     def __init__(self, kind: type[Kind], name: str, domain: Domain | None = None) -> None:
+        # Before it joins.
+        if kind not in _KINDS:
+            allowed = ", ".join(each.__name__ for each in _KINDS)
+            raise TypeError(f"kind {kind!r}: give one of {allowed}; ItemScoresSubscription and StatusSubscription follow the rest")
         node = (domain or Domain.default_for_user()).open(name)
         self._subscriber: ports.Subscriber[Kind] = ports.Subscriber(node, kind.SERVICE, kind.from_message)
         self._ports = (self._subscriber,)
@@ -177,7 +182,7 @@ class Subscription(_Follows[Kind]):
         """Messages that said what no honest sender says, and were dropped."""
         return self._subscriber.malformed
 
-    def _take(self) -> Kind | None:
+    def _take(self, left_s: float) -> Kind | None:
         with self._subscriber.alone():
             while (message := self._subscriber.receive()) is not None:
                 if isinstance(message, (RoomScores, PersonScores)):
@@ -200,7 +205,7 @@ class ItemScoresSubscription(_Follows[ItemScores]):
         self._subscriber = ports.ItemScoresSubscriber(node)
         self._ports = (self._subscriber,)
 
-    def _take(self) -> ItemScores | None:
+    def _take(self, left_s: float) -> ItemScores | None:
         received = self._subscriber.receive()
         return None if received is None else ItemScores.from_message(*received)
 
@@ -213,17 +218,20 @@ class StatusSubscription(_Follows[Status]):
     """Asks the daemon for its status every `every_s` seconds, and goes on asking while none answers."""
 
     def __init__(self, name: str, domain: Domain | None = None, every_s: float = 1) -> None:
+        if not every_s >= 0:
+            raise ValueError(f"every_s is {every_s}; give seconds, 0 or more")
         node = (domain or Domain.default_for_user()).open(name)
         self._client = ports.StatusClient(node)
         self._ports = (self._client,)
         self._every_s = every_s
         self._due = time.monotonic()
 
-    def _take(self) -> Status | None:
+    def _take(self, left_s: float) -> Status | None:
         if time.monotonic() < self._due:
             return None
         try:
-            answer = self._client.ask(0.3)
+            # An answer takes a moment, also for whoever does not want to wait.
+            answer = self._client.ask(max(0.01, min(0.3, left_s)))
         except NoAnswerError:
             return None
         self._due = time.monotonic() + self._every_s
@@ -445,15 +453,17 @@ class Narrator(_Participant):
         any, at once. NotIncludedError where the daemon has dealt with all and has not taken everything."""
         if not self.sequence:
             return self.newest()
-        deadline, sure = time.monotonic() + timeout_s, math.inf
-        while time.monotonic() < min(sure, deadline):
-            self._publisher.tick()
-            self._scores.wait(0.1)
+        deadline, sure = ports.deadline_of(timeout_s), math.inf
+        while True:
             self.newest()
             if (included := self._included) and included[0] >= self.sequence:
                 if not self.dropped:
                     return included[1]
                 sure = min(sure, time.monotonic() + _SURE_S)
+            if time.monotonic() >= min(sure, deadline):
+                break
+            self._publisher.tick()
+            self._scores.wait(0.1)
         if self.dropped and not self.under_way:
             raise NotIncludedError(
                 f"narrator {self.name!r}: the daemon has not taken {self.dropped} of {self.sequence} narrations: they came too fast, were too "
@@ -494,25 +504,33 @@ class Planner(_Participant):
         self.room, self._paused = "", False
         self._last: RoomScores | None = None
 
+    def newest(self) -> RoomScores | None:
+        with self._scores.alone():
+            scores = super().newest()
+            self._last = scores or self._last
+            return scores
+
     def scores(self, timeout_s: float | None = None) -> Iterator[RoomScores]:
         """Every new snapshot as it comes, heartbeats left out; ends when none came for `timeout_s`, or when it is closed."""
-        last = time.monotonic()
+        deadline = ports.deadline_of(timeout_s)
         with suppress(ClosedError):
-            while timeout_s is None or time.monotonic() - last < timeout_s:
+            while time.monotonic() < deadline:
                 self._publisher.tick()
                 self._scores.wait(0.25)
                 with self._scores.alone():
-                    scores = self.newest()
-                    known = self._last
+                    known, scores = self._last, self.newest()
                     if scores is None or (known and (scores.epoch, scores.sequence) == (known.epoch, known.sequence)):
                         continue
-                    self._last = scores
-                last = time.monotonic()
+                deadline = ports.deadline_of(timeout_s)
                 yield scores
 
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> None:
-        """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time."""
+        """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time.
+        ValueError when the scores that were taken last have no such room."""
         with self._publisher.alone():
+            rooms = [each.id for each in self._last.rooms] if self._last else []
+            if room and rooms and room not in rooms:
+                raise ValueError(f"room {room!r}: the scores that were taken last have no such room; give one of {', '.join(rooms)}")
             stays = room == self.room and not self._paused
             self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
 
@@ -566,7 +584,7 @@ class Robot(_Open):
 
     def next(self, timeout_s: float | None = None) -> Decision | None:
         """Waits for the next decision for this robot; none when the time is over. ClosedError when it is closed."""
-        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        deadline = ports.deadline_of(timeout_s)
         while True:
             with self._decisions.alone():
                 while (decision := self._decisions.receive()) is not None:

@@ -30,6 +30,10 @@ _LEFT_BEHIND = 64
 #: Of the names of all files of a domain: with the rest they must fit a Unix socket's address.
 _PREFIX_LIMIT = 25
 _ROOT_LIMIT = 40
+# What iceoryx2 takes in no path.
+_NO_ROOT = re.compile(r'[^ -\x7f]|["*<>?|]')
+# Of the names for people: iceoryx2 takes hardly more.
+_PARTICIPANT_LIMIT = 100
 _SHARED_MEMORY = pathlib.Path("/dev/shm")
 # More than the largest port takes. iceoryx2 maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
 _FREE_BYTES = 8 << 20
@@ -89,11 +93,16 @@ class Domain:
     """
 
     root: str
-    name: str = "roomcast"
+    name: str
 
-    def __post_init__(self) -> None:
+    def __init__(self, root: str | os.PathLike[str], name: str = "roomcast") -> None:
+        # A dataclass that is frozen sets its fields so.
+        object.__setattr__(self, "root", os.fsdecode(root))
+        object.__setattr__(self, "name", name)
         if not os.path.isabs(self.root) or len(os.fsencode(self.root)) > _ROOT_LIMIT:
             raise self._bad_root(f"give an absolute path of at most {_ROOT_LIMIT} bytes (a Unix socket's address must hold it)")
+        if refused := _NO_ROOT.search(self.root):
+            raise self._bad_root(f"{refused[0]!r} cannot be in it; give a path of ASCII characters without control characters and \"*<>?|")
         plain = all(character in "abcdefghijklmnopqrstuvwxyz0123456789-" for character in self.name)
         most = _PREFIX_LIMIT - len(f"-{os.geteuid():x}_")
         if not plain or not 1 <= len(self.name) <= most:
@@ -121,6 +130,11 @@ class Domain:
 
     def open(self, participant: str) -> Node:
         """Joins under a name for people (at most 100 characters); the root directory is made if it is missing."""
+        if len(participant) > _PARTICIPANT_LIMIT:
+            raise RoomcastError(
+                f"cannot join the domain at {self.root} as {participant!r}: a name of {len(participant)} characters; give at most "
+                f"{_PARTICIPANT_LIMIT}"
+            )
         self._prepare_root()
         self._refuse_foreign_shared_memory()
         refuse_full_shared_memory()
@@ -163,7 +177,7 @@ class Domain:
                 os.close(descriptor)
 
     def _bad_root(self, problem: str) -> RoomcastError:
-        return RoomcastError(f"domain root {self.root}: {problem}")
+        return RoomcastError(f"domain root {self.root!r}: {problem}")
 
     def _prepare_root(self) -> None:
         """Makes the root, or refuses one that others could put files into."""
@@ -232,6 +246,15 @@ def _open_own(file: pathlib.Path, access: int) -> int | None:
         pass
     os.close(descriptor)
     return None
+
+
+def deadline_of(timeout_s: float | None) -> float:
+    """When a wait that begins now is over; never, where it has no limit. ValueError for what is no number: that would never be over."""
+    if timeout_s is None:
+        return math.inf
+    if math.isnan(timeout_s):
+        raise ValueError("timeout_s is nan; give seconds, or infinity to wait without a limit")
+    return time.monotonic() + timeout_s
 
 
 def refuse_full_shared_memory() -> None:
@@ -568,10 +591,10 @@ class _Client(Port):
             _wake(self._node, self._service)
             return pending
 
-        deadline = time.monotonic() + timeout_s
+        deadline = deadline_of(timeout_s)
         with self.use():
             # A client may have few requests under way, so that one thread asks and the others wait for it.
-            if not self._asking.acquire(timeout=max(0.0, timeout_s)):
+            if not self._asking.acquire(timeout=min(max(0.0, deadline - time.monotonic()), threading.TIMEOUT_MAX)):
                 raise _no_answer(self._service, timeout_s)
             try:
                 return _answer(self._service, send_and_wake, read, again_s, deadline, timeout_s)
