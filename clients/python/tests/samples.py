@@ -6,7 +6,10 @@ import itertools
 import math
 import os
 import pathlib
+import subprocess
+import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +23,41 @@ _NUMBERS = itertools.count()
 def now_ns() -> int:
     """The clock of the messages."""
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+#: What can be open in a domain, as a script makes it.
+KINDS = {
+    "room scores": "Subscription(RoomScores, 'x', domain)",
+    "decisions": "Subscription(Decision, 'x', domain)",
+    "item scores": "ItemScoresSubscription('x', domain)",
+    "status": "StatusSubscription('x', domain)",
+    "narrator": "Narrator('x', domain)",
+    "planner": "Planner('x', domain)",
+    "robot": "Robot('x', domain)",
+}
+# All that can be done with what is open.
+USES = """
+    import gc, os, pathlib, signal, sys, threading, time
+    from roomcast import *
+
+    domain = Domain(*sys.argv[1:])
+    each = {kind}
+
+    def uses():
+        if isinstance(each, Narrator):
+            return [lambda: each.say("They sit."), each.newest, lambda: each.wait_until_included(0)]
+        if isinstance(each, Planner):
+            return [lambda: each.decide("hall", "it is empty"), lambda: each.pause("somebody comes"), each.newest]
+        if isinstance(each, Robot):
+            return [lambda: each.next(0), each.docked]
+        return [lambda: each.next(0)]
+"""
+
+
+def of_a_kind(kind: str, script: str, domain: Domain) -> subprocess.CompletedProcess[str]:
+    """Runs a script with one of `KINDS` open as `each`, in a process of its own: iceoryx2 ends the process that uses what was deleted."""
+    script = textwrap.dedent(USES).replace("{kind}", KINDS[kind]) + textwrap.dedent(script)
+    return subprocess.run([sys.executable, "-c", script, domain.root, domain.name], capture_output=True, text=True, check=False)
 
 
 @contextmanager

@@ -1,11 +1,7 @@
-"""Closing ends a loop and harms nobody, whichever thread closes; and threads that share a participant disturb one another nowhere.
-
-iceoryx2 ends the process that uses what was deleted, so every case of closing runs in a process of its own.
-"""
+"""Closing ends a loop and harms nobody, whichever thread closes; and threads that share a participant disturb one another nowhere."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import textwrap
 import threading
@@ -15,34 +11,10 @@ from typing import Any
 import pytest
 
 import samples
-from roomcast import Domain, MessageError, Narrator, NotIncludedError, Planner, Robot, StatusSubscription, layouts, ports
+from roomcast import ClosedError, Domain, MessageError, Narrator, NotIncludedError, Planner, Robot, StatusSubscription, layouts, ports
 
-KINDS = {
-    "room scores": "Subscription(RoomScores, 'x', domain)",
-    "decisions": "Subscription(Decision, 'x', domain)",
-    "item scores": "ItemScoresSubscription('x', domain)",
-    "status": "StatusSubscription('x', domain)",
-    "narrator": "Narrator('x', domain)",
-    "planner": "Planner('x', domain)",
-    "robot": "Robot('x', domain)",
-}
-# All that can be done with what is open, and what yields without end.
-USES = """
-    import os, signal, sys, threading, time
-    from roomcast import *
-
-    domain = Domain(*sys.argv[1:])
-    each = {kind}
-
-    def uses():
-        if isinstance(each, Narrator):
-            return [lambda: each.say("They sit."), each.newest, lambda: each.wait_until_included(0)]
-        if isinstance(each, Planner):
-            return [lambda: each.decide("hall", "it is empty"), lambda: each.pause("somebody comes"), each.newest]
-        if isinstance(each, Robot):
-            return [lambda: each.next(0), each.docked]
-        return [lambda: each.next(0)]
-
+# What yields without end.
+LOOP = """
     def loop():
         if isinstance(each, Narrator):
             try:
@@ -97,11 +69,10 @@ def domain() -> Iterator[Domain]:
         yield domain
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", samples.KINDS)
 @pytest.mark.parametrize("closing", CLOSING)
 def test_what_is_closed_ends_loops_and_refuses_the_rest(closing: str, kind: str, domain: Domain) -> None:
-    script = textwrap.dedent(USES).replace("{kind}", KINDS[kind]) + textwrap.dedent(CLOSING[closing])
-    ended = subprocess.run([sys.executable, "-c", script, domain.root, domain.name], capture_output=True, text=True, check=False)
+    ended = samples.of_a_kind(kind, textwrap.dedent(LOOP) + textwrap.dedent(CLOSING[closing]), domain)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
@@ -245,3 +216,5 @@ def test_a_narrator_that_is_closed_inside_its_block_says_what_is_in_no_scores(do
         with Narrator("py-narrator", domain) as narrator:
             narrator.say("They sit.")
             narrator.close()
+    with pytest.raises(ClosedError):
+        narrator.wait_until_included(0)

@@ -144,7 +144,7 @@ class _Follows(_Open, ABC, Generic[T]):
         deadline = ports.deadline_of(timeout_s)
         while True:
             for port in self._ports:
-                port.refuse_closed()
+                port.refuse_unusable()
             message = self._take(deadline - time.monotonic())
             if message is not None:
                 return message
@@ -488,8 +488,8 @@ class Narrator(_Participant):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            # What waits in shared memory dies with its publisher.
-            if kind is None and self.sequence:
+            # What waits in shared memory dies with its publisher. What was said before a fork its parent waits for.
+            if kind is None and self.sequence and not self._publisher.inherited:
                 self._leave()
         finally:
             self.close()

@@ -12,6 +12,7 @@ import re
 import stat
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -270,15 +271,57 @@ def refuse_full_shared_memory() -> None:
         )
 
 
-@dataclass(frozen=True)
-class Node:
+class _Held:
+    """What iceoryx2 has given to this process, and to none that is forked from it.
+
+    A forked process has copies. Whoever used one would speak in its parent's name, and whoever deleted one would take its parent's place
+    away. So a copy refuses to be used, and nothing deletes it.
+    """
+
+    def __init__(self, what: str, *parts: Any) -> None:
+        self._what = what
+        self._parts = parts
+        #: Whether this process was forked from the one that opened it.
+        self.inherited = False
+        _ALL_HELD.add(self)
+
+    def refuse_inherited(self) -> None:
+        """RoomcastError in a process that was forked after this was opened."""
+        if self.inherited:
+            raise RoomcastError(
+                f"{self._what}: this was opened before this process was forked, and only the process that opened it may use it; "
+                "open another after the fork"
+            )
+
+    def _inherit(self) -> None:
+        self.inherited = True
+        # A reference that nobody gives back: not even the end of Python deletes what has one.
+        for part in self._parts:
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(part))
+
+
+_ALL_HELD: weakref.WeakSet[_Held] = weakref.WeakSet()
+
+
+def _inherit_all() -> None:
+    for held in list(_ALL_HELD):
+        held._inherit()
+
+
+os.register_at_fork(after_in_child=_inherit_all)
+
+
+class Node(_Held):
     """A participant's place in a domain."""
 
-    inner: Any
-    domain: Domain
+    def __init__(self, inner: Any, domain: Domain) -> None:
+        self.inner = inner
+        self.domain = domain
+        super().__init__(f"domain at {domain.root}", inner)
 
     def retry(self, service: str, open_port: Callable[[], T]) -> T:
         """Opens a port of a service; repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago."""
+        self.refuse_inherited()
         refuse_full_shared_memory()
         start = time.monotonic()
         while True:
@@ -342,15 +385,15 @@ def _wake(node: Node, service: str) -> None:
         _event(node, ROOM_SCORES if service == DECISION.name else NARRATION).notifier_builder().create().delete()
 
 
-class Port:
+class Port(_Held):
     """A place at a service. Any thread may use it, and any may close it, also a signal's handler in the midst of its own thread's use.
 
     iceoryx2 ends the process that uses what was deleted, and does not delete what is in use. So the last user of a closed port deletes it.
     """
 
     def __init__(self, service: str, *parts: Any) -> None:
+        super().__init__(f"service {service}", *parts)
         self._service = service
-        self._parts = parts
         # Reentrant for signals' handlers, and for a use inside another.
         self._lock = threading.RLock()
         self._users = 0
@@ -358,12 +401,14 @@ class Port:
 
     @contextlib.contextmanager
     def use(self) -> Iterator[None]:
-        """Nobody deletes it inside. ClosedError when it is closed."""
+        """Nobody deletes it inside. Refuses as `refuse_unusable`."""
+        # Before the lock, which in a forked process nobody may ever give back.
+        self.refuse_inherited()
         with self._lock:
             # Counted first: from here on a signal's handler that closes it leaves deleting it to this use.
             self._users += 1
         try:
-            self.refuse_closed()
+            self.refuse_unusable()
             yield
         finally:
             with self._lock:
@@ -373,19 +418,28 @@ class Port:
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
         """As `use`, by one thread at a time."""
+        self.refuse_inherited()
         with self._lock, self.use():
             yield
 
-    def refuse_closed(self) -> None:
-        """ClosedError when it is closed."""
+    def refuse_unusable(self) -> None:
+        """ClosedError when it is closed, RoomcastError when it was opened before a fork."""
+        self.refuse_inherited()
         if self._closed:
             raise ClosedError(f"service {self._service}: this place was closed, by `close` or by the end of a `with` block; make a new one")
 
     def close(self) -> None:
-        """Gives the place to somebody else, at once or as soon as no thread uses it. Closing again does nothing."""
+        """Gives the place to somebody else, at once or as soon as no thread uses it. Closing again does nothing, nor does closing what was
+        opened before a fork: the place is the parent's."""
+        if self.inherited:
+            return
+        self._linger()
         with self._lock:
             self._closed = True
             self._delete_unused()
+
+    def _linger(self) -> None:
+        """Waits until it may be closed."""
 
     def _delete_unused(self) -> None:
         if self._closed and not self._users:
@@ -429,11 +483,10 @@ class Publisher(Port):
         with self.alone():
             self._publisher.update_connections()
 
-    def close(self) -> None:
-        """As every port's. What waits in shared memory dies with its publisher, so that what was sent just now is given a moment first."""
+    def _linger(self) -> None:
+        """What waits in shared memory dies with its publisher, so that what was sent just now is given a moment first."""
         if not self._closed:
             time.sleep(max(0.0, self._sent_s + _LINGER_S - time.monotonic()))
-        super().close()
 
 
 class Subscriber(Port, Generic[T]):
@@ -586,7 +639,7 @@ class _Client(Port):
     def _ask(self, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
         def send_and_wake() -> Any:
             # Closed meanwhile, it asks no more.
-            self.refuse_closed()
+            self.refuse_unusable()
             pending = send()
             _wake(self._node, self._service)
             return pending
