@@ -94,6 +94,9 @@ pub struct Explanation {
 
 /// Explains every partition's score by its `most_labels` largest contributions. `tokens` gives a label's tokens, empty
 /// where they are not known, and what the prior adds to them in nats, by its index in [`Grounding::scored_labels`].
+///
+/// # Panics
+/// When the scores are of another map, or of before the first step.
 #[must_use]
 pub fn explain(
     evidence: &Evidence,

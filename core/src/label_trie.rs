@@ -221,6 +221,9 @@ impl TokenTree {
     }
 
     /// Appends a node in preorder and gives its index; `parent` is an earlier index or [`PROMPT`].
+    ///
+    /// # Panics
+    /// When it is neither.
     pub fn push(&mut self, token: Token, parent: u32) -> u32 {
         let index = self.tokens.len() as u32;
         debug_assert!(parent == PROMPT || parent < index, "a parent stands before its children");

@@ -6,7 +6,7 @@
 //! observation -> narration -> prompt -> label trie -> label scores -> item scores -> partition scores -> policy -> decision
 //! ```
 //!
-//! No clock, no port, no network, no process, no C; only the `load` functions read a file. A language model comes in as [`scorer::LanguageModel`]; the crate
+//! No clock, no port, no network, no process, no C. Files are read by the `load` functions and what they share, [`text::read_at_most`] and [`semantic_map::read_limited`], alone. A language model comes in as [`scorer::LanguageModel`]; the crate
 //! `roomcast-llama` has one on llama.cpp, and a reader may bring another, as below.
 //!
 //! Types of other crates that stand in signatures on purpose: `nalgebra`'s dense matrix (the weights of labels in rooms), `rand`'s random

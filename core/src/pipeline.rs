@@ -820,6 +820,17 @@ impl<M: LanguageModel> Pipeline<M> {
         self.persons.retain(|p| p.id != person);
     }
 
+    /// Takes out of everybody's history what `is_it` says; the next step scores whom it was of without it.
+    pub fn forget_told(&mut self, is_it: impl Fn(&Observation) -> bool) {
+        let changed = self.histories.forget(is_it);
+        if !changed.is_empty() {
+            self.answers.clear();
+        }
+        let turn = self.turns;
+        let theirs = self.persons.iter_mut().filter(|own| changed.contains(&own.id) && own.at_home);
+        theirs.for_each(|own| own.wait_from(turn));
+    }
+
     /// Scores the persons whose history changed since the last step, and grounds the result. Before anything was
     /// observed, the binding sequence alone is scored.
     ///
@@ -1155,6 +1166,61 @@ mod tests {
 
         fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
             Ok(Some(Self(self.0.clone())))
+        }
+    }
+
+    /// A fake that gives other rows than it is asked for: it says which.
+    struct Careless(TableModel, fn(usize) -> Option<usize>);
+
+    impl LanguageModel for Careless {
+        fn info(&self) -> &ModelInfo {
+            self.0.info()
+        }
+
+        fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+            self.0.tokenise(text, start, out)
+        }
+
+        fn token_text(&self, token: Token) -> String {
+            self.0.token_text(token)
+        }
+
+        fn forget(&mut self) {}
+
+        fn decode(
+            &mut self,
+            prompt: &[Token],
+            tree: &TokenTree,
+            want_prompt_row: bool,
+            visit: &mut dyn FnMut(usize, &[f32]),
+        ) -> Result<DecodeStats, ModelError> {
+            let Self(table, given) = self;
+            table.decode(prompt, tree, want_prompt_row, &mut |row, logits| {
+                given(row).into_iter().for_each(|row| visit(row, logits));
+            })
+        }
+
+        fn tidy(&mut self, _keep: usize) {}
+
+        fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+            Ok(None)
+        }
+    }
+
+    /// Whoever brings a model is told of it, in place of scores that are wrong, or none for ever.
+    #[test]
+    fn a_model_that_forgets_a_row_is_refused() {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let wrong: [fn(usize) -> Option<usize>; 4] =
+            [|_| None, |row| (row % 2 == 0).then_some(row), |row| (row != 0).then_some(row), |row| Some(row + 1)];
+        for given in wrong {
+            for effort in [Effort::Exact, Effort::Ranking, Effort::Top] {
+                let correction = CorrectionChoice { prior: Some(0.0), ..CorrectionChoice::default() };
+                let mut own = pipeline_of(Careless(TableModel::new(7), given), &map, effort, correction);
+                own.observe([observation(1, 1)]);
+                let told = own.score().map(|_| ()).unwrap_err().to_string();
+                assert!(told.contains("rows of logits"), "{told}");
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use roomcast_core::habits::{RoomShares, Shares};
+use roomcast_core::text::count;
 use roomcast_ipc::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
 
@@ -157,7 +158,8 @@ impl PersonHabits {
 
 impl fmt::Display for PersonHabits {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "What was learned, from {:.0} observations", self.observations)?;
+        let observations = count(self.observations.round() as usize, "observation");
+        writeln!(f, "What was learned, from {observations}")?;
         if !self.things.is_empty() {
             writeln!(f, "  Next thing:")?;
         }

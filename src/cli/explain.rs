@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use roomcast_ipc::question;
 
-use super::{CommandResult, Failure, count, draw, ranges, score, service};
+use super::{CommandResult, Failure, count, draw, ranges, record, score, service};
 use crate::exit_code;
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
@@ -20,7 +20,7 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing::{self, Heat};
 use roomcast_services::habits_reason::PersonHabits;
 use roomcast_services::moment::{Explained, Moment};
-use roomcast_services::recording::{self, RecordedMoment};
+use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
 
 /// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
@@ -183,7 +183,7 @@ fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {
 /// Computes the scores of a recorded moment once more, and says how they compare with the recorded ones.
 fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let input = |error: String| Failure::new(exit_code::INPUT, error);
-    let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let recording = record::read(path)?;
     let shown = path.display();
     let RecordedMoment { scores, at_s, base, narration, silent, names, habits } =
         recording.moment(args.sequence, args.at).ok_or_else(|| {

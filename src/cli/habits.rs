@@ -18,8 +18,6 @@ use roomcast_services::logging;
 #[cfg(feature = "lab")]
 use roomcast_services::narrator::Item;
 use roomcast_services::narrator::{Faults, Who};
-#[cfg(feature = "recordings")]
-use roomcast_services::recording;
 use roomcast_services::sensor_log::{self, SensorLog, SensorRules};
 
 /// Arguments of `roomcast habits`.
@@ -269,7 +267,7 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
         }
         #[cfg(feature = "recordings")]
         (_, _, Some(recording), _) => {
-            let recording = recording::read(recording).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+            let recording = super::record::read(recording)?;
             let mut lessons = Lessons::of_wall_clock(zone, now_unix_ns);
             lessons.take_recording(&recording);
             Ok((lessons, "narration"))

@@ -1,6 +1,6 @@
 //! `roomcast record`: everything on the services into an MCAP file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
@@ -10,11 +10,11 @@ use roomcast_ipc::{
 };
 
 use super::choice::choice;
-use super::{CommandResult, Failure, ranges, service};
+use super::{CommandResult, Failure, count, ranges, service};
 use roomcast_services::logging::{self, Limiter};
 use roomcast_services::moment::Moment;
 use roomcast_services::recording::ros2::{Received, Ros2Recorder};
-use roomcast_services::recording::{Profile, Recorded, Recorder, RecordingError};
+use roomcast_services::recording::{self, Profile, Recorded, Recorder, Recording, RecordingError};
 
 use crate::exit_code;
 
@@ -41,11 +41,29 @@ pub struct Args {
 const POLL: Duration = Duration::from_millis(2);
 /// How often the file is brought up to date: what a crash may cost.
 const FLUSH: Duration = Duration::from_secs(5);
+/// A forecast of the same scores is recorded once in so many nanoseconds: a minute. All of them would be 5 GiB a day.
+const FORECAST_NS: u64 = 60_000_000_000;
 /// How long the daemon may take to tell its map.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// How often it is said that the daemon does not tell its map.
 const COMPLAINT_NS: u64 = 60_000_000_000;
+
+/// Reads a recording, and says so where its recorder was ended before it finished it.
+///
+/// # Errors
+/// When it is none, or damaged.
+pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
+    let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    if recording.is_torn {
+        let messages = count(recording.messages.len(), "message");
+        super::tell(format!(
+            "{} ends within a record, as of a recorder that was killed: what comes before is read, {messages}",
+            path.display()
+        ));
+    }
+    Ok(recording)
+}
 
 /// The recorder of a profile.
 enum Output {
@@ -178,6 +196,7 @@ pub fn run(args: &Args) -> CommandResult {
     })?;
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
+    let mut forecast_known = ((0, 0), 0);
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     let interrupted = loop {
@@ -207,6 +226,16 @@ pub fn run(args: &Args) -> CommandResult {
                 Recorded::PersonScores(scores) => {
                     let name = Some((scores.epoch, scores.sequence));
                     std::mem::replace(&mut persons_known, name) == name
+                }
+                // What is expected changes as time passes, a little.
+                Recorded::Forecast(forecast) => {
+                    let name = (forecast.epoch, forecast.sequence);
+                    let (known, told_ns) = forecast_known;
+                    let repeats = known == name && received.monotonic_ns.saturating_sub(told_ns) < FORECAST_NS;
+                    if !repeats {
+                        forecast_known = (name, received.monotonic_ns);
+                    }
+                    repeats
                 }
                 Recorded::PersonForecasts(forecasts) => {
                     let name = Some((forecasts.epoch, forecasts.sequence));

@@ -8,9 +8,9 @@ use roomcast_ipc::{
     Publisher, RobotReportV1, RoomScoresV1, Subscriber,
 };
 
-use super::{CommandResult, Failure, ranges, service};
+use super::{CommandResult, Failure, ranges, record, service};
 use crate::exit_code;
-use roomcast_services::recording::{self, Recorded};
+use roomcast_services::recording::Recorded;
 use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast replay`.
@@ -109,7 +109,7 @@ impl Publishers {
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
-    let messages = recording::read(&args.file).map_err(|error| Failure::new(exit_code::INPUT, error))?.messages;
+    let messages = record::read(&args.file)?.messages;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;

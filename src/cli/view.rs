@@ -3,11 +3,11 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use super::{CommandResult, Failure, service};
+use super::{CommandResult, Failure, record, service};
 use crate::exit_code;
 use crate::http::HttpError;
 use crate::view::{self, Place, ViewError};
-use roomcast_services::{logging, notify, recording};
+use roomcast_services::{logging, notify};
 
 /// Arguments of `roomcast view`.
 #[derive(Debug, clap::Args)]
@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> CommandResult {
             return Err(Failure::new(exit_code::USAGE, text));
         }
         Some(path) => {
-            let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+            let recording = record::read(path)?;
             view::run_recording(&place, recording, &stop, ready)
         }
         None => {

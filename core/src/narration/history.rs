@@ -148,6 +148,16 @@ impl History {
         left
     }
 
+    /// Takes out what `is_it` says. Gives how many observations left.
+    fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> usize {
+        let before = self.window.len();
+        self.window.retain(|held| !is_it(&held.observation));
+        let left = before - self.window.len();
+        self.left += left as u64;
+        self.tokens = self.window.iter().map(|held| held.tokens).sum();
+        left
+    }
+
     /// From here on, all that the window holds is kept for nobody: whose voice it was is not known any more.
     fn forget_voices(&mut self) {
         self.window.iter_mut().for_each(|held| held.voice = Voice::EARLIER);
@@ -336,6 +346,13 @@ impl Histories {
     /// Persons and their histories, by id.
     pub fn iter(&self) -> impl Iterator<Item = (u32, &History)> {
         self.by_person.iter().map(|(person, (_, history))| (*person, history))
+    }
+
+    /// Takes out what `is_it` says, whoever it is of. Gives whose histories had any of it.
+    pub(crate) fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> Vec<u32> {
+        let histories = self.by_person.iter_mut();
+        let changed = histories.filter_map(|(person, (_, history))| (history.forget(&is_it) > 0).then_some(*person));
+        changed.collect()
     }
 
     /// Sets how many tokens each window may hold, for a prompt that has less room than before.

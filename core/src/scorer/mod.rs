@@ -115,6 +115,16 @@ pub enum ModelError {
         /// Where.
         at: String,
     },
+    /// The model did not visit the rows that it was asked for.
+    #[error(
+        "the model gave {given} of {asked} rows of logits: LanguageModel::decode visits each row that it is asked for, and no other"
+    )]
+    Rows {
+        /// How many of them came.
+        given: usize,
+        /// How many were asked for.
+        asked: usize,
+    },
 }
 
 /// How a text stands in a sequence.
@@ -176,8 +186,8 @@ pub trait LanguageModel {
     /// Decodes `prompt` (what it shares with the last call's prompt is kept, not decoded again), then `tree` behind it,
     /// and gives each row of logits to `visit`: row 0 follows the prompt (only when `want_prompt_row`), row `i + 1` follows tree node `i`.
     ///
-    /// A node may be visited more than once with the same values up to rounding, when the tree has more paths than the
-    /// model has sequences.
+    /// Every node is visited, or the scorer refuses the call ([`ModelError::Rows`]). One may be visited more than once with the same values up
+    /// to rounding, when the tree has more paths than the model has sequences.
     ///
     /// # Errors
     /// When prompt and tree do not fit, or the decoder fails; the kept prefix is forgotten then.
@@ -432,6 +442,7 @@ pub struct Scorer<M> {
     model: M,
     /// A row of logits without a node's children, where a label ends at the node.
     without_children: Vec<f32>,
+    rows: Rows,
     /// The last prompt's tokens, without those that labels replace.
     prompt: Vec<Token>,
     /// How many of the last prompt's tokens the next one will begin with, as far as is known: all but the binding sequence.
@@ -447,6 +458,7 @@ impl<M: LanguageModel> Scorer<M> {
         Self {
             model,
             without_children: Vec::new(),
+            rows: Rows::default(),
             prompt: Vec::new(),
             kept_tokens: 0,
             cutter: Cutter::default(),
@@ -752,8 +764,12 @@ impl<M: LanguageModel> Scorer<M> {
             let mut softmax_ns = 0;
             let mut bad_row = None;
             let Certified { conditional, decoded, sent, tree, .. } = &mut *state;
-            let without_children = &mut self.without_children;
+            let (without_children, rows) = (&mut self.without_children, &mut self.rows);
+            rows.ask(tree.len(), first);
             let stats = self.model.decode(&self.prompt, tree, first, &mut |row, logits| {
+                if !rows.take(row) {
+                    return;
+                }
                 let start = now();
                 let parent = match row {
                     0 => None,
@@ -773,9 +789,9 @@ impl<M: LanguageModel> Scorer<M> {
                 }
                 softmax_ns += now().saturating_sub(start);
             })?;
-            if let Some(row) = bad_row {
+            if let Err(error) = self.rows.check(bad_row) {
                 self.model.forget();
-                return Err(ModelError::NotFinite { at: row_name(row) }.into());
+                return Err(error.into());
             }
             let call_ns = now().saturating_sub(call);
             out.stats += stats;
@@ -831,9 +847,14 @@ impl<M: LanguageModel> Scorer<M> {
         self.node_log_prob_nats.clear();
         self.node_log_prob_nats.resize(nodes.len(), f64::NEG_INFINITY);
         let (log_prob, without_children) = (&mut self.node_log_prob_nats, &mut self.without_children);
+        let rows = &mut self.rows;
+        rows.ask(tree.len(), true);
         let mut bad_row = None;
         let mut softmax_ns = 0;
         let stats = self.model.decode(&self.prompt, tree, true, &mut |row, logits| {
+            if !rows.take(row) {
+                return;
+            }
             let start = now();
             let parent = row.checked_sub(1).map(|place| trie.inner()[place] as usize);
             let place = parent.map(|node| places.map_or(node, |places| places[node]));
@@ -845,9 +866,9 @@ impl<M: LanguageModel> Scorer<M> {
             }
             softmax_ns += now().saturating_sub(start);
         })?;
-        if let Some(row) = bad_row {
+        if let Err(error) = self.rows.check(bad_row) {
             self.model.forget();
-            return Err(ModelError::NotFinite { at: row_name(row) }.into());
+            return Err(error.into());
         }
         let decoded = now();
         // Parents stand before their children, so one pass turns conditional probabilities into q(n).
@@ -862,6 +883,45 @@ impl<M: LanguageModel> Scorer<M> {
         out.prefix_ns += decode_ns.saturating_sub(softmax_ns);
         out.trie_ns += softmax_ns + now().saturating_sub(decoded);
         Ok(())
+    }
+}
+
+/// Which rows of logits a call of [`LanguageModel::decode`] was asked for, and which came: whoever brings a model may forget one.
+#[derive(Debug, Default)]
+struct Rows {
+    /// Row 0 follows the prompt.
+    came: Vec<bool>,
+    given: usize,
+    /// One came that nobody asked for.
+    is_beyond: bool,
+}
+
+impl Rows {
+    fn ask(&mut self, nodes: usize, with_prompt: bool) {
+        self.came.clear();
+        self.came.resize(1 + nodes, false);
+        self.came[0] = !with_prompt;
+        (self.given, self.is_beyond) = (usize::from(!with_prompt), false);
+    }
+
+    /// Takes note of a row; whether it was asked for.
+    fn take(&mut self, row: usize) -> bool {
+        let Some(came) = self.came.get_mut(row) else {
+            self.is_beyond = true;
+            return false;
+        };
+        self.given += usize::from(!std::mem::replace(came, true));
+        true
+    }
+
+    /// Whether all came and none beside them, and none of them was bad.
+    fn check(&self, bad_row: Option<usize>) -> Result<(), ModelError> {
+        let asked = self.came.len();
+        match bad_row {
+            Some(row) => Err(ModelError::NotFinite { at: row_name(row) }),
+            None if self.given < asked || self.is_beyond => Err(ModelError::Rows { given: self.given, asked }),
+            None => Ok(()),
+        }
     }
 }
 

@@ -137,7 +137,8 @@ fn forget<M: LanguageModel>(
         // What others did to them, and rooms that are called after them, tell of them, too.
         own || is_somebody && (is_about_them() || called.is_in(&text()))
     };
-    board.forget(person);
+    // Whose an observation in a window is was found.
+    board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
     let records = *in_journal.as_ref().unwrap_or(&1);
     let in_file = board.persons_mut().file_mut().remove(person);

@@ -557,6 +557,9 @@ impl<M: LanguageModel> Board<M> {
             if observation.by_fit {
                 // The home may have given the person another number since.
                 observation.person = self.persons.file().current(observation.person);
+                if self.persons.is_number_of_none(observation.person) {
+                    (observation.person, observation.by_fit) = (SOMEBODY, false);
+                }
             }
             if index == learned {
                 self.home.end_recall();
@@ -586,6 +589,9 @@ impl<M: LanguageModel> Board<M> {
             if let Some(moves) = moved.remove(&name) {
                 for own in moves {
                     let person = self.persons.file().current(own.person);
+                    if self.persons.is_number_of_none(person) {
+                        continue;
+                    }
                     let own = Move { person, ..own }.apply(&observation);
                     if let Some(own) = self.retake(own, is_strange, at_ns) {
                         persons.push(own.person);
@@ -701,10 +707,11 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
-    /// Forgets a person altogether; the next step's scores are without them.
-    pub(super) fn forget(&mut self, person: u32) {
+    /// Forgets a person altogether, with what `is_theirs` says of others' observations; the next step's scores are without them.
+    pub(super) fn forget(&mut self, person: u32, is_theirs: impl Fn(&Observation) -> bool) {
         self.watch();
         self.lose(person);
+        self.pipeline.forget_told(is_theirs);
         self.home.forget(person);
         self.forget_ahead();
     }

@@ -687,6 +687,11 @@ impl Persons {
         self.not_persons.iter().any(|other| other.whole() == name.whole())
     }
 
+    /// Whether a number is of somebody whom the home says since then to be no person.
+    pub(super) fn is_number_of_none(&self, person: u32) -> bool {
+        self.not_persons.iter().any(|name| name.number() == person)
+    }
+
     /// Whom an observation is about: of what the home says is no person, nothing.
     fn about(&self, said: &Said) -> About {
         let is_none = |name: &str| self.is_no_person(name);

@@ -79,7 +79,9 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// The file is larger than [`FILE_BYTES_MAX`].
-    #[error("the recording {path} has more than {FILE_BYTES_MAX} bytes, unpacked; split it by `mcap filter`")]
+    #[error(
+        "the recording {path} has more than {FILE_BYTES_MAX} bytes, unpacked: record fewer seconds at a time (--seconds)"
+    )]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -294,6 +296,8 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
     let room = json!({"type": "array", "items": {"type": "object", "properties":
         {"id": text, "probability": number, "log_score_nats": {"type": ["number", "null"]}}}});
     let numbers = json!({"type": "array", "items": number});
+    let timing = json!({"type": "object", "properties":
+        {"wait": integer, "tokenise": integer, "prefix": integer, "trie": integer, "ground": integer}});
     let course =
         json!({"type": "array", "items": {"type": "object", "properties": {"id": text, "probability": numbers}}});
     [
@@ -314,7 +318,7 @@ fn schemas() -> [(&'static str, &'static str, Value); 7] {
                 RoomScoresV1::TYPE_NAME,
                 json!({
                     "epoch": text, "sequence": integer, "computed": point, "label_mass": number, "flags": integer, "rooms": room,
-                    "timing_ns": {"type": "object"}, "model": text, "map": text,
+                    "timing_ns": timing, "model": text, "map": text,
                 }),
             ),
         ),
@@ -474,6 +478,8 @@ pub struct Recording {
     /// What the daemon told of itself when the recording began, and whenever it or its map was another one: the map in use,
     /// and the narration that came before the recording.
     pub moments: Vec<Moment>,
+    /// The file ends within a record, as of a recorder that was killed: what came after is not here.
+    pub is_torn: bool,
 }
 
 /// A moment of a recording, as far as the recording itself knows it.
@@ -714,16 +720,22 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
     let mut reader = LinearReader::new_with_options(options.with_validate_chunk_crcs(true));
     let (mut recording, mut topics) = (Recording::default(), BTreeMap::new());
     let (mut rest, mut index, mut unpacked) = (bytes, 0, 0_u64);
+    let is_finished = bytes.ends_with(mcap::MAGIC);
     while let Some(event) = reader.next_event() {
-        let (opcode, data) = match event.map_err(mcap)? {
-            LinearReadEvent::ReadRequest(wanted) => {
+        let (opcode, data) = match event {
+            Err(_) if !is_finished && index > 0 => {
+                recording.is_torn = true;
+                break;
+            }
+            Err(error) => return Err(mcap(error)),
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
                 let (next, later) = rest.split_at(wanted.min(rest.len()));
                 reader.insert(next.len()).copy_from_slice(next);
                 reader.notify_read(next.len());
                 rest = later;
                 continue;
             }
-            LinearReadEvent::Record { opcode, data } => (opcode, data),
+            Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
         };
         unpacked = unpacked.saturating_add(data.len() as u64);
         if unpacked > FILE_BYTES_MAX {
@@ -871,7 +883,7 @@ mod tests {
             (12, Recorded::RoomScores(Box::new(scores))),
             (13, narration(3, "They close the fridge.")),
         ];
-        let mut recording = Recording { messages, moments: Vec::new() };
+        let mut recording = Recording { messages, ..Recording::default() };
         let contained = |recording: &Recording| -> Vec<String> {
             let narration = recording.moment(None, None).unwrap().narration;
             narration.iter().map(|(_, sentence)| sentence.as_str().to_owned()).collect()
@@ -923,7 +935,7 @@ mod tests {
         tell(4, 4, 1, "They dry themselves with the towel.", "");
         tell(5, 5, 0, "They close the fridge.", "");
         let of = |messages: &[(u64, Recorded)]| -> Vec<(u32, String)> {
-            let recording = Recording { messages: messages.to_vec(), moments: Vec::new() };
+            let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
             let narration = recording.moment(None, None).unwrap().narration;
             narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
         };
@@ -981,7 +993,7 @@ mod tests {
         tell(5, &["Ben leaves the house."], [3, 0], [present, away], [4, 5]);
         let (anna, ben) = (person_number("Anna"), person_number("Ben"));
         let of = |messages: &[(u64, Recorded)], sequence: u64| -> Vec<(u32, String)> {
-            let recording = Recording { messages: messages.to_vec(), moments: Vec::new() };
+            let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
             let narration = recording.moment(Some(sequence), None).unwrap().narration;
             narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
         };
@@ -999,11 +1011,32 @@ mod tests {
     fn a_recording_is_not_overwritten_and_a_damaged_one_is_named() {
         let (_folder, path) = recorded(&messages());
         assert!(matches!(Recorder::create(&path), Err(RecordingError::Exists { .. })));
-        let whole = std::fs::read(&path).unwrap();
-        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
-        assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
         std::fs::write(&path, b"no recording").unwrap();
         assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
+    }
+
+    /// Wherever a recorder was killed, what it had written before is read.
+    #[test]
+    fn a_torn_recording_is_read_as_far_as_it_goes() {
+        let (_folder, path) = recorded(&messages());
+        let (whole, all) = (std::fs::read(&path).unwrap(), read(&path).unwrap());
+        assert!(!all.is_torn);
+        let mut torn = 0;
+        for length in (0..whole.len()).step_by(31) {
+            match decode(&path, &whole[..length]) {
+                Ok(part) => {
+                    assert!(part.is_torn, "{length}");
+                    assert_eq!(part.messages, all.messages[..part.messages.len()], "{length}");
+                    torn += 1;
+                }
+                Err(error) => assert!(matches!(error, RecordingError::Mcap { .. }), "{length}: {error}"),
+            }
+        }
+        assert!(torn > 0);
+        // What is damaged within a whole file is no torn end.
+        let mut damaged = whole.clone();
+        damaged[whole.len() / 2] ^= 1;
+        assert!(decode(&path, &damaged).map_or(true, |recording| !recording.is_torn));
     }
 
     #[test]

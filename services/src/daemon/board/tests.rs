@@ -525,7 +525,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
     // What is forgotten is guessed no more.
     assert!(format!("{ahead:?}").contains("serenade"));
-    board.forget(1);
+    board.forget(1, |_| false);
     ahead.look(board.now());
     assert!(!format!("{ahead:?}").contains("serenade"));
 }
@@ -567,7 +567,7 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
     ahead.look(board.now());
     assert!(ahead.answer().unwrap().is_none(), "all are there");
     // Somebody's forgetting empties all.
-    board.forget(2);
+    board.forget(2, |_| false);
     board.step([], 3 * S, 1_000_003 * S).unwrap();
     assert!(work_ahead(&mut board, &mut ahead) > 0);
 }

@@ -2,7 +2,7 @@
 
 use roomcast_core::forecast::Mentions;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::{Observation, Presence, PresenceStatement, SOMEBODY, Said, Voice, same_name};
+use roomcast_core::narration::{Observation, Presence, PresenceStatement, Pronoun, SOMEBODY, Said, Voice, same_name};
 use roomcast_core::pipeline::PersonScores;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
@@ -115,13 +115,7 @@ impl<M: LanguageModel> Board<M> {
                 let meant = || self.persons.antecedent(teller, pronoun?, noted_ns);
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
-                    None => match meant() {
-                        Some(person) => {
-                            pronoun.into_iter().for_each(|pronoun| self.persons.call(person, pronoun));
-                            person
-                        }
-                        None => self.fitting(&observation.said, noted_ns, is_strange),
-                    },
+                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns, is_strange)),
                 };
                 if observation.name.is_some() {
                     self.persons.remember(teller, person, noted_ns);
@@ -189,12 +183,21 @@ impl<M: LanguageModel> Board<M> {
         {
             return None;
         }
+        // "She" is whom its teller told of last, as they were before; whoever was found otherwise may be called anything.
+        let teller = (is_strange, observation.source);
+        let is_meant =
+            |pronoun: &Pronoun| self.persons.antecedent(teller, *pronoun, noted_ns) == Some(observation.person);
+        let pronoun = if observation.name.is_some() {
+            observation.said.own_pronoun()
+        } else if observation.by_fit {
+            observation.said.pronoun().filter(is_meant)
+        } else {
+            None
+        };
         if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
             self.drop_person(dropped);
         }
-        if observation.name.is_some()
-            && let Some(pronoun) = observation.said.own_pronoun()
-        {
+        if let Some(pronoun) = pronoun {
             self.persons.call(observation.person, pronoun);
         }
         if !is_strange {

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::{SOMEBODY, person_number};
+use roomcast_core::narration::{SOMEBODY, Said, person_number};
 
 use super::disk::{Disk, Half};
 use super::record::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, each_record, encode_forgotten};
@@ -79,12 +79,14 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
     before
 }
 
-/// Of each person the newest observations that changed something; among them the newest that was of that person alone, by which they are known
+/// Of each person the newest observations that changed something; among them the newest that has their name, by which they are known
 /// when what is said of all is read again. And the newest of those of which nothing was told since: a daemon that was killed, or lost it with the
 /// power, did not come to that.
 fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
     let mut newest = BTreeMap::<u32, Vec<Name>>::new();
     let (mut keyed, mut of_themselves) = (BTreeMap::new(), BTreeMap::<u32, Name>::new());
+    // Sentences that a narrator gave no name to, and those that were found to be of each person.
+    let (mut plain, mut found) = (BTreeMap::<Name, &Said>::new(), BTreeMap::<u32, Vec<(Name, &Said)>>::new());
     // By the number that they were named with, which may be another one to the home.
     let mut untold = BTreeMap::<u32, Vec<Name>>::new();
     for record in records {
@@ -103,6 +105,17 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
                 untold.push(name);
                 untold.drain(..untold.len().saturating_sub(words));
             }
+            Record::Observation(own) | Record::Kept(own) => {
+                plain.insert((own.source, own.epoch, own.sequence), &own.said);
+            }
+            Record::Outcome { name, person, by_fit: true, .. } => {
+                let said = plain.get(name).map(|said| (*name, *said));
+                found.entry(*person).or_default().extend(said);
+            }
+            Record::Moved(Moved { observation, moves }) => {
+                let named = moves.iter().filter(|own| own.name.is_some());
+                of_themselves.extend(named.map(|own| (own.person, *observation)));
+            }
             Record::Outcome { name, person, by_fit: false, .. } if keyed.contains_key(name) => {
                 of_themselves.insert(*person, *name);
                 let own = newest.entry(*person).or_default();
@@ -120,13 +133,16 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
                 newest.remove(person);
                 of_themselves.remove(person);
                 untold.remove(person);
+                found.remove(person);
             }
             _ => {}
         }
     }
     for (person, own) in &mut newest {
-        if let Some(name) = of_themselves.get(person).filter(|name| !own.contains(name)) {
-            own.insert(0, *name);
+        let is_named = |(_, said): &&(Name, &Said)| said.may_name(|name| person_number(name) == *person);
+        let in_words = || found.get(person)?.iter().rev().find(is_named).map(|(name, _)| *name);
+        if let Some(name) = of_themselves.get(person).copied().or_else(in_words).filter(|name| !own.contains(name)) {
+            own.insert(0, name);
         }
     }
     for (number, untold) in untold {

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use proptest::prelude::*;
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{PresenceStatement, Said, Sentence, person_number};
+use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence, person_number};
 
 use super::record::*;
 use super::writer::{SyncDue, UNREAD_MAX};
@@ -446,6 +446,54 @@ fn who_says_much_pushes_nobody_out() {
         assert!(size <= 16_384, "{size}");
     }
     assert_ne!(boot, [0; 16]);
+}
+
+/// Who was told of by name in plain sentences, and since then by "she" or with all, is known by that name when the half that had it has gone.
+#[test]
+fn a_name_outlives_the_half_that_had_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let options = options(directory.path(), 16_384);
+    let (mut journal, _) = Journal::open(&options).unwrap();
+    let mut sequence = 0;
+    let mut say = |journal: &mut Journal, text: &str, persons: &[u32], moves: Vec<Move>| {
+        sequence += 1;
+        let said = Said::Sentence(Sentence::new(text).unwrap());
+        let said = Observation { person: SOMEBODY, name: None, said, ..observation(sequence) };
+        let mut number = journal.append(&said);
+        let Observation { source, epoch, .. } = said;
+        if !moves.is_empty() {
+            number = journal.handle().keep_moved(&Moved { observation: (source, epoch, sequence), moves });
+        }
+        for person in persons {
+            for by_fit in [true, false] {
+                let probability: &[f64] = if by_fit { &[] } else { &[0.5, 0.5] };
+                let (person, map) = (*person, 7);
+                let outcome = Outcome { source, epoch, sequence, person, by_fit, map, probability };
+                number = journal.handle().append(&outcome);
+            }
+        }
+        assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
+    };
+    let [anna, tom] = ["anna", "tom"].map(person_number);
+    say(&mut journal, "Anna opens the fridge.", &[anna], vec![]);
+    let said = Said::Sentence(Sentence::new("Tom sits on the sofa.").unwrap());
+    let of_tom = Move { person: tom, name: Some("Tom".into()), by_fit: false, said: Some(said) };
+    say(&mut journal, "Tom sits on the sofa and yawns.", &[tom], vec![of_tom]);
+    for _ in 0..20 {
+        say(&mut journal, "She opens the fridge.", &[anna], vec![]);
+        say(&mut journal, "He sits on the sofa.", &[tom], vec![]);
+    }
+    for _ in 0..400 {
+        say(&mut journal, "Tomorrow, the weather will be fine.", &[], vec![]);
+    }
+    drop(journal);
+    let (_, recovered) = Journal::open(&options).unwrap();
+    assert!(recovered.has_rotated);
+    let recovered = recovered.join();
+    for name in ["Anna opens", "Tom sits on the sofa and"] {
+        let has_it = |own: &Observation| own.sentence().is_some_and(|text| text.starts_with(name));
+        assert!(recovered.observations.iter().any(has_it), "{name}");
+    }
 }
 
 /// Words of one person that lie in different halves come back in their order, and so do those of one who was forgotten before.

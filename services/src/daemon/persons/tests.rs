@@ -557,7 +557,7 @@ fn who_is_forgotten_stays_so() {
     house.after(1, "ada", "They open the fridge.");
     house.after(1, "somebody", "Nobody is home.");
     let ada = house.board.persons().number_of("ada");
-    house.board.forget(ada);
+    house.board.forget(ada, |_| false);
     house.journal.extend(encode_forgotten(ada, false));
     house.step(None);
     for _ in 0..2 {
@@ -1886,6 +1886,12 @@ fn presences(house: &House) -> BTreeMap<u32, Presence> {
     here.map(|(number, known)| (number, known.presence)).collect()
 }
 
+/// Who is known, whether they are in the house, and when they were heard of last.
+fn heard(house: &House) -> BTreeMap<u32, (Presence, i64)> {
+    let known = house.board.persons().iter();
+    known.map(|(number, known)| (number, (known.presence, known.heard_ns))).collect()
+}
+
 /// Somebody is forgotten, also in the journal.
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let directory = tempfile::tempdir().unwrap();
@@ -1902,7 +1908,7 @@ fn forget(house: &mut House, who: &str) -> PersonAnswer {
 }
 
 const COMPANY: [&str; 5] = ["Anna", "Ben", "Igor", "Sophia", "Lukas"];
-const SAID: [&str; 24] = [
+const SAID: [&str; 28] = [
     "They open the fridge.",
     "They leave the house.",
     "They come home.",
@@ -1927,6 +1933,10 @@ const SAID: [&str; 24] = [
     "I'm home!",
     "Somebody leaves the house.",
     "Nobody is in the kitchen.",
+    "She sits on the sofa.",
+    "He opens the window.",
+    "NAME brushes her teeth. She goes to the office.",
+    "He leaves the house with OTHER.",
 ];
 
 fn narrate(house: &mut House, said: &[(usize, usize, usize, bool)]) {
@@ -1971,6 +1981,29 @@ proptest::proptest! {
         house.config.residents = live_here.map(|(name, _)| (*name).to_owned()).collect();
         house.restart();
         proptest::prop_assert_eq!(&presences(&house), &before, "{:?} live here", house.config.residents);
+    }
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 5000, ..Default::default() })]
+
+    /// What is said after a restart moves whom it would have moved without one: also what is known of who is "she" outlives it.
+    #[test]
+    fn a_restart_moves_nobody_else_afterwards(
+        said in proptest::collection::vec((0..SAID.len(), 0..5_usize, 0..5_usize, proptest::bool::weighted(0.2)), 2..14),
+        restarts in 1..13_usize,
+    ) {
+        let at = restarts.min(said.len() - 1);
+        let mut house = House::new(&["Anna", "Ben"]);
+        narrate(&mut house, &said[..at]);
+        let mut restarted = House::new(&["Anna", "Ben"]);
+        narrate(&mut restarted, &said[..at]);
+        restarted.restart();
+        for said in &said[at..] {
+            narrate(&mut house, std::slice::from_ref(said));
+            narrate(&mut restarted, std::slice::from_ref(said));
+            proptest::prop_assert_eq!(heard(&restarted), heard(&house), "{}", SAID[said.0]);
+        }
     }
 }
 
@@ -2063,6 +2096,43 @@ fn what_names_who_is_forgotten_goes_and_no_more() {
     house.after(1, "Tom", "Tom takes Ben's cup MARK.");
     assert!(forget(&mut house, "ana-maria").done);
     assert!(!String::from_utf8_lossy(&house.journal).contains("MARK"));
+}
+
+/// Who was taken for a person is none any more after a start with a configuration that says so.
+#[test]
+fn who_is_found_to_be_no_person_is_gone_after_a_restart() {
+    for said in ["Rocky cleans the bathroom.", "Rocky opens the fridge and Ada leaves the house."] {
+        let mut house = House::new(&["Ada"]);
+        house.after(1, "somebody", "Ada opens the fridge.");
+        house.after(1, "somebody", said);
+        assert_eq!(house.presence("Rocky"), Some(presence::PRESENT), "{said}");
+        house.config.not_persons.push("Rocky".to_owned());
+        for _ in 0..2 {
+            house.restart();
+            assert_eq!(house.presence("Rocky"), None, "{said}");
+        }
+        house.after(1, "somebody", "Ada leaves the house.");
+        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME), "{said}");
+    }
+}
+
+/// What others did to them is in nobody's window any more, and the others' scores are without it.
+#[test]
+fn who_is_forgotten_is_in_no_window() {
+    let mut house = House::new(&["Ada", "Ben"]);
+    for said in ["Ada opens the fridge.", "Igor sits on the sofa.", "Ada hugs Igor.", "Ben takes Igor's cup."] {
+        house.after(1, "somebody", said);
+    }
+    let told = |house: &House| {
+        let histories = house.board.pipeline().histories().iter();
+        histories.flat_map(|(_, history)| history.sentences()).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(told(&house).len(), 4);
+    assert!(forget(&mut house, "igor").done);
+    assert_eq!(told(&house), ["Ada opens the fridge."]);
+    let mut restarted = House::new(&["Ada", "Ben"]);
+    restarted.after(1, "somebody", "Ada opens the fridge.");
+    assert_eq!(house.person("Ada").unwrap().probability, restarted.person("Ada").unwrap().probability);
 }
 
 /// Where nothing is of somebody nothing is written, and nobody is said to be forgotten.
