@@ -203,7 +203,7 @@ pub fn run(config: &Config, domain: &Domain, heard: &Receiver<Heard>, stop: &Sto
                 Ok(Some(decision)) => decisions.send(&decision)?,
                 Ok(None) => {}
                 Err(fault) => {
-                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    if let Some(held_back) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
                         tracing::warn!(robot = heard.robot, %fault, held_back, "no message of a robot");
                     }
                 }
