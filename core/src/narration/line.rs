@@ -418,7 +418,7 @@ mod tests {
         let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
         for key in keys {
             let refused = Line::read(&format!(r#"{{"{key}": 1}}"#), &Who::Somebody).unwrap_err().to_string();
-            assert!(!refused.contains(crate::text::is_hidden) && refused.contains("\\u"), "{refused}");
+            assert!(!refused.contains(is_hidden) && refused.contains("\\u"), "{refused}");
         }
     }
 
