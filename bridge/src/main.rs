@@ -7,7 +7,6 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use roomcast_bridge::config::{self, Config};
-use roomcast_bridge::robot::BridgeError;
 use roomcast_bridge::stop::Stop;
 use roomcast_bridge::{hub, robot, watch};
 use tracing_subscriber::EnvFilter;
