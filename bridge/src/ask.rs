@@ -1,7 +1,7 @@
 //! Questions of others to the daemon, where the configuration allows them: as text, as they are asked in the robot's own domain.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
-use std::time::Duration;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::time::{Duration, Instant};
 
 use roomcast_ipc::{Domain, IpcError, QuestionPort, question};
 use zenoh::Wait;
@@ -13,7 +13,7 @@ use crate::stop::Stop;
 
 /// Questions that wait for their answer; more are refused.
 pub const WAITING_MAX: usize = 8;
-/// How long the daemon has for an answer.
+/// How long a question waits at most, for others and for the daemon: later nobody asks any more.
 const PATIENCE: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(200);
 
@@ -29,14 +29,18 @@ pub fn allowed(ask: &Ask) -> Vec<(&'static str, &'static str)> {
 }
 
 /// A question of somebody.
-pub type Asked = (&'static str, Query);
+pub struct Asked {
+    service: &'static str,
+    query: Query,
+    since: Instant,
+}
 
 /// Takes a question, or refuses it where too many wait.
 pub fn take(to: &SyncSender<Asked>, service: &'static str, query: Query) {
-    if let Err(refused) = to.try_send((service, query)) {
-        let (std::sync::mpsc::TrySendError::Full((_, query)) | std::sync::mpsc::TrySendError::Disconnected((_, query))) =
-            refused;
-        let _answered = query.reply_err("too many questions wait; ask again").wait();
+    if let Err(TrySendError::Full(asked) | TrySendError::Disconnected(asked)) =
+        to.try_send(Asked { service, query, since: Instant::now() })
+    {
+        let _answered = asked.query.reply_err("too many questions wait; ask again").wait();
     }
 }
 
@@ -46,6 +50,16 @@ pub fn take(to: &SyncSender<Asked>, service: &'static str, query: Query) {
 ///
 /// [`IpcError`] when a service cannot be opened.
 pub fn run(config: &Config, domain: &Domain, asked: &Receiver<Asked>, stop: &Stop) -> Result<(), IpcError> {
+    answer(config, domain, asked, PATIENCE, stop)
+}
+
+fn answer(
+    config: &Config,
+    domain: &Domain,
+    asked: &Receiver<Asked>,
+    patience: Duration,
+    stop: &Stop,
+) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-ask")?;
     let keys = Keys::new(&config.site.name, config.robot.key());
     let mut ports = Vec::<(&str, String, QuestionPort)>::new();
@@ -53,7 +67,7 @@ pub fn run(config: &Config, domain: &Domain, asked: &Receiver<Asked>, stop: &Sto
         ports.push((service, keys.ask(name), node.question_port(service)?));
     }
     while !stop.requested() {
-        let (service, query) = match asked.recv_timeout(TICK) {
+        let Asked { service, query, since } = match asked.recv_timeout(TICK) {
             Ok(asked) => asked,
             Err(RecvTimeoutError::Timeout) => continue,
             Err(RecvTimeoutError::Disconnected) => {
@@ -63,9 +77,13 @@ pub fn run(config: &Config, domain: &Domain, asked: &Receiver<Asked>, stop: &Sto
         };
         let Some((_, key, port)) = ports.iter().find(|(name, ..)| *name == service) else { continue };
         let text = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
+        // Whoever asked so long ago was told that there is no answer. What they asked for is not to be done behind their back.
+        let left = patience.saturating_sub(since.elapsed());
         let answer = match String::from_utf8(text) {
-            Ok(text) => port.ask(&text, PATIENCE).map_err(|error| error.to_string()),
             Err(_) => Err("a question is text".to_owned()),
+            // With less than that a daemon that is there may do it and be too late to say so.
+            Ok(_) if left < patience / 5 => Err("the daemon answers nobody; it was not asked: ask again".to_owned()),
+            Ok(text) => port.ask(&text, left).map_err(|error| error.to_string()),
         };
         // Whoever asked may have left.
         let _answered = match answer {
@@ -85,16 +103,63 @@ mod tests {
 
     use super::*;
 
-    /// Answers to a question to all robots had one key, so that whoever asked got one of them, and not whose it was.
-    #[test]
-    fn each_robot_answers_a_question_to_all_by_its_own_key() {
+    fn alone() -> zenoh::Session {
         let mut alone = zenoh::Config::default();
         for (key, value) in
             [("listen/endpoints", "[]"), ("scouting/multicast/enabled", "false"), ("scouting/gossip/enabled", "false")]
         {
             alone.insert_json5(key, value).unwrap();
         }
-        let session = zenoh::open(alone).wait().unwrap();
+        zenoh::open(alone).wait().unwrap()
+    }
+
+    /// A name was given minutes after its asker was told that nobody had answered.
+    #[test]
+    fn what_was_asked_while_the_daemon_was_away_is_not_done_later() {
+        let session = alone();
+        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("late-{}", std::process::id())).unwrap();
+        let mut config = Config::default();
+        config.ask.person = true;
+        let (to, asked) = sync_channel(WAITING_MAX);
+        let key = Keys::new(&config.site.name, config.robot.key()).ask("person");
+        let heard = move |query: Query| take(&to, question::PERSON, query);
+        session.declare_queryable(&key).callback(heard).background().wait().unwrap();
+        let stop = Stop::default();
+        thread::scope(|scope| {
+            let (own, config, domain) = (&stop, &config, &domain);
+            scope.spawn(move || answer(config, domain, &asked, Duration::from_millis(300), own).unwrap());
+            let _ends = stop.at_end();
+            let ask = |text: &str| session.get(&key).payload(text).timeout(4 * PATIENCE).wait().unwrap();
+            let replies: Vec<_> = (0..WAITING_MAX).map(|number| ask(&format!("early {number}"))).collect();
+            for replies in replies {
+                assert!(replies.recv().unwrap().result().is_err(), "the daemon is away");
+            }
+            let port = domain.open("daemon").unwrap().answer_port(question::PERSON).unwrap();
+            let (mut done, mut answered) = (Vec::new(), false);
+            while !answered {
+                let replies = ask("now");
+                while !replies.is_disconnected() || !replies.is_empty() {
+                    port.answer(|asked| {
+                        done.push(asked.unwrap().to_owned());
+                        "done".to_owned()
+                    })
+                    .unwrap();
+                    if let Ok(Some(reply)) = replies.try_recv() {
+                        answered = reply.result().is_ok();
+                    }
+                    thread::sleep(Duration::from_millis(1));
+                }
+            }
+            assert!(done.iter().all(|asked| asked == "now"), "{done:?}");
+        });
+        domain.clean_up().unwrap();
+    }
+
+    /// Answers to a question to all robots had one key, so that whoever asked got one of them, and not whose it was.
+    #[test]
+    fn each_robot_answers_a_question_to_all_by_its_own_key() {
+        let session = alone();
         let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
         let stop = Stop::default();
         let robots = ["robot-1", "robot-2"];

@@ -314,6 +314,17 @@ impl Ros2 {
         if let Some(floor_m) = self.floor_m.filter(|floor_m| !floor_m.is_finite()) {
             return refuse("ros2.floor_m", floor_m, "a height in metres");
         }
+        for (key, is_set) in
+            [("ros2.narration", self.narration), ("ros2.scene", self.scene.is_some()), ("ros2.map", self.map.is_some())]
+        {
+            if is_set && self.connect.is_none() {
+                return refuse(
+                    key,
+                    "",
+                    "without ros2.connect nothing is heard of ROS 2 or said to it: give it, or leave this out",
+                );
+            }
+        }
         if self.map.is_some() && self.scene.is_none() {
             return refuse("ros2.map", "", "the mask needs ros2.scene, which says where rooms are");
         }
@@ -374,7 +385,9 @@ impl Config {
         let text = String::from_utf8(bytes).map_err(|error| read(io::Error::new(io::ErrorKind::InvalidData, error)))?;
         let mut config: Self = toml::from_str(&text)
             .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })?;
-        config.begin_at(path.parent().unwrap_or(Path::new("")));
+        // Of a path such as `bridge.toml` the folder is empty, and a domain's root is absolute.
+        let file = std::path::absolute(path).map_err(read)?;
+        config.begin_at(file.parent().unwrap_or(Path::new("/")));
         Ok(config)
     }
 
@@ -419,15 +432,18 @@ impl Config {
             self.check()?;
         }
         self.ros2.check()?;
-        if !is_chunk(self.robot.key()) {
-            return refuse("robot.key", self.robot.key(), format!("{CHUNK}; give robot.key beside robot.name"));
+        // Other robots know it by its name in keys, and its planner compares their names with its own.
+        if self.peers.hear && !is_chunk(&self.robot.name) {
+            let remedy =
+                "with peers.hear it is the robot's name in keys, too: give it another, and planner.robot the same";
+            return refuse("robot.name", &self.robot.name, format!("{CHUNK}; {remedy}"));
         }
         if self.peers.hear && self.robot.key() != self.robot.name {
-            return refuse(
-                "peers.hear",
-                true,
-                "the robot has to have one name, in keys and in its planner: leave robot.key out",
-            );
+            let remedy = "with peers.hear the robot has one name, in keys and in its planner: leave robot.key out";
+            return refuse("robot.key", self.robot.key(), remedy);
+        }
+        if !is_chunk(self.robot.key()) {
+            return refuse("robot.key", self.robot.key(), format!("{CHUNK}; give robot.key beside robot.name"));
         }
         if self.narrator.len() > NARRATORS_MAX {
             return refuse("narrator", self.narrator.len(), format!("at most {NARRATORS_MAX} narrators"));
@@ -581,6 +597,18 @@ mod tests {
         assert!(fault.starts_with("router.ca = ") && fault.contains("PEM"), "{fault}");
     }
 
+    /// A domain's root was joined to an empty folder, and refused for being relative.
+    #[test]
+    fn relative_paths_of_a_file_that_is_named_relatively_are_absolute() {
+        let folder = tempfile::tempdir().unwrap();
+        let up: PathBuf = std::env::current_dir().unwrap().components().skip(1).map(|_| "..").collect();
+        let file = up.join(folder.path().strip_prefix("/").unwrap()).join("bridge.toml");
+        assert!(file.is_relative());
+        fs::write(&file, "[ipc]\nroot='d'\n[hub]\nspool='spool'").unwrap();
+        let config = Config::load(&file).unwrap();
+        assert!(config.ipc.root.is_some_and(|root| root.is_absolute()) && config.hub.spool.is_absolute());
+    }
+
     /// A device has no length by which it could be refused, and no end.
     #[test]
     fn no_more_is_read_than_a_configuration_may_have() {
@@ -621,6 +649,17 @@ mod tests {
         }
         assert!(fault(&format!("{near}[robot]\nname='my robot'")).contains("robot.key"));
         assert!(fault(&format!("{near}[site]\nname='a/**'")).starts_with("site.name"));
+        // Each remedy leads on, and not back.
+        let hears = |robot: &str| fault(&format!("{near}[peers]\nhear=true\n[robot]\n{robot}"));
+        for robot in ["name='Küche'", "name='Küche'\nkey='kitchen'"] {
+            let fault = hears(robot);
+            assert!(fault.starts_with("robot.name") && !fault.contains("robot.key"), "{fault}");
+        }
+        assert!(hears("name='kitchen'\nkey='k'").contains("leave robot.key out"));
+        for key in ["narration=true", "scene='scene.json'", "scene='scene.json'\nmap='map.yaml'"] {
+            let fault = fault(&format!("{near}[ros2]\n{key}"));
+            assert!(fault.starts_with("ros2.") && fault.contains("without ros2.connect"), "{fault}");
+        }
         assert!(fault(&format!("{near}[[narrator]]\nname='a'\n[[narrator]]\nname='a'")).contains("twice"));
         let own =
             fault(&format!("{near}[ros2]\nconnect='tcp/localhost:7447'\nnarration=true\n[[narrator]]\nname='ros2'"));

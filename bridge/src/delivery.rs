@@ -34,12 +34,12 @@ pub struct Delivery {
 }
 
 impl Delivery {
-    /// Begins with the first number that is kept: what was before it has come or was given up before this start. `last` is the last one that
-    /// was given before it.
+    /// Begins with the first number that is kept: what was before it has come, as far as it is `confirmed`, or was given up before this start.
+    /// `last` is the last one that was given before it.
     #[must_use]
-    pub fn from(first: u64, last: u64) -> Self {
+    pub fn from(first: u64, last: u64, confirmed: u64) -> Self {
         let gone = first.saturating_sub(1);
-        Self { confirmed: gone, sent: gone, given: last, has: gone, gone, ..Self::default() }
+        Self { confirmed: confirmed.min(gone), sent: gone, given: last, has: gone, gone, ..Self::default() }
     }
 
     /// Numbers up to this one can have been sent before this start, as a robot says.
@@ -205,23 +205,23 @@ mod tests {
         delivery.give_up_before(6);
         assert_eq!((delivery.lost(), delivery.first()), (5, 6));
         // A hub that starts again has lost nothing by that.
-        let mut delivery = Delivery::from(4124, 4130);
+        let mut delivery = Delivery::from(4124, 4130, 4000);
         delivery.give_up_before(4124);
-        assert_eq!((delivery.lost(), delivery.confirmed(), delivery.first()), (0, 4123, 4124));
+        assert_eq!((delivery.lost(), delivery.confirmed(), delivery.first()), (0, 4000, 4124));
     }
 
     /// The disk has lost the numbers 8 to 10 that a robot has, and 8 and 9 were given again before it was heard.
     #[test]
     fn a_number_that_a_robot_had_for_something_else_is_lost_and_not_confirmed() {
         let said = Confirmed { epoch: Hex(7), next: 11, confirmed: 10, refused: 0 };
-        let mut delivery = Delivery::from(1, 7);
+        let mut delivery = Delivery::from(1, 7, 0);
         delivery.hear(said, 7, 9, S);
         assert_eq!(delivery.lost(), 2);
         delivery.given_before(10);
         delivery.hear(said, 7, 10, S);
         assert_eq!((delivery.lost(), delivery.next(11, S)), (2, Some(11)));
         // Heard before anything was given again, nothing is.
-        let mut delivery = Delivery::from(1, 7);
+        let mut delivery = Delivery::from(1, 7, 0);
         delivery.hear(said, 7, 7, S);
         delivery.given_before(10);
         delivery.hear(said, 7, 11, S);
@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn what_a_robot_refuses_is_counted_once() {
         let said = |refused| Confirmed { epoch: Hex(7), next: 5, confirmed: 4, refused };
-        let mut delivery = Delivery::from(3, 10);
+        let mut delivery = Delivery::from(3, 10, 2);
         // From before this start; then some, the same again, and a bridge that starts again.
         for (refused, so_far) in [(2, 0), (3, 1), (3, 1), (1, 2), (u64::MAX, 10)] {
             delivery.hear(said(refused), 7, 10, S);

@@ -99,7 +99,7 @@ pub fn run(config: &Config, domain: &Domain, link: &Link, last: &Last, stop: &St
     let port = node.question_port(question::HABITS)?;
     let key = Keys::new(&config.site.name, config.robot.key()).told(TOPIC);
     let repeat = Duration::from_secs_f64(config.tell.repeat_s);
-    let (mut next, mut log) = (Instant::now(), Limiter::default());
+    let (mut next, mut log, mut connections) = (Instant::now(), Limiter::default(), 0);
     let mut said = None::<(Vec<Visits>, Instant)>;
     while !stop.requested() {
         if Instant::now() >= next {
@@ -113,13 +113,14 @@ pub fn run(config: &Config, domain: &Domain, link: &Link, last: &Last, stop: &St
                 Ok(_) => {}
                 // A daemon that is away is told of by its status.
                 Err(fault) => {
-                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    if let Some(held_back) = log.pass("habits", clock::monotonic_ns()) {
                         tracing::debug!(%fault, held_back, "the daemon says nothing of habits");
                     }
                 }
             }
         }
-        if let Some((_, at)) = said.as_mut().filter(|(_, at)| at.elapsed() >= repeat) {
+        let before = std::mem::replace(&mut connections, link.connections());
+        if let Some((_, at)) = said.as_mut().filter(|(_, at)| before != connections || at.elapsed() >= repeat) {
             *at = Instant::now();
             if let Some(bytes) = last.again(&key) {
                 link.put(&key, bytes);

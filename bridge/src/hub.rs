@@ -78,7 +78,8 @@ impl HubError {
                 source.kind(),
                 io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied | io::ErrorKind::IsADirectory
             ),
-            Self::Link(_) | Self::Spool(_) | Self::Panic { .. } | Self::Thread(_) => false,
+            Self::Spool(error) => error.is_of_configuration(),
+            Self::Link(_) | Self::Panic { .. } | Self::Thread(_) => false,
         }
     }
 }
@@ -207,6 +208,10 @@ impl Input {
             return Ok((Self::Stream(Box::new(BufReader::new(io::stdin()))), Place::default()));
         }
         let kind = fs::metadata(path)?.file_type();
+        // It could be opened, and not be read.
+        if kind.is_dir() {
+            return Err(io::ErrorKind::IsADirectory.into());
+        }
         if kind.is_file() {
             let (file, place) = follow(path, from)?;
             return Ok((Self::Followed(file), place));
@@ -324,7 +329,7 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
     };
     let reader = thread::Builder::new().name("reader".to_owned()).spawn(reader).map_err(HubError::Thread)?;
     notify(&[NotifyState::Ready]);
-    let mut hub = Hub::new(config, &spool);
+    let mut hub = Hub::new(config, &mut spool);
     let mut ended = false;
     while !(stop.requested() || ended && hub.is_done(&spool)) {
         ended |= hub.keep(&lines, &mut spool)?;
@@ -360,6 +365,7 @@ struct Robot {
     delivery: Delivery,
     /// It was told that nothing is heard of it.
     is_told: bool,
+    log: Limiter,
 }
 
 struct Hub {
@@ -374,14 +380,16 @@ struct Hub {
 }
 
 impl Hub {
-    fn new(config: &Config, spool: &Spool) -> Self {
+    fn new(config: &Config, spool: &mut Spool) -> Self {
         let robots = config.hub.robots.iter().map(|robot| {
             let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
-            let delivery = Delivery::from(spool.first(), spool.last());
-            Robot { name: robot.clone(), key, delivery, is_told: false }
+            let delivery = Delivery::from(spool.first(), spool.last(), spool.confirmed());
+            Robot { name: robot.clone(), key, delivery, is_told: false, log: Limiter::default() }
         });
         let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
         let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
+        // What is too much of what an earlier start kept counts as lost by this one.
+        spool.trim();
         Self { name, clock, robots, started_ns, refused, log, unsaved }
     }
 
@@ -403,7 +411,7 @@ impl Hub {
                     Ok(dated) => self.unsaved.extend(dated),
                     Err(fault) => {
                         self.refused += 1;
-                        if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                        if let Some(held_back) = self.log.pass("line", clock::monotonic_ns()) {
                             tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
                         }
                     }
@@ -416,7 +424,7 @@ impl Hub {
             match spool.append(self.unsaved.clone()) {
                 Ok(()) => self.unsaved.clear(),
                 Err(error) => {
-                    if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                    if let Some(held_back) = self.log.pass("not kept", clock::monotonic_ns()) {
                         tracing::error!(%error, held_back, "narration cannot be kept; the input waits");
                     }
                 }
@@ -434,12 +442,12 @@ impl Hub {
     /// Takes what robots say of how far they are.
     fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) {
         for (robot, bytes) in heard.try_iter() {
-            let Some(Robot { name, delivery, .. }) = self.robots.get_mut(robot) else { continue };
+            let Some(Robot { name, delivery, log, .. }) = self.robots.get_mut(robot) else { continue };
             let now_ns = clock::monotonic_ns();
             let said = match wire::read::<Confirmed>(&bytes) {
                 Ok(said) => said,
                 Err(fault) => {
-                    if let Some(held_back) = self.log.pass(now_ns) {
+                    if let Some(held_back) = log.pass("no confirmation", now_ns) {
                         tracing::warn!(robot = name, %fault, held_back, "no confirmation");
                     }
                     continue;
@@ -448,7 +456,7 @@ impl Hub {
             let refused = delivery.refused();
             delivery.hear(said, spool.epoch(), spool.last(), now_ns);
             if delivery.refused() > refused
-                && let Some(held_back) = self.log.pass(now_ns)
+                && let Some(held_back) = log.pass("dropped", now_ns)
             {
                 let refused = delivery.refused();
                 tracing::error!(
@@ -466,8 +474,11 @@ impl Hub {
 
     /// A robot has numbers that this spool has not: its end was lost.
     fn number_on(&mut self, robot: usize, said: Confirmed, spool: &mut Spool) {
-        let name = self.robots.get(robot).map_or("", |robot| robot.name.as_str()).to_owned();
         let numbered = spool.number_on(said.next);
+        if let Ok(Some(_)) = numbered {
+            self.robots.iter_mut().for_each(|robot| robot.delivery.given_before(spool.last()));
+        }
+        let Some(Robot { name, delivery, log, .. }) = self.robots.get_mut(robot) else { return };
         match numbered {
             Ok(Some(gone)) => {
                 tracing::error!(
@@ -475,15 +486,10 @@ impl Hub {
                     gone,
                     "the spool has lost its end: numbers go on behind those that a robot has; is the disk failing?"
                 );
-                for Robot { delivery, .. } in &mut self.robots {
-                    delivery.given_before(spool.last());
-                }
-                if let Some(Robot { delivery, .. }) = self.robots.get_mut(robot) {
-                    delivery.hear(said, spool.epoch(), spool.last(), clock::monotonic_ns());
-                }
+                delivery.hear(said, spool.epoch(), spool.last(), clock::monotonic_ns());
             }
             Ok(None) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                if let Some(held_back) = log.pass("far ahead", clock::monotonic_ns()) {
                     let (next, last) = (said.next, spool.last());
                     tracing::error!(
                         robot = name,
@@ -495,7 +501,7 @@ impl Hub {
                 }
             }
             Err(error) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                if let Some(held_back) = log.pass("not passed over", clock::monotonic_ns()) {
                     tracing::error!(%error, held_back, "numbers that a robot has cannot be passed over");
                 }
             }
@@ -505,7 +511,7 @@ impl Hub {
     /// Sends what may be sent, and forgets what every robot has.
     fn send(&mut self, link: &Link, spool: &mut Spool) {
         let last = spool.last();
-        for Robot { name: robot, key, delivery, is_told } in &mut self.robots {
+        for Robot { name: robot, key, delivery, is_told, log } in &mut self.robots {
             let waited_ns = clock::monotonic_ns().saturating_sub(self.started_ns);
             if !delivery.is_known()
                 && waited_ns >= UNHEARD_NS
@@ -520,7 +526,7 @@ impl Hub {
             let lost = delivery.lost();
             delivery.give_up_before(spool.first());
             if delivery.lost() > lost
-                && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+                && let Some(held_back) = log.pass("away", clock::monotonic_ns())
             {
                 let lost = delivery.lost();
                 tracing::error!(
@@ -551,7 +557,7 @@ impl Hub {
         }
         let everywhere = self.robots.iter().map(|robot| robot.delivery.begin()).min().unwrap_or(0);
         if let Err(error) = spool.confirm(everywhere)
-            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+            && let Some(held_back) = self.log.pass("not forgotten", clock::monotonic_ns())
         {
             tracing::warn!(%error, held_back, "the spool stays longer than it has to be");
         }
@@ -801,6 +807,36 @@ mod tests {
         let mode = rustix::fs::Mode::from_raw_mode(0o600);
         rustix::fs::mkfifoat(rustix::fs::CWD, &path, mode).unwrap();
         assert!(refused().contains("no plain file"));
+    }
+
+    /// What waits until something can be sent would wait for ever where the input can be none.
+    #[test]
+    fn a_folder_is_no_input() {
+        let folder = tempfile::tempdir().unwrap();
+        let source = Input::open(folder.path(), None).err().unwrap();
+        assert!(HubError::Input { path: folder.path().to_owned(), source }.is_of_configuration());
+    }
+
+    /// They were confirmed, though no robot was ever there.
+    #[test]
+    fn what_is_kept_no_more_after_a_start_is_lost_and_not_confirmed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = Config::default();
+        config.hub.robots = vec!["robot-1".to_owned()];
+        let outcomes = [1000, 100, 1000].map(|keep| {
+            let mut spool = Spool::open(folder.path(), keep).unwrap();
+            if spool.last() == 0 {
+                let dated = || Hub::read(b"They sit.\n", Place::default()).unwrap().unwrap();
+                spool.append((0..300).map(|_| dated()).collect()).unwrap();
+            }
+            let mut hub = Hub::new(&config, &mut spool);
+            // As when something is sent.
+            hub.robots[0].delivery.give_up_before(spool.first());
+            spool.confirm(hub.robots[0].delivery.begin()).unwrap();
+            hub.outcome(&spool)
+        });
+        let outcome = |lost| Outcome { last: 300, confirmed: 0, refused: 0, lost };
+        assert_eq!(outcomes, [outcome(0), outcome(200), outcome(0)]);
     }
 
     #[test]

@@ -78,6 +78,7 @@ struct Narrator {
     port: Publisher<NarrationV1>,
     said: Confirmed,
     said_ns: u64,
+    log: Limiter,
 }
 
 /// Runs until asked to stop.
@@ -105,7 +106,7 @@ pub fn run(
         narrators.push(Narrator::new(ROS2_NARRATOR, RATE_PER_S, from, node.publisher()?));
     }
     let mut message = Box::<RoomScoresV1>::default();
-    let (mut log, mut alive_ns) = (Limiter::default(), 0);
+    let mut alive_ns = 0;
     while !stop.requested() {
         let first = match heard.recv_timeout(TICK) {
             Ok(first) => Some(first),
@@ -118,17 +119,17 @@ pub fn run(
         };
         for heard in first.into_iter().chain(heard.try_iter()) {
             if let Some(narrator) = narrators.get_mut(heard.narrator) {
-                narrator.hear(&heard, &mut log);
+                narrator.hear(&heard);
                 narrator.send(clock::monotonic_ns())?;
             }
         }
         while let Some(checked) = scores.receive_into(&mut message)? {
             if checked.is_ok() {
                 alive_ns = alive_ns.max(message.published_ns);
-                for Narrator { name, relay, .. } in &mut narrators {
+                for Narrator { name, relay, log, .. } in &mut narrators {
                     let dropped = relay.confirm(&message, clock::monotonic_ns());
                     if dropped > 0
-                        && let Some(held_back) = log.pass(clock::monotonic_ns())
+                        && let Some(held_back) = log.pass(DROPPED, clock::monotonic_ns())
                     {
                         tracing::error!(narrator = name, dropped, held_back, "{DROPPED}");
                     }
@@ -143,7 +144,7 @@ pub fn run(
                 narrator.port.send(&message)?;
             }
             if narrator.relay.repeats() >= REPEATS
-                && let Some(held_back) = log.pass(now_ns)
+                && let Some(held_back) = narrator.log.pass(NOT_TAKEN, now_ns)
             {
                 tracing::error!(narrator = narrator.name, held_back, "{NOT_TAKEN}");
             }
@@ -158,17 +159,17 @@ impl Narrator {
     fn new(name: &str, rate_per_s: f64, from: From, port: Publisher<NarrationV1>) -> Self {
         let relay = Relay::new(name, rate_per_s);
         let (said, said_ns) = (Confirmed::default(), 0);
-        Self { name: name.to_owned(), from, relay, port, said, said_ns }
+        Self { name: name.to_owned(), from, relay, port, said, said_ns, log: Limiter::default() }
     }
 
-    fn hear(&mut self, heard: &Heard, log: &mut Limiter) {
+    fn hear(&mut self, heard: &Heard) {
         match self.from {
-            From::Hub { .. } => self.hear_hub(heard, log),
-            From::Ros2 { epoch, next } => self.hear_ros2(heard, (epoch, next), log),
+            From::Hub { .. } => self.hear_hub(heard),
+            From::Ros2 { epoch, next } => self.hear_ros2(heard, (epoch, next)),
         }
     }
 
-    fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64), log: &mut Limiter) {
+    fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64)) {
         let observed = types::decode_string(&heard.bytes).map_err(|error| Fault(error.to_string()));
         let observed = observed.and_then(|text| line(&text, clock::unix_ns()));
         let message = observed.and_then(|(observation, age_ns)| {
@@ -182,12 +183,12 @@ impl Narrator {
                 self.from = From::Ros2 { epoch, next: sequence + 1 };
             }
             // ROS 2 knows no confirmation that could hold its sender up.
-            Ok(_) => self.refuse("it comes faster than the daemon takes it, and is dropped", log),
-            Err(fault) => self.refuse(&fault.0, log),
+            Ok(_) => self.refuse("it comes faster than the daemon takes it, and is dropped"),
+            Err(fault) => self.refuse(&fault.0),
         }
     }
 
-    fn hear_hub(&mut self, heard: &Heard, log: &mut Limiter) {
+    fn hear_hub(&mut self, heard: &Heard) {
         let narrated = wire::read::<Narrated>(&heard.bytes);
         let numbered = match &narrated {
             Ok(Narrated { epoch, sequence, first, .. }) => {
@@ -197,10 +198,11 @@ impl Narrator {
         };
         let Numbered { epoch, sequence, first } = match numbered {
             Ok(numbered) => numbered,
-            Err(fault) => return self.refuse(&fault.0, log),
+            // It has no number, so that nothing is lost by it.
+            Err(fault) => return self.complain("no number", &fault.0),
         };
         if epoch.0 == 0 || sequence == 0 || first == 0 {
-            return self.refuse("epoch, sequence and first are 1 or more", log);
+            return self.complain("no number", "epoch, sequence and first are 1 or more");
         }
         let sent = narrated.as_ref().ok().map(|narrated| (narrated.clock.0, narrated.sent_ns));
         let excess_ns = |relay: &mut Relay| {
@@ -222,11 +224,11 @@ impl Narrator {
         // A start that was new is known now: its clock is followed from its first message on.
         let _noted = excess_ns(&mut self.relay);
         if let Some(fault) = fault {
-            self.refuse(&fault.0, log);
+            self.refuse(&fault.0);
         }
         if before != epoch
             && before != Hex(0)
-            && let Some(held_back) = log.pass(clock::monotonic_ns())
+            && let Some(held_back) = self.log.pass("another start", clock::monotonic_ns())
         {
             tracing::warn!(
                 narrator = self.name,
@@ -236,8 +238,13 @@ impl Narrator {
         }
     }
 
-    fn refuse(&self, fault: &str, log: &mut Limiter) {
-        if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+    /// Of what is lost by that.
+    fn refuse(&mut self, fault: &str) {
+        self.complain("refused", fault);
+    }
+
+    fn complain(&mut self, kind: &'static str, fault: &str) {
+        if let Some(held_back) = self.log.pass(kind, clock::monotonic_ns()) {
             tracing::warn!(narrator = self.name, fault, held_back, "no narration");
         }
     }
@@ -301,7 +308,7 @@ mod tests {
             });
             message.as_object_mut().unwrap().extend(changed.as_object().unwrap().clone());
             let bytes = serde_json::to_vec(&message).unwrap();
-            self.narrator.hear(&Heard { narrator: 0, now_ns: now_s * S, bytes }, &mut Limiter::default());
+            self.narrator.hear(&Heard { narrator: 0, now_ns: now_s * S, bytes });
             self.narrator.relay.send(now_s * S)
         }
     }

@@ -57,6 +57,7 @@ struct Shared {
     connected: AtomicBool,
     stop: AtomicBool,
     sessions: AtomicU64,
+    connections: AtomicU64,
 }
 
 impl Shared {
@@ -118,6 +119,13 @@ impl Link {
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.shared.connected.load(Ordering::Relaxed)
+    }
+
+    /// How often a router was reached. What was put or said elsewhere while there was none has come to nobody, so that whoever sees another number
+    /// tells and asks again.
+    #[must_use]
+    pub fn connections(&self) -> u64 {
+        self.shared.connections.load(Ordering::Relaxed)
     }
 
     /// Sends bytes to whoever listens now; whether they went out. What cannot go at once is dropped: nothing waits here for a router that is
@@ -220,6 +228,7 @@ fn watch(shared: &Shared, router: &str) {
             shared.open().as_ref().is_some_and(|open| open.session.info().routers_zid().wait().next().is_some());
         if shared.connected.swap(connected, Ordering::Relaxed) != connected {
             if connected {
+                shared.connections.fetch_add(1, Ordering::Relaxed);
                 tracing::info!(router, "connected");
             } else {
                 tracing::warn!(router, "connection lost, trying again");

@@ -7,7 +7,6 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use roomcast_bridge::config::{self, Config};
-use roomcast_bridge::robot::BridgeError;
 use roomcast_bridge::stop::Stop;
 use roomcast_bridge::{hub, robot, watch};
 use tracing_subscriber::EnvFilter;
@@ -101,7 +100,11 @@ fn load(file: &File) -> Result<(Config, Stop), Failure> {
 
 fn run(command: Command) -> Result<(), Failure> {
     let code = |is_of_configuration| if is_of_configuration { CONFIG } else { FAILURE };
-    let print = |text: &str| io::stdout().write_all(text.as_bytes()).map_err(failure);
+    // A reader that has enough, as `head`, is no failure.
+    let print = |text: &str| match io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        printed => printed.map_err(failure),
+    };
     match command {
         Command::Config => print(config::MANUAL),
         Command::Router => print(include_str!("router.json5")),

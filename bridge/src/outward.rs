@@ -1,6 +1,5 @@
 //! From the robot's services to whoever listens elsewhere, and to whoever asks later.
 
-use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,6 +18,7 @@ use crate::delay::clock_id;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
 use crate::link::Link;
+use crate::peers::Followed;
 use crate::stop::Stop;
 use crate::told::{self, Teller, Told};
 
@@ -28,8 +28,8 @@ const STATUS: Duration = Duration::from_secs(1);
 /// How often the daemon is asked for its counters, and how long it has to answer.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_millis(200);
-/// So many decisions of others and none of this robot's are a mistake in a name. Planners of one domain decide in turn.
-const STRANGERS: u32 = 10;
+/// Decisions for others, and for so long none for this robot, are a mistake in a name: of planners that start together each decides within seconds.
+const STRANGERS_NS: u64 = 30_000_000_000;
 /// A daemon that was silent for so long is not asked.
 const SILENCE_NS: u64 = 2_000_000_000;
 
@@ -105,14 +105,14 @@ impl<M: Message> Topic<M> {
     }
 
     /// Takes all that waits; whether `message` is now another good one that `wanted` accepts.
-    fn take(&mut self, log: &mut Limiter, wanted: impl Fn(&M) -> bool) -> Result<bool, IpcError> {
+    fn take(&mut self, log: &mut Limiter, mut wanted: impl FnMut(&M) -> bool) -> Result<bool, IpcError> {
         let mut found = None;
         while let Some(checked) = self.port.receive_into(&mut self.message)? {
             match checked {
                 Ok(()) if wanted(&self.message) => found = Some(*self.message),
                 Ok(()) => {}
                 Err(error) => {
-                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    if let Some(held_back) = log.pass(M::SERVICE.name, clock::monotonic_ns()) {
                         tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
                     }
                 }
@@ -125,11 +125,37 @@ impl<M: Message> Topic<M> {
     }
 }
 
+/// Whether the planner decides for a robot of another name than this one's. Pure: time comes in as a number.
+#[derive(Debug, Default)]
+struct Strangers {
+    /// Since when planners of this domain decide for others.
+    since_ns: Option<u64>,
+    /// One decides for this robot, or it was said that none does.
+    is_settled: bool,
+}
+
+impl Strangers {
+    fn hear(&mut self, is_own: bool, now_ns: u64) {
+        self.is_settled |= is_own;
+        self.since_ns.get_or_insert(now_ns);
+    }
+
+    /// Whether it is to be said now, which is once.
+    fn are_alone(&mut self, now_ns: u64) -> bool {
+        let says = !self.is_settled && self.since_ns.is_some_and(|since| now_ns.saturating_sub(since) >= STRANGERS_NS);
+        self.is_settled |= says;
+        says
+    }
+}
+
 /// What is told where.
 struct Mouth<'a> {
     link: Option<&'a Link>,
     last: &'a Last,
     repeat: Duration,
+    connections: u64,
+    /// Everything is told again, whenever it was told: there is a new connection, and what was told without one has reached nobody.
+    again: bool,
 }
 
 impl Mouth<'_> {
@@ -150,10 +176,17 @@ impl Mouth<'_> {
         }
     }
 
+    /// Looks for a new connection.
+    fn look(&mut self) {
+        let connections = self.link.map_or(0, Link::connections);
+        self.again = connections != self.connections;
+        self.connections = connections;
+    }
+
     /// Tells again what has not changed for long: a heartbeat of the service is not needed for that.
     fn repeat<M: Message>(&self, topic: &mut Topic<M>) {
         let Some((_, at)) = &mut topic.said else { return };
-        if at.elapsed() >= self.repeat {
+        if self.again || at.elapsed() >= self.repeat {
             *at = Instant::now();
             if let Some(bytes) = self.last.again(&topic.key) {
                 self.put(&topic.key, bytes);
@@ -180,8 +213,8 @@ impl Mouth<'_> {
 pub fn run(
     config: &Config,
     domain: &Domain,
-    link: Option<&Link>,
-    last: &Last,
+    (link, last): (Option<&Link>, &Last),
+    followed: &Followed,
     stop: &Stop,
     alive: &dyn Fn(),
 ) -> Result<(), IpcError> {
@@ -195,10 +228,9 @@ pub fn run(
     let mut decision = topic::<DecisionV1>(&node, tell.decision, keys.told("decision"))?;
     let counters = node.status_client()?;
     let robot = sequence::source_of_name(&config.robot.name);
-    let mouth = Mouth { link, last, repeat: Duration::from_secs_f64(tell.repeat_s) };
-    let (mut log, mut published_ns) = (Limiter::default(), None::<u64>);
-    // Decisions of other robots, until one of this robot's has come. They are expected where the bridge follows others.
-    let strangers = Cell::new(if config.peers.hear { STRANGERS } else { 0 });
+    let repeat = Duration::from_secs_f64(tell.repeat_s);
+    let mut mouth = Mouth { link, last, repeat, connections: 0, again: false };
+    let (mut log, mut published_ns, mut strangers) = (Limiter::default(), None::<u64>, Strangers::default());
     let (mut asked, mut said, mut status) = (None::<Instant>, None::<Instant>, None::<StatusResponseV1>);
     while !stop.requested() {
         match &decision {
@@ -206,20 +238,24 @@ pub fn run(
             Some(decision) => roomcast_ipc::wait_for_any(&[&scores.port, &decision.port], TICK)?,
             None => scores.port.wait(TICK)?,
         };
-        if let Some(topic) = &mut decision && topic.take(&mut log, |decision| {
-            let is_own = decision.robot == robot;
-            let count = if is_own { STRANGERS } else { strangers.get().saturating_add(1) };
-            if !is_own && count == STRANGERS {
-                tracing::warn!(
-                    robot = config.robot.name,
-                    "the planner decides for a robot of another name: give both one name (robot.name, planner.robot)"
-                );
-            }
-            strangers.set(count.max(strangers.get()));
-            is_own
-        })? {
+        if let Some(topic) = &mut decision
+            && topic.take(&mut log, |decision| {
+                let is_own = decision.robot == robot;
+                // Those that this bridge follows decide elsewhere.
+                if is_own || !followed.has(decision.robot) {
+                    strangers.hear(is_own, clock::monotonic_ns());
+                }
+                is_own
+            })?
+        {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.decided_ns);
             mouth.tell(topic, name, told::decision);
+        }
+        if strangers.are_alone(clock::monotonic_ns()) {
+            tracing::warn!(
+                robot = config.robot.name,
+                "a planner decides for a robot of another name, and none for this one: give both one name (robot.name, planner.robot)"
+            );
         }
         if scores.take(&mut log, |_| true)? {
             published_ns = Some(scores.message.published_ns);
@@ -240,6 +276,7 @@ pub fn run(
             let name = (topic.message.epoch, topic.message.sequence, topic.message.computed_ns);
             mouth.tell(topic, name, told::persons);
         }
+        mouth.look();
         mouth.repeat(&mut scores);
         forecast.iter_mut().for_each(|topic| mouth.repeat(topic));
         persons.iter_mut().for_each(|topic| mouth.repeat(topic));
@@ -263,4 +300,108 @@ pub fn run(
 fn topic<M: Message>(node: &Node, wanted: bool, key: String) -> Result<Option<Topic<M>>, IpcError> {
     let port = wanted.then(|| node.subscriber()).transpose()?;
     Ok(port.map(|port| Topic::new(port, key)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use roomcast_ipc::{action, text};
+    use zenoh::Session;
+
+    use super::*;
+
+    const S: u64 = 1_000_000_000;
+
+    #[test]
+    fn a_planner_that_decides_for_another_robot_alone_is_told_of_once() {
+        let told = |heard: &[(bool, u64)]| {
+            let mut strangers = Strangers::default();
+            let said = (0..1000).filter(|second| {
+                let now = heard.iter().filter(|(_, at)| at == second);
+                now.for_each(|(is_own, _)| strangers.hear(*is_own, second * S));
+                strangers.are_alone(second * S)
+            });
+            said.collect::<Vec<u64>>()
+        };
+        assert_eq!(told(&[(false, 5), (false, 605)]), [35], "ten decisions took hours");
+        assert!(told(&[(false, 5), (true, 9), (false, 605)]).is_empty(), "two planners of one domain");
+        assert!(told(&[]).is_empty(), "no planner runs");
+    }
+
+    /// A router in this process, on a loopback port.
+    fn router(port: u16) -> Session {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", "\"router\"".to_owned()),
+            ("listen/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+            ("scouting/multicast/enabled", "false".to_owned()),
+            ("scouting/gossip/enabled", "false".to_owned()),
+        ] {
+            config.insert_json5(key, &value).unwrap();
+        }
+        zenoh::open(config).wait().unwrap()
+    }
+
+    /// What was decided while the connection was cut was told when it was to be repeated, up to an hour later. Until then the others went by the
+    /// room of before.
+    #[test]
+    fn what_is_decided_while_the_connection_is_cut_is_told_when_it_is_back() {
+        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("cut-{}", std::process::id())).unwrap();
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let mut config = Config::default();
+        config.router.connect = format!("tcp/127.0.0.1:{port}");
+        config.tell.repeat_s = 3600.0;
+        let key = Keys::new(&config.site.name, config.robot.key()).told("decision");
+        let (stop, last) = (Stop::default(), Last::new());
+        let heard = |router: &Session| {
+            let (to, heard) = channel();
+            let take = move |sample: zenoh::sample::Sample| {
+                let message: serde_json::Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+                let _heard = to.send(message["to"].as_str().unwrap().to_owned());
+            };
+            router.declare_subscriber(&key).callback(take).background().wait().unwrap();
+            heard
+        };
+        let first = router(port);
+        let at_first = heard(&first);
+        let link = Link::start(&config.router, Box::new(|_| Ok(Vec::new()))).unwrap();
+        std::thread::scope(|scope| {
+            let (link, config, domain, last, stop) = (&link, &config, &domain, &*last, &stop);
+            let _ends = stop.at_end();
+            let followed = Followed::default();
+            scope.spawn(move || run(config, domain, (Some(link), last), &followed, stop, &|| ()).unwrap());
+            let node = domain.open("planner").unwrap();
+            let planner = node.publisher().unwrap();
+            let decide = |sequence: u64, room: &str| {
+                let robot = sequence::source_of_name(&config.robot.name);
+                let (decided_ns, to) = (clock::monotonic_ns(), text::encode("to", room).unwrap());
+                let decision =
+                    DecisionV1 { robot, epoch: 7, sequence, decided_ns, action: action::GO, to, ..Default::default() };
+                planner.send(&decision).unwrap();
+                // The service's history goes to who joins at a tick.
+                planner.tick().unwrap();
+            };
+            let next = |heard: &std::sync::mpsc::Receiver<String>| loop {
+                planner.tick().unwrap();
+                if let Ok(room) = heard.recv_timeout(Duration::from_millis(50)) {
+                    break room;
+                }
+            };
+            decide(1, "kitchen");
+            assert_eq!(next(&at_first), "kitchen");
+            first.close().wait().unwrap();
+            while link.is_connected() {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            decide(2, "bathroom");
+            while last.again(&key).is_none_or(|bytes| !String::from_utf8(bytes).unwrap().contains("bathroom")) {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            let second = router(port);
+            assert_eq!(next(&heard(&second)), "bathroom");
+        });
+        domain.clean_up().unwrap();
+    }
 }

@@ -1,17 +1,22 @@
 //! What other robots of the site are told, as decisions in this robot's own domain: its planner, with `planner.avoid_robots`, enters no room of theirs.
 //! A robot that is not heard any more has no room: each goes on for itself.
 
-use std::collections::BTreeMap;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use roomcast_ipc::{DecisionV1, Domain, IpcError, Message, NAME_BYTES, action, clock, sequence, text};
 use serde::Deserialize;
+use zenoh::query::Reply;
 use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
 
 use crate::config::Config;
 use crate::delay::Delay;
+use crate::keys::Keys;
 use crate::limiter::Limiter;
+use crate::link::Link;
 use crate::stop::Stop;
 use crate::wire::{self, Fault, Hex};
 
@@ -22,6 +27,9 @@ const LEASE_NS: u64 = 3_500_000_000;
 /// Messages that wait; more are dropped, and follow within seconds.
 const WAITING_MAX: usize = 64;
 const TICK: Duration = Duration::from_millis(100);
+
+/// The topics of a robot that are heard.
+pub const TOPICS: [&str; 2] = ["decision", "status"];
 
 /// A message of a robot: its name in keys, what it is of, and its bytes.
 pub struct Heard {
@@ -57,6 +65,31 @@ impl Ear {
             let _dropped = self.0.try_send(Heard { robot, topic, bytes, now_ns, now_unix_ns });
         }
     }
+
+    /// Asks for what was said before. Where that fails the session is at its end, and the next one is asked.
+    fn ask(&self, session: &Session, site: &str) {
+        for topic in TOPICS {
+            let ear = self.clone();
+            let earlier = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| ear.take(&sample));
+            let _asked = session.get(Keys::new(site, "*").told(topic)).callback(earlier).wait();
+        }
+    }
+}
+
+/// The numbers of the robots whose decisions are in this domain because they were heard here.
+#[derive(Debug, Default)]
+pub struct Followed(Mutex<BTreeSet<u64>>);
+
+impl Followed {
+    /// Whether a robot is one of them.
+    #[must_use]
+    pub fn has(&self, robot: u64) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).contains(&robot)
+    }
+
+    fn are(&self, robots: BTreeSet<u64>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = robots;
+    }
 }
 
 /// What both messages have.
@@ -72,9 +105,13 @@ struct Decision {
     epoch: Hex,
     sequence: u64,
     action: String,
+    from: String,
     to: String,
+    policy: String,
     reason: String,
+    probability: f64,
     stay_ns: u64,
+    flags: u32,
 }
 
 struct Peer {
@@ -152,15 +189,36 @@ impl Peers {
         let fallen = self.peers.iter_mut().filter(|(_, peer)| silent(peer));
         let leave = fallen.map(|(robot, peer)| {
             peer.silent = true;
-            let reason = text::encode_cut("it is not heard any more");
-            let gone = |last| DecisionV1 { action: action::PAUSE, to: [0; NAME_BYTES], stay_ns: 0, reason, ..last };
+            let (nowhere, reason) = ([0; NAME_BYTES], text::encode_cut("it is not heard any more"));
+            let gone = |last| DecisionV1 {
+                action: action::PAUSE,
+                from: nowhere,
+                to: nowhere,
+                policy: nowhere,
+                probability: 0.0,
+                stay_ns: 0,
+                flags: 0,
+                reason,
+                ..last
+            };
             (robot.clone(), peer.last.map(gone))
         });
         leave.collect()
     }
+
+    /// What holds of all robots that are heard. The service keeps the last message alone, so who joins has to be told of the others.
+    pub fn standing(&self) -> impl Iterator<Item = DecisionV1> {
+        self.peers.values().filter(|peer| !peer.silent).filter_map(|peer| peer.last)
+    }
+
+    /// Their numbers.
+    fn numbers(&self) -> BTreeSet<u64> {
+        self.peers.keys().map(|robot| sequence::source_of_name(robot)).collect()
+    }
 }
 
 fn message(heard: &Heard, decision: &Decision, age_ns: u64) -> Result<DecisionV1, Fault> {
+    let fault = |error: roomcast_ipc::MessageError| Fault(error.to_string());
     let message = DecisionV1 {
         robot: sequence::source_of_name(&heard.robot),
         epoch: decision.epoch.0,
@@ -169,41 +227,54 @@ fn message(heard: &Heard, decision: &Decision, age_ns: u64) -> Result<DecisionV1
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
         action: action::of_word(&decision.action),
+        flags: decision.flags,
+        probability: decision.probability,
         minor: 2,
         robot_name: text::encode_cut(&heard.robot),
-        to: text::encode("to", &decision.to).map_err(|error| Fault(error.to_string()))?,
+        from: text::encode("from", &decision.from).map_err(fault)?,
+        to: text::encode("to", &decision.to).map_err(fault)?,
+        policy: text::encode("policy", &decision.policy).map_err(fault)?,
         reason: text::encode_cut(&decision.reason),
         ..DecisionV1::default()
     };
-    message.check().map_err(|error| Fault(error.to_string()))?;
+    message.check().map_err(fault)?;
     Ok(message)
 }
 
-/// Runs until asked to stop.
+/// Runs until asked to stop. `ear` is the other end of `heard`, for what was said before.
 ///
 /// # Errors
 ///
 /// [`IpcError`] when a service cannot be opened or is lost.
-pub fn run(config: &Config, domain: &Domain, heard: &Receiver<Heard>, stop: &Stop) -> Result<(), IpcError> {
+pub fn run(
+    config: &Config,
+    domain: &Domain,
+    link: Option<&Link>,
+    (ear, heard): (&Ear, &Receiver<Heard>),
+    followed: &Followed,
+    stop: &Stop,
+) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-peers")?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut peers = Peers::new(config.robot.key());
-    let mut log = Limiter::default();
+    let (mut log, mut connections) = (Limiter::default(), 0);
     while !stop.requested() {
-        let first = match heard.recv_timeout(TICK) {
-            Ok(first) => Some(first),
-            Err(RecvTimeoutError::Timeout) => None,
-            Err(RecvTimeoutError::Disconnected) => {
-                std::thread::sleep(TICK);
-                None
-            }
-        };
+        let first = heard.recv_timeout(TICK).ok();
+        if let Some(link) = link.filter(|link| link.connections() != connections)
+            && let Some((_, session)) = link.session()
+        {
+            connections = link.connections();
+            ear.ask(&session, &config.site.name);
+        }
         for heard in first.into_iter().chain(heard.try_iter()) {
             match peers.hear(&heard) {
-                Ok(Some(decision)) => decisions.send(&decision)?,
+                Ok(Some(decision)) => {
+                    followed.are(peers.numbers());
+                    decisions.send(&decision)?;
+                }
                 Ok(None) => {}
                 Err(fault) => {
-                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
+                    if let Some(held_back) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
                         tracing::warn!(robot = heard.robot, %fault, held_back, "no message of a robot");
                     }
                 }
@@ -215,7 +286,9 @@ pub fn run(config: &Config, domain: &Domain, heard: &Receiver<Heard>, stop: &Sto
                 decisions.send(&gone)?;
             }
         }
-        decisions.tick()?;
+        if decisions.tick()? {
+            peers.standing().try_for_each(|decision| decisions.send(&decision))?;
+        }
     }
     Ok(())
 }
@@ -232,11 +305,77 @@ mod tests {
         Heard { robot: robot.to_owned(), topic: topic.to_owned(), bytes, now_ns, now_unix_ns: NOW_UNIX_NS }
     }
 
+    fn decided(sequence: u64, to: &str) -> DecisionV1 {
+        DecisionV1 {
+            epoch: 7,
+            sequence,
+            decided_ns: clock::monotonic_ns(),
+            stay_ns: 60 * S,
+            action: action::GO,
+            flags: 65,
+            probability: 0.25,
+            from: text::encode("from", "hall").unwrap(),
+            to: text::encode("to", to).unwrap(),
+            policy: text::encode("policy", "coverage-aware").unwrap(),
+            reason: text::encode_cut("nobody is there"),
+            ..Default::default()
+        }
+    }
+
     fn told(sequence: u64, to: &str) -> Vec<u8> {
-        let to = text::encode("to", to).unwrap();
-        let (decided_ns, action) = (clock::monotonic_ns(), action::GO);
-        let decision = DecisionV1 { epoch: 7, sequence, decided_ns, stay_ns: 60 * S, action, to, ..Default::default() };
-        told::decision(&decision).bytes(Teller { start: 1, number: sequence, clock: 1 })
+        told::decision(&decided(sequence, to)).bytes(Teller { start: 1, number: sequence, clock: 1 })
+    }
+
+    /// All that another robot's planner says of its decision is known here: a probability of 0 was said that nobody had told.
+    #[test]
+    fn a_decision_is_in_this_domain_what_it_was_in_its_own() {
+        let own = decided(3, "kitchen");
+        let heard = heard("robot-2", "decision", told(3, "kitchen"), clock::monotonic_ns());
+        let decision = Peers::new("robot-1").hear(&heard).unwrap().unwrap();
+        let (robot, robot_name) = (sequence::source_of_name("robot-2"), text::encode_cut("robot-2"));
+        let DecisionV1 { decided_ns, decided_unix_ns, minor, .. } = decision;
+        assert_eq!(decision, DecisionV1 { robot, robot_name, decided_ns, decided_unix_ns, minor, ..own });
+    }
+
+    /// The service keeps one message: a planner that joined knew the room of one robot, and went into another's.
+    #[test]
+    fn who_joins_hears_of_every_robot() {
+        let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("peers-{}", std::process::id())).unwrap();
+        let mut config = Config::default();
+        "robot-1".clone_into(&mut config.robot.name);
+        let (ear, heard_here) = ear();
+        let (followed, stop) = (Followed::default(), Stop::default());
+        let now_ns = clock::monotonic_ns();
+        for (robot, room) in [("robot-2", "kitchen"), ("robot-3", "bathroom"), ("robot-4", "hall")] {
+            ear.0.send(heard(robot, "decision", told(1, room), now_ns)).unwrap();
+        }
+        std::thread::scope(|scope| {
+            let (ear, config, domain, followed, stop) = (&ear, &config, &domain, &followed, &stop);
+            scope.spawn(move || run(config, domain, None, (ear, &heard_here), followed, stop).unwrap());
+            let _ends = stop.at_end();
+            let node = domain.open("planner").unwrap();
+            // The second one comes after all was said.
+            for _ in 0..2 {
+                let planner = node.subscriber::<DecisionV1>().unwrap();
+                let mut rooms = BTreeSet::new();
+                while rooms.len() < 3 {
+                    while let Some(decision) = planner.receive().unwrap() {
+                        let decision = decision.unwrap();
+                        assert!(followed.has(decision.robot));
+                        rooms.insert(decision.to().to_owned());
+                    }
+                    // Robots that are there say so.
+                    for robot in ["robot-2", "robot-3", "robot-4"] {
+                        let status = told::status(robot, None, None).bytes(Teller { start: 1, number: 1, clock: 1 });
+                        ear.0.send(heard(robot, "status", status, clock::monotonic_ns())).unwrap();
+                    }
+                    std::thread::sleep(Duration::from_millis(10));
+                }
+                assert!(rooms.iter().eq(["bathroom", "hall", "kitchen"]), "{rooms:?}");
+            }
+        });
+        domain.clean_up().unwrap();
     }
 
     #[test]

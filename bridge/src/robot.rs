@@ -7,7 +7,7 @@ use std::thread;
 
 use roomcast_ipc::{IpcError, clock};
 use sd_notify::NotifyState;
-use zenoh::query::{Query, Reply};
+use zenoh::query::Query;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
@@ -74,13 +74,15 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
     let site = !config.router.connect.is_empty();
-    let declare = || declare(config, &last, ear, asking, peer_ear);
+    let followed = peers::Followed::default();
+    let declare = || declare(config, &last, ear, asking, peer_ear.clone());
     let link = site.then(|| Link::start(&config.router, declare())).transpose()?;
     let ros2 = match config.ros2.router() {
         Some(router) => Some((Places::load(&config.ros2)?, Link::start(&router, Box::new(|_| Ok(Vec::new())))?)),
         None => None,
     };
     let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
+    let (peer_ear, followed) = (&peer_ear, &followed);
     thread::scope(|scope| {
         let start = |name: &str| thread::Builder::new().name(name.to_owned());
         // Those that run already have to end, too.
@@ -107,7 +109,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         let listening = if config.peers.hear {
             let listen = move || {
                 let _ends = stopper.at_end();
-                peers::run(config, domain, &peers_heard, stopper)
+                peers::run(config, domain, link, (peer_ear, &peers_heard), followed, stopper)
             };
             Some(start("peers").spawn_scoped(scope, listen).map_err(failed)?)
         } else {
@@ -142,7 +144,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         };
         let outward = {
             let _ends = stopper.at_end();
-            outward::run(config, domain, link, &last, stopper, &alive).map_err(BridgeError::Ipc)
+            outward::run(config, domain, (link, &last), followed, stopper, &alive).map_err(BridgeError::Ipc)
         };
         notify(&[NotifyState::Stopping]);
         let threads = [Some(inward), answering, spoken, listening, sharing];
@@ -198,14 +200,10 @@ fn declare(
             declared.push(Box::new(session.declare_queryable(keys.ask(name)).callback(take).wait()?));
         }
         if config.peers.hear {
-            for topic in ["decision", "status"] {
+            for topic in peers::TOPICS {
                 let (key, ear) = (Keys::new(&config.site.name, "*").told(topic), peer_ear.clone());
                 let take = move |sample: Sample| ear.take(&sample);
                 declared.push(Box::new(session.declare_subscriber(&key).callback(take).wait()?));
-                // What was said before.
-                let ear = peer_ear.clone();
-                let earlier = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| ear.take(&sample));
-                session.get(&key).callback(earlier).wait()?;
             }
         }
         // Last: whoever sees it may ask.

@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 
 use roomcast_ipc::{clock, sequence};
 use rustix::fs::{FlockOperation, OFlags, flock};
+use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
@@ -38,11 +39,43 @@ pub const TAKEN_MAX: u64 = 1024;
 
 /// Why there is no spool.
 #[derive(Debug, thiserror::Error)]
-#[error("{path}: {what}: {source}; is the folder this program's, and the disk not full?")]
-pub struct SpoolError {
-    path: PathBuf,
-    what: &'static str,
-    source: io::Error,
+#[non_exhaustive]
+pub enum SpoolError {
+    /// Another hub has it.
+    #[error("{path}: another hub uses it: end that one, or give this one another hub.spool")]
+    InUse {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The system refuses it.
+    #[error("{path}: {what}: {source}; is the folder this program's, and the disk not full?")]
+    Failed {
+        /// The file.
+        path: PathBuf,
+        /// What cannot be done.
+        what: &'static str,
+        /// The system's word.
+        source: io::Error,
+    },
+}
+
+impl SpoolError {
+    /// Whether what is called the spool can be none: starting again is of no use then.
+    #[must_use]
+    pub fn is_of_configuration(&self) -> bool {
+        match self {
+            Self::InUse { .. } => false,
+            Self::Failed { source, .. } => matches!(
+                source.kind(),
+                io::ErrorKind::NotFound
+                    | io::ErrorKind::AlreadyExists
+                    | io::ErrorKind::NotADirectory
+                    | io::ErrorKind::PermissionDenied
+                    | io::ErrorKind::ReadOnlyFilesystem
+                    | io::ErrorKind::InvalidInput
+            ),
+        }
+    }
 }
 
 /// A place in the input.
@@ -63,6 +96,9 @@ struct Head {
     epoch: Hex,
     /// The first number that is kept.
     first: u64,
+    /// Up to here every robot has confirmed it; what is between that and `first` was given up. 0 in a spool of an earlier version.
+    #[serde(default)]
+    confirmed: u64,
     /// How far the input was read; none where nobody knows any more.
     input: Option<Place>,
 }
@@ -137,7 +173,8 @@ pub struct Spool {
 }
 
 impl Spool {
-    /// Opens the spool in a folder, which is made where it is missing, and goes on with what it has.
+    /// Opens the spool in a folder, which is made where it is missing, and goes on with what it has. More than `keep` narrations of that stay until
+    /// [`Self::trim`], so that who counts what is given up begins before it.
     ///
     /// # Errors
     ///
@@ -146,15 +183,17 @@ impl Spool {
         let path = folder.join(FILE);
         let failed = |what| {
             let path = path.clone();
-            move |source| SpoolError { path, what, source }
+            move |source| SpoolError::Failed { path, what, source }
         };
         fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed("cannot make its folder"))?;
         let mut to_lock = OpenOptions::new();
         to_lock.create(true).append(true).mode(0o600);
         let lock = open_plain(&mut to_lock, &folder.join(LOCK)).map_err(failed("cannot lock"))?;
-        flock(&lock, FlockOperation::NonBlockingLockExclusive)
-            .map_err(|error| failed("another hub uses it")(error.into()))?;
-        let new = |input| Head { epoch: Hex(sequence::random_epoch()), first: 1, input };
+        flock(&lock, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
+            Errno::WOULDBLOCK => SpoolError::InUse { path: folder.to_owned() },
+            _ => failed("cannot lock")(error.into()),
+        })?;
+        let new = |input| Head { epoch: Hex(sequence::random_epoch()), first: 1, confirmed: 0, input };
         let found = match open_plain(OpenOptions::new().read(true), &path) {
             Ok(file) => Some(read(BufReader::new(file)).map_err(failed("cannot read"))?),
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
@@ -199,7 +238,6 @@ impl Spool {
             _lock: lock,
         };
         spool.name()?;
-        spool.trim();
         Ok(spool)
     }
 
@@ -219,6 +257,12 @@ impl Spool {
     #[must_use]
     pub fn last(&self) -> u64 {
         self.head.first + self.kept.len() as u64 - 1
+    }
+
+    /// Up to this number every robot has confirmed it, as far as the file knows.
+    #[must_use]
+    pub fn confirmed(&self) -> u64 {
+        self.head.confirmed
     }
 
     /// How much of the input is in what was kept; none where nobody knows.
@@ -311,19 +355,22 @@ impl Spool {
     }
 
     /// Keeps no more than the newest.
-    fn trim(&mut self) {
+    pub fn trim(&mut self) {
         let over = self.kept.len().saturating_sub(self.keep);
         self.forget(over);
     }
 
-    /// Forgets everything up to a number, itself included.
+    /// Forgets everything up to a number, itself included: every robot has confirmed it.
     ///
     /// # Errors
     ///
     /// [`SpoolError`] when the file cannot be written again; it is then longer than it has to be.
     pub fn confirm(&mut self, sequence: u64) -> Result<(), SpoolError> {
         let over = (sequence.min(self.last()) + 1).saturating_sub(self.head.first);
-        self.forget(usize::try_from(over).unwrap_or(usize::MAX));
+        if over > 0 {
+            self.forget(usize::try_from(over).unwrap_or(usize::MAX));
+            self.head.confirmed = self.head.first - 1;
+        }
         if self.gone >= GONE_MAX && self.gone > self.kept.len() as u64 {
             // Where it fails it is tried again when as many more are gone.
             self.gone = 0;
@@ -355,7 +402,7 @@ impl Spool {
     }
 
     fn failed(&self, what: &'static str, source: io::Error) -> SpoolError {
-        SpoolError { path: self.path.clone(), what, source }
+        SpoolError::Failed { path: self.path.clone(), what, source }
     }
 }
 
@@ -405,7 +452,7 @@ fn read(mut file: impl BufRead) -> io::Result<Found> {
         if epoch.0 == 0 || !(1..u64::MAX / 2).contains(&first) || known.is_some_and(|known| known != epoch) {
             continue;
         }
-        let head = found.head.get_or_insert(Head { epoch, first, input: None });
+        let head = found.head.get_or_insert(Head { epoch, first, confirmed: 0, input: None });
         let next = head.first + found.kept.len() as u64;
         match entry {
             Entry::Head(own) if own.first >= head.first => {
@@ -437,7 +484,8 @@ pub(crate) fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<F
         Err(_) => fs::metadata(path).is_ok_and(|about| !about.is_file()),
     };
     if is_other {
-        return Err(io::Error::other(format!("{} is no plain file: remove it", path.display())));
+        let fault = format!("{} is no plain file: remove it", path.display());
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, fault));
     }
     file
 }
@@ -508,7 +556,9 @@ mod tests {
         append(&mut spool, 5);
         let epoch = spool.epoch();
         let path = folder.path().join(FILE);
-        assert!(Spool::open(folder.path(), 100).unwrap_err().to_string().contains("another hub"));
+        let in_use = Spool::open(folder.path(), 100).unwrap_err();
+        assert!(in_use.to_string().contains("another hub") && !in_use.to_string().contains("disk"), "{in_use}");
+        assert!(!in_use.is_of_configuration(), "the other one may end");
         let again = || read(BufReader::new(File::open(&path).unwrap())).unwrap();
         assert_eq!((again().head.unwrap().epoch.0, again().kept.len()), (epoch, 5));
         spool.confirm(3).unwrap();
@@ -658,6 +708,43 @@ mod tests {
         drop(spool);
         let spool = Spool::open(folder.path(), 1000).unwrap();
         assert_eq!((spool.first(), spool.last(), spool.input().unwrap().at), (151, 200, 2000));
+    }
+
+    /// What was given up before a start was confirmed after it.
+    #[test]
+    fn what_is_given_up_is_confirmed_after_no_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let open = |keep| {
+            let spool = Spool::open(folder.path(), keep).unwrap();
+            (spool.first(), spool.last(), spool.confirmed(), spool)
+        };
+        let (.., mut spool) = open(1000);
+        append(&mut spool, 300);
+        spool.confirm(64).unwrap();
+        drop(spool);
+        let (first, last, confirmed, mut spool) = open(100);
+        assert_eq!((first, last, confirmed), (65, 300, 64), "who counts what goes begins here");
+        spool.trim();
+        assert_eq!((spool.first(), spool.confirmed()), (201, 64));
+        append(&mut spool, 1);
+        drop(spool);
+        let (.., confirmed, mut spool) = open(1000);
+        assert_eq!(confirmed, 64);
+        spool.trim();
+        spool.confirm(290).unwrap();
+        assert_eq!((spool.first(), spool.confirmed()), (291, 290));
+    }
+
+    /// A unit starts again what ends with another code than 2, without end.
+    #[test]
+    fn a_spool_that_can_be_none_is_of_the_configuration() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        for path in [&file, &file.join("spool"), Path::new("/proc/spool")] {
+            let error = Spool::open(path, 100).unwrap_err();
+            assert!(error.is_of_configuration(), "{error}");
+        }
     }
 
     #[test]

@@ -28,8 +28,8 @@ const BYTES_MAX: usize = 1 << 20;
 /// How often it is looked whether to stop, and how long what is being printed may still take then.
 const STOP_TICK: Duration = Duration::from_millis(100);
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
-/// Clocks that are followed; of more, all are followed from the start again.
-const CLOCKS_MAX: usize = 4096;
+/// Robots whose clocks are followed; of more, all are followed from the start again.
+const ROBOTS_MAX: usize = 4096;
 
 /// Why nothing can be watched.
 #[derive(Debug, thiserror::Error)]
@@ -89,7 +89,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     let ear = Ear { to, waiting: Arc::clone(&waiting) };
     let _link = Link::start(&config.router, declare(config.site.name.clone(), ear))?;
     end_where_nobody_reads(stop.clone());
-    let mut delays = BTreeMap::<u64, Delay>::new();
+    let mut delays = BTreeMap::<String, Delay>::new();
     let mut out = io::stdout().lock();
     while !stop.requested() {
         let heard = match heard.recv_timeout(Duration::from_millis(200)) {
@@ -105,7 +105,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
             Heard::Alive { key, alive } => json!({ "key": key, "alive": alive }),
             Heard::Said { key, bytes, now_ns } => match read(&key, &bytes) {
                 Ok(mut message) => {
-                    aged(&mut message, &mut delays, now_ns);
+                    aged(&key, &mut message, &mut delays, now_ns);
                     message.insert("key".to_owned(), key.into());
                     message.insert("received_ns".to_owned(), now_ns.into());
                     Value::Object(message)
@@ -113,10 +113,19 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
                 Err(fault) => json!({ "key": key, "fault": fault.to_string() }),
             },
         };
-        let line = line.to_string();
-        writeln!(out, "{}", harmless(&line)).and_then(|()| out.flush()).map_err(WatchError::Print)?;
+        if !print(&mut out, &line.to_string()).map_err(WatchError::Print)? {
+            break;
+        }
     }
     Ok(())
+}
+
+/// Prints a line; whether anybody reads on. A reader that has enough, as `head`, is no failure.
+fn print(out: &mut impl Write, line: &str) -> io::Result<bool> {
+    match writeln!(out, "{}", harmless(line)).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        printed => printed.map(|()| true),
+    }
 }
 
 /// Who is asked to stop and cannot write, because nobody reads what it prints, ends all the same.
@@ -159,17 +168,19 @@ fn read(key: &str, bytes: &[u8]) -> Result<Map<String, Value>, Fault> {
     }
 }
 
-/// Adds to a message's age what it was held up for; `held_up_ns` is null while that is not known.
-fn aged(message: &mut Map<String, Value>, delays: &mut BTreeMap<u64, Delay>, now_ns: u64) {
+/// Adds to a message's age what it was held up for; `held_up_ns` is null while that is not known. Clocks are followed by robots, which write below
+/// their own names alone: whoever says a wrong time harms nobody else.
+fn aged(key: &str, message: &mut Map<String, Value>, delays: &mut BTreeMap<String, Delay>, now_ns: u64) {
     let id = message.get("clock").and_then(|id| serde_json::from_value::<Hex>(id.clone()).ok());
     let number = |key: &str| message.get(key).and_then(Value::as_u64);
     let (Some(Hex(id)), Some(sent_ns), Some(age_ns)) = (id, number("sent_ns"), number("age_ns")) else {
         return;
     };
-    if delays.len() >= CLOCKS_MAX && !delays.contains_key(&id) {
+    let robot = key.split('/').nth(2).unwrap_or_default();
+    if delays.len() >= ROBOTS_MAX && !delays.contains_key(robot) {
         delays.clear();
     }
-    let excess_ns = delays.entry(id).or_default().excess_ns(id, sent_ns, now_ns);
+    let excess_ns = delays.entry(robot.to_owned()).or_default().excess_ns(id, sent_ns, now_ns);
     message.insert("age_ns".to_owned(), age_ns.saturating_add(excess_ns.unwrap_or(0)).into());
     message.insert("held_up_ns".to_owned(), excess_ns.into());
 }
@@ -229,6 +240,43 @@ mod tests {
         ear.waiting.store(0, Ordering::Relaxed);
         (0..2 * WAITING_MAX).for_each(|_| take(2));
         assert_eq!((heard.try_iter().count(), ear.waiting.load(Ordering::Relaxed)), (WAITING_MAX, 2 * WAITING_MAX));
+    }
+
+    /// Robots hear of one another the name of a clock that they may share, and one that lied with it made the others look old.
+    #[test]
+    fn a_robot_that_lies_about_its_clock_harms_itself_alone() {
+        const S: u64 = 1_000_000_000;
+        let mut delays = BTreeMap::new();
+        let mut held_up = |robot: &str, clock: u64, sent_ns: u64, now_s: u64| {
+            let message = json!({ "clock": Hex(clock), "sent_ns": sent_ns, "age_ns": 7 });
+            let mut message = message.as_object().unwrap().clone();
+            aged(&format!("roomcast/home/{robot}/told/status"), &mut message, &mut delays, now_s * S);
+            (message["held_up_ns"].as_u64(), message["age_ns"].as_u64().unwrap())
+        };
+        assert_eq!(held_up("robot-1", 1, 100 * S, 10), (None, 7));
+        held_up("robot-9", 1, 1_000_000 * S, 11);
+        for second in 12..20 {
+            assert_eq!(held_up("robot-1", 1, (90 + second) * S, second), (Some(0), 7));
+            // Clocks without end are of the one that names them, too.
+            (0..1000).for_each(|clock| _ = held_up("robot-9", clock, u64::MAX, second));
+        }
+        assert_eq!(held_up("robot-1", 1, 109 * S, 21), (Some(2 * S), 2 * S + 7));
+    }
+
+    #[test]
+    fn a_reader_that_has_enough_is_no_failure() {
+        struct Reader(io::ErrorKind);
+        impl Write for Reader {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(self.0.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        assert!(!print(&mut Reader(io::ErrorKind::BrokenPipe), "{}").unwrap());
+        print(&mut Reader(io::ErrorKind::StorageFull), "{}").unwrap_err();
+        assert!(print(&mut Vec::new(), "{}").unwrap());
     }
 
     #[test]

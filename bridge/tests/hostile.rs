@@ -104,7 +104,7 @@ proptest! {
         let said = Confirmed { epoch: Hex(7), next, confirmed, refused: 0 };
         let bytes = damaged(&serde_json::to_vec(&said).unwrap(), &changes);
         let Ok(heard) = read::<Confirmed>(&bytes) else { return Ok(()) };
-        let mut delivery = Delivery::from(1, 40);
+        let mut delivery = Delivery::from(1, 40, 0);
         delivery.hear(heard, 7, 40, 1);
         delivery.give_up_before(3);
         prop_assert!(delivery.confirmed() <= 40 && delivery.lost() <= 2);

@@ -103,8 +103,8 @@ pub struct Publisher<M: Message> {
     publisher: iceoryx2::port::publisher::Publisher<Flavour, M, ()>,
     factory: Factory<M, ()>,
     notifier: Notifier<Flavour>,
-    /// Subscribers at the last tick.
-    known: Cell<usize>,
+    /// The subscribers at the last tick, by the sum of their ports' numbers: one may come as another one goes.
+    known: Cell<u128>,
     connections: Connections,
 }
 
@@ -158,10 +158,10 @@ impl<M: Message> Publisher<M> {
             // iceoryx2 looks at all of them when a subscriber comes or goes. Where this one cannot come, another will.
             drop(self.factory.subscriber_builder().create());
         }
-        let subscribers = self.subscribers();
+        let joined = subscribers(&self.factory).iter().fold(0, |sum: u128, place| sum.wrapping_add(place.port));
         self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
         // A newcomer has its history now and may be asleep.
-        let changed = self.known.replace(subscribers) != subscribers;
+        let changed = self.known.replace(joined) != joined;
         if changed {
             self.wake();
         }
@@ -1033,6 +1033,23 @@ impl Node {
 mod tests {
     use super::*;
     use crate::{Domain, report_kind};
+
+    /// A planner that was started again within one tick was not noticed, and heard of one other robot alone.
+    #[test]
+    fn one_that_comes_as_another_goes_is_noticed() {
+        let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(root.path(), &format!("comes-{}", std::process::id())).unwrap();
+        let node = domain.open("both").unwrap();
+        let publisher = node.publisher::<RobotReportV1>().unwrap();
+        for _ in 0..3 {
+            let subscriber = node.subscriber::<RobotReportV1>().unwrap();
+            assert!(publisher.tick().unwrap(), "it has come");
+            assert!(!publisher.tick().unwrap());
+            drop(subscriber);
+        }
+        drop((publisher, node));
+        domain.clean_up().unwrap();
+    }
 
     /// One connection that failed is made again: what came by the others and was not read yet is not lost by that.
     #[test]

@@ -102,7 +102,7 @@ impl Voice<'_> {
     }
 
     fn complain(&mut self, error: &zenoh::Error) {
-        if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+        if let Some(held_back) = self.log.pass("ros2", clock::monotonic_ns()) {
             tracing::warn!(%error, held_back, "ROS 2 does not hear this");
         }
     }

@@ -13,7 +13,7 @@ use super::{
     Action, DeviceState, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, Presence, PresenceError,
     PresenceStatement, SOMEBODY, Said, Sentence,
 };
-use crate::text::{excerpt, visible, without_mark};
+use crate::text::{excerpt, is_hidden, visible, without_mark};
 
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -94,9 +94,22 @@ pub enum Who {
 
 /// Why a text names no person.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no person: give a number from 0 to {}, or a name of at most {} bytes with letters", SOMEBODY - 1, PERSON_NAME_BYTES_MAX)]
-pub struct WhoError {
-    text: String,
+#[non_exhaustive]
+pub enum WhoError {
+    /// It holds what nobody sees.
+    #[error("{text:?} holds the control character U+{code:04X}: remove it")]
+    Control {
+        /// The text.
+        text: String,
+        /// The character's code point.
+        code: u32,
+    },
+    /// It is no number and no name.
+    #[error("{text:?} is no person: give a number from 0 to {}, or a name of at most {} bytes with letters", SOMEBODY - 1, PERSON_NAME_BYTES_MAX)]
+    NoPerson {
+        /// The text.
+        text: String,
+    },
 }
 
 impl Who {
@@ -144,7 +157,13 @@ impl FromStr for Who {
         match Named::parse(text) {
             Ok(Named::Number(number)) => Ok(Self::Number(number)),
             Ok(Named::Name(name)) => Ok(Self::Name(name.to_owned())),
-            Err(_) => Err(WhoError { text: text.trim().chars().take(80).collect() }),
+            Err(_) => {
+                let shown = text.trim().chars().take(80).collect();
+                Err(match text.trim().chars().find(|character| is_hidden(*character)) {
+                    Some(hidden) => WhoError::Control { text: shown, code: hidden.into() },
+                    None => WhoError::NoPerson { text: shown },
+                })
+            }
         }
     }
 }
@@ -399,8 +418,21 @@ mod tests {
         let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
         for key in keys {
             let refused = Line::read(&format!(r#"{{"{key}": 1}}"#), &Who::Somebody).unwrap_err().to_string();
-            assert!(!refused.contains(crate::text::is_hidden) && refused.contains("\\u"), "{refused}");
+            assert!(!refused.contains(is_hidden) && refused.contains("\\u"), "{refused}");
         }
+    }
+
+    /// A name with letters that fits was refused for having none, or for being too long.
+    #[test]
+    fn of_a_name_that_hides_something_it_is_said_what() {
+        for (hidden, code) in [('\u{200d}', "U+200D"), ('\u{feff}', "U+FEFF"), ('\u{7}', "U+0007")] {
+            let line = serde_json::json!({ "text": "They sit.", "person": format!("Zoë{hidden}A") }).to_string();
+            let refused = Line::read(&line, &Who::Somebody).unwrap_err().to_string();
+            assert!(refused.contains("holds the control character") && refused.contains(code), "{refused}");
+            assert!(!refused.contains(hidden), "{refused}");
+        }
+        let refused = "!".parse::<Who>().unwrap_err().to_string();
+        assert!(refused.contains("is no person"), "{refused}");
     }
 
     fn item(line: &str) -> Result<Line, LineError> {

@@ -105,7 +105,11 @@ impl Inbox {
                     });
                     let entry = Entry { observation, received_ns: now_ns, after_gap: missed > 0, voice, leaves };
                     take(Heard::Entry(entry, number));
-                    (missed > 0).then(|| format!("{missed} narrations before it were lost"))
+                    match missed {
+                        0 => None,
+                        1 => Some("1 narration before it was lost".to_owned()),
+                        _ => Some(format!("{missed} narrations before it were lost")),
+                    }
                 }
                 Taken::Duplicate => None,
                 Taken::Limited => Some("it comes faster than daemon.intake allows, and is dropped".to_owned()),

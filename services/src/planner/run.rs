@@ -22,6 +22,8 @@ use crate::stop::Stop;
 
 /// The forecast comes right behind the scores that it belongs to, and the persons' sets behind it. Decisions wait at most so long for them.
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
+/// What other planners and the bridge said before comes within two of their ticks; decisions of a planner that has just started wait for it.
+const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
 /// Complaints about one kind of message come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
@@ -66,6 +68,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     awaited.extend(sets.iter().map(|sets| sets as &dyn Awaited));
     let mut behind_scores: Vec<&dyn Awaited> = vec![&forecasts];
     behind_scores.extend(sets.iter().map(|sets| sets as &dyn Awaited));
+    if others.is_some() {
+        // Else the first decision may be for a room that is taken.
+        std::thread::sleep(HISTORY_PATIENCE);
+    }
     notify(&[NotifyState::Ready]);
     while !stop.requested() {
         awake.wait(planner.idle(clock::monotonic_ns()), |patience| roomcast_ipc::wait_for_any(&awaited, patience))?;
