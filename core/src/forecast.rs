@@ -27,10 +27,11 @@
 //!
 //! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
 //! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; where they are then is as in
-//! the long run. Whoever has come back just now is at the way into the house, or in any room where the map has none, and goes on from there. Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
+//! the long run. Whoever has come back just now is at the way into the house, or in any room where the map has none, and goes on from there.
+//! Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
 //!
-//! Whoever follows a person needs [`Forecaster::come_in_by`], [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`], [`Forecaster::expect`], and to ask
-//! [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
+//! Whoever follows a person needs [`Forecaster::come_in_by`], [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`],
+//! [`Forecaster::expect`], and to ask [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
 //!
 //! Pure: time comes in with the calls.
 
@@ -318,7 +319,8 @@ impl Forecaster {
         (self.away_since_s, self.updated_s) = (Some(at_s), at_s);
     }
 
-    /// Whoever was out of the house is back, at the way in: where they spend most of their time, as in bed, they do not arrive. Gives `at_s`, not before the last observation.
+    /// Whoever was out of the house is back, at the way in: where they spend most of their time, as in bed, they do not arrive. Gives `at_s`, not
+    /// before the last observation.
     fn come_home(&mut self, at_s: f64) -> f64 {
         let at_s = at_s.max(self.updated_s);
         if let Some(since_s) = self.away_since_s.take() {

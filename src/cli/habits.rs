@@ -189,8 +189,8 @@ fn import(file: &Path, asker: &Asker) -> CommandResult {
     print(&format!("Imported: {}.{}\n", known(&answer), after_restart(&answer)))
 }
 
-/// "0 observations and 84 hours in known places": whoever is told by presence alone has only the hours. What was seen long ago counts less, so they may have
-/// become fewer.
+/// "0 observations and 84 hours in known places": whoever is told by presence alone has only the hours. What was seen long ago counts less, so
+/// they may have become fewer.
 fn counted([observations, hours]: [f64; 2]) -> String {
     let (observations, hours) = (observations.round(), hours.round());
     let plural = |count: f64| if count == 1.0 { "" } else { "s" };

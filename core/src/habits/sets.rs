@@ -8,10 +8,10 @@
 //! Outcomes come every minute, and many say the same: a night is one long hit. So the quantile is that of about a week, and the step is small.
 //! With a memory of hours sets would be small by night, when everything is easy, and would take in whole homes by day to make up for it.
 //!
-//! The threshold is of forecasts like those that it was learned from. Of another kind of forecast, and before anything was learned, a set takes the likeliest
-//! places until their sum is the coverage: as often right as the forecast itself ([`AdaptiveSets::cover`]).
+//! The threshold is of forecasts like those that it was learned from. Of another kind of forecast, and before anything was learned, a set takes
+//! the likeliest places until their sum is the coverage: as often right as the forecast itself ([`AdaptiveSets::cover`]).
 //!
-//! Where nothing is likely a set may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
+//! Where nothing is likely a set by the threshold may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
 //! [`SetOptions::never_empty`], and is then right more often than asked.
 
 /// What sets promise.

@@ -11,8 +11,8 @@
 //! | later, by place | where the person was that much later |
 //! | later | the same by hour and time spent there as well |
 //!
-//! Of whoever has come back and was seen in no room yet, the semi-Markov forecast alone knows something: it begins where earlier returns led to, at the time
-//! of this one. It counts against the shipped forecast by how many returns were seen.
+//! Of whoever has come back and was seen in no room yet, the semi-Markov forecast alone knows something: it begins where earlier
+//! returns led to, at the time of this one. It counts against the shipped forecast by how many returns were seen.
 //!
 //! Hazards are exits over time spent, each level with the next wider one as its prior: place and part of the day over place over all
 //! places over the shipped stay; of a time out of the house, over the shipped absence, since rooms say nothing of how long it lasts. What happened is known only a horizon later, and is learned then.
@@ -464,8 +464,8 @@ impl Stays {
         self.later(whose, frame, index, now_s, persistence, by_place, later);
     }
 
-    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave; where these are of `another` kind, or
-    /// little was learned yet, of the set that has that much of them.
+    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave. Where these are of
+    /// `another` kind, or little was learned yet, the fewest places that have that much of them.
     pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
         let Between { lower, upper, share } = between(horizon_s);
         let index = if share < 0.5 { lower.unwrap_or(upper) } else { upper };

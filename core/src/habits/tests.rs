@@ -192,10 +192,10 @@ fn who_is_back_goes_where_earlier_returns_led() {
     let (shares, now) = ahead(&mut habits, at_s, 0.0);
     assert!(shares.shipped < 0.3 && now[1] > 0.6 && now[3] < 1e-9, "{shares:?} {now:?}");
     let (_, soon) = ahead(&mut habits, at_s, 900.0);
-    assert!(soon[2] > 2.0 * soon[0], "{soon:?}");
+    assert!(soon[2] > 1.5 * soon[0], "{soon:?}");
     // They go on, though nobody says so.
     let (_, later) = ahead(&mut habits, at_s + 900.0, 0.0);
-    assert!(later[2] > 2.0 * later[0] && later[3] < 1e-9, "{later:?}");
+    assert!(later[2] > 1.5 * later[0] && later[3] < 1e-9, "{later:?}");
     // Sets are of what is forecast: nothing was learned of how such forecasts come out.
     let mut set = Vec::new();
     habits.room_set(0, 900.0, &[0.3, 0.3, 0.25, 0.15], false, &mut set);
