@@ -192,7 +192,8 @@ fn import(file: &Path, asker: &Asker) -> CommandResult {
 /// "0 observations and 84 hours in known places": whoever is told by presence alone has only the hours. What was seen long ago counts less, so
 /// they may have become fewer.
 fn counted([observations, hours]: [f64; 2]) -> String {
-    let (observations, hours) = (observations.round(), hours.round());
+    // A zero with a sign loses it.
+    let (observations, hours) = (observations.round() + 0.0, hours.round() + 0.0);
     let plural = |count: f64| if count == 1.0 { "" } else { "s" };
     let (of_things, of_hours) = (plural(observations), plural(hours));
     format!("{observations} observation{of_things} and {hours} hour{of_hours} in known places")
@@ -200,7 +201,7 @@ fn counted([observations, hours]: [f64; 2]) -> String {
 
 /// Observations and hours of everybody.
 fn total(answer: &HabitsAnswer) -> [f64; 2] {
-    let of = |each: fn(&HabitsLine) -> f64| answer.persons.iter().map(each).sum();
+    let of = |each: fn(&HabitsLine) -> f64| answer.persons.iter().map(each).sum::<f64>();
     [of(|line| line.observations), of(|line| line.watched_h)]
 }
 
@@ -546,6 +547,7 @@ mod tests {
         assert!(text.starts_with("Learning. 12 counts") && text.contains("ada"), "{text}");
         assert!(text.contains("42") && text.contains("84"), "{text}");
         assert_eq!(counted([0.0, 83.7]), "0 observations and 84 hours in known places");
+        assert_eq!(counted([-0.2, -0.0]), "0 observations and 0 hours in known places");
         assert_eq!(counted([1.0, 1.2]), "1 observation and 1 hour in known places");
         assert!(text.ends_with("nothing was observed since the daemon began.\n"), "{text}");
         assert!(shown(&HabitsAnswer::default()).contains("Not learning"));
