@@ -624,7 +624,13 @@ mod tests {
             set: Vec::new(),
             set_probability: None,
         };
-        let ada = HabitsLine { person: 7, name: Some("ada".to_owned()), observations: 41.5, forecast: vec![line] };
+        let ada = HabitsLine {
+            person: 7,
+            name: Some("ada".to_owned()),
+            observations: 41.5,
+            watched_h: 0.0,
+            forecast: vec![line],
+        };
         metrics.habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
         let text = metrics.text(1);
         for line in [
@@ -649,7 +655,7 @@ mod tests {
         let node = domain.open("test").unwrap();
         let (status, habits) = (node.status_client().unwrap(), node.question_port(question::HABITS).unwrap());
         let metrics = Arc::new(Mutex::new(Metrics::new()));
-        let ada = HabitsLine { person: 7, name: None, observations: 41.5, forecast: Vec::new() };
+        let ada = HabitsLine { person: 7, name: None, observations: 41.5, watched_h: 0.0, forecast: Vec::new() };
         metrics.lock().unwrap().habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
         let mut scrapes = Scrapes { status, habits, metrics, asked: None };
         let knows_ada = |text: &str| text.contains("roomcast_habits_observations{person=\"7\"} 41.5");

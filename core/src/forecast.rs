@@ -26,11 +26,12 @@
 //! against the one before it.
 //!
 //! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
-//! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; who has come back is
-//! where they are in the long run. Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
+//! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; where they are then is as in
+//! the long run. Whoever has come back just now is at the way into the house, or in any room where the map has none, and goes on from there.
+//! Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
 //!
-//! Whoever follows a person needs [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`], [`Forecaster::expect`], and to ask
-//! [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
+//! Whoever follows a person needs [`Forecaster::come_in_by`], [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`],
+//! [`Forecaster::expect`], and to ask [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
 //!
 //! Pure: time comes in with the calls.
 
@@ -91,6 +92,9 @@ impl ForecastOptions {
 /// between two rests are.
 const REST_S: f64 = 600.0;
 
+/// How probably somebody who comes home comes in where the map has a way in; else they do in any room, as by another door.
+const BY_THE_WAY_IN: f64 = 0.8;
+
 /// How many numbers [`Forecaster::paces`] gives.
 pub const PACES: usize = 5;
 
@@ -148,6 +152,8 @@ pub struct Forecaster {
     to_object: Learned,
     stay: Learned,
     away: Learned,
+    /// e: per room how probably somebody who comes home is there.
+    way_in: Vec<f64>,
     /// When the person left the house, for one who is out.
     away_since_s: Option<f64>,
     /// When the object in hand was turned to, and which it is.
@@ -171,6 +177,7 @@ impl Forecaster {
             spent_s: even.iter().map(|p| p * options.stay_s).collect(),
             belief: even.clone(),
             predicted: even.clone(),
+            way_in: even.clone(),
             scores: even,
             in_use: InUse::default(),
             near: Vec::with_capacity(rooms),
@@ -185,6 +192,20 @@ impl Forecaster {
             room_since_s: now_s,
             updated_s: now_s,
             sensed: false,
+        }
+    }
+
+    /// Per room how much of the way into the house it has; where no room has any, or these are not the rooms, whoever comes home may be in any.
+    pub fn come_in_by(&mut self, ways: &[f64]) {
+        let rooms = self.belief.len();
+        let even = 1.0 / rooms.max(1) as f64;
+        let total: f64 = ways.iter().sum();
+        let is_known = ways.len() == rooms && total.is_finite() && total > 0.0;
+        let share = |way: &f64| BY_THE_WAY_IN * way / total + (1.0 - BY_THE_WAY_IN) * even;
+        self.way_in.clear();
+        match is_known {
+            true => self.way_in.extend(ways.iter().map(share)),
+            false => self.way_in.resize(rooms, even),
         }
     }
 
@@ -298,14 +319,13 @@ impl Forecaster {
         (self.away_since_s, self.updated_s) = (Some(at_s), at_s);
     }
 
-    /// Whoever was out of the house is back, in the rooms where they are in the long run. Gives `at_s`, not before the last observation.
+    /// Whoever was out of the house is back, at the way in: where they spend most of their time, as in bed, they do not arrive. Gives `at_s`, not
+    /// before the last observation.
     fn come_home(&mut self, at_s: f64) -> f64 {
         let at_s = at_s.max(self.updated_s);
         if let Some(since_s) = self.away_since_s.take() {
             self.away.add((at_s - since_s).max(self.options.action_s));
-            let spent_s: f64 = self.spent_s.iter().sum();
-            self.belief.clear();
-            self.belief.extend(self.spent_s.iter().map(|room_s| room_s / spent_s));
+            self.belief.copy_from_slice(&self.way_in);
             self.begin_elsewhere(at_s);
             self.in_use.clear();
             (self.room_since_s, self.updated_s) = (at_s, at_s);
@@ -417,7 +437,8 @@ impl Forecaster {
         self.object = self.object.and_then(new);
     }
 
-    /// Takes up a map that has other rooms, too: `new` says which of its `rooms` each old one is. Nobody is believed to be in a new one.
+    /// Takes up a map that has other rooms, too: `new` says which of its `rooms` each old one is. Nobody is believed to be in a new one. Where its way in
+    /// is, [`Forecaster::come_in_by`] says.
     pub fn take_rooms(&mut self, new: &[Option<usize>], rooms: usize) {
         let even = 1.0 / rooms.max(1) as f64;
         let moved = |old: &[f64]| {
@@ -440,6 +461,7 @@ impl Forecaster {
         self.spent_s = moved(&self.spent_s);
         let fresh = |room: &usize| !known.contains(room);
         (0..rooms).filter(fresh).for_each(|room| self.spent_s[room] = even * self.options.stay_s);
+        self.come_in_by(&[]);
         // Where like things were in use is by the rooms before.
         self.in_use.clear();
     }
@@ -827,12 +849,48 @@ mod tests {
             quick.leave(at_s);
         }
         assert!(quick.elsewhere(at_s, 3600.0) < hours(1.0));
-        // Back, where they are in the long run; an action says where.
+        // Back, in any room; an action says where.
         forecaster.enter(4000.0, None);
         assert!((rooms(&forecaster, 4000.0, 0.0) - 1.0).abs() < 1e-9);
+        assert_eq!(forecaster.belief(), [1.0 / 3.0; 3]);
         forecaster.leave(4100.0);
         forecaster.observe(5000.0, bed, &grounding, &[]);
         assert!(forecaster.at(5000.0, 0.0).fold(0.0, f64::max) > 0.8);
+    }
+
+    /// Nobody comes home into the bed in which they spend their nights.
+    #[test]
+    fn who_comes_home_is_at_the_way_in() {
+        let (map, grounding) = studio();
+        let mut mentions = Mentions::new(&map, &grounding);
+        let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
+        forecaster.observe(5.0, mentions.last("They lie on the bed."), &grounding, &[1.0 / 3.0; 3]);
+        let bed = likeliest(forecaster.belief()).unwrap();
+        let hall = (bed + 1) % 3;
+        let mut ways = [0.0; 3];
+        ways[hall] = 0.5;
+        forecaster.come_in_by(&ways);
+        forecaster.leave(30_000.0);
+        assert!(forecaster.at(30_000.0, 1e6).nth(bed).unwrap() > 0.9, "in the long run in bed");
+        for (name, told) in [("present", None), ("a room that the map lacks", Some(7))] {
+            let mut back = forecaster.clone();
+            back.enter(60_000.0, told);
+            assert!(back.belief()[hall] > 0.8 && back.belief()[bed] < 0.1, "{name}: {:?}", back.belief());
+            let soon: Vec<f64> = back.at(60_000.0, 30.0).collect();
+            assert_eq!(likeliest(&soon), Some(hall), "{name}: {soon:?}");
+        }
+        // Of another map nothing is known of its way in.
+        let mut changed = forecaster.clone();
+        changed.take_rooms(&[Some(0), Some(1), Some(2)], 4);
+        changed.enter(60_000.0, None);
+        assert_eq!(changed.belief(), [0.25; 4]);
+        changed.leave(60_001.0);
+        changed.come_in_by(&[0.0, 0.0, 0.0, 1.0]);
+        changed.enter(60_002.0, None);
+        assert_eq!(likeliest(changed.belief()), Some(3));
+        // A room that is told is where they are.
+        forecaster.enter(60_000.0, Some(bed));
+        assert!(forecaster.belief()[bed] > 0.98);
     }
 
     #[test]

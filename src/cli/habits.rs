@@ -184,18 +184,28 @@ fn import(file: &Path, asker: &Asker) -> CommandResult {
     let answer = asker.replace(&text, None)?;
     let answer =
         done(answer).map_err(|failure| Failure::new(failure.code, format!("{}: {failure}", file.display())))?;
-    let (observations, persons) = known(&answer);
-    print(&format!("Imported: {} of {persons}.{}\n", counted(observations), after_restart(&answer)))
+    print(&format!("Imported: {}.{}\n", known(&answer), after_restart(&answer)))
 }
 
-/// So many observations: "1 observation", "2 observations". What was seen long ago counts less, so they may have become fewer.
-fn counted(observations: f64) -> String {
-    format!("{observations} observation{}", if observations == 1.0 { "" } else { "s" })
+/// "0 observations and 84 hours in known places": whoever is told by presence alone has only the hours. What was seen long ago counts less, so
+/// they may have become fewer.
+fn counted([observations, hours]: [f64; 2]) -> String {
+    // A zero with a sign loses it.
+    let (observations, hours) = (observations.round() + 0.0, hours.round() + 0.0);
+    let plural = |count: f64| if count == 1.0 { "" } else { "s" };
+    let (of_things, of_hours) = (plural(observations), plural(hours));
+    format!("{observations} observation{of_things} and {hours} hour{of_hours} in known places")
 }
 
-/// Observations, and persons in words.
-fn known(answer: &HabitsAnswer) -> (f64, String) {
-    (answer.persons.iter().map(|line| line.observations.round()).sum(), super::count(answer.persons.len(), "person"))
+/// Observations and hours of everybody.
+fn total(answer: &HabitsAnswer) -> [f64; 2] {
+    let of = |each: fn(&HabitsLine) -> f64| answer.persons.iter().map(each).sum::<f64>();
+    [of(|line| line.observations), of(|line| line.watched_h)]
+}
+
+/// The same in words, and of how many persons.
+fn known(answer: &HabitsAnswer) -> String {
+    format!("{} of {}", counted(total(answer)), super::count(answer.persons.len(), "person"))
 }
 
 /// Learns from a file, beside the daemon, and puts what was learned in place of what the daemon had.
@@ -214,22 +224,21 @@ fn learn(args: &LearnArgs) -> CommandResult {
     for attempt in 1..=ATTEMPTS {
         let (before, learned) = asker.export()?;
         let board = lessons::board(&config, &learned, read.zone().clone())?;
-        let total = read.lessons().len();
+        let narrations = read.lessons().len();
         let learned = lessons::teach(board, read.lessons().to_vec(), |told| {
             if told % 1_000 == 0 {
-                super::tell(format_args!("roomcast: {told} of {total} narrations"));
+                super::tell(format_args!("roomcast: {told} of {narrations} narrations"));
             }
         });
         let answer = asker.replace(&learned?, Some(before.taken))?;
         if !answer.learned_meanwhile || attempt == ATTEMPTS {
             let answer = done(answer)?;
-            let (observations, persons) = known(&answer);
-            let more = observations - known(&before).0;
+            let (now, then) = (total(&answer), total(&before));
             print(&format!(
-                "Learned: {} of {}; {} of {persons} now.{}\n",
-                counted(more),
-                super::count(total, "narration"),
-                counted(observations),
+                "Learned: {} of {}; {} now.{}\n",
+                counted([now[0] - then[0], now[1] - then[1]]),
+                super::count(narrations, "narration"),
+                known(&answer),
                 after_restart(&answer)
             ))?;
             return match usize::try_from(read.faults().count()).unwrap_or(usize::MAX) {
@@ -431,17 +440,19 @@ fn shown(answer: &HabitsAnswer) -> String {
     if answer.persons.is_empty() {
         return text + "Nothing was learned of anybody yet.\n";
     }
-    let mut table = table(&["person", "name", "observations", "in 1 min", "in 15 min", "in 1 h"]);
+    let mut table = table(&["person", "name", "observations", "hours", "in 1 min", "in 15 min", "in 1 h"]);
     for line in &answer.persons {
-        let HabitsLine { person, name, observations, forecast } = line;
+        let HabitsLine { person, name, observations, watched_h, forecast } = line;
         // Of the forecast, what is not the forecast without habits.
         let mut learned = forecast.iter().map(|line| format!("{:.0} %", 100.0 * (1.0 - line.shipped)));
         let mut next = || learned.next().unwrap_or_else(|| "-".to_owned());
         let name = name.clone().unwrap_or_default();
-        table.add_row([person.to_string(), name, format!("{observations:.0}"), next(), next(), next()]);
+        let (observations, hours) = (format!("{observations:.0}"), format!("{watched_h:.0}"));
+        table.add_row([person.to_string(), name, observations, hours, next(), next(), next()]);
     }
     text += &format!(
-        "{table}\nThe last columns say how much of the forecast for then habits make up. With few observations they assume more than they know.\n"
+        "{table}\nAn observation mentions a thing; the hours are those in which a person's place was known. The last columns say how much of the forecast \
+        for then habits make up. With few observations and hours they assume more than they know.\n"
     );
     if answer.persons.iter().any(|line| line.forecast.is_empty()) {
         text += "Of whom they have a -, nothing was observed since the daemon began.\n";
@@ -527,10 +538,15 @@ mod tests {
 
     #[test]
     fn a_table_says_how_much_was_learned() {
-        let line = HabitsLine { person: 7, name: Some("ada".to_owned()), observations: 41.6, forecast: Vec::new() };
+        let name = Some("ada".to_owned());
+        let line = HabitsLine { person: 7, name, observations: 41.6, watched_h: 83.7, forecast: Vec::new() };
         let answer = HabitsAnswer { learn: true, counts: 12, persons: vec![line], ..HabitsAnswer::default() };
         let text = shown(&answer);
-        assert!(text.starts_with("Learning. 12 counts") && text.contains("ada") && text.contains("42"), "{text}");
+        assert!(text.starts_with("Learning. 12 counts") && text.contains("ada"), "{text}");
+        assert!(text.contains("42") && text.contains("84"), "{text}");
+        assert_eq!(counted([0.0, 83.7]), "0 observations and 84 hours in known places");
+        assert_eq!(counted([-0.2, -0.0]), "0 observations and 0 hours in known places");
+        assert_eq!(counted([1.0, 1.2]), "1 observation and 1 hour in known places");
         assert!(text.ends_with("nothing was observed since the daemon began.\n"), "{text}");
         assert!(shown(&HabitsAnswer::default()).contains("Not learning"));
     }

@@ -10,7 +10,7 @@
 //! map loaded or changed   bind(labels, rooms, shares)
 //! sentence with a thing   observe(...)                 what was forecast is compared, then learned from
 //! model's scores          mix(...)  -> label probabilities     next_rooms(...) -> room probabilities
-//! presence, room seen     be(...)
+//! presence, room seen     be(...)               come_back(...) where no room is known
 //! about once a minute     tick(...)                    forecasts whose time has come are learned from
 //! forecast wanted         at(...) -> probabilities of the places     room_set(...) -> a set with a promise
 //! now and then, at exit   to_bytes() -> the file
@@ -492,6 +492,21 @@ impl Habits {
         stays.be(counts, *slot, NONE, at_s, options.learn);
     }
 
+    /// Somebody who was out is in the house, and nobody knows in which room. Where they go from there is known of earlier returns.
+    pub fn come_back(&mut self, person: u32, at_s: f64) {
+        let at = self.person(person);
+        let Self { persons, counts, frame, options, .. } = self;
+        let Person { slot, stays, .. } = &mut persons[at];
+        stays.learn_due(counts, *slot, frame, at_s, options.learn);
+        stays.come_back(counts, *slot, at_s, options.learn);
+    }
+
+    /// Whether somebody came back, and was seen in no room since.
+    #[must_use]
+    pub fn is_back(&self, person: u32) -> bool {
+        self.persons.iter().any(|other| other.number == person && other.stays.is_back())
+    }
+
     /// Where a person was told or seen to be last, if that is a place of the map.
     #[must_use]
     pub fn place(&self, person: u32) -> Option<Place> {
@@ -637,16 +652,24 @@ impl Habits {
         stays.at(whose, frame, (now_s, horizons_s), &rooms.mixed, shipped, out, given);
     }
 
-    /// Which places are in the set with the promised coverage, for probabilities that [`Habits::at`] gave for that time.
-    pub fn room_set(&mut self, person: u32, horizon_s: f64, probabilities: &[f64], set: &mut Vec<bool>) {
+    /// Which places are in the set with the promised coverage, for probabilities that [`Habits::at`] gave for that time. Where the person's place is
+    /// not known, or these are of `another` kind than what [`Habits::at`] gives, nothing was learned of such, and the set has that much of them.
+    pub fn room_set(&mut self, person: u32, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
         let at = self.person(person);
-        self.persons[at].stays.set(horizon_s, probabilities, set);
+        let another = another || self.place(person).is_none();
+        self.persons[at].stays.set(horizon_s, probabilities, another, set);
     }
 
     /// How much is known of one person, in observations.
     #[must_use]
     pub fn observations(&self, person: u32) -> f64 {
         self.persons.iter().find(|other| other.number == person).map_or(0.0, |person| person.observations)
+    }
+
+    /// For about how many minutes it was known where a person was.
+    #[must_use]
+    pub fn watched_min(&self, person: u32) -> f64 {
+        self.persons.iter().find(|other| other.number == person).map_or(0.0, |person| person.stays.watched_min())
     }
 
     /// Persons of whom something was observed, with the number of observations.

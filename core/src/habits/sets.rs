@@ -8,7 +8,10 @@
 //! Outcomes come every minute, and many say the same: a night is one long hit. So the quantile is that of about a week, and the step is small.
 //! With a memory of hours sets would be small by night, when everything is easy, and would take in whole homes by day to make up for it.
 //!
-//! Where nothing is likely a set may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
+//! The threshold is of forecasts like those that it was learned from. Of another kind of forecast, and before anything was learned, a set takes
+//! the likeliest places until their sum is the coverage: as often right as the forecast itself ([`AdaptiveSets::cover`]).
+//!
+//! Where nothing is likely a set by the threshold may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
 //! [`SetOptions::never_empty`], and is then right more often than asked.
 
 /// What sets promise.
@@ -53,6 +56,8 @@ const HALF_LIFE: f64 = 7_200.0;
 /// With fewer outcomes a quantile says little: places of a tenth or more are taken.
 const FEW: f64 = 20.0;
 const AT_FIRST: f64 = 0.1;
+/// As much as rounding takes from a sum of probabilities.
+const ROUNDING: f64 = 1e-9;
 /// Weights are brought back to one before they are greater than this.
 const WEIGHT_MAX: f64 = 1e6;
 
@@ -146,6 +151,25 @@ impl AdaptiveSets {
             if let Some(likeliest) = likeliest {
                 set[likeliest] = true;
             }
+        }
+    }
+
+    /// Whether there were too few outcomes for a threshold of their own.
+    #[must_use]
+    pub fn knows_little(&self) -> bool {
+        self.total / self.weight < FEW
+    }
+
+    /// The fewest of the places with these probabilities that have the coverage together.
+    pub fn cover(&self, probabilities: &[f64], set: &mut Vec<bool>) {
+        set.clear();
+        set.resize(probabilities.len(), false);
+        let mut held = 0.0;
+        while held < self.options.coverage - ROUNDING || self.options.never_empty && held <= 0.0 {
+            let open = (0..probabilities.len()).rev().filter(|place| !set[*place]);
+            let Some(next) = open.max_by(|a, b| probabilities[*a].total_cmp(&probabilities[*b])) else { return };
+            set[next] = true;
+            held += probabilities[next];
         }
     }
 
@@ -251,6 +275,26 @@ mod tests {
     }
 
     proptest! {
+        /// As much as was promised, of the likeliest, and no place more.
+        #[test]
+        fn what_is_covered_is_what_was_promised(
+            raw in prop::collection::vec(prop_oneof![Just(0.0), Just(0.5), 0.0..1.0f64], 1..65),
+            coverage in 0.0..=1.0f64,
+        ) {
+            let total = raw.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+            let p: Vec<f64> = raw.iter().map(|p| p / total).collect();
+            let mut set = vec![true; 3];
+            AdaptiveSets::new(SetOptions { coverage, ..SetOptions::default() }).cover(&p, &mut set);
+            prop_assert_eq!(set.len(), p.len());
+            let held = |set: &[bool]| p.iter().zip(set).filter(|(_, held)| **held).map(|(p, _)| p).sum::<f64>();
+            prop_assert!(held(&set) >= coverage - 1e-6 || !set.contains(&false));
+            prop_assert!(set.contains(&true));
+            let least = (0..p.len()).filter(|place| set[*place]).min_by(|a, b| p[*a].total_cmp(&p[*b])).unwrap();
+            prop_assert!((0..p.len()).all(|place| set[place] || p[place] <= p[least]));
+            set[least] = false;
+            prop_assert!(held(&set) < coverage || !set.contains(&true) || held(&set) <= 0.0);
+        }
+
         #[test]
         fn a_set_takes_the_likelier_first_and_state_survives(
             raw in prop::collection::vec(0.01..1.0f64, 2..8),

@@ -11,6 +11,9 @@
 //! | later, by place | where the person was that much later |
 //! | later | the same by hour and time spent there as well |
 //!
+//! Of whoever has come back and was seen in no room yet, the semi-Markov forecast alone knows something: it begins where earlier
+//! returns led to, at the time of this one. It counts against the shipped forecast by how many returns were seen.
+//!
 //! Hazards are exits over time spent, each level with the next wider one as its prior: place and part of the day over place over all
 //! places over the shipped stay; of a time out of the house, over the shipped absence, since rooms say nothing of how long it lasts. What happened is known only a horizon later, and is learned then.
 
@@ -58,6 +61,10 @@ const SAMPLED: f64 = 2.0;
 /// The least probability that weights are learned from: one surprise is not to silence whoever was sure for long. The mixture's bound is that of
 /// forecasts with this least.
 const FLOOR: f64 = 1e-3;
+/// Whoever came back and is first seen in a room within this time has come into it, in seconds; later they may have been in others before.
+const ARRIVAL_S: f64 = 600.0;
+/// How many returns that were seen the shipped forecast is worth, of somebody who is back: it says where they are in the long run, as in bed.
+const BACK_STRENGTH: f64 = 1.0;
 /// Mean stay that the shipped forecast begins with, in seconds, and the exponent of its survival.
 const SHIPPED_STAY_S: f64 = 120.0;
 /// The same of a time out of the house.
@@ -101,6 +108,8 @@ pub(crate) struct Anchor {
 pub(crate) struct Stays {
     pub(crate) place: u16,
     pub(crate) entered_s: f64,
+    /// Whether they came back then, into a room that nobody knows.
+    is_back: bool,
     /// The places before, the latest first.
     pub(crate) before: [u16; 2],
     updated_s: f64,
@@ -128,6 +137,7 @@ impl Stays {
         Self {
             place: NONE,
             entered_s: 0.0,
+            is_back: false,
             before: [NONE; 2],
             updated_s: 0.0,
             sampled_s: f64::NEG_INFINITY,
@@ -220,20 +230,36 @@ impl Stays {
     pub(crate) fn be(&mut self, counts: &mut Counts, slot: u8, number: u16, now_s: f64, learn: bool) {
         let now_s = now_s.max(self.updated_s);
         self.advance(counts, slot, now_s, learn);
+        let was_back = std::mem::take(&mut self.is_back);
         if number == self.place {
             return;
         }
         if self.place != NONE && learn {
             self.add_stay(counts, slot, dwell(now_s - self.entered_s), now_s, EXITS, 1.0);
+        }
+        let has_arrived = was_back && number != ELSEWHERE && now_s - self.entered_s <= ARRIVAL_S;
+        let from = if has_arrived { ELSEWHERE } else { self.place };
+        if from != NONE && number != NONE && learn {
             let (now_min, part) = (moment::minute(now_s), moment::part_of_day(now_s, PART_HOURS));
-            if number != NONE {
-                counts.add(key(Kind::Exit, slot, [self.place, NONE, NONE]), number, 1.0, now_min);
-                counts.add(key(Kind::ExitHour, slot, [self.place, part, NONE]), number, 1.0, now_min);
-            }
+            counts.add(key(Kind::Exit, slot, [from, NONE, NONE]), number, 1.0, now_min);
+            counts.add(key(Kind::ExitHour, slot, [from, part, NONE]), number, 1.0, now_min);
         }
         self.before = [std::mem::replace(&mut self.place, number), self.before[0]];
         self.entered_s = now_s;
         self.updated_s = now_s;
+    }
+
+    /// Whoever was out is in the house at `now_s`, and nobody knows in which room.
+    pub(crate) fn come_back(&mut self, counts: &mut Counts, slot: u8, now_s: f64, learn: bool) {
+        if self.place == ELSEWHERE {
+            self.be(counts, slot, NONE, now_s, learn);
+            self.is_back = true;
+        }
+    }
+
+    /// Whether the person came back, and was seen in no room since.
+    pub(crate) fn is_back(&self) -> bool {
+        self.is_back
     }
 
     /// Whether another sample is due.
@@ -298,7 +324,8 @@ impl Stays {
         let mut scratch = std::mem::take(&mut self.scratch);
         scratch.semi.clear();
         scratch.semi.resize(ANCHORS_S.len() * places, 0.0);
-        let forecast = self.semi_markov(whose, frame, now_s, next_rooms, &ANCHORS_S, &mut scratch);
+        // What is forecast of whoever is in no known place is not learned from.
+        let forecast = !self.is_back && self.semi_markov(whose, frame, now_s, next_rooms, &ANCHORS_S, &mut scratch);
         for (index, horizon_s) in ANCHORS_S.into_iter().enumerate() {
             let rows = (EXPERTS + 1) * places;
             scratch.rows.clear();
@@ -361,6 +388,10 @@ impl Stays {
         let known = self.semi_markov(whose, frame, now_s, next_rooms, horizons_s, &mut scratch);
         scratch.anchored.clear();
         scratch.anchored.resize(ANCHORS_S.len() * COUNTED * places, 0.0);
+        let returns = if self.is_back { whose.own(Kind::Exit, [ELSEWHERE, NONE, NONE]) } else { None };
+        let returns: f64 = returns.map_or(0.0, |seen| seen.symbols().map(|(_, count)| count).sum());
+        let is_back = known && self.is_back;
+        let known = known && !self.is_back;
         let needed = |index: usize| horizons_s.iter().any(|horizon_s| between(*horizon_s).uses(index));
         for (index, rows) in scratch.anchored.chunks_exact_mut(COUNTED * places).enumerate() {
             if known && needed(index) {
@@ -368,9 +399,15 @@ impl Stays {
             }
         }
         for (index, (horizon_s, out)) in horizons_s.iter().zip(out.chunks_exact_mut(places)).enumerate() {
-            given(match known {
-                true => self.mixed_at(frame, *horizon_s, index, out, &mut scratch),
-                false => [1.0, 0.0, 0.0, 0.0, 0.0],
+            given(if known {
+                self.mixed_at(frame, *horizon_s, index, out, &mut scratch)
+            } else if is_back {
+                let semi = &scratch.semi[index * places..(index + 1) * places];
+                let seen = returns / (returns + BACK_STRENGTH);
+                out.iter_mut().zip(semi).for_each(|(p, semi)| *p = (1.0 - seen) * *p + seen * semi);
+                [1.0 - seen, 0.0, seen, 0.0, 0.0]
+            } else {
+                [1.0, 0.0, 0.0, 0.0, 0.0]
             });
         }
         self.scratch = scratch;
@@ -427,12 +464,17 @@ impl Stays {
         self.later(whose, frame, index, now_s, persistence, by_place, later);
     }
 
-    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave.
-    pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], set: &mut Vec<bool>) {
+    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::at`] gave. Where these are of
+    /// `another` kind, or little was learned yet, the fewest places that have that much of them.
+    pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
         let Between { lower, upper, share } = between(horizon_s);
         let index = if share < 0.5 { lower.unwrap_or(upper) } else { upper };
         let sets = &self.anchors[index].sets;
-        sets.set(probabilities, sets.issue(), set);
+        if another || sets.knows_little() {
+            sets.cover(probabilities, set);
+        } else {
+            sets.set(probabilities, sets.issue(), set);
+        }
     }
 
     fn persistence(&self, index: usize, frame: &Frame, p: &mut [f64]) {
@@ -508,7 +550,7 @@ impl Stays {
         }
     }
 
-    /// Per horizon (ascending) and place, row by row, into `scratch.semi`. Says whether anything is known of where the person is.
+    /// Per horizon (ascending) and place, row by row, into `scratch.semi`. Says whether anything is known of where the person is, or has come from.
     fn semi_markov(
         &self,
         whose: Whose<'_>,
@@ -518,17 +560,24 @@ impl Stays {
         horizons_s: &[f64],
         scratch: &mut Scratch,
     ) -> bool {
-        let Some(here) = frame.place(self.place) else { return false };
+        let here = frame.place(self.place);
+        if here.is_none() && !self.is_back {
+            return false;
+        }
         let places = frame.places();
         let Scratch { mass, hazard, lead, leaving, leave, semi, .. } = scratch;
         let part = moment::part_of_day(now_s, PART_HOURS);
-        let (spent_s, farthest_s) =
-            (now_s - self.entered_s, horizons_s.last().map_or(0.0, |h| h.clamp(0.0, FARTHEST_S)));
+        let spent_s = now_s - self.entered_s;
+        // Of whoever came back the way since then is followed.
+        let since_s = if self.is_back { spent_s.clamp(0.0, FARTHEST_S) } else { 0.0 };
+        let ahead = |horizon_s: f64| (since_s + horizon_s).clamp(0.0, FARTHEST_S);
+        let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| ahead(*horizon_s));
         hazard.clear();
         hazard.resize(places * DWELLS, 0.0);
         // Nobody comes anywhere before now; this stay is older.
         let (newest, oldest) = (dwell(farthest_s), dwell(spent_s + farthest_s));
-        let ages = |place, bucket| bucket <= newest || place == here && bucket >= dwell(spent_s) && bucket <= oldest;
+        let ages =
+            |place, bucket| bucket <= newest || Some(place) == here && bucket >= dwell(spent_s) && bucket <= oldest;
         Self::hazards(whose, frame, part, ages, hazard);
         lead.clear();
         for place in 0..places {
@@ -538,11 +587,11 @@ impl Stays {
             let others = (places - 1).max(1) as f64;
             lead.extend((0..places).map(|_| 1.0 / others));
             let row = &mut lead[begin..];
-            if place == here && next_rooms.len() + 1 == places {
-                let known: f64 = next_rooms.iter().enumerate().filter(|(room, _)| *room != here).map(|(_, p)| p).sum();
+            if Some(place) == here && next_rooms.len() + 1 == places {
+                let known: f64 = next_rooms.iter().enumerate().filter(|(room, _)| *room != place).map(|(_, p)| p).sum();
                 if known > 0.0 {
                     let elsewhere = frame.elsewhere();
-                    let kept = if here == elsewhere { 1.0 } else { 1.0 - row[elsewhere] };
+                    let kept = if place == elsewhere { 1.0 } else { 1.0 - row[elsewhere] };
                     row.iter_mut().zip(next_rooms).for_each(|(p, next)| *p = kept * next / known);
                 }
             }
@@ -564,9 +613,16 @@ impl Stays {
         leaving.clear();
         leaving.resize(places, 0.0);
         let mut older = [0.0; DWELLS];
+        let elsewhere = frame.elsewhere();
         let (mut original, mut spent_s, mut ahead_s) = (1.0, spent_s, 0.0);
-        for (horizon, row) in horizons_s.iter().zip(semi.chunks_exact_mut(places)) {
-            let horizon_s = horizon.clamp(0.0, FARTHEST_S);
+        if self.is_back {
+            original = 0.0;
+            let led = &lead[elsewhere * places..(elsewhere + 1) * places];
+            mass.chunks_exact_mut(DWELLS).zip(led).for_each(|(mass, led)| mass[0] = *led);
+        }
+        let rows =
+            horizons_s.iter().zip(semi.chunks_exact_mut(places)).map(|(horizon, row)| (ahead(*horizon), Some(row)));
+        for (horizon_s, row) in self.is_back.then_some((since_s, None)).into_iter().chain(rows) {
             while ahead_s < horizon_s {
                 // Equal steps up to the next horizon, or to the time from which longer ones do.
                 let (wanted_s, until_s) = STEPS_S.into_iter().find(|(_, until_s)| ahead_s < *until_s).unwrap_or(STEP_S);
@@ -584,9 +640,11 @@ impl Stays {
                 }
                 for _ in 0..steps as usize {
                     leaving.fill(0.0);
-                    let left = original * leave_of(hazard, here, spent_s, step_s);
-                    original -= left;
-                    leaving[here] = left;
+                    if let Some(here) = here {
+                        let left = original * leave_of(hazard, here, spent_s, step_s);
+                        original -= left;
+                        leaving[here] = left;
+                    }
                     let of_places = mass.chunks_exact_mut(DWELLS).zip(leave.chunks_exact(DWELLS));
                     for ((mass, leave), leaving) in of_places.zip(leaving.iter_mut()) {
                         let (mut aged, mut left) = (0.0, 0.0);
@@ -607,10 +665,18 @@ impl Stays {
                 }
                 ahead_s = until_s;
             }
+            let Some(row) = row else {
+                // Until now nobody said that they left again.
+                mass[elsewhere * DWELLS..].fill(0.0);
+                normalise(mass);
+                continue;
+            };
             for (p, mass) in row.iter_mut().zip(mass.chunks_exact(DWELLS)) {
                 *p = mass.iter().sum();
             }
-            row[here] += original;
+            if let Some(here) = here {
+                row[here] += original;
+            }
             normalise(row);
         }
         true

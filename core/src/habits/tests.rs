@@ -162,6 +162,62 @@ fn a_stay_ends_where_its_place_is_empty() {
     assert_eq!(habits.at(0, at_s + 7_300.0, 300.0, &shipped, &mut out).shipped, 1.0);
 }
 
+/// Whoever is back goes where they went after earlier returns, and no visit is learned until somebody tells of one.
+#[test]
+fn who_is_back_goes_where_earlier_returns_led() {
+    let mut habits = home(HabitsOptions::default());
+    let evening_s = |day: usize| MONDAY_S + day as f64 * DAY_S + 17.0 * 3_600.0;
+    let (mut p, shipped) = (Vec::new(), [0.9, 0.05, 0.05, 0.0]);
+    for day in 0..14 {
+        let at_s = evening_s(day);
+        // In the bathroom for a minute, in the kitchen for an hour; nights in the bedroom.
+        for (minute, place) in [(1, Some(1)), (2, Some(2)), (62, Some(0)), (14 * 60, None)] {
+            if minute == 1 {
+                habits.come_back(0, at_s);
+                assert_eq!((habits.place(0), habits.is_back(0)), (None, day > 0));
+            }
+            habits.be(0, place.map_or(Place::Elsewhere, Place::Room), at_s + 60.0 * f64::from(minute));
+        }
+    }
+    let visits = |habits: &Habits| habits.visits(evening_s(14)).iter().map(|of_room| of_room[5]).collect::<Vec<_>>();
+    let before = visits(&habits);
+    assert!(before[0] < 0.01 && before[1] > 5.0, "{before:?}");
+    let at_s = evening_s(14);
+    habits.come_back(0, at_s);
+    let mut ahead = |habits: &mut Habits, now_s: f64, horizon_s: f64| {
+        let shares = habits.at(0, now_s, horizon_s, &shipped, &mut p);
+        assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{p:?}");
+        (shares, p.clone())
+    };
+    let (shares, now) = ahead(&mut habits, at_s, 0.0);
+    assert!(shares.shipped < 0.3 && now[1] > 0.6 && now[3] < 1e-9, "{shares:?} {now:?}");
+    let (_, soon) = ahead(&mut habits, at_s, 900.0);
+    assert!(soon[2] > 1.5 * soon[0], "{soon:?}");
+    // They go on, though nobody says so.
+    let (_, later) = ahead(&mut habits, at_s + 900.0, 0.0);
+    assert!(later[2] > 1.5 * later[0] && later[3] < 1e-9, "{later:?}");
+    // Sets are of what is forecast: nothing was learned of how such forecasts come out.
+    let mut set = Vec::new();
+    habits.room_set(0, 900.0, &[0.3, 0.3, 0.25, 0.15], false, &mut set);
+    assert_eq!(set, [true, true, true, true]);
+    assert_eq!(visits(&habits), before);
+    // Where they are first seen long after that is not where they came in.
+    let exits = |habits: &Habits| {
+        let seen = habits.counts.get(key(Kind::Exit, 0, [ELSEWHERE, NONE, NONE]), moment::minute(at_s)).unwrap();
+        seen.symbols().map(|(_, count)| count).sum::<f64>()
+    };
+    let led = exits(&habits);
+    habits.be(0, Place::Room(0), at_s + 7_200.0);
+    assert!(!habits.is_back(0) && exits(&habits) == led);
+    // Whoever was in a room does not come back, and whoever does something of which nobody knows the place is not at the door.
+    habits.come_back(0, at_s + 7_260.0);
+    assert_eq!(habits.place(0), Some(Place::Room(0)));
+    habits.be(0, Place::Elsewhere, at_s + 7_300.0);
+    habits.come_back(0, at_s + 7_400.0);
+    habits.lose(0, at_s + 7_410.0);
+    assert!(!habits.is_back(0) && habits.at(0, at_s + 7_420.0, 60.0, &shipped, &mut p).shipped == 1.0);
+}
+
 /// Watches somebody who is in the bedroom until seven, in the bathroom for half an hour, in the kitchen for one, out until six, and in
 /// the kitchen then. Gives the losses of the last day at the horizon of an hour: of the habits, and of the present place.
 fn week(habits: &mut Habits, days: usize) -> (f64, f64) {
@@ -203,7 +259,7 @@ fn a_day_is_learned_with_its_hours() {
     habits.be(0, Place::Room(0), now_s);
     let mut p = Vec::new();
     habits.at(0, now_s, 900.0, &[0.25; 4], &mut p);
-    habits.room_set(0, 900.0, &p, &mut set);
+    habits.room_set(0, 900.0, &p, false, &mut set);
     assert_eq!(set, [true, false, false, false], "{p:?}");
 }
 
@@ -300,7 +356,7 @@ fn an_import_is_refused_or_harmless() {
             habits.tick(3, at_s, &mut |_, p| p.fill(0.25));
             habits.at(3, at_s, 900.0, &[0.25; 4], &mut p);
             assert!(sums_to_one(&p), "{what}: {p:?}");
-            habits.room_set(3, 900.0, &p, &mut set);
+            habits.room_set(3, 900.0, &p, false, &mut set);
             assert!(set.contains(&true) && (habits.observations(3) as f32).is_finite(), "{what}");
         }
         // What is written then can be read.
@@ -344,7 +400,7 @@ fn what_version_2_learned_is_still_known() {
     assert!(objects[1] > 0.6 && rooms[1] > 0.6, "{objects:?} {rooms:?}");
     let (mut p, mut set) = (Vec::new(), Vec::new());
     habits.at(person, at_s, 60.0, &[1.0 / 3.0; 3], &mut p);
-    habits.room_set(person, 60.0, &p, &mut set);
+    habits.room_set(person, 60.0, &p, false, &mut set);
     assert!(set.contains(&true));
     // The next file is of this version, and an older one is none.
     assert_eq!(habits.stored().version, stored::VERSION);
@@ -539,11 +595,13 @@ proptest! {
             habits.observe(&Turn { person, label, room, at_s });
             if let Some(room) = room {
                 habits.be(person, if room == 4 { Place::Elsewhere } else { Place::Room(room) }, at_s);
+            } else {
+                habits.come_back(person, at_s);
             }
             habits.tick(person, at_s, &mut |_, p| p.fill(0.0));
             let labels: f64 = habits.mix(person, at_s, &[0.0, 1.0, 0.0, 0.3, 0.0]).iter().sum();
             let rooms: f64 = habits.next_rooms(person, at_s, &[0.5, 0.0, 0.5]).iter().sum();
-            habits.at(person, at_s, 777.0, &[0.0, 0.5, 0.5, 0.0], &mut p);
+            habits.at(person, at_s + f64::from(person) * 700.0, 777.0, &[0.0, 0.5, 0.5, 0.0], &mut p);
             prop_assert!((labels - 1.0).abs() < 1e-6 && (rooms - 1.0).abs() < 1e-6);
             prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-6 && p.iter().all(|p| *p >= 0.0));
         }

@@ -25,6 +25,7 @@ use roomcast_core::scorer::{LanguageModel, Progress};
 use roomcast_core::semantic_map::SemanticMap;
 
 use messages::{NamedRooms, named_rooms};
+use whose::ways_out;
 
 mod messages;
 mod whose;
@@ -422,11 +423,12 @@ impl<M: LanguageModel> Board<M> {
         (self.snapshot.room, self.snapshot.room_count) = (room, room_count);
         *self.forecast = ForecastV1::default();
         self.home.bind(self.pipeline.grounding());
-        if new.len() == rooms && new.iter().enumerate().all(|(place, new)| *new == Some(place)) {
-            return;
+        if new.len() != rooms || new.iter().enumerate().any(|(place, new)| *new != Some(place)) {
+            // Where somebody is believed to be stays so; what was observed meanwhile is taken in with the new map.
+            self.followed.values_mut().for_each(|own| own.take_rooms(&new, rooms));
         }
-        // Where somebody is believed to be stays so; what was observed meanwhile is taken in with the new map.
-        self.followed.values_mut().for_each(|own| own.take_rooms(&new, rooms));
+        let ways_in = ways_out(self.pipeline.grounding());
+        self.followed.values_mut().for_each(|own| own.come_in_by(&ways_in));
     }
 
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
@@ -805,14 +807,14 @@ impl<M: LanguageModel> Board<M> {
             let at_s = seconds(seen.at_ns);
             self.home.next_is(seen.name, seen.person, self.is_learned_of(seen.person));
             if seen.presence == Presence::Gone {
-                let own = self.followed.remove(&seen.person);
-                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), own.as_ref());
+                self.followed.remove(&seen.person);
+                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere));
                 continue;
             }
             let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
             if seen.presence == Presence::Away {
                 own.leave(at_s);
-                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere), Some(own));
+                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere));
             } else if seen.is_sentence && seen.words.is_empty() {
                 // What has ended by itself, or by anybody, says nothing of where they are.
             } else if seen.is_sentence {
@@ -848,7 +850,7 @@ impl<M: LanguageModel> Board<M> {
                 let room = room_named(&seen.words, &self.map, grounding);
                 // A word that is older than what is known is news to neither.
                 if own.enter(at_s, room) {
-                    self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room), Some(own));
+                    self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room));
                 }
             }
         }
@@ -1109,7 +1111,9 @@ fn turned_to(mention: Option<Mention>) -> Option<usize> {
 
 /// A person who is followed from now on.
 fn follower(grounding: &Grounding, options: ForecastOptions, at_ns: i64) -> Forecaster {
-    Forecaster::new(grounding.partitions().len(), options, seconds(at_ns))
+    let mut own = Forecaster::new(grounding.partitions().len(), options, seconds(at_ns));
+    own.come_in_by(&ways_out(grounding));
+    own
 }
 
 /// The partition that a room's name means, by its own name or as the one that the room lies in.

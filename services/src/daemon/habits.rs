@@ -406,36 +406,37 @@ impl HomeHabits {
     pub(super) fn turned(&mut self, person: u32, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let label = mention.filter(|label| *label < self.labels);
-        let (likeliest, sure) = likeliest(own.belief());
-        let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
         let habits = &mut self.memory.habits;
         habits.set_learning(self.next == Next::Learned);
-        let room = likeliest.filter(|_| label.is_some() && sure > SURE);
+        let room = sure_of(own.belief()).filter(|_| label.is_some());
         habits.observe(&Turn { person, label, room, at_s });
-        // Whoever does something is in the house.
-        if let Some(room) = likeliest.filter(|_| was_out && room.is_none()) {
-            habits.be(person, Place::Room(room), at_s);
+        if room.is_none() {
+            // Whoever does something is in the house.
+            habits.come_back(person, at_s);
+        }
+        if room.is_none() && label.is_some() && habits.is_back(person) {
+            // What they turn to, be it in one of several rooms, says more of where they are than where they go when they come home.
+            habits.lose(person, at_s);
         }
         habits.set_learning(self.learn);
     }
 
-    /// Somebody is in the house, in a room if one was told, or out of it; `own` knows it already.
-    pub(super) fn is_in(&mut self, person: u32, at_ns: i64, told: Option<Place>, own: Option<&Forecaster>) {
+    /// Somebody is in the house, in a room if one was told, or out of it. A room that nobody told of is not learned, however well it can be guessed.
+    pub(super) fn is_in(&mut self, person: u32, at_ns: i64, told: Option<Place>) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
-        let was_out = self.memory.habits.place(person) == Some(Place::Elsewhere);
-        let back = || likeliest(own?.belief()).0.filter(|_| was_out).map(Place::Room);
         let habits = &mut self.memory.habits;
         habits.set_learning(self.next == Next::Learned);
-        if let Some(place) = told.or_else(back) {
-            habits.be(person, place, at_s);
+        match told {
+            Some(place) => habits.be(person, place, at_s),
+            None => habits.come_back(person, at_s),
         }
         habits.set_learning(self.learn);
     }
 
     /// Somebody was in a room when the map was changed, whatever their last words say by the map of now; nothing is learned of that.
     pub(super) fn stayed(&mut self, person: u32, at_ns: i64, own: &Forecaster) {
-        let (Some(at_s), (Some(room), sure)) = (self.local_s(at_ns), likeliest(own.belief())) else { return };
-        if !self.is_idle() && sure > SURE && self.memory.habits.place(person).is_some() {
+        let (Some(at_s), Some(room)) = (self.local_s(at_ns), sure_of(own.belief())) else { return };
+        if !self.is_idle() && self.memory.habits.place(person).is_some() {
             self.memory.habits.set_learning(false);
             self.memory.habits.be(person, Place::Room(room), at_s);
             self.memory.habits.set_learning(self.learn);
@@ -446,7 +447,8 @@ impl HomeHabits {
     pub(super) fn is_empty(&mut self, person: u32, at_ns: i64, room: usize, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let is_here = self.memory.habits.place(person) == Some(Place::Room(room));
-        if is_here && likeliest(own.belief()).0 != Some(room) {
+        let here = own.belief().get(room).copied().unwrap_or_default();
+        if is_here && own.belief().iter().any(|p| *p > here) {
             self.memory.habits.set_learning(self.next == Next::Learned);
             self.memory.habits.lose(person, at_s);
             self.memory.habits.set_learning(self.learn);
@@ -456,7 +458,7 @@ impl HomeHabits {
     /// Nobody follows a person any more: they left when they were last told of.
     pub(super) fn lose(&mut self, person: u32) {
         self.ahead.remove(&person);
-        if self.memory.habits.place(person).is_some() {
+        if self.memory.habits.place(person).is_some() || self.memory.habits.is_back(person) {
             self.memory.habits.set_learning(false);
             self.memory.habits.be(person, Place::Elsewhere, f64::NEG_INFINITY);
             self.memory.habits.set_learning(self.learn);
@@ -529,6 +531,7 @@ impl HomeHabits {
             let sure = match self.memory.habits.place(person) {
                 Some(Place::Elsewhere) => out,
                 Some(Place::Room(room)) => (1.0 - out) * own.belief().get(room).copied().unwrap_or_default(),
+                None if self.memory.habits.is_back(person) => 1.0 - out,
                 None => 0.0,
             };
             let places = self.memory.habits.places();
@@ -544,7 +547,7 @@ impl HomeHabits {
             let horizons_s = horizons_s.map(f64::from);
             let Ahead { probability, shares, sets, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
-            // What sets promise was learned from forecasts of whoever is where habits have them.
+            // What sets promise was learned from forecasts of whoever is where habits have them; others have sets of what is believed.
             sets.clear();
             let rows = probability.chunks_exact_mut(places).zip(self.shipped.chunks_exact(places));
             for ((row, shipped), horizon_s) in rows.zip(horizons_s) {
@@ -556,7 +559,7 @@ impl HomeHabits {
                 if is_elsewhere {
                     mix(row);
                 }
-                self.memory.habits.room_set(person, horizon_s, row, &mut self.held);
+                self.memory.habits.room_set(person, horizon_s, row, is_elsewhere, &mut self.held);
                 sets.push(PlaceSet::of(&self.held));
                 if !is_elsewhere {
                     mix(row);
@@ -670,6 +673,11 @@ impl HomeHabits {
         self.learn
     }
 
+    /// For about how many hours it was known where a person was.
+    pub(super) fn watched_h(&self, person: u32) -> f64 {
+        self.memory.habits.watched_min(person) / 60.0
+    }
+
     /// Persons of whom something is known, with the number of observations.
     #[must_use]
     pub fn persons(&self) -> Vec<(u32, f64)> {
@@ -692,10 +700,9 @@ impl HomeHabits {
     }
 }
 
-/// The likeliest room, and its probability.
-fn likeliest(belief: &[f64]) -> (Option<usize>, f64) {
-    let best = (0..belief.len()).max_by(|a, b| belief[*a].total_cmp(&belief[*b]));
-    (best, best.map_or(0.0, |best| belief[best]))
+/// The room that somebody is in, if that is sure enough: one alone can be.
+fn sure_of(belief: &[f64]) -> Option<usize> {
+    belief.iter().position(|p| *p > SURE)
 }
 
 /// What the forecast without habits says; elsewhere comes last.

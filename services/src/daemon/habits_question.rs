@@ -66,6 +66,9 @@ pub struct HabitsLine {
     pub name: Option<String>,
     /// Observations that were learned from.
     pub observations: f64,
+    /// For about how many hours it was known where they were; who is told by presence alone does no thing that could be counted.
+    #[serde(default)]
+    pub watched_h: f64,
     /// Of the present forecast; empty where nothing is added to it.
     pub forecast: Vec<HorizonLine>,
 }
@@ -209,6 +212,7 @@ pub(super) fn answer<M: LanguageModel>(
         person,
         name: board.persons().name_of(person).map(str::to_owned),
         observations,
+        watched_h: habits.watched_h(person),
         forecast: board.habits_ahead(person),
     };
     let answer = HabitsAnswer {
@@ -244,7 +248,7 @@ fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
 #[cfg(test)]
 mod tests {
     use roomcast_core::grounding::{Grounding, GroundingOptions};
-    use roomcast_core::habits::{HabitsOptions, Place};
+    use roomcast_core::habits::{Habits, HabitsOptions, Place};
     use roomcast_core::narration::person_number;
     use roomcast_core::pipeline::{Pipeline, PipelineOptions};
     use roomcast_core::scorer::table::TableModel;
@@ -270,6 +274,26 @@ mod tests {
     fn no_count_is_less_than_nothing() {
         let told = |count: f64| serde_json::to_string(&hundredth(count)).unwrap();
         assert_eq!([-0.0, std::iter::empty::<f64>().sum(), 0.0, 1.236].map(told), ["0.0", "0.0", "0.0", "1.24"]);
+    }
+
+    /// Who is told by presence alone was observed doing nothing, and is known all the same.
+    #[test]
+    fn hours_in_known_places_count_without_a_thing() {
+        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
+        let options = GroundingOptions::default();
+        let grounding = Grounding::new(&map, &options).unwrap();
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
+        memory.habits.be(7, Place::Room(0), 1e9);
+        (0..=180).for_each(|minute| memory.habits.tick(7, 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5)));
+        // Also after a restart.
+        memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
+        let board = Board::new(pipeline, map, options, 1).unwrap();
+        let mut board = board.with_habits(HomeHabits::new(memory, Zone::UTC));
+        let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), 0);
+        let line = &answer.persons[0];
+        assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
     }
 
     /// Whoever is meant is whom a question about persons means: a number is one in digits alone.

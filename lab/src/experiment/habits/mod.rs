@@ -558,7 +558,7 @@ impl Watch<'_> {
                 let (mut row, mut p, mut set) = (vec![0.0; places], Vec::new(), Vec::new());
                 shipped(ahead_s, &mut row);
                 self.mixture.at(PERSON, now_s, ahead_s, &row, &mut p);
-                self.mixture.room_set(PERSON, ahead_s, &p, &mut set);
+                self.mixture.room_set(PERSON, ahead_s, &p, false, &mut set);
                 in_set.iter_mut().zip(set).for_each(|(held, own)| *held |= own);
             }
             let sight = Sight { shipped: &in_rooms(&without), mixture: &in_rooms(&with), set: &in_set[..places - 1] };

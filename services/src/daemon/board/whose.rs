@@ -331,7 +331,7 @@ impl<M: LanguageModel> Board<M> {
 }
 
 /// How much of the way out of the house each partition has, at most 1: a hall by its name, and a front door by its share.
-fn ways_out(grounding: &Grounding) -> Vec<f64> {
+pub(super) fn ways_out(grounding: &Grounding) -> Vec<f64> {
     const HALLS: [&str; 8] = ["hall", "hallway", "entrance", "entry", "entryway", "foyer", "vestibule", "lobby"];
     let is_hall = |text: &str| HALLS.iter().any(|words| has_words(text, words));
     let lower = |text: &str| text.to_lowercase();

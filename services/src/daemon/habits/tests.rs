@@ -97,7 +97,7 @@ impl House {
             (7, 30, "They grab the coffee maker."),
             (7, 40, "They open the fridge."),
             (9, 0, "away"),
-            (17, 0, "They open the fridge."),
+            (17, 0, "They grab the coffee maker."),
         ] {
             self.say(person, midnight_s + hour * H + minute * 60, text);
         }
@@ -235,6 +235,90 @@ fn nobody_stays_where_it_is_empty() {
     assert!(house.board.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
 }
 
+/// A day of a home whose narrator says "present" when a phone is back, two minutes before a sensor sees somebody in the kitchen; evening and
+/// night are spent in the living room.
+fn commuter(house: &mut House, day: u64) {
+    let midnight_s = day * DAY_S;
+    for (hour, minute, text) in [
+        (7, 30, "away"),
+        (16, 36, "present"),
+        (16, 38, "present in the kitchen"),
+        (19, 0, "present in the living room"),
+    ] {
+        house.say(4, midnight_s + hour * H + minute * 60, text);
+    }
+}
+
+/// Nobody comes home into the room where they spend their nights, nor is a visit to it learned that nobody told of. A daemon that starts again
+/// believes the same.
+#[test]
+fn who_comes_home_is_not_where_they_spend_their_nights() {
+    let horizon_of = |seconds: f32| HORIZONS_S.iter().position(|horizon_s| *horizon_s == seconds).unwrap();
+    let horizons = [60.0, 300.0, 900.0].map(horizon_of);
+    let mut house = House::new(true);
+    (0..10).for_each(|day| commuter(&mut house, day));
+    let now_s = 10 * DAY_S + 16 * H + 36 * 60;
+    house.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
+    let visits = |house: &House| house.board.habits().visits()[LIVING_ROOM][16 / 3];
+    assert!(visits(&house) < 0.01, "they were never there at that time: {}", visits(&house));
+    let out = |house: &mut House| {
+        house.until(now_s - 60);
+        house.ahead(4, QUARTER)
+    };
+    assert!(out(&mut house)[KITCHEN] > 0.2, "while they are out");
+    house.say(4, now_s, "present");
+    for horizon in horizons {
+        let [kitchen, living_room, elsewhere] = house.ahead(4, horizon);
+        assert!(kitchen > 0.5 && kitchen > 2.0 * living_room && elsewhere < 0.2, "{kitchen} {living_room} {elsewhere}");
+    }
+    // The same for whoever is heard to come home, or does something of which nobody knows where.
+    for text in ["present", "They stand up."] {
+        let mut again = House::new(true);
+        (0..10).for_each(|day| commuter(&mut again, day));
+        again.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
+        again.say(4, now_s, text);
+        let before = horizons.map(|horizon| again.ahead(4, horizon));
+        assert!(before.iter().all(|[kitchen, living_room, _]| kitchen > living_room), "{text}: {before:?}");
+        let memory = again.memory();
+        again.restart(memory);
+        let after = horizons.map(|horizon| again.ahead(4, horizon));
+        let pairs = before.iter().flatten().zip(after.iter().flatten());
+        assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-3), "{text}: {before:?} {after:?}");
+        again.say(4, now_s + 120, "present in the kitchen");
+        assert!(again.ahead(4, 0)[KITCHEN] > 0.95);
+        again.say(4, now_s + 3_600, "present in the living room");
+        assert!(visits(&again) < 0.01, "{text}: {}", visits(&again));
+    }
+}
+
+/// Whoever may be in any room is in no set of one room.
+#[test]
+fn a_set_holds_what_it_promises_where_nothing_is_known() {
+    let held = |house: &mut House| {
+        house.board.person_scores(house.now_ns);
+        let told = *house.board.person_forecasts(house.now_ns);
+        let own = told.persons()[0];
+        let sum = |horizon: usize| {
+            let rooms = [KITCHEN, LIVING_ROOM].into_iter().filter(|room| own.set_holds(horizon, *room).unwrap());
+            let elsewhere = if own.set_holds_elsewhere(horizon).unwrap() { own.elsewhere[horizon] } else { 0.0 };
+            rooms.map(|room| own.probability[room][horizon]).sum::<f32>() + elsewhere
+        };
+        (0..MAX_HORIZONS).map(sum).fold(1.0, f32::min)
+    };
+    // Of a new home, where sets have learned nothing.
+    let mut house = House::new(true);
+    house.say(4, 60, "present in the kitchen");
+    assert!(held(&mut house) > 0.899, "{}", held(&mut house));
+    house.say(4, 120, "away");
+    house.say(4, 3_600, "present");
+    assert!(held(&mut house) > 0.899, "{}", held(&mut house));
+    // And of one that is known for days, whose threshold is that of somebody whose room is told.
+    (1..10).for_each(|day| commuter(&mut house, day));
+    house.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
+    house.say(4, 10 * DAY_S + 12 * H, "present");
+    assert!(held(&mut house) > 0.899, "{}", held(&mut house));
+}
+
 /// Who leaves a home that nothing is known of is not back within the minute: rooms say nothing of how long people are out.
 #[test]
 fn who_has_just_left_a_new_home_is_out() {
@@ -295,7 +379,7 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     house.until(14 * DAY_S + 7 * H + 1_200);
     let known = house.ahead(3, QUARTER);
     let shipped = without_habits(&house).forecast(house.now_ns).probability[KITCHEN][QUARTER];
-    assert!(known[KITCHEN] > shipped + 0.2 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
+    assert!(known[KITCHEN] > shipped + 0.15 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
     // One person is all of them.
     let all = *house.board.forecast(house.now_ns);
     assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
