@@ -403,8 +403,8 @@ impl Hub {
                     Ok(dated) => self.unsaved.extend(dated),
                     Err(fault) => {
                         self.refused += 1;
-                        if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                            tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
+                        if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                            tracing::warn!(narrator = self.name, %fault, not_told, "a line is no narration");
                         }
                     }
                 }
@@ -416,8 +416,8 @@ impl Hub {
             match spool.append(self.unsaved.clone()) {
                 Ok(()) => self.unsaved.clear(),
                 Err(error) => {
-                    if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                        tracing::error!(%error, held_back, "narration cannot be kept; the input waits");
+                    if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                        tracing::error!(%error, not_told, "narration cannot be kept; the input waits");
                     }
                 }
             }
@@ -439,8 +439,8 @@ impl Hub {
             let said = match wire::read::<Confirmed>(&bytes) {
                 Ok(said) => said,
                 Err(fault) => {
-                    if let Some(held_back) = self.log.pass(now_ns) {
-                        tracing::warn!(robot = name, %fault, held_back, "no confirmation");
+                    if let Some(not_told) = self.log.pass(now_ns) {
+                        tracing::warn!(robot = name, %fault, not_told, "no confirmation");
                     }
                     continue;
                 }
@@ -448,13 +448,13 @@ impl Hub {
             let refused = delivery.refused();
             delivery.hear(said, spool.epoch(), spool.last(), now_ns);
             if delivery.refused() > refused
-                && let Some(held_back) = self.log.pass(now_ns)
+                && let Some(not_told) = self.log.pass(now_ns)
             {
                 let refused = delivery.refused();
                 tracing::error!(
                     robot = name,
                     refused,
-                    held_back,
+                    not_told,
                     "a robot has dropped narration: its bridge's log says why"
                 );
             }
@@ -483,20 +483,20 @@ impl Hub {
                 }
             }
             Ok(None) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
                     let (next, last) = (said.next, spool.last());
                     tracing::error!(
                         robot = name,
                         next,
                         last,
-                        held_back,
+                        not_told,
                         "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, remove it"
                     );
                 }
             }
             Err(error) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                    tracing::error!(%error, held_back, "numbers that a robot has cannot be passed over");
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::error!(%error, not_told, "numbers that a robot has cannot be passed over");
                 }
             }
         }
@@ -520,13 +520,13 @@ impl Hub {
             let lost = delivery.lost();
             delivery.give_up_before(spool.first());
             if delivery.lost() > lost
-                && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+                && let Some(not_told) = self.log.pass(clock::monotonic_ns())
             {
                 let lost = delivery.lost();
                 tracing::error!(
                     robot,
                     lost,
-                    held_back,
+                    not_told,
                     "a robot was away for longer than narration is kept (hub.keep)"
                 );
             }
@@ -551,9 +551,9 @@ impl Hub {
         }
         let everywhere = self.robots.iter().map(|robot| robot.delivery.begin()).min().unwrap_or(0);
         if let Err(error) = spool.confirm(everywhere)
-            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+            && let Some(not_told) = self.log.pass(clock::monotonic_ns())
         {
-            tracing::warn!(%error, held_back, "the spool stays longer than it has to be");
+            tracing::warn!(%error, not_told, "the spool stays longer than it has to be");
         }
     }
 

@@ -128,9 +128,9 @@ pub fn run(
                 for Narrator { name, relay, .. } in &mut narrators {
                     let dropped = relay.confirm(&message, clock::monotonic_ns());
                     if dropped > 0
-                        && let Some(held_back) = log.pass(clock::monotonic_ns())
+                        && let Some(not_told) = log.pass(clock::monotonic_ns())
                     {
-                        tracing::error!(narrator = name, dropped, held_back, "{DROPPED}");
+                        tracing::error!(narrator = name, dropped, not_told, "{DROPPED}");
                     }
                 }
             }
@@ -143,9 +143,9 @@ pub fn run(
                 narrator.port.send(&message)?;
             }
             if narrator.relay.repeats() >= REPEATS
-                && let Some(held_back) = log.pass(now_ns)
+                && let Some(not_told) = log.pass(now_ns)
             {
-                tracing::error!(narrator = narrator.name, held_back, "{NOT_TAKEN}");
+                tracing::error!(narrator = narrator.name, not_told, "{NOT_TAKEN}");
             }
             narrator.port.tick()?;
             narrator.say(link, now_ns);
@@ -226,19 +226,19 @@ impl Narrator {
         }
         if before != epoch
             && before != Hex(0)
-            && let Some(held_back) = log.pass(clock::monotonic_ns())
+            && let Some(not_told) = log.pass(clock::monotonic_ns())
         {
             tracing::warn!(
                 narrator = self.name,
-                held_back,
+                not_told,
                 "narration comes of another start than before: the hub has lost its spool, or another one has its name"
             );
         }
     }
 
     fn refuse(&self, fault: &str, log: &mut Limiter) {
-        if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-            tracing::warn!(narrator = self.name, fault, held_back, "no narration");
+        if let Some(not_told) = log.pass(clock::monotonic_ns()) {
+            tracing::warn!(narrator = self.name, fault, not_told, "no narration");
         }
     }
 

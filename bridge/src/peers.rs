@@ -203,8 +203,8 @@ pub fn run(config: &Config, domain: &Domain, heard: &Receiver<Heard>, stop: &Sto
                 Ok(Some(decision)) => decisions.send(&decision)?,
                 Ok(None) => {}
                 Err(fault) => {
-                    if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-                        tracing::warn!(robot = heard.robot, %fault, held_back, "no message of a robot");
+                    if let Some(not_told) = log.pass(clock::monotonic_ns()) {
+                        tracing::warn!(robot = heard.robot, %fault, not_told, "no message of a robot");
                     }
                 }
             }
