@@ -36,11 +36,15 @@ impl Called {
         let kept = persons.file.persons().iter().flat_map(KeptPerson::names);
         let told = persons.known.values().filter_map(|known| Some(&*known.name.as_ref()?.said));
         let listed = persons.config.residents.iter().map(String::as_str);
-        let mut spelled = BTreeSet::new();
+        let mut spelled = BTreeSet::<String>::new();
         for name in kept.chain(told).chain(listed).chain(names.iter().map(String::as_str)) {
             let shorter = [Said::without_title(name), Said::first_name(name).unwrap_or(name)];
             spelled.extend([name].into_iter().chain(shorter).map(bare));
         }
+        // As names are compared, "the" before one counts for nothing.
+        let bare_of_the = |name: &String| name.strip_prefix("the ").map(str::to_owned);
+        let without: Vec<String> = spelled.iter().filter_map(bare_of_the).collect();
+        spelled.extend(without);
         let is_near = |name: &String| name.split(' ').any(|word| !word.is_empty() && own.contains(word));
         spelled.retain(is_near);
         let begins = spelled.iter().filter_map(|name| name.split(' ').next()).map(str::to_owned).collect();
