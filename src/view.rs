@@ -894,7 +894,7 @@ mod tests {
         assert_eq!(plan.names.get("kitchen-3").map(String::as_str), Some("kitchen"), "{:?}", plan.names);
         let mut picture = Picture::default();
         let to = text::encode("to", "kitchen-3").unwrap();
-        let reason = text::encode("reason", "somebody came into the kitchen-3 (98 %), not kitchen-30").unwrap();
+        let reason = text::encode("reason", "somebody came into kitchen-3 (98 %), not kitchen-30").unwrap();
         picture.decision(&DecisionV1 { action: action::GO, to, reason, ..Default::default() }, 1);
         for (kind, said) in
             [(narration_kind::SENTENCE, "They say kitchen-3."), (narration_kind::PRESENCE, "present in the kitchen-3")]
@@ -905,7 +905,7 @@ mod tests {
         plan.name(&mut state);
         assert_eq!(state["decision"]["text"], "The robot goes to kitchen.");
         assert_eq!(state["decision"]["to"], "kitchen-3", "the plan marks it by its id");
-        assert_eq!(state["decision"]["reason"], "somebody came into the kitchen (98 %), not kitchen-30");
+        assert_eq!(state["decision"]["reason"], "somebody came into kitchen (98 %), not kitchen-30");
         assert_eq!(state["narration"][0]["text"], "present in the kitchen");
         assert_eq!(state["narration"][1]["text"], "They say kitchen-3.");
     }

@@ -643,7 +643,8 @@ impl World {
 
         // The scores are those of what they name, and the rooms' those of the scores.
         for number in moment.person_numbers() {
-            let Ok(alone) = moment.of_person(number) else { continue };
+            let alone = moment.of_person(number).ok().filter(|alone| !alone.narration.is_empty());
+            let Some(alone) = alone else { continue };
             if !numbers.contains(&number) && !self.rng.random_bool(0.2) {
                 continue;
             }

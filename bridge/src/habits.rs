@@ -113,8 +113,8 @@ pub fn run(config: &Config, domain: &Domain, link: &Link, last: &Last, stop: &St
                 Ok(_) => {}
                 // A daemon that is away is told of by its status.
                 Err(fault) => {
-                    if let Some(held_back) = log.pass("habits", clock::monotonic_ns()) {
-                        tracing::debug!(%fault, held_back, "the daemon says nothing of habits");
+                    if let Some(not_told) = log.pass("habits", clock::monotonic_ns()) {
+                        tracing::debug!(%fault, not_told, "the daemon says nothing of habits");
                     }
                 }
             }

@@ -411,8 +411,8 @@ impl Hub {
                     Ok(dated) => self.unsaved.extend(dated),
                     Err(fault) => {
                         self.refused += 1;
-                        if let Some(held_back) = self.log.pass("line", clock::monotonic_ns()) {
-                            tracing::warn!(narrator = self.name, %fault, held_back, "a line is no narration");
+                        if let Some(not_told) = self.log.pass("line", clock::monotonic_ns()) {
+                            tracing::warn!(narrator = self.name, %fault, not_told, "a line is no narration");
                         }
                     }
                 }
@@ -424,8 +424,8 @@ impl Hub {
             match spool.append(self.unsaved.clone()) {
                 Ok(()) => self.unsaved.clear(),
                 Err(error) => {
-                    if let Some(held_back) = self.log.pass("not kept", clock::monotonic_ns()) {
-                        tracing::error!(%error, held_back, "narration cannot be kept; the input waits");
+                    if let Some(not_told) = self.log.pass("not kept", clock::monotonic_ns()) {
+                        tracing::error!(%error, not_told, "narration cannot be kept; the input waits");
                     }
                 }
             }
@@ -447,8 +447,8 @@ impl Hub {
             let said = match wire::read::<Confirmed>(&bytes) {
                 Ok(said) => said,
                 Err(fault) => {
-                    if let Some(held_back) = log.pass("no confirmation", now_ns) {
-                        tracing::warn!(robot = name, %fault, held_back, "no confirmation");
+                    if let Some(not_told) = log.pass("no confirmation", now_ns) {
+                        tracing::warn!(robot = name, %fault, not_told, "no confirmation");
                     }
                     continue;
                 }
@@ -456,13 +456,13 @@ impl Hub {
             let refused = delivery.refused();
             delivery.hear(said, spool.epoch(), spool.last(), now_ns);
             if delivery.refused() > refused
-                && let Some(held_back) = log.pass("dropped", now_ns)
+                && let Some(not_told) = log.pass("dropped", now_ns)
             {
                 let refused = delivery.refused();
                 tracing::error!(
                     robot = name,
                     refused,
-                    held_back,
+                    not_told,
                     "a robot has dropped narration: its bridge's log says why"
                 );
             }
@@ -489,20 +489,20 @@ impl Hub {
                 delivery.hear(said, spool.epoch(), spool.last(), clock::monotonic_ns());
             }
             Ok(None) => {
-                if let Some(held_back) = log.pass("far ahead", clock::monotonic_ns()) {
+                if let Some(not_told) = log.pass("far ahead", clock::monotonic_ns()) {
                     let (next, last) = (said.next, spool.last());
                     tracing::error!(
                         robot = name,
                         next,
                         last,
-                        held_back,
+                        not_told,
                         "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, remove it"
                     );
                 }
             }
             Err(error) => {
-                if let Some(held_back) = log.pass("not passed over", clock::monotonic_ns()) {
-                    tracing::error!(%error, held_back, "numbers that a robot has cannot be passed over");
+                if let Some(not_told) = log.pass("not passed over", clock::monotonic_ns()) {
+                    tracing::error!(%error, not_told, "numbers that a robot has cannot be passed over");
                 }
             }
         }
@@ -526,15 +526,10 @@ impl Hub {
             let lost = delivery.lost();
             delivery.give_up_before(spool.first());
             if delivery.lost() > lost
-                && let Some(held_back) = log.pass("away", clock::monotonic_ns())
+                && let Some(not_told) = log.pass("away", clock::monotonic_ns())
             {
                 let lost = delivery.lost();
-                tracing::error!(
-                    robot,
-                    lost,
-                    held_back,
-                    "a robot was away for longer than narration is kept (hub.keep)"
-                );
+                tracing::error!(robot, lost, not_told, "a robot was away for longer than narration is kept (hub.keep)");
             }
             while let Some(number) = delivery.next(last, clock::monotonic_ns())
                 && let Some(kept) = spool.get(number)
@@ -557,9 +552,9 @@ impl Hub {
         }
         let everywhere = self.robots.iter().map(|robot| robot.delivery.begin()).min().unwrap_or(0);
         if let Err(error) = spool.confirm(everywhere)
-            && let Some(held_back) = self.log.pass("not forgotten", clock::monotonic_ns())
+            && let Some(not_told) = self.log.pass("not forgotten", clock::monotonic_ns())
         {
-            tracing::warn!(%error, held_back, "the spool stays longer than it has to be");
+            tracing::warn!(%error, not_told, "the spool stays longer than it has to be");
         }
     }
 

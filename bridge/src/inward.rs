@@ -129,9 +129,9 @@ pub fn run(
                 for Narrator { name, relay, log, .. } in &mut narrators {
                     let dropped = relay.confirm(&message, clock::monotonic_ns());
                     if dropped > 0
-                        && let Some(held_back) = log.pass(DROPPED, clock::monotonic_ns())
+                        && let Some(not_told) = log.pass(DROPPED, clock::monotonic_ns())
                     {
-                        tracing::error!(narrator = name, dropped, held_back, "{DROPPED}");
+                        tracing::error!(narrator = name, dropped, not_told, "{DROPPED}");
                     }
                 }
             }
@@ -144,9 +144,9 @@ pub fn run(
                 narrator.port.send(&message)?;
             }
             if narrator.relay.repeats() >= REPEATS
-                && let Some(held_back) = narrator.log.pass(NOT_TAKEN, now_ns)
+                && let Some(not_told) = narrator.log.pass(NOT_TAKEN, now_ns)
             {
-                tracing::error!(narrator = narrator.name, held_back, "{NOT_TAKEN}");
+                tracing::error!(narrator = narrator.name, not_told, "{NOT_TAKEN}");
             }
             narrator.port.tick()?;
             narrator.say(link, now_ns);
@@ -228,11 +228,11 @@ impl Narrator {
         }
         if before != epoch
             && before != Hex(0)
-            && let Some(held_back) = self.log.pass("another start", clock::monotonic_ns())
+            && let Some(not_told) = self.log.pass("another start", clock::monotonic_ns())
         {
             tracing::warn!(
                 narrator = self.name,
-                held_back,
+                not_told,
                 "narration comes of another start than before: the hub has lost its spool, or another one has its name"
             );
         }
@@ -244,8 +244,8 @@ impl Narrator {
     }
 
     fn complain(&mut self, kind: &'static str, fault: &str) {
-        if let Some(held_back) = self.log.pass(kind, clock::monotonic_ns()) {
-            tracing::warn!(narrator = self.name, fault, held_back, "no narration");
+        if let Some(not_told) = self.log.pass(kind, clock::monotonic_ns()) {
+            tracing::warn!(narrator = self.name, fault, not_told, "no narration");
         }
     }
 

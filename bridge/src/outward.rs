@@ -112,8 +112,8 @@ impl<M: Message> Topic<M> {
                 Ok(()) if wanted(&self.message) => found = Some(*self.message),
                 Ok(()) => {}
                 Err(error) => {
-                    if let Some(held_back) = log.pass(M::SERVICE.name, clock::monotonic_ns()) {
-                        tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
+                    if let Some(not_told) = log.pass(M::SERVICE.name, clock::monotonic_ns()) {
+                        tracing::warn!(%error, not_told, service = M::SERVICE.name, "malformed message");
                     }
                 }
             }

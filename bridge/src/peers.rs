@@ -274,8 +274,8 @@ pub fn run(
                 }
                 Ok(None) => {}
                 Err(fault) => {
-                    if let Some(held_back) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
-                        tracing::warn!(robot = heard.robot, %fault, held_back, "no message of a robot");
+                    if let Some(not_told) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
+                        tracing::warn!(robot = heard.robot, %fault, not_told, "no message of a robot");
                     }
                 }
             }

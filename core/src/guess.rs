@@ -15,7 +15,7 @@ use foldhash::{HashMap, HashMapExt, HashSet};
 use crate::names::Names;
 
 /// How many things mentioned last a sentence can mention again; `training/forms_file.py` has the same.
-pub const RECENT_MAX: usize = 5;
+const RECENT_MAX: usize = 5;
 /// Most forms that are told apart; whoever has learned as many begins again ([`Guesser::is_full`]).
 pub const FORMS_MAX: usize = 4096;
 /// Most counts of each kind that are kept; as [`FORMS_MAX`].

@@ -2,7 +2,7 @@
 //!
 //! A label that ends at node `n` has the score `q(n)`, the product of the token probabilities from the prompt to `n`: Equation 1's in
 //! a trie of all tokens ([`LabelTrie::new`]), a corrected one in that of the tokens that tell labels apart
-//! ([`LabelTrie::distinct_prefixes`]). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
+//! (`LabelTrie::distinct_prefixes`). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
 //! are ever decoded; a label's last token never is, and a label of one token costs nothing beyond the prompt.
 
 /// A token of a model's vocabulary.
@@ -74,7 +74,7 @@ impl LabelTrie {
     /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
     /// child `END`. Labels of equal tokens, which nothing tells apart, keep all of them.
     #[must_use]
-    pub fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
+    pub(crate) fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);
         let ended: Vec<Vec<Token>> = (labels.iter().zip(&whole.label_end))
             .map(|(label, &end)| {

@@ -843,8 +843,8 @@ impl<M: LanguageModel> Pipeline<M> {
     /// As [`Pipeline::score`], but once `patience_ns` have passed the model is asked about nobody else: the next call goes on
     /// ([`Pipeline::is_behind`]). One is always asked about.
     ///
-    /// Whoever tells of many persons delays others' persons by one prompt at most: of all voices, the one comes next for which the model has
-    /// read least, and of its persons the one who has waited longest.
+    /// Whoever tells of many persons delays others' persons by one call at most, which is `patience_ns` and one prompt: of all voices, the one
+    /// comes next for which the model has read least, and of its persons the one who has waited longest.
     ///
     /// # Errors
     /// As [`Pipeline::score`].

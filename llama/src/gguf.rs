@@ -13,13 +13,13 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Metadata entries that a header may have; known models have fewer than a hundred.
-pub const METADATA_ENTRIES_MAX: u64 = 4_096;
+const METADATA_ENTRIES_MAX: u64 = 4_096;
 /// Tensors that a file may describe; models of 400 billion parameters have about two thousand.
-pub const TENSORS_MAX: u64 = 65_536;
+const TENSORS_MAX: u64 = 65_536;
 /// Bytes of one key or one string of the metadata; chat templates are the longest, with some tens of kilobytes.
-pub const STRING_BYTES_MAX: u64 = 1 << 20;
+const STRING_BYTES_MAX: u64 = 1 << 20;
 /// Elements of one metadata array; the largest vocabularies have about 300 000 tokens.
-pub const ARRAY_ELEMENTS_MAX: u64 = 1 << 22;
+const ARRAY_ELEMENTS_MAX: u64 = 1 << 22;
 /// Bytes of all keys, texts and tokens together as they lie in memory; the largest vocabularies take some 12 MB.
 const KEPT_BYTES_MAX: u64 = 64 << 20;
 /// Bytes of one tensor name, the terminating zero of llama.cpp's buffer included.

@@ -1,4 +1,4 @@
-//! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` ([`FILTER_DEFAULT`] when unset).
+//! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` (`FILTER_DEFAULT` when unset).
 //!
 //! Standard error may be a pipe that nobody reads, or a file on a disk that is busy for seconds. So a thread of its own writes it, and
 //! lines that it cannot keep up with (`LINES_MAX` may wait) are lost: what is logged never holds up what acts.
@@ -11,10 +11,10 @@ use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, fmt};
 
 /// The environment variable with the filter, for instance `roomcast=debug`.
-pub const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
+const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 
 /// llama.cpp tells much about itself that matters only when a model does not load.
-pub const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
+const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
 
 /// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
 const LINES_MAX: usize = 8_192;

@@ -39,13 +39,13 @@ pub enum MomentError {
     /// Its scores are not those of its map.
     #[error("the moment's scores do not fit its map")]
     Grounding(#[from] GroundingError),
-    /// Nobody of that number.
-    #[error("the moment knows nothing of person {person}; it knows {known:?}")]
+    /// Nobody has scores of their own by that name or number.
+    #[error("the moment has no scores of {who}; it has those of {known}")]
     NoPerson {
         /// Who was asked for.
-        person: u32,
-        /// Who is known.
-        known: Vec<u32>,
+        who: String,
+        /// Whose there are.
+        known: String,
     },
     /// A name that nobody can have.
     #[error("person {person} of the moment is called {name:?}, which is no name; was the file damaged or forged?")]
@@ -56,8 +56,15 @@ pub enum MomentError {
         name: String,
     },
     /// Nobody of that name.
-    #[error("no person is named {0:?}; give a number, or see `roomcast person list`")]
-    NoName(String),
+    #[error(
+        "the moment has nobody who is named {who:?}; it has scores of {known}, and of whoever was not observed yet none"
+    )]
+    NoName {
+        /// Who was asked for.
+        who: String,
+        /// Whose scores there are.
+        known: String,
+    },
     /// Everybody is out of the house.
     #[error("everybody who is known is away: no room is likely, and there is nothing to explain")]
     NobodyHome,
@@ -150,6 +157,9 @@ pub struct Moment {
     /// Of several persons, what it said for each.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub persons: Vec<PersonLabels>,
+    /// Whose the scores are, where they are of one person alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alone: Option<u32>,
     /// The names of those who have one, by number.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<u32, String>,
@@ -239,6 +249,7 @@ impl Moment {
                 .collect(),
             labels: labels.collect(),
             persons,
+            alone: at_home().next().filter(|_| !several).map(|own| own.person),
             names: BTreeMap::new(),
             habits: Vec::new(),
             nobody_home: pipeline.persons().next().is_some() && at_home().next().is_none(),
@@ -263,13 +274,23 @@ impl Moment {
         }
     }
 
-    /// Whom the narration is of, in the order of their numbers.
+    /// Whose scores there are, in the order of their numbers. A moment that does not say it has those of whom its narration is of.
     #[must_use]
     pub fn person_numbers(&self) -> Vec<u32> {
-        let mut persons: Vec<u32> = self.narration.iter().map(|sentence| sentence.person).collect();
+        let scored = self.persons.iter().map(|own| own.person).chain(self.alone);
+        let mut persons: Vec<u32> = scored.collect();
+        if persons.is_empty() {
+            persons.extend(self.narration.iter().map(|sentence| sentence.person));
+        }
         persons.sort_unstable();
         persons.dedup();
         persons
+    }
+
+    /// The same in words.
+    fn whose_scores(&self) -> String {
+        let names: Vec<String> = self.person_numbers().into_iter().map(|person| self.name_of(person)).collect();
+        if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
     }
 
     /// Who a person is, for people: the name where there is one.
@@ -294,7 +315,7 @@ impl Moment {
         }
         match of(&|name| Said::may_be_one(name, who))[..] {
             [number] => Ok(number),
-            _ => Err(MomentError::NoName(who.to_owned())),
+            _ => Err(MomentError::NoName { who: who.to_owned(), known: self.whose_scores() }),
         }
     }
 
@@ -303,14 +324,14 @@ impl Moment {
     /// # Errors
     /// When nothing of them is known.
     pub fn of_person(&self, person: u32) -> Result<Self, MomentError> {
-        let known = self.person_numbers();
         let labels = match self.persons.iter().find(|own| own.person == person) {
             Some(own) => own.labels.clone(),
-            None if self.persons.is_empty() && known == [person] => self.labels.clone(),
-            None => return Err(MomentError::NoPerson { person, known }),
+            None if self.persons.is_empty() && self.person_numbers() == [person] => self.labels.clone(),
+            None => return Err(MomentError::NoPerson { who: self.name_of(person), known: self.whose_scores() }),
         };
         let narration = self.narration.iter().filter(|sentence| sentence.person == person).cloned().collect();
-        Ok(Self { labels, narration, persons: Vec::new(), ..self.clone() })
+        let habits = self.habits_of(person).cloned().into_iter().collect();
+        Ok(Self { labels, narration, habits, persons: Vec::new(), alone: Some(person), ..self.clone() })
     }
 
     /// What was learned of a person.
@@ -371,7 +392,7 @@ impl Moment {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_core::narration::{Observation, Sentence};
+    use roomcast_core::narration::{Observation, Presence, PresenceStatement, Sentence};
     use roomcast_core::pipeline::PipelineOptions;
     use roomcast_core::scorer::table::TableModel;
 
@@ -424,7 +445,37 @@ mod tests {
         {
             assert_eq!(called.find(who).ok(), number, "{who}");
         }
-        let unknown = moment.of_person(3).unwrap_err().to_string();
-        assert_eq!(unknown, "the moment knows nothing of person 3; it knows [0, 4]");
+        let unknown = called.of_person(3).unwrap_err().to_string();
+        assert_eq!(unknown, "the moment has no scores of person 3; it has those of person 0, Zoë");
+        let unnamed = called.find("Tom").unwrap_err().to_string();
+        assert!(unnamed.contains("named \"Tom\"; it has scores of person 0, Zoë"), "{unnamed}");
+    }
+
+    /// As a home of sensors has it: somebody is told to be in a room, and no sentence is said.
+    #[test]
+    fn whoever_is_told_by_presence_alone_can_be_explained() {
+        let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
+        let options = GroundingOptions::default();
+        let present = |person: u32| {
+            let statement = PresenceStatement::new(Presence::Present, Some("kitchen")).unwrap();
+            Observation { person, ..Observation::saying(u64::from(person), Said::Presence(statement)) }
+        };
+        let habits = |person: u32| PersonHabits { person, observations: 247.0, ..PersonHabits::default() };
+        for persons in [&[4][..], &[4, 7]] {
+            let grounding = Grounding::new(&map, &options).unwrap();
+            let mut pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+            pipeline.step(persons.iter().copied().map(present)).unwrap();
+            let moment = Moment {
+                habits: [4, 7].map(habits).into(),
+                names: [(4, "Ada".to_owned())].into(),
+                ..Moment::of(&pipeline, &map, &options, None)
+            };
+            let moment = Moment::from_json(&serde_json::to_string(&moment).unwrap()).unwrap();
+            assert!(moment.narration.is_empty());
+            assert_eq!(moment.person_numbers(), persons);
+            let own = moment.of_person(moment.find("Ada").unwrap()).unwrap();
+            assert_eq!((own.person_numbers(), &own.habits[..]), (vec![4], &[habits(4)][..]));
+            own.explain(3).unwrap();
+        }
     }
 }

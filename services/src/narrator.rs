@@ -409,8 +409,8 @@ pub fn run(
             Err(error) => {
                 sender.account.outcome.refused += 1;
                 sender.take_line();
-                if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(%error, held_back, "skipped");
+                if let Some(not_told) = log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, not_told, "skipped");
                 }
                 continue;
             }

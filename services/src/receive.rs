@@ -11,8 +11,8 @@ use crate::logging::Limiter;
 pub fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
     while let Some(checked) = port.receive_into(message)? {
         let Err(error) = checked else { return Ok(true) };
-        if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-            tracing::warn!(%error, held_back, service = M::SERVICE.name, "malformed message");
+        if let Some(not_told) = log.pass(clock::monotonic_ns()) {
+            tracing::warn!(%error, not_told, service = M::SERVICE.name, "malformed message");
         }
     }
     Ok(false)

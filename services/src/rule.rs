@@ -5,28 +5,11 @@ use std::time::Duration;
 use serde_json::{Map, Value};
 
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
-use roomcast_core::narration::Presence;
 
 /// Longest silence that a rule may wait for, in seconds: a week.
 const QUIET_S_MAX: f64 = 604_800.0;
 
-/// What a rule may say of who is where.
-pub(crate) trait Stated: Copy {
-    /// As it stands in a line of JSON.
-    fn word(self) -> &'static str;
-    /// The words that a room goes with, for people.
-    const WITH_ROOM: &'static str;
-}
-
-impl Stated for Presence {
-    fn word(self) -> &'static str {
-        self.as_str()
-    }
-    const WITH_ROOM: &'static str = "presence = \"present\"";
-}
-
-/// What a rule of MQTT says of who is where.
-#[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only rules of MQTT say it"))]
+/// What a rule says of who is where.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Whereabouts {
@@ -40,26 +23,23 @@ pub(crate) enum Whereabouts {
     Empty,
 }
 
-impl Stated for Whereabouts {
+impl Whereabouts {
+    /// As it stands in a line of JSON.
     fn word(self) -> &'static str {
         match self {
             Self::Present => "present",
             Self::Away => "away",
             Self::Gone => "gone",
-            Self::Empty => EMPTY,
+            Self::Empty => "empty",
         }
     }
-    const WITH_ROOM: &'static str = "presence = \"present\" or \"empty\"";
 }
-
-/// That nobody is in a room.
-const EMPTY: &str = "empty";
 
 /// The keys that both kinds of rules have, as they stand in a file.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Keys<'a, P = Presence> {
+pub(crate) struct Keys<'a> {
     pub(crate) say: Option<&'a str>,
-    pub(crate) presence: Option<P>,
+    pub(crate) presence: Option<Whereabouts>,
     pub(crate) room: Option<&'a str>,
     pub(crate) person: Option<&'a Who>,
     pub(crate) quiet_s: Option<f64>,
@@ -78,7 +58,7 @@ impl Saying {
     /// # Errors
     ///
     /// Which key is wrong, and what is allowed.
-    pub(crate) fn new<P: Stated>(keys: Keys<'_, P>, names: &[String]) -> Result<Self, String> {
+    pub(crate) fn new(keys: Keys<'_>, names: &[String]) -> Result<Self, String> {
         let Keys { say, presence, room, person, quiet_s } = keys;
         match (say, presence) {
             (None, None) => return Err("give say or presence".to_owned()),
@@ -87,11 +67,10 @@ impl Saying {
             _ => {}
         }
         let person = person.map_or(Value::Null, Who::json);
-        let presence = presence.map(Stated::word);
-        if room.is_some() && ![Some(Presence::Present.as_str()), Some(EMPTY)].contains(&presence) {
-            return Err(format!("room goes with {} alone", P::WITH_ROOM));
+        if room.is_some() && !matches!(presence, Some(Whereabouts::Present | Whereabouts::Empty)) {
+            return Err("room goes with presence = \"present\" or \"empty\" alone".to_owned());
         }
-        if presence == Some(EMPTY) && (room.is_none() || !person.is_null()) {
+        if presence == Some(Whereabouts::Empty) && (room.is_none() || !person.is_null()) {
             return Err(
                 "presence = \"empty\" says that nobody is in a room: it needs room, and has no person".to_owned()
             );
@@ -99,7 +78,7 @@ impl Saying {
         let mut written = Map::new();
         for (key, said, value) in [
             ("text", "say", say.map(Value::from)),
-            ("presence", "presence", presence.map(Value::from)),
+            ("presence", "presence", presence.map(|presence| presence.word().into())),
             ("room", "room", room.map(Value::from)),
             ("person", "person", Some(person).filter(|person| !person.is_null())),
         ] {
@@ -205,9 +184,9 @@ mod tests {
         let ada = "ada".parse().unwrap();
         let sentence = Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(2)), ..NOTHING };
         assert_eq!(line(sentence), r#"{"person":2,"text":"They set the <1> {1} to <value> {1}."}"#);
-        let away = Keys { presence: Some(Presence::Away), person: Some(&ada), ..NOTHING };
+        let away = Keys { presence: Some(Whereabouts::Away), person: Some(&ada), ..NOTHING };
         assert_eq!(line(away), r#"{"person":"ada","presence":"away"}"#);
-        let here = Keys { presence: Some(Presence::Present), room: Some("{1}"), ..NOTHING };
+        let here = Keys { presence: Some(Whereabouts::Present), room: Some("{1}"), ..NOTHING };
         assert_eq!(line(here), r#"{"presence":"present","room":"<1> {1}"}"#);
         assert_eq!(
             Saying::new(Keys { quiet_s: Some(600.0), ..away }, &[]).unwrap().quiet(),
@@ -218,7 +197,7 @@ mod tests {
     #[test]
     fn a_fault_names_its_key() {
         let say = |say| Keys { say: Some(say), ..NOTHING };
-        let away = Keys { presence: Some(Presence::Away), ..NOTHING };
+        let away = Keys { presence: Some(Whereabouts::Away), ..NOTHING };
         for (keys, part) in [
             (NOTHING, "give say or presence"),
             (say(" "), "say is empty"),
@@ -228,7 +207,6 @@ mod tests {
             (say("[Fly] <mug> (1)"), "Fly"),
             (Keys { say: Some("They sit."), ..away }, "say and presence exclude each other"),
             (Keys { room: Some("hall"), ..away }, "room goes with presence = \"present\""),
-            (Keys { presence: Some(Presence::Unknown), ..NOTHING }, "\"presence\" is \"unknown\""),
             (Keys { quiet_s: Some(0.0), ..away }, "quiet_s is 0; give seconds above 0, at most 604800"),
             (Keys { quiet_s: Some(f64::NAN), ..away }, "quiet_s is NaN"),
             (Keys { quiet_s: Some(1e300), ..away }, "quiet_s is 1"),
@@ -240,8 +218,7 @@ mod tests {
 
     #[test]
     fn a_room_can_be_empty_and_nobody_in_particular_is_not_there() {
-        let empty =
-            Keys { say: None, presence: Some(Whereabouts::Empty), room: Some("{1}"), person: None, quiet_s: None };
+        let empty = Keys { presence: Some(Whereabouts::Empty), room: Some("{1}"), ..NOTHING };
         let line = Saying::new(empty, &names()).unwrap().line(|_| "hall".to_owned());
         assert_eq!(line, r#"{"presence":"empty","room":"hall"}"#);
         let ada = "ada".parse().unwrap();

@@ -12,7 +12,7 @@
 //! [[rule]]
 //! sensor = "front door"
 //! at = "end"
-//! presence = "away"                  # or "present", with a room, or "gone": no sentence, but who is where
+//! presence = "away"                  # or "gone", or with a room "present" or "empty": no sentence, but who is where
 //! person = "ada"                     # a name or a number
 //! quiet_s = 600.0                    # said where no rule fits anything for so long
 //! ```
@@ -26,8 +26,7 @@ use std::path::{Path, PathBuf};
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
-use crate::rule::{Keys, Saying};
-use roomcast_core::narration::Presence;
+use crate::rule::{Keys, Saying, Whereabouts};
 use roomcast_core::text::{excerpt, read_at_most, read_text_at_most};
 
 /// Largest log that is read, in bytes: it is held in memory.
@@ -133,7 +132,7 @@ struct RuleKeys {
     #[serde(default)]
     again_s: f64,
     say: Option<String>,
-    presence: Option<Presence>,
+    presence: Option<Whereabouts>,
     room: Option<String>,
     person: Option<Who>,
     quiet_s: Option<f64>,
@@ -432,7 +431,8 @@ impl SensorRules {
 
 /// Of what waits for silence, that which has it, at its end; all else as it was. The order is that of time, before.
 fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
-    // Going back in time: when something is said at once next, and when the same line begins to wait again.
+    // Going back in time: when something is said at once next, and when the same line begins to wait again. Of whatever place: silence is that
+    // of the whole home, and "away" by the back door takes the place of "away" by the front door.
     let mut next_s = f64::INFINITY;
     let mut again: HashMap<(Who, String), f64> = HashMap::new();
     let mut kept = Vec::with_capacity(matched.len());
@@ -698,6 +698,19 @@ mod tests {
         assert_eq!(log.silent, 1);
     }
 
+    /// Also from another place: silence is that of the home.
+    #[test]
+    fn what_begins_to_wait_again_takes_the_place_of_what_waited() {
+        let rules = "[[rule]]\nkind = \"Magnetic\"\npresence = \"away\"\nquiet_s = 600.0\n\
+            [[rule]]\nkind = \"PIR\"\nat = \"end\"\npresence = \"empty\"\nroom = \"{place}\"";
+        let log =
+            b"0,1,front_door,Magnetic,hall\n300,301,back_door,Magnetic,kitchen\n2000,2010,ceiling,PIR,Living_Room\n";
+        let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Number(4));
+        let told: Vec<_> = log.said.iter().map(|said| (said.item.text.as_str(), said.at_s)).collect();
+        assert_eq!(told, [("away", 900.0), ("nobody in the living room", 2010.0)]);
+        assert_eq!((log.silent, log.said[1].item.person.clone()), (1, Who::Somebody));
+    }
+
     #[test]
     fn malformed_rules_are_named() {
         for (text, part) in [
@@ -712,6 +725,14 @@ mod tests {
             ("[[rule]]\nsay = \"They sit.\"\nshortest_s = -1.0", "rule 1: shortest_s"),
             ("columns = [\"sensor\"]\n[[rule]]\nsay = \"They sit.\"", "columns names Start 0 times"),
             ("[[rule]]\nsays = \"They sit.\"", "unknown field"),
+            (
+                "[[rule]]\npresence = \"unknown\"",
+                "unknown variant `unknown`, expected one of `present`, `away`, `gone`, `empty`",
+            ),
+            (
+                "[[rule]]\npresence = \"empty\"",
+                "rule 1: presence = \"empty\" says that nobody is in a room: it needs room",
+            ),
         ] {
             let error = SensorRules::parse(text).unwrap_err();
             assert!(error.contains(part), "{text}: {error}");

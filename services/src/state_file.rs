@@ -94,8 +94,8 @@ impl<T: PartialEq + Serialize> Kept<T> {
         match bytes.and_then(|bytes| replace(&self.path, &bytes)) {
             Ok(()) => self.written = Some(value),
             Err(error) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(%error, path = %self.path.display(), held_back, "{loss}");
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, path = %self.path.display(), not_told, "{loss}");
                 }
             }
         }

@@ -18,7 +18,6 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing::{self, Heat};
-use roomcast_services::habits_reason::PersonHabits;
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
@@ -115,10 +114,12 @@ pub fn run(args: &Args) -> CommandResult {
     if args.score.json() {
         let failed_json = |error: serde_json::Error| Failure::new(exit_code::FAILURE, error);
         let mut value = serde_json::to_value(&explained.explanation).map_err(failed_json)?;
-        let learned = |own: &&PersonHabits| args.person.is_none() || moment.person_numbers().contains(&own.person);
-        let learned: Vec<_> = moment.habits.iter().filter(learned).collect();
-        if !learned.is_empty() {
-            value["habits"] = serde_json::to_value(&learned).map_err(failed_json)?;
+        if !moment.habits.is_empty() {
+            let mut habits = serde_json::to_value(&moment.habits).map_err(failed_json)?;
+            for (own, learned) in habits.as_array_mut().into_iter().flatten().zip(&moment.habits) {
+                own["name"] = moment.names.get(&learned.person).cloned().into();
+            }
+            value["habits"] = habits;
         }
         if !persons.is_empty() {
             let person = |(person, explanation): &(u32, Explanation)| {

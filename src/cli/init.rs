@@ -3,23 +3,25 @@
 //! What is not given is found (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal it is asked.
 //! All is read and checked before the first file is written, and no file that is there is overwritten unasked.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::names::Names;
+use roomcast_core::narration::{Said, check_name};
 use roomcast_core::semantic_map::import::{self, Home, Imported};
-use roomcast_core::semantic_map::{MAX_FILE_BYTES, RoomId, SemanticMap, delta};
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
 use roomcast_services::config::Config;
 use roomcast_services::mqtt::look::{self, LookError, Seen};
 use roomcast_services::mqtt::{Broker, MqttError};
 use serde_json::json;
 
+mod areas;
 mod ask;
 
+use areas::Areas;
 use ask::Asker;
 
 use super::home_source::{check_rules, home_assistant, is_url};
@@ -531,12 +533,16 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
             ));
         }
     };
+    let (imported, known) = match &areas {
+        Some(Imported { map: areas, .. }) => Areas::find(imported, areas)?,
+        None => (imported, Areas::default()),
+    };
     let imported = furnish(imported).map_err(|error| in_file("the map", scene, &error))?;
     let (mut map, mut notes, mut rules) = (imported.map, imported.notes, rules);
     if let Some(Imported { map: areas, .. }) = &areas {
-        map = with_things(&map, areas, &mut notes)?;
+        map = with_things(&map, areas, &known, &mut notes)?;
         // Where no rule is left, none can be read.
-        rules = rules.map(|text| in_rooms_of(&map, areas, &text, &mut notes)).filter(|text| rules_in(text) > 0);
+        rules = rules.map(|text| in_rooms_of(&map, &known, &text, &mut notes)).filter(|text| rules_in(text) > 0);
     }
     if let Some(text) = &rules {
         check_rules(rules_file, text)?;
@@ -612,11 +618,16 @@ fn unpacked(payload: &[u8]) -> Result<String, String> {
 }
 
 /// The robot's map with the things that Home Assistant knows in its areas, each in the middle of its room.
-fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) -> Result<SemanticMap, Failure> {
+fn with_things(
+    map: &SemanticMap,
+    areas: &SemanticMap,
+    known: &Areas,
+    notes: &mut Vec<String>,
+) -> Result<SemanticMap, Failure> {
     let (mut changes, mut homeless) = (Vec::new(), 0);
     for item in areas.items() {
         let area = areas.rooms_at(item.position_m).next();
-        let Some(room) = area.and_then(|area| room_of_area(map, areas, area)) else {
+        let Some(room) = area.and_then(|area| known.room(map, &areas.rooms()[area.0 as usize].id)) else {
             homeless += 1;
             continue;
         };
@@ -653,32 +664,6 @@ fn with_things(map: &SemanticMap, areas: &SemanticMap, notes: &mut Vec<String>) 
     changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
 }
 
-/// The names that are a room's alone: its id, its label where no other room bears it, and what aliases say of either.
-fn own_names(map: &SemanticMap, room: RoomId) -> BTreeSet<String> {
-    let own = &map.rooms()[room.0 as usize];
-    let is_only = map.rooms().iter().filter(|other| other.label == own.label).count() == 1;
-    let by_label = is_only.then_some(&own.label);
-    let keys = || by_label.into_iter().chain([&own.id]);
-    let aliases = keys().filter_map(|key| map.aliases().get(key)).flatten();
-    keys().chain(aliases).map(|name| name.to_lowercase().replace(['_', '-'], " ")).collect()
-}
-
-/// The room of the robot's map that an area of Home Assistant is: the one that has one of its names, else the only one of its kind where it is the
-/// only area of that kind.
-fn room_of_area(map: &SemanticMap, areas: &SemanticMap, area: RoomId) -> Option<RoomId> {
-    let all = |map: &SemanticMap| (0..map.rooms().len()).filter_map(|room| u32::try_from(room).ok().map(RoomId));
-    let only = |found: Vec<RoomId>| <[RoomId; 1]>::try_from(found).ok().map(|[room]| room);
-    let names = own_names(areas, area);
-    let named = all(map).filter(|room| !own_names(map, *room).is_disjoint(&names)).collect();
-    let kind = |map: &SemanticMap, room: RoomId| {
-        let label = &map.rooms()[room.0 as usize].label;
-        Names::built_in().kind_of_room(label).unwrap_or(label).to_owned()
-    };
-    let wanted = kind(areas, area);
-    let of_kind = |map: &SemanticMap| only(all(map).filter(|room| kind(map, *room) == wanted).collect());
-    only(named).or_else(|| of_kind(areas).and_then(|_| of_kind(map)))
-}
-
 /// A point well inside a room, near its middle.
 fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
     const STEPS: i32 = 20;
@@ -708,10 +693,10 @@ fn rules_in(text: &str) -> usize {
 
 /// Rules whose rooms are named as the robot's map has them. A rule of an area that no room is known to be is a comment, so that nobody is taken
 /// to be in the wrong room.
-fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut Vec<String>) -> String {
+fn in_rooms_of(map: &SemanticMap, known: &Areas, rules: &str, notes: &mut Vec<String>) -> String {
     let ids: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
     let ids = ids.join(", ");
-    let mut unknown = BTreeMap::new();
+    let (mut unknown, mut unknown_rules) = (BTreeSet::new(), 0);
     let mut parts = rules.split(RULE);
     let mut text = parts.next().unwrap_or_default().to_owned();
     for part in parts {
@@ -719,10 +704,7 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
         let (rule, rest) = part.split_at(part.find("\n\n").map_or(part.len(), |at| at + 1));
         let named = rule.parse::<toml::Table>().ok();
         let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);
-        let room = area.map(|area| {
-            let known = areas.find_room(area).and_then(|known| room_of_area(map, areas, known));
-            known.ok_or(area)
-        });
+        let room = area.map(|area| known.room(map, area).ok_or(area));
         match room {
             None => text.extend([RULE, rule]),
             Some(Ok(room)) => {
@@ -734,7 +716,8 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
                 }
             }
             Some(Err(area)) => {
-                *unknown.entry(area.to_owned()).or_insert(0) += 1;
+                unknown.insert(format!("{area:?}"));
+                unknown_rules += 1;
                 let _ = writeln!(
                     text,
                     "# Which room is the area {area:?}? Write one of {ids}, and take out the signs # below."
@@ -746,14 +729,25 @@ fn in_rooms_of(map: &SemanticMap, areas: &SemanticMap, rules: &str, notes: &mut 
         }
         text.push_str(rest);
     }
-    for (area, rules) in unknown {
+    if !unknown.is_empty() {
+        let which = if unknown.len() == 1 { "the area" } else { "the areas" };
         notes.push(format!(
-            "{} of the area {area:?} written as comments, since no room of the robot's map is known to be that: write one of {ids} there, and \
-             take out the signs #.",
-            count(rules, "rule"),
+            "{} of {which} {} written as comments, since no room of the robot's map is known to be that: write one of {ids} there, and take out \
+             the signs #.",
+            count(unknown_rules, "rule"),
+            unknown.into_iter().collect::<Vec<_>>().join(", "),
         ));
     }
     text
+}
+
+/// What a robot is called by where it speaks at the broker, if nobody who lives here is called so.
+fn name_of_robot(robot: &str, residents: &[String]) -> Option<String> {
+    let words = robot.rsplit('/').next()?.replace(['_', '-'], " ");
+    let mut letters = words.trim().chars();
+    let name = letters.next()?.to_uppercase().chain(letters).collect::<String>();
+    let is_taken = |name: &String| residents.iter().any(|resident| Said::may_mean(resident, name));
+    Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))
 }
 
 /// The configuration, with a word to each part.
@@ -773,10 +767,13 @@ fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
         0 => "# Who lives here; with names, everybody else is a visitor.\n# residents = [\"Ada\", \"Ben\"]".to_owned(),
         _ => format!("# Everybody else is a visitor.\nresidents = [{}]", names.join(", ")),
     };
+    let not_persons = match found.robot.as_deref().and_then(|robot| name_of_robot(robot, &found.residents)) {
+        Some(name) => format!("not_persons = [{}]", quoted(&name)),
+        None => "# not_persons = [\"Rocky\"]".to_owned(),
+    };
     let _ = write!(
         text,
-        "\n[persons]\n{residents}\n# Pets, robots and devices that have names: what a sentence says of one, it says of nobody.\n\
-         # not_persons = [\"Rocky\"]\n"
+        "\n[persons]\n{residents}\n# Pets, robots and devices that have names: what a sentence says of one, it says of nobody.\n{not_persons}\n"
     );
     if let Some(broker) = &found.broker {
         let _ = write!(text, "\n[mqtt]\nbroker = {}\n", quoted(&broker.address));
@@ -901,6 +898,21 @@ mod tests {
         import::home_assistant(&registries, "home").unwrap()
     }
 
+    #[test]
+    fn a_robots_name_is_nobodys_unless_a_resident_has_it() {
+        let residents = ["Rosie".to_owned(), "Ada Lovelace".to_owned()];
+        for (robot, name) in [
+            ("homeassistant/vacuum/staubi", Some("Staubi")),
+            ("valetudo/upper_floor-robot", Some("Upper floor robot")),
+            ("valetudo/rosie", None),
+            ("valetudo/ada", None),
+            ("valetudo/42", None),
+            ("valetudo/", None),
+        ] {
+            assert_eq!(name_of_robot(robot, &residents).as_deref(), name, "{robot}");
+        }
+    }
+
     /// A home is set up in a user's folder, and moved to where the units may read it.
     #[test]
     fn the_files_can_be_moved_together() {
@@ -951,12 +963,21 @@ mod tests {
             [("kuche", "Küche"), ("bad", "Bad"), ("bad_gaste", "Bad Gäste"), ("flur", "Flur"), ("turm", "Turm")];
         let home = home_of(&areas);
         let mut notes = Vec::new();
-        let text = in_rooms_of(&map, &home.imported.map, &home.rules.unwrap(), &mut notes);
+        let of = |areas: &SemanticMap| {
+            Areas::find(Imported { map: map.clone(), notes: Vec::new(), boxed: Vec::new() }, areas).unwrap()
+        };
+        let (same, known) = of(&home.imported.map);
+        assert_eq!(same.map, map, "all are of one floor");
+        let text = in_rooms_of(&map, &known, &home.rules.unwrap(), &mut notes);
         let rules: toml::Table = text.parse().unwrap();
         let named: Vec<_> =
             rules["rule"].as_array().unwrap().iter().map(|rule| rule["room"].as_str().unwrap()).collect();
         assert_eq!(named, ["kitchen-1"], "{text}");
-        assert_eq!((rules_in(&text), notes.len()), (1, 4), "{text}{notes:?}");
+        assert_eq!((rules_in(&text), notes.len()), (1, 1), "{text}{notes:?}");
+        assert!(
+            notes[0].starts_with("4 rules of the areas \"bad\", \"bad_gaste\", \"flur\", \"turm\" written"),
+            "{notes:?}"
+        );
         assert!(
             text.contains("# room = \"bad_gaste\"\n") && text.contains("Write one of kitchen-1, bathroom-2, hallway-3"),
             "{text}"
@@ -966,7 +987,7 @@ mod tests {
         let all = all.replace("# presence", "presence").replace("# room", "room");
         assert_eq!(all.parse::<toml::Table>().unwrap()["rule"].as_array().unwrap().len(), areas.len(), "{all}");
         let none = home_of(&[("turm", "Turm")]);
-        let text = in_rooms_of(&map, &none.imported.map, &none.rules.unwrap(), &mut notes);
+        let text = in_rooms_of(&map, &of(&none.imported.map).1, &none.rules.unwrap(), &mut notes);
         assert_eq!(rules_in(&text), 0, "{text}");
     }
 }

@@ -263,8 +263,8 @@ pub fn run(args: &Args) -> CommandResult {
             }
             Ok(Err(error)) => {
                 map.hear(false);
-                if let Some(held_back) = log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(error, held_back, "{}", recorder.without_map());
+                if let Some(not_told) = log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(error, not_told, "{}", recorder.without_map());
                 }
             }
             Err(_) => {}

@@ -102,8 +102,8 @@ impl Voice<'_> {
     }
 
     fn complain(&mut self, error: &zenoh::Error) {
-        if let Some(held_back) = self.log.pass("ros2", clock::monotonic_ns()) {
-            tracing::warn!(%error, held_back, "ROS 2 does not hear this");
+        if let Some(not_told) = self.log.pass("ros2", clock::monotonic_ns()) {
+            tracing::warn!(%error, not_told, "ROS 2 does not hear this");
         }
     }
 

@@ -12,9 +12,9 @@ use crate::names::Names;
 /// Longest line that is read, in bytes. A VirtualHome step has fewer than 100.
 pub const LINE_BYTES_MAX: usize = 1024;
 /// Longest name of an object, in bytes.
-pub const NAME_BYTES_MAX: usize = 128;
+const NAME_BYTES_MAX: usize = 128;
 /// Most objects of one action; no VirtualHome action has more.
-pub const OBJECTS_MAX: usize = 2;
+const OBJECTS_MAX: usize = 2;
 
 /// Why a line is no action.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -90,7 +90,7 @@ impl fmt::Display for ObjectRef {
     }
 }
 
-/// One atomic action: a known verb and at most [`OBJECTS_MAX`] objects.
+/// One atomic action: a known verb and at most two objects.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Action {
     verb: &'static str,

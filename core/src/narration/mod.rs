@@ -25,9 +25,7 @@ mod reading;
 mod several;
 
 pub use about::About;
-pub use action::{
-    Action, ActionEntry, ActionError, LINE_BYTES_MAX, NAME_BYTES_MAX, OBJECTS_MAX, ObjectRef, table as action_table,
-};
+pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, table as action_table};
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{
     NameWord, Named, PERSON_NAME_BYTES_MAX, Pronoun, ReadName, SOMEBODY, check_name, is_number, name_words,

@@ -24,7 +24,7 @@ pub(crate) const FREE_SHARE: f64 = 0.005;
 
 /// A room in which somebody is during a slot with at most this probability counts as empty: no forecast of a home with people in it says 0 of
 /// any room, and time makes it less certain.
-pub const EMPTY_SHARE: f64 = 0.05;
+const EMPTY_SHARE: f64 = 0.05;
 
 /// What later slots are said to cost counts with this share against seconds of the stay in hand: a room that is dearer now is done first
 /// only where that saves later at least twice of what it costs more now.
@@ -47,7 +47,7 @@ const WEIGHT_MAX_S: f64 = 1e9;
 ///
 /// The plan minimises the expected time shared with the person plus `weight_s` for each room that stays undone. Work is never
 /// put off for a gain of less than half a percent of a slot, nor, with the default weight, while a room to do counts as empty
-/// ([`EMPTY_SHARE`]). Without a forecast or a horizon it does as [`UncoveredFirst`].
+/// (5 %). Without a forecast or a horizon it does as [`UncoveredFirst`].
 ///
 /// **Which room first.** While more slots than rooms to do are left, there is time to wait for news of each room, so the first room is not the
 /// one of the cheapest plan but the one with the least seconds in it now plus half of the seconds that the rest of its plan costs: the

@@ -16,8 +16,7 @@ mod naive;
 mod uncovered_first;
 
 pub use coverage_aware::{
-    CoverageAware, DP_PARTITIONS_MAX, EMPTY_SHARE, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, WEIGHT_DEFAULT_STAY,
-    plan,
+    CoverageAware, DP_PARTITIONS_MAX, Plan, WEIGHT_DEFAULT_S, WEIGHT_DEFAULT_SLOTS, WEIGHT_DEFAULT_STAY, plan,
 };
 pub use greedy_avoidance::GreedyAvoidance;
 pub use informed_avoidance::InformedAvoidance;

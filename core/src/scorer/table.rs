@@ -1,7 +1,7 @@
 //! A deterministic language model whose next-token probabilities follow from a seed: for tests and benches.
 //!
 //! Its tokens are bytes, or words from a list. The logits after a sequence depend on its last [`TableModel::MEMORY`]
-//! tokens by a fixed hash, so that any score can be recomputed by hand from [`TableModel::logits_after`].
+//! tokens by a fixed hash, so that any score can be recomputed by hand.
 
 use super::correction::Correction;
 use std::cell::Cell;
@@ -68,13 +68,6 @@ impl TableModel {
     }
 
     /// The logits after `sequence`, one per token: a fixed function of seed and the last [`Self::MEMORY`] tokens.
-    #[must_use]
-    pub fn logits_after(&self, sequence: &[Token]) -> Vec<f32> {
-        let mut row = vec![0.0; Self::VOCABULARY];
-        self.fill(sequence, &mut row);
-        row
-    }
-
     fn fill(&self, sequence: &[Token], row: &mut [f32]) {
         let recent = &sequence[sequence.len().saturating_sub(Self::MEMORY)..];
         let mut state = self.seed ^ 0x9e37_79b9_7f4a_7c15;
@@ -179,12 +172,18 @@ mod tests {
     use super::*;
     use crate::prompt::{BindingSequence, write_prompt};
 
+    fn logits_after(model: &TableModel, sequence: &[Token]) -> Vec<f32> {
+        let mut row = vec![0.0; TableModel::VOCABULARY];
+        model.fill(sequence, &mut row);
+        row
+    }
+
     fn by_hand(model: &TableModel, prompt: &str, label: &str) -> f64 {
         let mut sequence = Vec::new();
         model.tokenise(prompt, TextStart::Sequence, &mut sequence).unwrap();
         let mut sum = 0.0;
         for byte in format!(" {label}").bytes() {
-            let row = model.logits_after(&sequence);
+            let row = logits_after(model, &sequence);
             sum += f64::from(row[usize::from(byte)]) - softmax::log_sum_exp(&row);
             sequence.push(Token(i32::from(byte)));
         }
@@ -224,7 +223,7 @@ mod tests {
         let mut sum = 0.0;
         for at in 0..=labels[of].len() {
             let said = &labels[of][..at];
-            let logits = model.logits_after(&sequence);
+            let logits = logits_after(model, &sequence);
             let all: f64 = logits.iter().map(|&logit| f64::from(logit).exp()).sum();
             let next: std::collections::BTreeSet<u8> =
                 labels.iter().filter_map(|label| label.strip_prefix(said)?.bytes().next()).collect();
@@ -269,7 +268,7 @@ mod tests {
             let first = sum(&narrated);
             let mut head = Vec::new();
             model.tokenise(&prompt, TextStart::Sequence, &mut head).unwrap();
-            let row = model.logits_after(&head);
+            let row = logits_after(&model, &head);
             proptest::prop_assert!((first - f64::from(row[32]) + softmax::log_sum_exp(&row)).abs() < 1e-5);
 
             let mut scorer = Scorer::new(model.clone());

@@ -1,5 +1,7 @@
 //! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
 
+use std::cell::LazyCell;
+use std::io;
 use std::time::Duration;
 
 use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
@@ -70,7 +72,7 @@ pub(super) fn answer_change<M: LanguageModel>(
 /// Does what was asked about persons, and says who is known then.
 pub(super) fn answer_about_person<M: LanguageModel>(
     board: &mut Board<M>,
-    kept: (Option<&JournalHandle>, Option<&Keeper>),
+    (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
     let find = |board: &Board<M>, who: &str| {
@@ -96,13 +98,14 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             if !is_somebody {
                 Named::parse(&who)?;
             }
-            let (left, records) = forget(board, kept, person, &who, is_somebody);
+            let (left, records) = forget(board, (journal, keeper), person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
     let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
-    let kept = done && left.is_none() && board.persons().file().is_kept();
+    let is_kept = board.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
+    let kept = done && left.is_none() && is_kept;
     PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns) }
 }
 
@@ -117,15 +120,16 @@ fn forget<M: LanguageModel>(
 ) -> (Option<String>, usize) {
     let called = Called::new(board.persons(), person, who);
     let is_theirs = move |observation: &Observation, found: Option<u32>| {
-        let text = || match &observation.said {
-            Said::Sentence(sentence) => sentence.as_str().to_owned(),
-            Said::Presence(statement) => format!("{statement}, {}", statement.subject().unwrap_or_default()),
-        };
+        // All words are read at most once: a journal has many.
+        let names_them = LazyCell::new(|| match &observation.said {
+            Said::Sentence(sentence) => called.is_in(sentence.as_str()),
+            Said::Presence(statement) => {
+                called.is_in(&format!("{statement}, {}", statement.subject().unwrap_or_default()))
+            }
+        });
         let is_about_them = || match &observation.said {
             Said::Presence(statement) => statement.names().any(|name| called.is(name)),
-            said @ Said::Sentence(_) => {
-                found.is_none() && said.may_name(|name| called.is(name)) && called.is_in(&text())
-            }
+            said @ Said::Sentence(_) => found.is_none() && *names_them && said.may_name(|name| called.is(name)),
         };
         let own = match (&observation.name, found) {
             (Some(name), _) if called.is_key(name) => true,
@@ -135,7 +139,7 @@ fn forget<M: LanguageModel>(
             (None, _) => observation.person == person,
         };
         // What others did to them, and rooms that are called after them, tell of them, too.
-        own || is_somebody && (is_about_them() || called.is_in(&text()))
+        own || is_somebody && (*names_them || is_about_them())
     };
     // Whose an observation in a window is was found.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
@@ -144,16 +148,40 @@ fn forget<M: LanguageModel>(
     let in_file = board.persons_mut().file_mut().remove(person);
     let in_habits = write_habits(board, keeper);
     let error = in_journal.err().or(in_file.err()).or(in_habits.err());
-    let left = error.map(|error| {
-        format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
-    });
-    (left, records)
+    (error.map(|error| not_yet_kept(&error)), records)
+}
+
+/// Why the disk does not have yet that somebody is forgotten, and what to do.
+fn not_yet_kept(error: &io::Error) -> String {
+    if error.kind() == io::ErrorKind::TimedOut {
+        let patience_s = FORGET_PATIENCE.as_secs();
+        return format!(
+            "they are forgotten in memory; the files of the state directory are still being rewritten after {patience_s} s, which goes on: ask \
+             again until nobody is known by that name"
+        );
+    }
+    format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
 }
 
 /// Writes what is left of what was learned after somebody was forgotten, and waits for it.
-pub(super) fn write_habits<M: LanguageModel>(board: &mut Board<M>, keeper: Option<&Keeper>) -> std::io::Result<()> {
+pub(super) fn write_habits<M: LanguageModel>(board: &mut Board<M>, keeper: Option<&Keeper>) -> io::Result<()> {
     let Some(keeper) = keeper else { return Ok(()) };
     let habits = board.habits_mut();
     let Some(memory) = habits.memory_if_changed() else { return Ok(()) };
     keeper.forget(memory, FORGET_PATIENCE).inspect_err(|_| habits.keep_changed())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A journal that takes long is no disk that fails, and the remedy is another.
+    #[test]
+    fn whoever_waits_too_long_is_told_to_ask_again() {
+        let slow = not_yet_kept(&io::Error::from(io::ErrorKind::TimedOut));
+        assert!(slow.contains("still being rewritten after 5 s") && slow.contains("ask again"), "{slow}");
+        assert!(!slow.contains("cannot be written"), "{slow}");
+        let full = not_yet_kept(&io::Error::from(io::ErrorKind::StorageFull));
+        assert!(full.contains("cannot be written: ") && !full.contains("ask again"), "{full}");
+    }
 }

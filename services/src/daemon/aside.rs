@@ -149,8 +149,8 @@ impl Aside {
             Ok(Some(answer)) => drop(self.answers.try_send(answer)),
             Ok(None) | Err(ScoreError::Model(ModelError::Stopped)) => {}
             Err(error) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(%error, held_back, "an answer cannot be prepared; the event is scored when it comes");
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, not_told, "an answer cannot be prepared; the event is scored when it comes");
                 }
             }
         }

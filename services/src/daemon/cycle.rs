@@ -39,7 +39,7 @@ pub struct Cycle<M> {
     /// The claims of the last message whose narration was all in the journal.
     claims: (u32, [IncludedV1; MAX_SOURCES]),
     /// The last message claimed less than its scores contain.
-    held_back: bool,
+    not_told: bool,
     /// That message.
     less: Box<RoomScoresV1>,
 }
@@ -61,7 +61,7 @@ impl<M: LanguageModel> Cycle<M> {
             heartbeat_ns,
             sent_ns: 0,
             claims: Default::default(),
-            held_back: false,
+            not_told: false,
             less: Box::default(),
         }
     }
@@ -149,7 +149,7 @@ impl<M: LanguageModel> Cycle<M> {
     #[must_use]
     pub(crate) fn message_due(&self, now_ns: u64, written: u64) -> bool {
         let confirmation =
-            now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.held_back && self.durable(written));
+            now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.not_told && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
     }
 
@@ -164,7 +164,7 @@ impl<M: LanguageModel> Cycle<M> {
             _ => self.sent_ns.saturating_add(self.heartbeat_ns).saturating_sub(now_ns),
         };
         let retry_ns = if self.due { self.retry_ns.saturating_sub(now_ns) } else { u64::MAX };
-        let journal_ns = if self.held_back { JOURNAL_NS } else { u64::MAX };
+        let journal_ns = if self.not_told { JOURNAL_NS } else { u64::MAX };
         heartbeat_ns.min(retry_ns).min(journal_ns)
     }
 
@@ -182,7 +182,7 @@ impl<M: LanguageModel> Cycle<M> {
         }
         let durable = self.durable(written);
         let message = self.board.message(now_ns, !self.fresh, behind);
-        self.held_back = !durable;
+        self.not_told = !durable;
         self.fresh = false;
         self.sent_ns = now_ns;
         if durable {

@@ -70,8 +70,8 @@ impl Inbox {
         let received = waited.and_then(|_| self.drain(take));
         if let Err(error) = received {
             // A port that fails may recover, when file descriptors become free for instance.
-            if let Some(held_back) = self.log_port.pass(clock::monotonic_ns()) {
-                tracing::error!(%error, held_back, "cannot receive narration");
+            if let Some(not_told) = self.log_port.pass(clock::monotonic_ns()) {
+                tracing::error!(%error, not_told, "cannot receive narration");
             }
             std::thread::sleep(patience);
         }
@@ -120,13 +120,13 @@ impl Inbox {
                 Taken::Costly { tokens, most, first } => {
                     take(Heard::PassedOver { source, epoch: self.message.epoch, sequence: self.message.sequence });
                     // Sources may be invented.
-                    if first && let Some(held_back) = self.log_costly.pass(now_ns) {
+                    if first && let Some(not_told) = self.log_costly.pass(now_ns) {
                         tracing::warn!(
                             source,
                             name,
                             tokens,
                             most,
-                            held_back,
+                            not_told,
                             "a sentence costs more tokens than a window holds, and is dropped, as others of this source will be: shorten it, or raise model.context_tokens and history.tokens"
                         );
                     }
@@ -135,9 +135,9 @@ impl Inbox {
                 Taken::Malformed(why) => Some(why),
             };
             if let Some(why) = refused
-                && let Some(held_back) = self.log_refused.pass(now_ns)
+                && let Some(not_told) = self.log_refused.pass(now_ns)
             {
-                tracing::warn!(source, why, held_back, "narration");
+                tracing::warn!(source, why, not_told, "narration");
             }
         }
         self.more = messages == AT_ONCE;

@@ -15,7 +15,7 @@
 use std::fs;
 use std::io;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -29,10 +29,8 @@ pub use self::disk::{Disk, Half};
 use self::forget::IsTheirs;
 #[cfg(test)]
 pub(super) use self::record::each_record;
-pub(super) use self::record::encode_forgotten;
-pub use self::record::{
-    Believed, Expectation, Move, Moved, Outcome, encode, encode_believed, encode_moved, encode_outcome, encode_port,
-};
+pub use self::record::{Believed, Expectation, Move, Moved, Outcome, encode, encode_outcome, encode_port};
+pub(super) use self::record::{encode_believed, encode_forgotten, encode_moved};
 pub use self::recovered::{Recovered, read_records};
 pub use self::writer::Writer;
 use crate::state_file;
@@ -86,6 +84,8 @@ struct Progress {
     grew: Condvar,
     bytes: AtomicU64,
     failures: AtomicU64,
+    /// The last sync has failed, so a restarted daemon may not find what was said.
+    is_unsynced: AtomicBool,
 }
 
 /// What the writer is to do.
@@ -263,6 +263,11 @@ impl JournalHandle {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.progress.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Whether the last sync went well: the disk has what was written, and the files have their names.
+    pub(super) fn is_kept(&self) -> bool {
+        !self.progress.is_unsynced.load(Ordering::Relaxed)
     }
 
     /// Writes or syncs that failed: a full disk, for instance. The daemon goes on without them.

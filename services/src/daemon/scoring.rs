@@ -257,17 +257,17 @@ impl<M: LanguageModel> Scoring<M> {
         self.cycle.rests_on(attributed);
         if let Err(error) = done {
             self.tally.failed_steps += 1;
-            if let Some(held_back) = self.log.pass(now_ns) {
-                tracing::error!(%error, held_back, "scoring failed; the narration is kept and scored with the next step");
+            if let Some(not_told) = self.log.pass(now_ns) {
+                tracing::error!(%error, not_told, "scoring failed; the narration is kept and scored with the next step");
             }
             return false;
         }
         if let Some(journal) = &self.journal
             && !journal.wait_for(self.cycle.scored_record(), JOURNAL_PATIENCE)
-            && let Some(held_back) = self.log.pass(now_ns)
+            && let Some(not_told) = self.log.pass(now_ns)
         {
             tracing::warn!(
-                held_back,
+                not_told,
                 "the journal is slower than the scorer; narration is confirmed when it is written"
             );
         }
@@ -468,7 +468,7 @@ impl<M: LanguageModel> Scoring<M> {
                         answer.kept = false;
                     }
                     let reason = answer.reason.as_deref().map(for_the_log);
-                    tracing::info!(reason, kept = answer.kept, "habits were forgotten or replaced");
+                    tracing::info!(reason, kept = answer.kept, "habits were changed on request");
                 }
                 answer
             });

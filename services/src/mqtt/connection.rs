@@ -247,8 +247,8 @@ impl<'a, W: Write> Connection<'a, W> {
                 self.recent.connect(greeting.session_present);
                 self.listener.first_connection = *connections == 1;
                 self.listener.listen_from(Instant::now());
-                if let Some(held_back) = self.greetings.pass(clock::monotonic_ns()) {
-                    tracing::info!(broker = self.broker, connections, held_back, "connected");
+                if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
+                    tracing::info!(broker = self.broker, connections, not_told, "connected");
                 }
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
                 self.subscriptions.start();
@@ -315,9 +315,9 @@ impl<'a, W: Write> Connection<'a, W> {
     async fn lost(&mut self, error: &impl Display, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
         // Whoever is asked to stop tries no more.
         if !stop.requested()
-            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+            && let Some(not_told) = self.log.pass(clock::monotonic_ns())
         {
-            tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+            tracing::warn!(broker = self.broker, %error, not_told, "no connection, trying again");
         }
         let mut turn = self.drain(connections)?;
         if matches!(turn, Turn::On) {

@@ -243,9 +243,9 @@ impl Turning {
     async fn lost(&mut self, error: &impl Display) {
         self.lose();
         if !self.stop.requested()
-            && let Some(held_back) = self.log.pass(clock::monotonic_ns())
+            && let Some(not_told) = self.log.pass(clock::monotonic_ns())
         {
-            tracing::warn!(broker = self.broker, %error, held_back, "no connection, trying again");
+            tracing::warn!(broker = self.broker, %error, not_told, "no connection, trying again");
         }
         let pause = Instant::now();
         while !self.stop.requested() && pause.elapsed() < self.pause {
@@ -276,8 +276,8 @@ impl Turning {
             tracing::error!(broker = self.broker, %error, "cannot subscribe");
         }
         (shared.connection, shared.said, shared.confirmed) = (connections, 0, 0);
-        if let Some(held_back) = self.greetings.pass(clock::monotonic_ns()) {
-            tracing::info!(broker = self.broker, connections, held_back, "connected");
+        if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
+            tracing::info!(broker = self.broker, connections, not_told, "connected");
         }
     }
 
@@ -316,11 +316,11 @@ impl Turning {
         let Ok(topic) = String::from_utf8(message.topic.to_vec()) else { return };
         let mut shared = lock(&self.shared);
         if message.payload.len() > PAYLOAD_BYTES_MAX {
-            if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
+            if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
                 tracing::warn!(
                     topic,
                     bytes = message.payload.len(),
-                    held_back,
+                    not_told,
                     "a message is too large and is passed over"
                 );
             }

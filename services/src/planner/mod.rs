@@ -428,7 +428,7 @@ impl Planner {
         }
         if let (Some(work), Some(room)) = (self.robot.work.take(), room) {
             let (id, percent) = (self.id_of(room).to_owned(), 100.0 * likely.get(room).copied().unwrap_or_default());
-            let why = format!("somebody came into the {id} ({percent:.0} %), so its work there stops: ");
+            let why = format!("somebody came into {id} ({percent:.0} %), so its work there stops: ");
             let cancels = self.own_decision(&work);
             self.notice = Notice { cancels, flags: decision_flags::INTERRUPTED, why };
         }

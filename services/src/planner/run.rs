@@ -138,9 +138,9 @@ fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter)
     let now_ns = clock::monotonic_ns();
     tracing::debug!(kind = report.kind, room = report.room(), note = report.note(), "report of the robot");
     if let Err(fault) = planner.take_report(report, now_ns)
-        && let Some(held_back) = log.pass(now_ns)
+        && let Some(not_told) = log.pass(now_ns)
     {
-        tracing::warn!(%fault, held_back, reporter = report.robot_name(), "a report is not used whole");
+        tracing::warn!(%fault, not_told, reporter = report.robot_name(), "a report is not used whole");
     }
 }
 
@@ -169,8 +169,8 @@ fn decide(
             );
         }
         Err(error) => {
-            if let Some(held_back) = log.pass(now_ns) {
-                tracing::error!(%error, held_back, "the policy cannot decide; the robot stays");
+            if let Some(not_told) = log.pass(now_ns) {
+                tracing::error!(%error, not_told, "the policy cannot decide; the robot stays");
             }
         }
     }

@@ -748,7 +748,7 @@ fn somebody_who_comes_in_interrupts_and_the_room_is_done_later() {
     let second = home.decision(12);
     assert!(second.has(decision_flags::INTERRUPTED), "{second:?}");
     assert_eq!((second.cancels, second.to(), second.covered), (first.sequence, "room-1", 0));
-    assert!(second.reason().starts_with("somebody came into the room-0 (90 %), so its work there stops: "));
+    assert!(second.reason().starts_with("somebody came into room-0 (90 %), so its work there stops: "));
     // They may still be there.
     home.likely = vec![0.4, 0.0, 0.0];
     assert_eq!(home.decision(112).to(), "room-2");

@@ -94,14 +94,14 @@ impl RobotLink<'_> {
     }
 
     fn report(&mut self, report: &Report) -> Result<(), DriveError> {
-        if let Some(held_back) = self.log_reports.pass(clock::monotonic_ns()) {
-            tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, held_back, "report of the robot");
+        if let Some(not_told) = self.log_reports.pass(clock::monotonic_ns()) {
+            tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, not_told, "report of the robot");
         }
         match self.reporter.message(report, clock::monotonic_ns(), clock::unix_ns()) {
             Ok(message) => self.reports.send(&message)?,
             Err(error) => {
-                if let Some(held_back) = self.log.pass(clock::monotonic_ns()) {
-                    tracing::warn!(%error, held_back, "a report cannot be made");
+                if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+                    tracing::warn!(%error, not_told, "a report cannot be made");
                 }
             }
         }
@@ -155,13 +155,13 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
                 let acts = driver.sense(sensed, now_ns);
                 robot.act(acts)?;
             } else if robot.dialect.is_garbled(&heard.topic, &heard.payload)
-                && let Some(held_back) = garbled.pass(now_ns)
+                && let Some(not_told) = garbled.pass(now_ns)
             {
                 let payload = shown(&heard.payload);
                 tracing::warn!(
                     topic = heard.topic,
                     payload,
-                    held_back,
+                    not_told,
                     "the robot says what is not understood, and it is passed over"
                 );
             }

@@ -79,16 +79,25 @@ pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str)
     Some((found, remedy))
 }
 
-/// Two rooms of `[robot.segments]` that are one segment to the robot, which does neither, and what to do. Home Assistant's automation may do
-/// several rooms as one.
-pub(super) fn segment_of_two_rooms(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
-    let table = Some(&config.robot.segments).filter(|_| config.robot.kind == RobotKind::Valetudo)?;
-    let (room, other, segment) = table.iter().enumerate().find_map(|(at, (room, segment))| {
-        // Two names of one room may well have the same.
-        let is_another = |other: &str| map.find_room(other) != map.find_room(room);
-        let (other, _) = table.iter().skip(at + 1).find(|(other, own)| *own == segment && is_another(other))?;
-        Some((room, other, segment))
-    })?;
+/// Two lines of `[robot.segments]` that cannot both be meant, and what to do: one room with two segments, of which one is never used, or two
+/// rooms that are one segment to the robot, which does neither. Home Assistant's automation may do several rooms as one.
+pub(super) fn segments_at_odds(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
+    let table = &config.robot.segments;
+    let pairs =
+        || table.iter().enumerate().flat_map(|(at, one)| table.iter().skip(at + 1).map(move |other| (one, other)));
+    // Two names of one room may well have the same.
+    let is_one = |room: &str, other: &str| map.find_room(room).is_some_and(|known| map.find_room(other) == Some(known));
+    if let Some(((room, segment), (other, own))) =
+        pairs().find(|((room, segment), (other, own))| segment != own && is_one(room, other))
+    {
+        let found = format!(
+            "[robot.segments] of {file} gives {room:?} the segment {segment:?} and {other:?} the segment {own:?}, and both are one room of the map"
+        );
+        return Some((found, "leave out one of the two".to_owned()));
+    }
+    let is_shared = config.robot.kind == RobotKind::Valetudo;
+    let ((room, segment), (other, _)) =
+        pairs().filter(|_| is_shared).find(|((room, segment), (other, own))| segment == own && !is_one(room, other))?;
     let found = format!(
         "[robot.segments] of {file} gives {room:?} and {other:?} the same segment {segment:?}, so the robot does neither"
     );
@@ -124,17 +133,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_segment_of_two_rooms_is_told() {
+    fn segments_that_cannot_both_be_meant_are_told() {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let found = |text: &str| {
             let config: Config = toml::from_str(text).unwrap();
-            segment_of_two_rooms(&config, &map, "home.toml").map(|(found, _)| found)
+            segments_at_odds(&config, &map, "home.toml").map(|(found, _)| found)
         };
         let twice = "[robot.segments]\nkitchen = \"1\"\nliving-room = \"1\"\n";
         let told = "[robot.segments] of home.toml gives \"kitchen\" and \"living-room\" the same segment \"1\", so the robot does neither";
         assert_eq!(found(twice).as_deref(), Some(told));
         assert_eq!(found("[robot.segments]\n\"living room\" = \"1\"\nliving-room = \"1\"\nkitchen = \"2\"\n"), None);
         assert_eq!(found(&format!("[robot]\nkind = \"home-assistant\"\n{twice}")), None);
+        let one = "[robot.segments]\n\"living room\" = \"1\"\nliving-room = \"2\"\n";
+        let told = "[robot.segments] of home.toml gives \"living room\" the segment \"1\" and \"living-room\" the segment \"2\", and both are one room of the map";
+        assert_eq!(found(one).as_deref(), Some(told));
+        assert_eq!(found(&format!("[robot]\nkind = \"home-assistant\"\n{one}")).as_deref(), Some(told));
     }
 
     #[test]

@@ -16,7 +16,7 @@ use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
 use rustix::fs::Access;
 use rustix::io::Errno;
 
-use super::finding::{Finding, Place, segment_of_no_room, segment_of_two_rooms, some_of};
+use super::finding::{Finding, Place, segment_of_no_room, segments_at_odds, some_of};
 #[cfg(feature = "mqtt")]
 use super::home_mqtt;
 use crate::cli::count;
@@ -49,7 +49,7 @@ pub(super) fn checks(
 pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
     let shown = place.shown();
     let segment = |(map, _): (&SemanticMap, &Grounding)| {
-        segment_of_no_room(config, map, &shown).or_else(|| segment_of_two_rooms(config, map, &shown))
+        segment_of_no_room(config, map, &shown).or_else(|| segments_at_odds(config, map, &shown))
     };
     let segment = home.and_then(segment).map(|(found, remedy)| Finding::wrong("robot", found, remedy));
     let mut findings: Vec<Finding> = segment.into_iter().collect();

@@ -616,7 +616,8 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
     let done: Vec<String> = rooms.iter().filter_map(|room| segment(room).ok()).collect();
     let number = segments.keys().find(|number| !done.contains(number)).map_or("NUMBER", String::as_str);
     let remedy = format!(
-        "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map",
+        "write each room's number into [robot.segments] of {}, such as {room:?} = {number:?}; or import the robot's own map; \
+         one of another floor stays without",
         place.shown()
     );
     match wrong.len() == map.rooms().len() {

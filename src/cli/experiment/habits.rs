@@ -1,6 +1,6 @@
 //! `roomcast experiment habits`: how well a home is learned, day by day.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use super::{LikeThingsArgs, ModelArgs, maps, report_faults, report_first_faults};
@@ -14,6 +14,7 @@ use roomcast_core::habits::HabitsOptions;
 use roomcast_core::narration::Said;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::narration_kind;
 use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::chart::{Chart, Mark, Series};
@@ -24,7 +25,7 @@ use roomcast_lab::experiment::report::{Report as Page, Table};
 use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_lab::simulation::homer::{DAY_BYTES_MAX, Day};
 use roomcast_services::message_text::said_of;
-use roomcast_services::narrator::Who;
+use roomcast_services::narrator::{Item, Who};
 use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
 
 /// Arguments of `roomcast experiment habits`.
@@ -206,7 +207,8 @@ fn sensors(
         return Err(fault(log, fault_text.to_owned()));
     }
     let mut unknown = BTreeMap::new();
-    for interval in read_intervals.iter().filter(|interval| place(&interval.place).is_none()) {
+    // Where a sensor has no place, none is unknown.
+    for interval in read_intervals.iter().filter(|own| !own.place.is_empty() && place(&own.place).is_none()) {
         *unknown.entry(format!("{:?}", interval.place)).or_default() += 1;
     }
     report_unknown("intervals are in places that are no rooms of the scene", read_intervals.len(), &unknown);
@@ -229,8 +231,9 @@ fn sensors(
         let only = label.and_then(|label| (0..weights.ncols()).find(|room| weights[(label, *room)] > 0.999));
         steps.push(Step { at_s: *at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
     }
-    if let Some(missing) = missing(&steps) {
-        crate::cli::tell(format_args!("roomcast: {missing}"));
+    let taken_for_one = taken_for_one(narrated.said.iter().map(|said| &said.item));
+    for remark in missing(&steps).into_iter().chain(taken_for_one) {
+        crate::cli::tell(format_args!("roomcast: {remark}"));
     }
     let away = match presence {
         Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
@@ -238,6 +241,25 @@ fn sensors(
     };
     tell_absences(&away);
     Ok(Trace::of_sensors(steps, &intervals, &away.intervals, grounding.partitions().len())?)
+}
+
+/// What rules say of several people, or of who is out, and a log that is taken for one person's does not have.
+fn taken_for_one<'a>(items: impl Iterator<Item = &'a Item>) -> Option<&'static str> {
+    let (mut persons, mut is_out) = (HashSet::new(), false);
+    for item in items {
+        persons.insert(&item.person);
+        is_out |= item.kind == narration_kind::PRESENCE && ["away", "gone"].contains(&item.text.as_str());
+    }
+    match (persons.len() > 1, is_out) {
+        (true, _) => Some(
+            "the log is measured as that of one person: the rules' `person` and `presence` count for nothing here; give the log of one, and --presence \
+             for when they were out",
+        ),
+        (false, true) => {
+            Some("the rules' `presence` counts for nothing here: give --presence for when the person was out")
+        }
+        (false, false) => None,
+    }
 }
 
 /// What cannot be measured of a home whose sensors say so little in words, and what would help.
@@ -406,4 +428,24 @@ fn show(report: &Report) -> CommandResult {
         text += &format!("\n{}\n{shown}\n", part.title);
     }
     print(&format!("{text}\n{}\n", notes(report)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a log says of several people, and who is out by its rules, is not dropped in silence.
+    #[test]
+    fn a_log_of_several_people_is_told_to_be_measured_as_one() {
+        let remark = |rules: &str| {
+            let log = b"0,5,hall,PIR,Hall\n100,110,ada,phone,\n";
+            let said = SensorRules::parse(rules).unwrap().narrate(log, &Who::Somebody).said;
+            taken_for_one(said.iter().map(|said| &said.item))
+        };
+        let moves = "[[rule]]\nkind = \"PIR\"\nsay = \"They walk to the {place}.\"\n";
+        let phone = "[[rule]]\nkind = \"phone\"\npresence = \"away\"\n";
+        assert_eq!(remark(moves), None);
+        assert!(remark(&format!("{moves}{phone}")).unwrap().contains("--presence"));
+        assert!(remark(&format!("{moves}{phone}person = \"{{sensor}}\"")).unwrap().contains("of one person"));
+    }
 }

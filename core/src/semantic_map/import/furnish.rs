@@ -27,7 +27,8 @@ const MARK: &str =
 /// So many kinds of things tell a room from the others. The usual furniture of a few kinds of rooms has fewer.
 const ENOUGH_KINDS: usize = 3;
 /// What is no furniture: a room with nothing else counts as bare.
-const BARE: [&str; 5] = [CHARGER, "wall", "floor", "ceiling", "door"];
+const BARE: [&str; 10] =
+    [CHARGER, "wall", "floor", "ceiling", "door", "window", "blinds", "curtain", "curtains", "radiator"];
 /// How densely places for a piece are tried, in metres; and the most along one side of a room.
 const STEP_M: f64 = 0.1;
 const MOST_STEPS: f64 = 60.0;
@@ -416,6 +417,9 @@ mod tests {
         assert_eq!(again.map, once.map, "what has furniture is left alone");
         let (own, ..) = furnished(&["ceiling lamp", "wardrobe", "desk"], true);
         assert_eq!(own.len(), 3, "three kinds tell a room: {own:?}");
+        // Every room has a window and a radiator.
+        let (own, ..) = furnished(&["window", "blinds", "radiator"], false);
+        assert!(own.contains(&"assumed-bed".to_owned()), "{own:?}");
         let (own, ..) = furnished(&["wall", "floor", "door", "ceiling"], false);
         assert!(own.contains(&"assumed-bed".to_owned()), "{own:?}");
     }

@@ -124,7 +124,7 @@ impl Move {
 
     /// The same of one that says that a room is empty.
     #[must_use]
-    pub fn of_a_room(own: &Observation, observed: &Said) -> Self {
+    pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Said) -> Self {
         Self { person: SOMEBODY, name: None, by_fit: false, ..Self::of(own, observed) }
     }
 
@@ -221,7 +221,7 @@ fn said_of(text: &str, kind: u8) -> Option<Said> {
 
 /// Whom an observation moved, as a record.
 #[must_use]
-pub fn encode_moved(moved: &Moved) -> Vec<u8> {
+pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
     let (source, epoch, sequence) = moved.observation;
     let mut payload = vec![0; HEADER_BYTES];
     for number in [source, epoch, sequence] {
@@ -270,7 +270,7 @@ pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
 
 /// Where somebody was believed to be when the map was changed, as a record.
 #[must_use]
-pub fn encode_believed(believed: &Believed) -> Vec<u8> {
+pub(in crate::daemon) fn encode_believed(believed: &Believed) -> Vec<u8> {
     let Believed { last: (source, epoch, sequence), person, map, paces, probability } = believed;
     let mut payload = Vec::with_capacity(HEADER_BYTES + OUTCOME_BYTES + 4 * (PACES + probability.len()));
     payload.extend_from_slice(&[0; HEADER_BYTES]);

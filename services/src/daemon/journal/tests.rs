@@ -191,6 +191,26 @@ fn what_was_appended_comes_back() {
     }
 }
 
+/// As after the disk under a mount point is gone: the folder is there, and another one.
+#[test]
+fn what_is_said_into_a_folder_that_was_made_again_is_not_kept() {
+    let outer = tempfile::tempdir().unwrap();
+    let state = outer.path().join("state");
+    for is_made_again in [false, true] {
+        let (mut journal, _) = Journal::open(&options(&state, 1 << 20)).unwrap();
+        journal.append(&observation(1));
+        if is_made_again {
+            fs::rename(&state, outer.path().join("gone")).unwrap();
+            fs::create_dir(&state).unwrap();
+        }
+        let handle = journal.handle();
+        assert!(handle.is_kept());
+        // It syncs before it ends.
+        drop(journal);
+        assert_eq!(handle.is_kept(), !is_made_again);
+    }
+}
+
 #[test]
 fn the_size_is_bounded_and_the_newest_survive() {
     let directory = tempfile::tempdir().unwrap();

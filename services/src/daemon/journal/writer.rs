@@ -219,6 +219,12 @@ impl<D: Disk> Writer<D> {
     /// # Errors
     /// When the disk refuses, or what is written has no name any more.
     pub fn sync(&mut self) -> io::Result<()> {
+        let synced = self.sync_all();
+        self.progress.is_unsynced.store(synced.is_err(), Ordering::Relaxed);
+        synced
+    }
+
+    fn sync_all(&mut self) -> io::Result<()> {
         self.sync_current()?;
         if !self.names_synced {
             self.disk.sync_names()?;
