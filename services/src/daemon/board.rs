@@ -18,7 +18,7 @@ use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::narration::{Observation, Presence, SOMEBODY, Voice};
+use roomcast_core::narration::{Observation, Presence, Pronoun, SOMEBODY, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
@@ -589,13 +589,22 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
+                // What a clause says of somebody may be kept without how they were called: "away" of "she goes to the office".
+                let mut spoken: Vec<Pronoun> =
+                    self.clauses(observation.clone()).filter_map(|clause| clause.said.pronoun()).collect();
+                spoken.dedup();
+                let spoken = if let [spoken] = spoken[..] { Some(spoken) } else { None };
+                if moves.is_empty() {
+                    self.hear_of(&observation, is_strange, at_ns);
+                }
                 for own in moves {
                     let person = self.persons.file().current(own.person);
                     if self.persons.is_number_of_none(person) {
                         continue;
                     }
                     let own = Move { person, ..own }.apply(&observation);
-                    if let Some(own) = self.retake(own, is_strange, at_ns) {
+                    let pronoun = own.said.pronoun().or(spoken);
+                    if let Some(own) = self.retake(own, pronoun, is_strange, at_ns) {
                         persons.push(own.person);
                         self.enter_restored(voice, own);
                     }

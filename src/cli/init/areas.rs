@@ -84,7 +84,7 @@ fn floor_of(map: &SemanticMap, areas: &SemanticMap) -> Option<f64> {
             floors.push((known.count(), floor_m));
         }
     }
-    floors.sort_by(|a, b| b.0.cmp(&a.0));
+    floors.sort_by_key(|(known, _)| std::cmp::Reverse(*known));
     match floors[..] {
         [(most, _), (next, _), ..] if most == next => None,
         [(_, floor_m), ..] => Some(floor_m),

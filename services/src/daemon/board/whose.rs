@@ -136,6 +136,7 @@ impl<M: LanguageModel> Board<M> {
         if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
             return None;
         }
+        let pronoun = observation.said.pronoun();
         self.persons.see_off(&mut observation);
         // Where the map has no office by that name, it is the one that people go to work at.
         let has_office =
@@ -146,11 +147,30 @@ impl<M: LanguageModel> Board<M> {
         {
             observation.said = Said::Presence(away);
         }
-        self.admit(observation, voice, (is_strange, false), at_ns)
+        self.admit(observation, pronoun, voice, (is_strange, false), at_ns)
+    }
+
+    /// Takes note of whom an observation told of by name that moved nobody: "Ben calls." Who is "he" after it goes by that.
+    pub(super) fn hear_of(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
+        for clause in self.clauses(observation.clone()) {
+            for own in self.of_persons(clause, is_strange) {
+                if let Some(name) = own.name.map(String::from).or_else(|| self.persons.named(&own.said).pop()) {
+                    let person = self.persons.number_of(&name);
+                    self.persons.remember((is_strange, own.source), person, at_ns.unwrap_or_default());
+                }
+            }
+        }
     }
 
     /// Takes again what a former run found an observation to say of a person, whoever is known by now; of an empty room nothing is left then.
-    pub(super) fn retake(&mut self, own: Observation, is_strange: bool, at_ns: Option<i64>) -> Option<Observation> {
+    /// `pronoun` is the one that it was said with.
+    pub(super) fn retake(
+        &mut self,
+        own: Observation,
+        pronoun: Option<Pronoun>,
+        is_strange: bool,
+        at_ns: Option<i64>,
+    ) -> Option<Observation> {
         if own.person == SOMEBODY {
             self.exclude(&own, is_strange, at_ns);
             return None;
@@ -158,13 +178,14 @@ impl<M: LanguageModel> Board<M> {
         if own.name.is_some() {
             self.persons.remember((is_strange, own.source), own.person, at_ns.unwrap_or_default());
         }
-        self.admit(own, Voice::EARLIER, (is_strange, true), at_ns)
+        self.admit(own, pronoun, Voice::EARLIER, (is_strange, true), at_ns)
     }
 
     /// Takes in what is said of a person, unless something later says otherwise; what a former run has taken in says something in any case.
     fn admit(
         &mut self,
         observation: Observation,
+        pronoun: Option<Pronoun>,
         voice: Voice,
         (is_strange, was_taken): (bool, bool),
         at_ns: Option<i64>,
@@ -190,7 +211,7 @@ impl<M: LanguageModel> Board<M> {
         let pronoun = if observation.name.is_some() {
             observation.said.own_pronoun()
         } else if observation.by_fit {
-            observation.said.pronoun().filter(is_meant)
+            pronoun.filter(is_meant)
         } else {
             None
         };

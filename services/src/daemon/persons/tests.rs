@@ -1985,7 +1985,7 @@ proptest::proptest! {
 }
 
 proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig { cases: 5000, ..Default::default() })]
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 150, ..Default::default() })]
 
     /// What is said after a restart moves whom it would have moved without one: also what is known of who is "she" outlives it.
     #[test]
