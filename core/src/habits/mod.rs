@@ -550,6 +550,9 @@ impl Habits {
 
     /// Per label of the map the probability that it is turned to next, from the model's probabilities (which need not sum to one).
     /// It is compared with what comes next.
+    ///
+    /// # Panics
+    /// When `model` has fewer entries than the map has labels.
     pub fn mix(&mut self, person: u32, at_s: f64, model: &[f64]) -> &[f64] {
         let at = self.person(person);
         let others = self.others(at);
@@ -562,6 +565,9 @@ impl Habits {
 
     /// Per room of the map the probability that the next thing is there, from the model's. To be called after [`Habits::mix`], whose
     /// next object is among what is mixed. It is compared with what comes next.
+    ///
+    /// # Panics
+    /// When `model` has fewer entries than the map has rooms.
     pub fn next_rooms(&mut self, person: u32, at_s: f64, model: &[f64]) -> &[f64] {
         let at = self.person(person);
         let others = self.others(at);
@@ -654,6 +660,9 @@ impl Habits {
 
     /// Which places are in the set with the promised coverage, for probabilities that [`Habits::at`] gave for that time. Where the person's place is
     /// not known, or these are of `another` kind than what [`Habits::at`] gives, nothing was learned of such, and the set has that much of them.
+    ///
+    /// # Panics
+    /// When `probabilities` has fewer entries than there are places.
     pub fn room_set(&mut self, person: u32, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
         let at = self.person(person);
         let another = another || self.place(person).is_none();
