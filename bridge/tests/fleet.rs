@@ -447,6 +447,13 @@ fn two_robots_of_one_name_are_told_of() {
     eventually("it is connected again", || bridges[1].said().contains("connected").then_some(()));
     std::thread::sleep(Duration::from_secs(4));
     assert!(!tells(&bridges[1]), "{}", bridges[1].said());
+    // Who is killed leaves shared memory behind.
+    bridges.iter_mut().for_each(Process::kill);
+    for (number, name) in ["robot-1", "robot-1", "robot-2"].into_iter().enumerate() {
+        let root = folder.path().join((number + 1).to_string());
+        let domain = Domain::new(root, &format!("{name}-{}", std::process::id())).unwrap();
+        domain.clean_up().unwrap();
+    }
 }
 
 #[test]

@@ -234,6 +234,16 @@ impl Robot {
     }
 }
 
+impl Drop for Robot {
+    fn drop(&mut self) {
+        for process in [&mut self.bridge, &mut self.planner, &mut self.daemon] {
+            process.kill();
+        }
+        // Who is killed leaves shared memory behind.
+        let _left = self.domain.clean_up();
+    }
+}
+
 /// An operator's `watch`, whose lines come one by one.
 pub struct Watch {
     child: Child,
