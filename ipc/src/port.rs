@@ -158,7 +158,7 @@ impl<M: Message> Publisher<M> {
             // iceoryx2 looks at all of them when a subscriber comes or goes. Where this one cannot come, another will.
             drop(self.factory.subscriber_builder().create());
         }
-        let joined = subscribers(&self.factory).iter().fold(0, |sum: u128, place| sum.wrapping_add(place.port));
+        let joined = joined(&self.factory);
         self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
         // A newcomer has its history now and may be asleep.
         let changed = self.known.replace(joined) != joined;
@@ -939,6 +939,16 @@ fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory
         CallbackProgression::Continue
     });
     places
+}
+
+/// Who the subscribers are, as the sum of their ports' numbers: a count does not notice one that comes as another goes, and a list takes memory.
+fn joined<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> u128 {
+    let mut sum = 0_u128;
+    factory.dynamic_config().list_subscribers(|subscriber| {
+        sum = sum.wrapping_add(subscriber.subscriber_id.value());
+        CallbackProgression::Continue
+    });
+    sum
 }
 
 pub(crate) fn service_name(name: &'static str) -> Result<ServiceName, OpenFailure> {

@@ -590,8 +590,9 @@ impl<M: LanguageModel> Board<M> {
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
                 // What a clause says of somebody may be kept without how they were called: "away" of "she goes to the office".
-                let mut spoken: Vec<Pronoun> =
-                    self.clauses(observation.clone()).filter_map(|clause| clause.said.pronoun()).collect();
+                let is_by_fit = moves.iter().any(|own| own.by_fit);
+                let clauses = is_by_fit.then(|| self.clauses(observation.clone())).into_iter().flatten();
+                let mut spoken: Vec<Pronoun> = clauses.filter_map(|clause| clause.said.pronoun()).collect();
                 spoken.dedup();
                 let spoken = if let [spoken] = spoken[..] { Some(spoken) } else { None };
                 if moves.is_empty() {

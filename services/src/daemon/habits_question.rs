@@ -276,21 +276,25 @@ mod tests {
         assert_eq!([-0.0, std::iter::empty::<f64>().sum(), 0.0, 1.236].map(told), ["0.0", "0.0", "0.0", "1.24"]);
     }
 
-    /// Who is told by presence alone was observed doing nothing, and is known all the same.
-    #[test]
-    fn hours_in_known_places_count_without_a_thing() {
+    fn board(memory: Memory) -> Board<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map, &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+        let board = Board::new(pipeline, map, options, 1).unwrap();
+        board.with_habits(HomeHabits::new(memory, Zone::UTC))
+    }
+
+    /// Who is told by presence alone was observed doing nothing, and is known all the same.
+    #[test]
+    fn hours_in_known_places_count_without_a_thing() {
         let mut memory = Memory::new(HabitsOptions::default());
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
         memory.habits.be(7, Place::Room(0), 1e9);
         (0..=180).for_each(|minute| memory.habits.tick(7, 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5)));
         // Also after a restart.
         memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
-        let board = Board::new(pipeline, map, options, 1).unwrap();
-        let mut board = board.with_habits(HomeHabits::new(memory, Zone::UTC));
+        let mut board = board(memory);
         let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), 0);
         let line = &answer.persons[0];
         assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
@@ -300,16 +304,11 @@ mod tests {
     #[test]
     fn a_name_that_reads_like_a_number_is_a_name() {
         let ada = person_number("ada");
-        let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
-        let options = GroundingOptions::default();
-        let grounding = Grounding::new(&map, &options).unwrap();
-        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
         let mut memory = Memory::new(HabitsOptions::default());
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
         memory.habits.be(ada, Place::Room(0), 1e9);
         memory.habits.be(ada, Place::Elsewhere, 1e9 + 3_600.0);
-        let board = Board::new(pipeline, map, options, 1).unwrap();
-        let mut board = board.with_habits(HomeHabits::new(memory, Zone::UTC));
+        let mut board = board(memory);
         let mut is_done = |who: String| {
             let question = HabitsQuestion::Forget { id: "1".to_owned(), who: Some(who) };
             answer(&mut board, &mut Importing::default(), Ok(question), 0).0.done

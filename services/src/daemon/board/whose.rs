@@ -104,6 +104,7 @@ impl<M: LanguageModel> Board<M> {
         let noted_ns = at_ns.unwrap_or_default();
         // What a stranger says is not what a named narrator goes on with, whatever number it took.
         let teller = (is_strange, observation.source);
+        let mut pronoun = None;
         match &observation.name {
             Some(name) => {
                 observation.person = self.persons.number_of(name);
@@ -111,7 +112,7 @@ impl<M: LanguageModel> Board<M> {
             }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
-                let pronoun = observation.said.pronoun();
+                pronoun = observation.said.pronoun();
                 let meant = || self.persons.antecedent(teller, pronoun?, noted_ns);
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
@@ -130,13 +131,13 @@ impl<M: LanguageModel> Board<M> {
                 let own = names.find(|name| self.persons.number_of(name) == observation.person);
                 observation.name = own.map(Into::into);
                 observation.by_fit = observation.name.is_none();
+                pronoun = observation.said.pronoun();
             }
             None => {}
         }
         if is_strange && self.persons.is_guarded(observation.person, noted_ns) {
             return None;
         }
-        let pronoun = observation.said.pronoun();
         self.persons.see_off(&mut observation);
         // Where the map has no office by that name, it is the one that people go to work at.
         let has_office =
