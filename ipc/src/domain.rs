@@ -20,6 +20,8 @@ use iceoryx2::service::service_hash::ServiceHash;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use rustix::process::{Pid, Resource, geteuid, getrlimit, test_kill_process};
+use serde::Deserialize;
+use serde::de::value::{Error as ValueError, SeqDeserializer};
 
 use crate::unused::Unused;
 use crate::{IpcError, clock};
@@ -192,7 +194,7 @@ impl Domain {
     /// does not see the folder; without details, which are the last to be cleaned up, it looks for the rest in its default root path
     /// instead of this one. A service's file can be written to until it is finished. All this is ordinary for moments, so nothing is
     /// touched that changed within [`JOINED_WITHIN`] and [`MADE_WITHIN`].
-    fn repair(&self) {
+    fn repair(&self, config: &Config) {
         let prefix = self.prefix();
         let nodes = self.root.join("nodes");
         let mut participants = BTreeSet::new();
@@ -214,11 +216,7 @@ impl Domain {
             let youngest = monitor.iter().chain([&folder]).filter_map(|path| age(path)).min();
             let foreign = folder.exists() && !self.all_ours(&folder);
             if !whole && !foreign && youngest.is_some_and(|age| age >= JOINED_WITHIN) {
-                // Others may do the same at this moment: what fails here has been done there.
-                let _removed = fs::remove_dir_all(&folder);
-                for file in monitor {
-                    let _removed = fs::remove_file(file);
-                }
+                self.remove_entry(id, config);
             }
         }
         self.repair_ports(&participants);
@@ -283,17 +281,37 @@ impl Domain {
         }
     }
 
-    /// Removes a participant that is dead and that iceoryx2 has failed to clean up after for [`JOINED_WITHIN`]; its ports' files go
-    /// with the next [`Domain::repair`].
-    fn remove_dead(&self, id: u128) {
-        let nodes = self.root.join("nodes");
-        let folder = nodes.join(id.to_string());
-        if age(&folder).is_some_and(|age| age >= JOINED_WITHIN) && self.all_ours(&folder) {
-            let _removed = fs::remove_dir_all(&folder);
-            for suffix in MONITOR_FILES {
-                let _removed = fs::remove_file(nodes.join(format!("{}{id}.{suffix}", self.prefix())));
+    /// Removes a participant's entry, and takes it out of its services before that: who is in which service is known by the entry alone, and
+    /// its places would be taken for ever. iceoryx2 may leave an entry like this: where one service cannot be left, it removes the
+    /// monitor all the same. The files of its ports go with the next [`Domain::repair`].
+    fn remove_entry(&self, id: &str, config: &Config) {
+        let Some(_alone) = self.alone() else { return };
+        let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
+        let folder = nodes.join(id);
+        if let Some(participant) = id.parse().ok().and_then(participant_of) {
+            let tag = config.global.node.service_tag_suffix.to_string();
+            for file in fs::read_dir(&folder).into_iter().flatten().flatten() {
+                let name = file.file_name().to_string_lossy().into_owned();
+                let service = name.strip_prefix(&prefix).and_then(|name| name.strip_suffix(&tag));
+                if let Some(service) = service.and_then(|service| ServiceHash::try_from(service).ok()) {
+                    // What fails here is a service that has no whole file any more.
+                    let _left = Flavour::__internal_remove_node_from_service(&participant, &service, config);
+                }
             }
         }
+        // Others may do the same at this moment: what fails here has been done there.
+        let _removed = fs::remove_dir_all(&folder);
+        for suffix in MONITOR_FILES {
+            let _removed = fs::remove_file(nodes.join(format!("{prefix}{id}.{suffix}")));
+        }
+    }
+
+    /// Held by whoever takes others out of services: one at a time. iceoryx2 guards this by the participant's entry, which may be gone.
+    /// None while somebody holds it.
+    fn alone(&self) -> Option<fs::File> {
+        let root = fs::File::open(&self.root).ok()?;
+        rustix::fs::flock(&root, FlockOperation::NonBlockingLockExclusive).ok()?;
+        Some(root)
     }
 
     /// Whether a folder holds nothing but this domain's files.
@@ -459,6 +477,12 @@ impl Domain {
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad_name)?;
         Ok(config)
     }
+}
+
+/// A participant by its number. iceoryx2 makes one of a number only while its entry is whole; its two halves are what it is written as.
+fn participant_of(number: u128) -> Option<UniqueNodeId> {
+    let halves = SeqDeserializer::<_, ValueError>::new([number as u64, (number >> 64) as u64].into_iter());
+    UniqueNodeId::deserialize(SeqDeserializer::new(std::iter::once(halves))).ok()
 }
 
 /// The process in the number of a participant or port (iceoryx2's `UniqueSystemId`): above 64 bits of time.
@@ -692,7 +716,7 @@ impl Node {
     }
 
     fn remove_dead_participants(&self) {
-        self.domain.repair();
+        self.domain.repair(&self.config);
         if self.node.try_cleanup_dead_nodes().failed_cleanups > 0 {
             let mut dead = Vec::new();
             // A list that fails half-way has named some, and the next one goes on.
@@ -703,7 +727,11 @@ impl Node {
                 CallbackProgression::Continue
             });
             for id in dead {
-                self.domain.remove_dead(id);
+                // iceoryx2 has failed to clean up after it for all this time.
+                let folder = self.domain.root.join("nodes").join(id.to_string());
+                if age(&folder).is_some_and(|age| age >= JOINED_WITHIN) && self.domain.all_ours(&folder) {
+                    self.domain.remove_entry(&id.to_string(), &self.config);
+                }
             }
         }
     }
@@ -733,11 +761,7 @@ impl Node {
     /// place: who is killed between leaves a place without a tag, which it passes over (`PortCleanupAction::SkipPort`), and takes the
     /// participant away all the same. The place would be taken for ever.
     pub(crate) fn free_places_of_nobody(&self, places: &[Place], service: &ServiceHash) {
-        // One at a time: iceoryx2 guards this by the participant's entry, which is gone.
-        let Ok(root) = fs::File::open(&self.domain.root) else { return };
-        if rustix::fs::flock(&root, FlockOperation::NonBlockingLockExclusive).is_err() {
-            return;
-        }
+        let Some(_alone) = self.domain.alone() else { return };
         // A participant is there before it takes a place, and as long as it has one: those listed now are all that may hold any of these.
         let mut participants = Vec::new();
         let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
@@ -865,6 +889,12 @@ pub(crate) enum OpenFailure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_participant_is_found_by_its_number() {
+        let number = (3 << 96) | (1234_u128 << 64) | (7 << 32) | 5;
+        assert_eq!(participant_of(number).unwrap().value(), number);
+    }
 
     /// Row "half-made memory dated an hour ahead" of the attacks, and clocks that are set while files are looked at.
     #[test]

@@ -205,15 +205,50 @@ fn memory_that_never_got_its_size_keeps_nobody_waiting() {
     assert_eq!(files(&domain), Vec::<PathBuf>::new());
 }
 
-/// Removes a participant's entry, and ends it then: its places in services stay taken.
-fn end_without_entry(mut child: Child, domain: &Domain) {
-    let of_child = |path: &Path| {
+/// A participant's folder and the files of its monitor.
+fn entries_of(child: &Child, domain: &Domain) -> Vec<PathBuf> {
+    let of_child = |path: &PathBuf| {
         let name = path.file_name().unwrap().to_string_lossy();
         let number = name.trim_start_matches(&domain.prefix()).split('.').next().and_then(|id| id.parse::<u128>().ok());
         number.is_some_and(|number| (number >> 64) as u32 == child.id())
     };
     let nodes = std::fs::read_dir(domain.root().join("nodes")).unwrap().map(|entry| entry.unwrap().path());
-    let entries: Vec<_> = nodes.filter(|path| of_child(path)).collect();
+    nodes.filter(of_child).collect()
+}
+
+/// What iceoryx2 leaves of a dead participant where it fails for a moment to take it out of a service: its monitor is removed, its entry stays.
+#[test]
+fn a_participant_without_its_monitor_leaves_its_services() {
+    let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let domain = Domain::new(root.path(), &format!("monitor-{}", std::process::id())).unwrap();
+    // Somebody stays in a service, which would be removed as a whole otherwise.
+    let node = domain.open("stays").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let mut child = start("daemon", &domain);
+    let began = Instant::now();
+    while scores.receive().unwrap().is_none() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(&domain));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for entry in entries_of(&child, &domain).iter().filter(|entry| entry.is_file()) {
+        std::fs::remove_file(entry).unwrap();
+    }
+    age(&entries_of(&child, &domain));
+    node.clean_up_dead();
+    assert_eq!(entries_of(&child, &domain), Vec::<PathBuf>::new());
+    // Whoever leaves a service last removes it.
+    drop((scores, node));
+    let mut services = files(&domain);
+    services.retain(|file| file.extension().is_some_and(|ending| ending == "service" || ending == "dynamic"));
+    assert!(services.is_empty(), "{services:#?}");
+    assert!(domain.clean_up().unwrap());
+}
+
+/// Removes a participant's entry, and ends it then: its places in services stay taken.
+fn end_without_entry(mut child: Child, domain: &Domain) {
+    let entries = entries_of(&child, domain);
     assert!(entries.len() > 1, "a folder and a monitor: {entries:?}");
     for path in entries {
         if path.is_dir() { std::fs::remove_dir_all(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
