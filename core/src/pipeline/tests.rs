@@ -1,0 +1,614 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::label_trie::TokenTree;
+use crate::narration::{PresenceStatement, Said, Sentence};
+use crate::scorer::correction::Continuation;
+use crate::scorer::table::TableModel;
+use crate::scorer::{ModelError, Token};
+use crate::semantic_map::delta::MapChange;
+
+const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
+const CORRECTED: CorrectionChoice = CorrectionChoice { continuation: Some(Continuation::Labels), prior: Some(0.4) };
+
+fn pipeline(map: &SemanticMap, effort: Effort, correction: CorrectionChoice) -> Pipeline<TableModel> {
+    pipeline_of(TableModel::new(7), map, effort, correction)
+}
+
+fn pipeline_of<M: LanguageModel>(
+    model: M,
+    map: &SemanticMap,
+    effort: Effort,
+    correction: CorrectionChoice,
+) -> Pipeline<M> {
+    let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+    let options = PipelineOptions { effort, correction, ..PipelineOptions::default() };
+    Pipeline::new(model, grounding, options).unwrap()
+}
+
+/// A fake whose rows depend on all of the prompt, where the table's depend on its last tokens.
+struct WholePrompt(TableModel);
+
+impl LanguageModel for WholePrompt {
+    fn info(&self) -> &ModelInfo {
+        self.0.info()
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.0.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.0.token_text(token)
+    }
+
+    fn forget(&mut self) {}
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        let seed = prompt
+            .iter()
+            .fold(7, |seed: u64, token| (seed ^ u64::from(token.0.cast_unsigned())).wrapping_mul(0x100_0000_01b3));
+        TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
+    }
+
+    fn tidy(&mut self, _keep: usize) {}
+
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        Ok(Some(Self(self.0.clone())))
+    }
+}
+
+/// A fake that gives other rows than it is asked for: it says which.
+struct Careless(TableModel, fn(usize) -> Option<usize>);
+
+impl LanguageModel for Careless {
+    fn info(&self) -> &ModelInfo {
+        self.0.info()
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.0.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.0.token_text(token)
+    }
+
+    fn forget(&mut self) {}
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        let Self(table, given) = self;
+        table.decode(prompt, tree, want_prompt_row, &mut |row, logits| {
+            given(row).into_iter().for_each(|row| visit(row, logits));
+        })
+    }
+
+    fn tidy(&mut self, _keep: usize) {}
+
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        Ok(None)
+    }
+}
+
+/// Whoever brings a model is told of it, in place of scores that are wrong, or none for ever.
+#[test]
+fn a_model_that_forgets_a_row_is_refused() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let wrong: [fn(usize) -> Option<usize>; 4] =
+        [|_| None, |row| (row % 2 == 0).then_some(row), |row| (row != 0).then_some(row), |row| Some(row + 1)];
+    for given in wrong {
+        for effort in [Effort::Exact, Effort::Ranking, Effort::Top] {
+            let correction = CorrectionChoice { prior: Some(0.0), ..CorrectionChoice::default() };
+            let mut own = pipeline_of(Careless(TableModel::new(7), given), &map, effort, correction);
+            own.observe([observation(1, 1)]);
+            let told = own.score().map(|_| ()).unwrap_err().to_string();
+            assert!(told.contains("rows of logits"), "{told}");
+        }
+    }
+}
+
+/// Somebody who tells of many persons, also of one of another's, delays the other by one prompt at most.
+#[test]
+fn who_tells_of_many_persons_delays_nobody_elses() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut pipeline = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
+    pipeline.score().unwrap();
+    let told = |source: u64, number: u64, person: u32| Observation { source, ..observation(number, person) };
+    let (mut invented, mut own) = (0, 0);
+    for _ in 0..20 {
+        let of_invented: Vec<_> = (0..6).map(|n| told(9, invented + n + 1, 2 + (invented + n) as u32 % 60)).collect();
+        invented += 6;
+        pipeline.observe(of_invented);
+        pipeline.score_within(1).unwrap();
+        own += 1;
+        pipeline.observe([told(5, own, 1)]);
+        for _ in 0..2 {
+            pipeline.score_within(1).unwrap();
+            assert_eq!(pipeline.scores().asked, 1);
+        }
+        assert!(!pipeline.waits(1) && pipeline.is_behind());
+        let claim = |source: u64| pipeline.scores().included.iter().find(|known| known.source == source);
+        assert_eq!(claim(5).map(|claim| claim.sequence), Some(own));
+        assert!(claim(9).is_some_and(|claim| claim.sequence < invented));
+    }
+    // No flood ends the others' turns: who was told of is scored, and confirmed.
+    while pipeline.is_behind() {
+        pipeline.score_within(1).unwrap();
+    }
+    assert!(pipeline.scores().included.iter().any(|claim| (claim.source, claim.sequence) == (9, invented)));
+}
+
+fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
+    pipeline.preparer(Arc::new(|| false)).unwrap().unwrap()
+}
+
+/// The answer to what a person may do next, if they may.
+fn guessed<M: LanguageModel>(
+    pipeline: &mut Pipeline<M>,
+    preparer: &mut Preparer<M>,
+    person: u32,
+    guess: &Sentence,
+) -> Option<Answer> {
+    let outlook = pipeline.outlook();
+    let ask = preparer.ask(&outlook, person, guess)?;
+    Some(preparer.answer(ask).unwrap())
+}
+
+fn observation(sequence: u64, person: u32) -> Observation {
+    let sentence = Sentence::new(&format!("They touch thing {sequence}.")).unwrap();
+    Observation { person, ..Observation::of(sequence, sentence) }
+}
+
+/// A pipeline whose map lost an item scores as one that never had it: what is gone competes with nothing.
+#[test]
+fn a_changed_map_is_scored_as_a_fresh_one() {
+    let before = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+        for item in &before.items {
+            let gone = MapChange::RemoveItem { id: item.id.clone() };
+            let after = before.changed(vec![gone]).unwrap();
+            let mut changed = pipeline(&before, Effort::Exact, correction);
+            changed.step([observation(1, 0)]).unwrap();
+            changed.change_map(&after, &GroundingOptions::default()).unwrap();
+            changed.score().unwrap();
+            let mut fresh = pipeline(&after, Effort::Exact, correction);
+            fresh.step([observation(1, 0)]).unwrap();
+            let scores = |of: &Pipeline<TableModel>| of.scores().grounded.partition_log_score_nats.clone();
+            for (a, b) in scores(&changed).iter().zip(scores(&fresh)) {
+                assert!((a - b).abs() < 1e-9, "without {}: {a} {b}", item.id);
+            }
+        }
+    }
+}
+
+proptest! {
+    /// Whatever was prepared, also before something else came between, and whether it is what comes: the scores are those of a pipeline
+    /// that prepares nothing.
+    #[test]
+    fn prepared_scores_are_those_computed_afterwards(
+        acts in proptest::collection::vec((0_u32..3, 0_u64..4, 0_u32..4, 0_u64..4, 0_u8..9, any::<bool>()), 1..40)
+    ) {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let fewer = map.changed(vec![MapChange::RemoveItem { id: map.items[0].id.clone() }]).unwrap();
+        for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+            let fresh = || pipeline_of(WholePrompt(TableModel::new(7)), &map, Effort::Exact, correction);
+            let (mut ahead, mut behind) = (fresh(), fresh());
+            let mut aside = preparer(&ahead);
+            ahead.score().unwrap();
+            behind.score().unwrap();
+            let (mut used, mut is_whole) = (0, true);
+            for &(person, does, of, guess, event, is_late) in &acts {
+                let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
+                let mut answer = guessed(&mut ahead, &mut aside, of, &guess);
+                prop_assert!(answer.is_none() || ahead.person(of).is_some());
+                let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.keep_answer(answer));
+                if !is_late {
+                    keep(&mut ahead);
+                }
+                match event {
+                    0 => {
+                        is_whole = !is_whole;
+                        let map = if is_whole { &map } else { &fewer };
+                        ahead.change_map(map, &GroundingOptions::default()).unwrap();
+                        behind.change_map(map, &GroundingOptions::default()).unwrap();
+                    }
+                    1 => while ahead.tidy() | behind.tidy() {},
+                    2 => {
+                        ahead.end_window(person);
+                        behind.end_window(person);
+                    }
+                    3 => drop(ahead.outlook()),
+                    4 => {
+                        ahead.forget_person(person);
+                        behind.forget_person(person);
+                    }
+                    _ => {}
+                }
+                keep(&mut ahead);
+                used += ahead.step([observation(does, person)]).unwrap().prepared;
+                behind.step([observation(does, person)]).unwrap();
+                let pairs = [
+                    (&ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats),
+                    (&ahead.scores().grounded.partition_probability, &behind.scores().grounded.partition_probability),
+                ];
+                for (ahead, behind) in pairs {
+                    prop_assert_eq!(ahead.len(), behind.len());
+                    prop_assert!(ahead.iter().zip(behind).all(|(a, b)| a == b || (a - b).abs() < 1e-9), "{ahead:?} {behind:?}");
+                }
+                for label in 0..ahead.grounding().scored_labels().len() {
+                    prop_assert_eq!(ahead.token_log_prob_nats(label), behind.token_log_prob_nats(label));
+                }
+            }
+            prop_assert!(used <= acts.len());
+        }
+    }
+}
+
+/// Whose prompt was read last is not always whose scores there are.
+#[test]
+fn tokens_of_somebody_who_is_forgotten_explain_nobody_else() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut both = pipeline(&map, Effort::Exact, CORRECTED);
+    both.step([observation(1, 0), observation(2, 1)]).unwrap();
+    both.forget_person(1);
+    both.score().unwrap();
+    assert!(both.token_log_prob_nats(0).is_none());
+    both.step([observation(3, 0)]).unwrap();
+    assert!(both.token_log_prob_nats(0).is_some());
+}
+
+#[test]
+fn what_was_guessed_is_answered_without_the_model() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
+    let mut aside = preparer(&ahead);
+    ahead.step([observation(1, 0)]).unwrap();
+    let said = observation(2, 0);
+    let guess = Sentence::new(said.sentence().unwrap()).unwrap();
+    let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    assert!(ahead.keep_answer(answer));
+    assert!(guessed(&mut ahead, &mut aside, 9, &guess).is_none(), "nobody knows them");
+    let stale = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    let scores = ahead.step([said.clone()]).unwrap();
+    assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
+    assert!(!ahead.keep_answer(stale), "they have done something since");
+    // Forgetting leaves nothing of it, nor of what is on its way.
+    let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    assert!(ahead.keep_answer(answer));
+    let late = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    ahead.forget_person(0);
+    assert!(!ahead.keep_answer(late));
+    ahead.step([said]).unwrap();
+    assert_eq!(ahead.scores().prepared, 0);
+}
+
+#[test]
+fn only_exact_answers_are_prepared_and_so_many() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let partial = pipeline(&map, Effort::Top, CORRECTED);
+    assert!(partial.preparer(Arc::new(|| false)).unwrap().is_none());
+    let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
+    let mut aside = preparer(&ahead);
+    ahead.step([observation(1, 0)]).unwrap();
+    let most = crate::prepared::ANSWERS_MAX as u64;
+    for thing in 2..most + 4 {
+        let guess = Sentence::new(&format!("They touch thing {thing}.")).unwrap();
+        let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+        assert_eq!(ahead.keep_answer(answer), thing < most + 2, "{thing}");
+    }
+}
+
+/// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.
+#[test]
+fn a_smaller_map_gives_the_history_its_tokens_back() {
+    let small = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let things: Vec<String> = (0..40).map(|n| format!(r#"{{"change": "add-item", "item": {{"id": "thing-{n}", "label": "thing number {n}", "position_m": [1, 1, 1], "box": {{"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}}}}"#)).collect();
+    let changes = crate::semantic_map::delta::parse_changes(&format!("[{}]", things.join(","))).unwrap();
+    let large = small.changed(changes).unwrap();
+    let grounding = Grounding::new(&small, &GroundingOptions::default()).unwrap();
+    let model = TableModel::new(7);
+    let history = HistoryLimits { tokens: model.info().context_tokens, ..HistoryLimits::default() };
+    let mut pipeline = Pipeline::new(model, grounding, PipelineOptions { history, ..Default::default() }).unwrap();
+    let before = pipeline.options().history.tokens;
+    pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
+    assert!(pipeline.options().history.tokens < before);
+    // A label that the large list does not know, so that the list is prepared again.
+    let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
+    let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();
+    pipeline.change_map(&other, &GroundingOptions::default()).unwrap();
+    let after = pipeline.options().history.tokens;
+    assert!(after.abs_diff(before) < 20, "{before} tokens before, {after} after");
+}
+
+/// The bounds of two persons together hold under a prior, whose scale each person has for themselves.
+#[test]
+fn partial_answers_of_several_persons_are_true() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
+        for correction in [CorrectionChoice::EQUATION_1, CORRECTED] {
+            let (mut partial, mut exact) =
+                (pipeline(&map, effort, correction), pipeline(&map, Effort::Exact, correction));
+            for sequence in 0..20 {
+                let next = observation(sequence, (sequence % 2) as u32);
+                partial.step([next.clone()]).unwrap();
+                exact.step([next]).unwrap();
+                let (partial, exact) = (partial.scores(), &exact.scores().grounded.partition_log_score_nats);
+                let bounds = partial.lower_log_score_nats.iter().zip(&partial.upper_log_score_nats);
+                for ((lower, upper), exact) in bounds.zip(exact) {
+                    assert!(lower - 1e-9 <= *exact && *exact <= upper + 1e-9, "{lower} {exact} {upper}");
+                }
+                let order = |scores: &[f64]| scores[0] > scores[1];
+                if matches!(partial.reached, Effort::Ranking | Effort::Top) {
+                    assert_eq!(order(&partial.grounded.partition_log_score_nats), order(exact));
+                }
+            }
+        }
+    }
+}
+
+/// Who leaves less mass on the map is seen all the same, and their forecaster gets their own scores.
+#[test]
+fn persons_do_not_hide_each_other() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut both = pipeline(&map, Effort::Exact, CorrectionChoice::EQUATION_1);
+    both.step([observation(1, 0), observation(2, 1)]).unwrap();
+    let of = |person: u32| both.person(person).unwrap().grounded;
+    let together = &both.scores().grounded;
+    for room in 0..2 {
+        let [p, q] = [0, 1].map(|person| of(person).partition_probability[room]);
+        let anybody = 1.0 - (1.0 - p) * (1.0 - q);
+        assert_eq!(together.partition_probability[room], anybody);
+        assert!(anybody >= p.max(q) - 1e-15, "{anybody} {p} {q}");
+        assert_eq!(together.partition_log_score_nats[room], anybody.ln());
+    }
+    assert_eq!(together.label_mass, (of(0).label_mass + of(1).label_mass) / 2.0);
+    let mass: f64 = both.scores().label_log_prob_nats.iter().map(|nats| nats.exp()).sum();
+    assert!((mass - together.label_mass).abs() < 1e-12);
+}
+
+fn presence(sequence: u64, person: u32, text: &str) -> Observation {
+    Observation { said: Said::Presence(PresenceStatement::parse(text).unwrap()), ..observation(sequence, person) }
+}
+
+/// Who is out of the house is in no room and hides nobody; what they did before does not say what they do when they are back.
+#[test]
+fn who_is_away_is_in_no_room() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let fresh = || pipeline(&map, Effort::Exact, CORRECTED);
+    let mut both = fresh();
+    both.step([observation(1, 0), observation(2, 1)]).unwrap();
+    both.step([presence(3, 0, "away")]).unwrap();
+    let away = both.person(0).unwrap();
+    assert!(!away.at_home && away.window == 0 && away.grounded.partition_probability == [0.0; 2]);
+    assert_eq!(away.lower_log_score_nats, [f64::NEG_INFINITY; 2]);
+    let mut alone = fresh();
+    alone.step([observation(2, 1)]).unwrap();
+    assert_eq!(both.scores().label_log_prob_nats, alone.scores().label_log_prob_nats);
+    assert_eq!(both.scores().grounded.partition_probability, alone.scores().grounded.partition_probability);
+    // Nobody is home: no room is likely.
+    both.step([presence(4, 1, "away")]).unwrap();
+    let nobody = both.scores();
+    assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
+    assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
+    assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
+    assert!(both.token_log_prob_nats(0).is_none());
+    // Back: as nobody whom anything is known of.
+    both.step([presence(5, 0, "present in the kitchen")]).unwrap();
+    let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
+    assert_eq!(both.scores().grounded.partition_probability, unknown);
+    both.step([presence(6, 1, "gone")]).unwrap();
+    assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [0]);
+}
+
+/// Silence ends a window as a late observation does, and the person is scored once more.
+#[test]
+fn what_lies_hours_back_leaves_the_prompt() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
+    let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
+    silent.step([observation(1, 0), observation(2, 0)]).unwrap();
+    assert!(silent.end_window(0) && !silent.end_window(0) && !silent.end_window(1));
+    silent.score().unwrap();
+    unknown.score().unwrap();
+    assert_eq!(silent.person(0).unwrap().window, 0);
+    assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
+    assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
+    silent.score().unwrap();
+    assert_eq!(silent.scores().stats.calls, 0, "and once");
+}
+
+/// Scores of one person: labels, probabilities, scores and both bounds.
+fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
+    let GroundedScores { partition_log_score_nats, partition_probability, label_mass, .. } = scores.grounded;
+    let all = [
+        scores.label_log_prob_nats,
+        partition_log_score_nats,
+        partition_probability,
+        scores.lower_log_score_nats,
+        scores.upper_log_score_nats,
+        &[*label_mass],
+    ];
+    (all.concat().iter().map(|value| value.to_bits()).collect(), scores.reached)
+}
+
+proptest! {
+    /// What one narrator says, of whomever it invents too, changes nothing for persons that it does not speak of. Of the probability that
+    /// anybody enters a room it moves what these leave of it, and no more: it can never make a room look free of them.
+    #[test]
+    fn a_narrator_moves_no_room_below_what_the_others_give_it(
+        honest in prop::collection::vec(0u32..3, 1..12),
+        other in prop::collection::vec((2u32..8, 0usize..12), 0..12),
+        first in any::<bool>(),
+    ) {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let honest: Vec<_> = (1..).zip(&honest).map(|(number, person)| observation(number, *person)).collect();
+        let said_by_other = |(number, &(person, what)): (u64, &(u32, usize))| {
+            let said = match what {
+                0 => presence(number, person, "away"),
+                1 => presence(number, person, "present in the kitchen"),
+                _ => observation(number, person),
+            };
+            Observation { source: 99, ..said }
+        };
+        let others: Vec<_> = (1000..).zip(&other).map(said_by_other).collect();
+        let mut with = pipeline(&map, Effort::Exact, CORRECTED);
+        let mut without = pipeline(&map, Effort::Exact, CORRECTED);
+        let (before, after) = if first { (&others, &honest) } else { (&honest, &others) };
+        with.step(before.iter().chain(after).cloned()).unwrap();
+        without.step(honest.iter().cloned()).unwrap();
+        let spoken_of = |person: u32| other.iter().any(|(of, _)| *of == person);
+        let mut free = [1.0; 2];
+        for own in without.persons().filter(|own| !spoken_of(own.person)) {
+            prop_assert_eq!(values(own), values(with.person(own.person).unwrap()));
+            free.iter_mut().zip(&own.grounded.partition_probability).for_each(|(free, p)| *free *= 1.0 - p);
+        }
+        for (free, p) in free.iter().zip(&with.scores().grounded.partition_probability) {
+            prop_assert!((1.0 - free) - 1e-12 <= *p && *p <= 1.0, "{p}, and the others alone give {}", 1.0 - free);
+        }
+    }
+
+    /// However few persons a step scores, what it says is included is in the scores of everybody; after the last one the scores are those of
+    /// a step without a bound.
+    #[test]
+    fn what_is_included_is_scored(
+        said in prop::collection::vec((0u32..5, 0u64..3, 0usize..9, 0u64..4, any::<bool>()), 1..80),
+    ) {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let mut bounded = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
+        let mut free = pipeline(&map, Effort::Exact, CORRECTED);
+        bounded.score().unwrap();
+        // Per narration its source, its number there, its person, and whether they were scored with it.
+        let mut told: Vec<(u64, u64, u32, bool)> = Vec::new();
+        for (number, &(person, source, what, steps, restarts)) in (1..).zip(&said) {
+            let spoken = match what {
+                0 => presence(number, person, "away"),
+                1 => presence(number, person, "present"),
+                _ => observation(number, person),
+            };
+            let next = Observation { source, ..spoken };
+            free.observe([next.clone()]);
+            bounded.observe([next]);
+            // Who is out waits for nothing, and what changes nothing does not either.
+            told.push((source, number, person, !bounded.waits(person)));
+            if restarts {
+                bounded.forget_voices();
+                free.forget_voices();
+            }
+            for _ in 0..steps {
+                let before = bounded.scores().included.clone();
+                bounded.score_within(1).unwrap();
+                prop_assert!(bounded.scores().asked <= 1);
+                told.iter_mut().for_each(|own| own.3 |= !bounded.waits(own.2));
+                for claim in &bounded.scores().included {
+                    let all = told.iter().filter(|own| own.0 == claim.source && own.1 <= claim.sequence);
+                    prop_assert!(all.clone().all(|own| own.3), "{claim:?}");
+                    prop_assert_eq!(all.count() as u64, claim.accepted);
+                    let earlier = before.iter().find(|earlier| earlier.source == claim.source);
+                    prop_assert!(earlier.is_none_or(|earlier| earlier.sequence <= claim.sequence));
+                }
+            }
+        }
+        while bounded.is_behind() {
+            bounded.score_within(1).unwrap();
+        }
+        bounded.score().unwrap();
+        free.score().unwrap();
+        let newest = |pipeline: &Scores| {
+            let of = |claim: &Included| (claim.source, claim.sequence, claim.accepted, claim.observed_ns);
+            pipeline.included.iter().map(of).collect::<std::collections::BTreeSet<_>>()
+        };
+        prop_assert_eq!(newest(bounded.scores()), newest(free.scores()));
+        prop_assert_eq!(bounded.scores().newest_observed_ns, free.scores().newest_observed_ns);
+        prop_assert_eq!(&bounded.scores().grounded.partition_probability, &free.scores().grounded.partition_probability);
+        for own in free.persons() {
+            prop_assert_eq!(values(own), values(bounded.person(own.person).unwrap()));
+        }
+    }
+
+    /// A person's scores are those that they have alone, to the bit; one person's are those of all together.
+    #[test]
+    fn a_persons_scores_are_those_of_that_person_alone(
+        steps in prop::collection::vec((0u64..4000, prop::collection::vec((0u32..4, 0usize..12), 0..4)), 1..8),
+        effort in prop::sample::select(vec![Effort::Exact, Effort::Ranking, Effort::Top]),
+        corrected: bool,
+        gone in prop::option::of(0usize..4),
+    ) {
+        let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+        let correction = if corrected { CORRECTED } else { CorrectionChoice::EQUATION_1 };
+        let gone = gone.and_then(|item| map.items.get(item));
+        let after = gone.map(|item| map.changed(vec![MapChange::RemoveItem { id: item.id.clone() }]).unwrap());
+        let mut together = pipeline(&map, effort, correction);
+        let mut alone = BTreeMap::<u32, Pipeline<TableModel>>::new();
+        let (mut sequence, mut at_s) = (0, 1);
+        for (number, (pause_s, persons)) in steps.iter().enumerate() {
+            at_s += pause_s;
+            let said: Vec<_> = persons.iter().map(|&(person, what)| {
+                sequence += 1;
+                let said = match what {
+                    0 => presence(sequence, person, "away"),
+                    1 => presence(sequence, person, "present"),
+                    2 => presence(sequence, person, "present in the kitchen"),
+                    3 => presence(sequence, person, "gone"),
+                    _ => observation(sequence, person),
+                };
+                Observation { observed_ns: at_s * 1_000_000_000, ..said }
+            }).collect();
+            // Silence ends a window.
+            if *pause_s % 5 == 0 {
+                together.end_window(2);
+                if let Some(own) = alone.get_mut(&2) {
+                    own.end_window(2);
+                    own.score().unwrap();
+                }
+            }
+            together.step(said.clone()).unwrap();
+            for person in said.iter().map(|o| o.person).collect::<std::collections::BTreeSet<_>>() {
+                let own = alone.entry(person).or_insert_with(|| pipeline(&map, effort, correction));
+                own.step(said.iter().filter(|o| o.person == person).cloned()).unwrap();
+            }
+            if number + 1 == steps.len() && let Some(after) = &after {
+                together.change_map(after, &GroundingOptions::default()).unwrap();
+                prop_assert!(together.persons().next().is_none(), "scores of the old map");
+                together.score().unwrap();
+                for own in alone.values_mut() {
+                    own.change_map(after, &GroundingOptions::default()).unwrap();
+                    own.score().unwrap();
+                }
+            }
+        }
+        alone.retain(|_, own| own.persons().next().is_some());
+        prop_assert_eq!(together.persons().count(), alone.len());
+        for (person, own) in &alone {
+            let own_scores = values(own.person(*person).unwrap());
+            prop_assert_eq!(values(together.person(*person).unwrap()), own_scores.clone());
+            let Scores { label_log_prob_nats, grounded, reached, .. } = own.scores();
+            let (lower_log_score_nats, upper_log_score_nats) =
+                (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);
+            let all = PersonScores {
+                person: *person,
+                at_home: true,
+                window: 0,
+                is_current: true,
+                number: 0,
+                label_log_prob_nats,
+                grounded,
+                reached: *reached,
+                lower_log_score_nats,
+                upper_log_score_nats,
+            };
+            prop_assert_eq!(values(all), own_scores);
+        }
+    }
+}
