@@ -64,6 +64,8 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_services::daemon::flag_words;
+
     use super::*;
 
     #[test]
@@ -71,5 +73,16 @@ mod tests {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
         assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
         assert_eq!(decision_flag_names(u32::MAX).len(), 12);
+    }
+
+    /// Who reads JSON finds every flag's meaning.
+    #[test]
+    fn the_manual_has_every_flag() {
+        let manual = include_str!("../docs/json.md");
+        let persons = flag_words(u32::MAX).collect();
+        let all = [score_flag_names(u32::MAX), forecast_flag_names(u32::MAX), persons];
+        for flag in all.iter().flatten() {
+            assert!(manual.contains(&format!("`{flag}`")), "docs/json.md does not have {flag}");
+        }
     }
 }

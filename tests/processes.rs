@@ -1423,9 +1423,12 @@ fn errors_name_the_file_and_the_remedy_once() {
     let out = folder.path().join("out.json").to_str().unwrap().to_owned();
     let shipped = "studio, apartment-e0";
     let cases: [(&[&str], &[&str]); 12] = [
-        (&["scene", "change", "studio", &empty, "--out", &out], &["changes /", "empty.json: EOF", "a JSON list"]),
+        (
+            &["scene", "change", "studio", &empty, "--out", &out],
+            &["changes /", "empty.json: the text ends too early", "a JSON list"],
+        ),
         (&["scene", "change", "studio", "nope", "--out", &out], &["changes nope: cannot be read"]),
-        (&["scene", "apply", &empty], &["changes /", "empty.json: EOF"]),
+        (&["scene", "apply", &empty], &["changes /", "empty.json: the text ends too early"]),
         (&["scene", "draw", "studio", "--scores", "nope"], &["scores nope: cannot be read"]),
         (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
@@ -1446,7 +1449,7 @@ fn errors_name_the_file_and_the_remedy_once() {
     }
     let output = roomcast(&["scene", "check", &graph]).output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(said.contains("graph.json: nodes: unknown field") && said.contains("`roomcast scene import`"), "{said}");
+    assert!(said.contains("graph.json: nodes: unknown key") && said.contains("`roomcast scene import`"), "{said}");
     assert!(String::from_utf8(output.stderr).unwrap().contains("1 scene with errors, 0 warnings"));
 }
 
@@ -2084,7 +2087,7 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     );
     let (code, said) = report(&world, &["-", "--config", config], &lines);
     assert_eq!(code, i32::from(exit_code::INPUT), "{said}");
-    assert!(said.contains("line 1: report: unknown variant `done`, expected one of"), "{said}");
+    assert!(said.contains("line 1: report: unknown word `done`, expected one of"), "{said}");
     let third = decision_with(&decisions, "the robot charges", |decision| decision.sequence > again.sequence);
     assert_eq!((third.action, third.covered.count_ones()), (action::PAUSE, 2), "{}", third.reason());
     let (code, _) = report(&world, &["battery", "--config", config, "--battery", "0.9"], "");

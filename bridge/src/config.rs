@@ -5,6 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
+use roomcast_core::parsing::{keyed, toml_says};
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
 use serde::Deserialize;
 
@@ -37,12 +38,12 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// It is malformed, or has an unknown key.
-    #[error("{path}: {source}; `roomcast-bridge config` prints every key")]
+    #[error("{path}: {}\n`roomcast-bridge config` prints every key", toml_says(.error))]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Where and what.
-        source: Box<toml::de::Error>,
+        /// Where and what. No source: it would be told once more, in the parser's words.
+        error: Box<toml::de::Error>,
     },
     /// A value is none that can be.
     #[error("{}", shown(key, value, allowed))]
@@ -60,7 +61,7 @@ pub enum ConfigError {
 }
 
 fn shown(key: &str, value: &str, allowed: &str) -> String {
-    if value.is_empty() { format!("{key}: {allowed}") } else { format!("{key} = {value}: {allowed}") }
+    if value.is_empty() { format!("{key} is missing: {allowed}") } else { format!("{key} = {value}: {allowed}") }
 }
 
 fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>) -> Result<T, ConfigError> {
@@ -72,26 +73,36 @@ fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The way to the router.
+    #[serde(deserialize_with = "keyed")]
     pub router: Router,
     /// The site.
+    #[serde(deserialize_with = "keyed")]
     pub site: Site,
     /// The robot.
+    #[serde(deserialize_with = "keyed")]
     pub robot: Robot,
     /// Where the robot's processes meet.
+    #[serde(deserialize_with = "keyed")]
     pub ipc: Ipc,
     /// What is told.
+    #[serde(deserialize_with = "keyed")]
     pub tell: Tell,
     /// What is told of habits.
+    #[serde(deserialize_with = "keyed")]
     pub habits: Habits,
     /// What may be asked.
+    #[serde(deserialize_with = "keyed")]
     pub ask: Ask,
     /// Other robots.
+    #[serde(deserialize_with = "keyed")]
     pub peers: Peers,
     /// Narrators elsewhere that are heard.
     pub narrator: Vec<Narrator>,
     /// ROS 2.
+    #[serde(deserialize_with = "keyed")]
     pub ros2: Ros2,
     /// The hub.
+    #[serde(deserialize_with = "keyed")]
     pub hub: Hub,
 }
 
@@ -384,7 +395,7 @@ impl Config {
         }
         let text = String::from_utf8(bytes).map_err(|error| read(io::Error::new(io::ErrorKind::InvalidData, error)))?;
         let mut config: Self = toml::from_str(&text)
-            .map_err(|source| ConfigError::Malformed { path: path.to_owned(), source: Box::new(source) })?;
+            .map_err(|error| ConfigError::Malformed { path: path.to_owned(), error: Box::new(error) })?;
         // Of a path such as `bridge.toml` the folder is empty, and a domain's root is absolute.
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_at(file.parent().unwrap_or(Path::new("/")));

@@ -467,7 +467,7 @@ fn a_wrong_set_up_is_named() {
     };
     for (text, says) in [
         ("", "router.connect"),
-        ("[router]\nconect = 1", "unknown field `conect`"),
+        ("[router]\nconect = 1", "unknown key `conect`"),
         ("[router]\nconnect = \"tls/host:7447\"\nca = \"/nowhere\"", "/nowhere"),
         ("[router]\nconnect = \"tcp/10.0.0.1:7447\"", "insecure"),
     ] {

@@ -68,6 +68,8 @@
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
 pub mod text;
 
+pub mod parsing;
+
 pub mod names;
 
 pub mod narration;

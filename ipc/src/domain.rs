@@ -449,7 +449,7 @@ impl Domain {
         use std::os::unix::fs::DirBuilderExt;
 
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&self.root);
-        made.map_err(|error| self.bad_root(format!("cannot make it: {error}")))?;
+        made.map_err(|error| self.bad_root(format!("cannot make it: {error}; give another folder")))?;
         let metadata =
             fs::symlink_metadata(&self.root).map_err(|error| self.bad_root(format!("cannot look at it: {error}")))?;
         if !metadata.is_dir() {
@@ -463,7 +463,9 @@ impl Domain {
         }
         if metadata.mode() & 0o022 != 0 {
             let mode = metadata.mode() & 0o7777;
-            return Err(self.bad_root(format!("others may write there (mode {mode:o}); chmod go-w it")));
+            return Err(self.bad_root(format!(
+                "others may write there (mode {mode:o}): give a folder of your own, which is made; or chmod go-w this one, if it is yours alone"
+            )));
         }
         Ok(())
     }

@@ -142,7 +142,8 @@ pub enum IpcError {
     },
     /// Others hold all places.
     #[error(
-        "service {service}: it has at most {limit} {role}(s), and has them already: {holder}; stop one first, or use another domain"
+        "{holder} {} here already, and {service} takes {limit} {role}{} in a domain: stop one first, or use another domain",
+        if *.limit == 1 { "is" } else { "are" }, if *.limit == 1 { "" } else { "s" }
     )]
     Occupied {
         /// Service name.
@@ -212,7 +213,9 @@ pub enum IpcError {
         reason: String,
     },
     /// Nobody answered.
-    #[error("service {service}: no answer within {waited_ms} ms; is the daemon running in this domain?")]
+    #[error(
+        "no daemon of this domain has answered within {waited_ms} ms ({service}): start `roomcast daemon`, or give its --root and --domain"
+    )]
     NoAnswer {
         /// Service name.
         service: &'static str,

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use crate::embedded;
 use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
-pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX, error_of_one_line};
+pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
 pub use roomcast_core::narration::line::{Who, WhoError};
 use roomcast_ipc::{MessageError, NarrationV1, text};
 
@@ -90,6 +90,14 @@ pub enum InputError {
     NoFifo {
         /// The file.
         path: PathBuf,
+    },
+    /// A FIFO cannot be made.
+    #[error("cannot make the named pipe {path}: {source}; give --fifo a path in a folder of your own")]
+    MakeFifo {
+        /// Where.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
     },
     /// The program is malformed.
     #[error(transparent)]

@@ -57,7 +57,7 @@ pub enum MomentError {
     },
     /// Nobody of that name.
     #[error(
-        "the moment has nobody who is named {who:?}; it has scores of {known}, and of whoever was not observed yet none"
+        "nobody of whom there are scores is called {who:?}; there are scores of {known}, and of nobody who was not observed yet"
     )]
     NoName {
         /// Who was asked for.

@@ -510,17 +510,16 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
 ///
 /// # Errors
 ///
-/// [`InputError::Read`] when it cannot be made, [`InputError::NoFifo`] when something else is there.
+/// [`InputError::MakeFifo`] when it cannot be made, [`InputError::NoFifo`] when something else is there.
 pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
     use rustix::fs::{CWD, FileType, Mode, mknodat};
-    let read = |source| InputError::Read { name: path.display().to_string(), source };
     match mknodat(CWD, path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0) {
         Ok(()) => Ok(()),
         Err(rustix::io::Errno::EXIST) if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) => {
             Ok(())
         }
         Err(rustix::io::Errno::EXIST) => Err(InputError::NoFifo { path: path.clone() }),
-        Err(error) => Err(read(error.into())),
+        Err(error) => Err(InputError::MakeFifo { path: path.clone(), source: error.into() }),
     }
 }
 

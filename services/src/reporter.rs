@@ -1,9 +1,8 @@
 //! The reporter: what a robot says of itself, as lines of JSON or word by word, as messages for its planner.
 
+use roomcast_core::parsing::{Keyed, json_of_one_line_says};
 use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
-
-use crate::line::error_of_one_line;
 
 /// Longest line of input, in bytes.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -122,12 +121,12 @@ impl Report {
     pub fn parse(line: &str) -> Result<Self, ReporterError> {
         let mut json = serde_json::Deserializer::from_str(line);
         let json_error = |reason: String| ReporterError::Json { reason };
-        let report: Self = serde_path_to_error::deserialize(&mut json).map_err(|error| {
-            let said = error_of_one_line(error.inner());
+        let Keyed(report) = serde_path_to_error::deserialize::<_, Keyed<Self>>(&mut json).map_err(|error| {
+            let said = json_of_one_line_says(error.inner());
             // The path of what is no key's fault is a point.
             json_error(if error.path().iter().next().is_some() { format!("{}: {said}", error.path()) } else { said })
         })?;
-        json.end().map_err(|error| json_error(error_of_one_line(&error)))?;
+        json.end().map_err(|error| json_error(json_of_one_line_says(&error)))?;
         Ok(report)
     }
 }
@@ -211,16 +210,14 @@ mod tests {
     fn errors_name_the_key_and_what_is_allowed() {
         let mut reporter = Reporter::new("vacuum", 9).unwrap();
         for (line, part) in [
-            ("{}", "missing field `report`"),
-            (
-                r#"{"report": "done"}"#,
-                "report: unknown variant `done`, expected one of `position`, `started`, `finished`",
-            ),
-            (r#"{"report": "docked", "romm": "hall"}"#, "unknown field `romm`"),
-            (r#"{"report": "docked", "battery": "full"}"#, "battery: invalid type"),
+            ("{}", "missing key `report`"),
+            (r#"{"report": "done"}"#, "report: unknown word `done`, expected one of `position`, `started`, `finished`"),
+            (r#"{"report": "docked", "romm": "hall"}"#, "unknown key `romm`"),
+            (r#"{"report": "docked", "battery": "full"}"#, "battery: the text \"full\", expected a number"),
             (r#"{"report": "docked", "position": [1, 2]}"#, "position"),
-            (r#"{"report": "docked"} {}"#, "trailing characters"),
+            (r#"{"report": "docked"} {}"#, "more stands behind the end"),
             ("finished", "at column 2; expected"),
+            (r#"["finished", "bathroom"]"#, "a list, expected keys and values"),
             (r#"{"report": "battery"}"#, "needs `battery`: give 0 (empty) to 1 (full)"),
             (r#"{"report": "position"}"#, "needs `position`"),
             (r#"{"report": "docked", "battery": 80}"#, "battery"),

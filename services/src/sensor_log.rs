@@ -27,7 +27,8 @@ use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Keys, Saying, Whereabouts};
-use roomcast_core::text::{excerpt, read_at_most, read_text_at_most};
+use roomcast_core::parsing::{list_of_keyed, toml_says};
+use roomcast_core::text::{read_at_most, read_text_at_most};
 
 /// Largest log that is read, in bytes: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 256 << 20;
@@ -110,7 +111,7 @@ pub struct SensorRules {
 struct RulesFile {
     #[serde(default = "default_columns")]
     columns: Vec<Column>,
-    #[serde(rename = "rule")]
+    #[serde(rename = "rule", default, deserialize_with = "list_of_keyed")]
     rules: Vec<RuleKeys>,
 }
 
@@ -240,14 +241,14 @@ impl SensorRules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let file: RulesFile = toml::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
+        let file: RulesFile = toml::from_str(text).map_err(|error| toml_says(&error))?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
-            return Err(format!("{} rules; give 1 to {RULES_MAX}", file.rules.len()));
+            return Err(format!("{} rules; give 1 to {RULES_MAX}, each begins with [[rule]]", file.rules.len()));
         }
-        for wanted in [Column::Start, Column::Sensor] {
+        for (wanted, name) in [(Column::Start, "start"), (Column::Sensor, "sensor")] {
             let count = file.columns.iter().filter(|column| **column == wanted).count();
             if count != 1 {
-                return Err(format!("columns names {wanted:?} {count} times; name it once"));
+                return Err(format!("columns has \"{name}\" {count} times; name it once"));
             }
         }
         let rules = (1..).zip(file.rules).map(|(number, keys)| {
@@ -714,7 +715,7 @@ mod tests {
     #[test]
     fn malformed_rules_are_named() {
         for (text, part) in [
-            ("", "missing field `rule`"),
+            ("", "0 rules; give 1 to 4096, each begins with [[rule]]"),
             (
                 "[[rule]]\nsay = \"They {value}.\"",
                 "rule 1: say has {value}; it knows {sensor}, {kind}, {place}, {seconds}",
@@ -724,10 +725,10 @@ mod tests {
             ("[[rule]]\nsay = \"\"", "rule 1"),
             ("[[rule]]\nsay = \"They sit.\"\nshortest_s = -1.0", "rule 1: shortest_s"),
             ("columns = [\"sensor\"]\n[[rule]]\nsay = \"They sit.\"", "columns names Start 0 times"),
-            ("[[rule]]\nsays = \"They sit.\"", "unknown field"),
+            ("[[rule]]\nsays = \"They sit.\"", "unknown key"),
             (
                 "[[rule]]\npresence = \"unknown\"",
-                "unknown variant `unknown`, expected one of `present`, `away`, `gone`, `empty`",
+                "unknown word `unknown`, expected one of `present`, `away`, `gone`, `empty`",
             ),
             (
                 "[[rule]]\npresence = \"empty\"",

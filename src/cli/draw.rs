@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::{Grounding, PartitionLevel};
+use roomcast_core::parsing::json_says;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::text::excerpt;
 use roomcast_lab::drawing::{self, Heat};
 
 use super::choice::choice;
@@ -67,8 +67,7 @@ fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &st
         input(format!("scores {shown}: {problem}; give what `roomcast score --json` printed for this scene and level"))
     };
     let json = read("scores", path)?;
-    let scores: Scores =
-        serde_json::from_str(&json).map_err(|error| wrong(excerpt(&error.to_string()).into_owned()))?;
+    let scores: Scores = serde_json::from_str(&json).map_err(|error| wrong(json_says(&error)))?;
     let partitions: HashMap<&str, f64> =
         scores.partitions.iter().map(|score| (score.id.as_str(), score.probability)).collect();
     let items: HashMap<&str, f64> = (scores.items.iter())

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CommandResult, Failure, print_json, ranges, service};
 #[cfg(feature = "mqtt")]
 use super::{broker, narrate_mqtt};
+use roomcast_core::text::count;
 use roomcast_ipc::Domain;
 use roomcast_services::config::Config;
 use roomcast_services::logging;
@@ -91,6 +92,13 @@ pub fn run(args: &Args) -> CommandResult {
     let pace = args.pace.map_or(Pace::Speed(args.speed), Pace::Seconds);
     let person = args.person.clone().unwrap_or_default();
     let input = |error| Failure::new(exit_code::INPUT, error);
+    #[cfg(feature = "mqtt")]
+    let is_mqtt = args.mqtt.is_some();
+    #[cfg(not(feature = "mqtt"))]
+    let is_mqtt = false;
+    if args.rules.is_some() && args.sensors.is_none() && !is_mqtt {
+        return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
+    }
     if let Some(fifo) = &args.fifo {
         narrator::make_fifo(fifo).map_err(input)?;
     }
@@ -116,9 +124,6 @@ pub fn run(args: &Args) -> CommandResult {
     }
     let source = match &args.sensors {
         Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")), &person)?,
-        None if args.rules.is_some() => {
-            return Err(Failure::new(exit_code::USAGE, "--rules are for --mqtt or --sensors; give one of them"));
-        }
         None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(input)?,
     };
     let has_end = args.sensors.is_some() || args.fifo.is_none() && service::has_end(&args.input);
@@ -154,7 +159,10 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
         Some(Stopped::Service) => return Ok(()),
         Some(Stopped::Halfway) => {
             let Outcome { sent, confirmed, .. } = outcome;
-            return Err(service::interrupted(&format!("{sent} narrations were sent, {confirmed} of them confirmed")));
+            return Err(service::interrupted(&format!(
+                "{} sent, {confirmed} of them confirmed",
+                count(*sent as usize, "narration")
+            )));
         }
         None => {}
     }
@@ -181,7 +189,8 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
         return Err(Failure::new(
             exit_code::IPC,
             format!(
-                "{unconfirmed} of {sent} narrations were not confirmed; is a daemon running in {}?",
+                "{unconfirmed} of {} not confirmed; is a daemon running in {}?",
+                count(sent as usize, "narration"),
                 service::shown(domain)
             ),
         ));

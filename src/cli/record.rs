@@ -29,7 +29,7 @@ pub struct Args {
     /// For whom the file is written.
     #[arg(long, value_parser = choice::<Profile>(), default_value_t)]
     profile: Profile,
-    /// Record scores that the daemon only repeats to show that it lives, too.
+    /// Record scores and forecasts that the daemon only repeats, too.
     #[arg(long)]
     heartbeats: bool,
     /// Stop after so many seconds; without it, at ctrl-C.

@@ -61,7 +61,7 @@ enum Format {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub(super) enum Furnish {
-    /// The usual furniture of their kind in rooms without things; walls, doors and a charging station are none.
+    /// The usual furniture of their kind in rooms without things. What cannot furnish a room, such as walls and windows, does not count.
     Typical,
     /// The same, and in rooms with one or two kinds of things alone the pieces that they lack.
     Sparse,

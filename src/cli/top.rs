@@ -4,9 +4,10 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
+use roomcast_core::narration::SOMEBODY;
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, sequence,
+    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
 };
 use serde_json::{Value, json};
 
@@ -217,7 +218,7 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
         .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
         .collect();
     let mut line = json!({
-        "epoch": snapshot.epoch, "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
+        "epoch": format!("{:016x}", snapshot.epoch), "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
         "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
         "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
         "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
@@ -374,10 +375,29 @@ fn learned_json(person: &PersonForecastV1) -> Value {
 }
 
 fn narration_json(told: &NarrationV1) -> Value {
+    // What is not known is null: somebody has no number, and who has one is not always named.
+    let person = (told.person != SOMEBODY).then_some(told.person);
     json!({
-        "source": told.source_name(), "person": told.person, "name": told.person_name(), "kind": told.kind,
+        "source": told.source_name(), "person": person, "name": given(told.person_name()), "kind": told.kind,
+        "kind_name": kind_word(told.kind),
         "text": told.text(), "observed_ns": told.observed_ns,
     })
+}
+
+/// A text that may be left out.
+fn given(text: &str) -> Option<&str> {
+    (!text.is_empty()).then_some(text)
+}
+
+/// How a narration's text is read, as JSON lines say it.
+const fn kind_word(kind: u32) -> Option<&'static str> {
+    match kind {
+        narration_kind::SENTENCE => Some("sentence"),
+        narration_kind::ACTION => Some("action"),
+        narration_kind::DEVICE => Some("device"),
+        narration_kind::PRESENCE => Some("presence"),
+        _ => None,
+    }
 }
 
 /// A decision beside the scores of its daemon: `robot` is the name of the configured robot, whose planner may not tell it.
@@ -390,9 +410,9 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
     });
     json!({
         "robot_name": name, "action_name": action_word(told.action), "covered": covered,
-        "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": told.from(),
-        "to": told.to(), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
-        "cancels": told.cancels, "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,
+        "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": given(told.from()),
+        "to": given(told.to()), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
+        "cancels": Some(told.cancels).filter(|cancelled| *cancelled > 0), "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,
     })
 }
 

@@ -583,7 +583,7 @@ static MISTAKES: [Mistake; 34] = [
         make: |home| home.edit("roomcast.toml", "obey =", "obeys ="),
         check: "configuration",
         verdict: "wrong",
-        found: "unknown field `obeys`",
+        found: "unknown key `obeys`",
         remedy: "roomcast config prints every key",
         code: exit_code::CONFIG,
     },

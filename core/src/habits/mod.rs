@@ -22,7 +22,7 @@
 use std::collections::BTreeMap;
 
 use crate::grounding::{Grounding, partition_names};
-use crate::text::excerpt;
+use crate::parsing::json_says;
 
 mod counts;
 mod frame;
@@ -909,8 +909,7 @@ impl Habits {
         if json.len() > 4 * BYTES_MAX {
             return Err(StoredError::TooLarge { bytes: json.len() });
         }
-        let stored: Stored =
-            serde_json::from_str(json).map_err(|error| malformed(excerpt(&error.to_string()).into_owned()))?;
+        let stored: Stored = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
         Self::restore(options, &stored.checked()?)
     }
 }

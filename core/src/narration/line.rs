@@ -13,7 +13,8 @@ use super::{
     Action, DeviceState, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, Presence, PresenceError,
     PresenceStatement, SOMEBODY, Said, Sentence,
 };
-use crate::text::{excerpt, is_hidden, visible, without_mark};
+use crate::parsing::{json_of_one_line_says, json_says};
+use crate::text::{is_hidden, without_mark};
 
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -289,7 +290,7 @@ impl Line {
     }
 
     fn of_json(line: &str, person: &Who) -> Result<Self, LineError> {
-        let json: JsonLine = serde_json::from_str(line).map_err(|error| reason(&error_of_one_line(&error)))?;
+        let json: JsonLine = serde_json::from_str(line).map_err(|error| reason(&json_of_one_line_says(&error)))?;
         let text = json.text.as_ref().map(|text| string("text", text)).transpose()?;
         let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
         let (kind, text) = match (text, presence) {
@@ -320,7 +321,7 @@ impl Line {
             Some(_) if is_empty => {
                 return Err(reason("that nobody is in a room is of everybody; leave \"person\" out"));
             }
-            Some(own) => Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {error}")))?,
+            Some(own) => Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {}", json_says(&error))))?,
             None if is_empty => Who::Somebody,
             None => person.clone(),
         };
@@ -396,16 +397,6 @@ fn key_error(key: &str, value: &Value, allowed: &str) -> LineError {
 
 fn reason(reason: &str) -> LineError {
     LineError::Json { reason: reason.to_owned() }
-}
-
-/// A parser's error about a text of one line, which it calls the first.
-#[must_use]
-pub fn error_of_one_line(error: &serde_json::Error) -> String {
-    // It quotes a key as it came.
-    let said = excerpt(&visible(&error.to_string())).into_owned();
-    let position = format!(" at line {} column {}", error.line(), error.column());
-    let place = |said: &str| format!("{said} at column {}", error.column());
-    said.strip_suffix(&position).map_or_else(|| said.clone(), place)
 }
 
 #[cfg(test)]
@@ -485,7 +476,7 @@ mod tests {
     #[test]
     fn an_error_names_the_key_and_what_is_allowed() {
         for (json, part) in [
-            ("{\"txt\": \"a\"}", "unknown field `txt`, expected one of `text`, `kind`, `presence`, `room`, `person`"),
+            ("{\"txt\": \"a\"}", "unknown key `txt`, expected one of `text`, `kind`, `presence`, `room`, `person`"),
             ("{\"text\": \"They sit.\"", "at column 20"),
             ("{}", "give \"text\" or \"presence\""),
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
@@ -507,9 +498,9 @@ mod tests {
             (r#"{"text": "nobody in the hall", "kind": "presence", "person": 3}"#, "leave \"person\" out"),
             (r#"{"presence": "unknown"}"#, "\"presence\" is \"unknown\""),
             (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
-            (r#"{"text": "They sit.", "person": -1}"#, "\"person\": invalid value: integer `-1`, expected a person's"),
+            (r#"{"text": "They sit.", "person": -1}"#, "\"person\": the number `-1`, expected a person's"),
             (r#"{"text": "They sit.", "person": 4294967295}"#, "number from 0 to 4294967294, or name"),
-            (r#"{"text": "They sit.", "person": 1.5}"#, "\"person\": invalid type: floating point `1.5`"),
+            (r#"{"text": "They sit.", "person": 1.5}"#, "\"person\": the number `1.5`"),
             (r#"{"text": "They sit.", "person": ""}"#, "\"person\": \"\" is no person"),
             (r#"{"text": "They sit.", "person": "-3"}"#, "\"person\": \"-3\" is no person"),
             (r#"{"text": "They sit.", "observed_unix_s": "noon"}"#, "\"observed_unix_s\" is \"noon\"; give seconds"),
@@ -550,7 +541,7 @@ mod tests {
         assert_eq!(reports.len(), 8);
         for line in reports {
             serde_json::from_str::<serde_json::Map<String, Value>>(line).unwrap();
-            assert!(item(line).unwrap_err().to_string().contains("unknown field `report`"), "{line}");
+            assert!(item(line).unwrap_err().to_string().contains("unknown key `report`"), "{line}");
         }
     }
 

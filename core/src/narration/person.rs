@@ -217,7 +217,7 @@ pub fn check_name(name: &str) -> Result<(), String> {
         return Err(format!("{shown:?} is a number: give a name with a letter"));
     }
     if ["nobody", "me", "who"].contains(&name.to_lowercase().as_str()) || super::Said::is_pronoun(name) {
-        return Err(format!("{shown:?} is no one person's name: leave it out where nobody is named"));
+        return Err(format!("{shown:?} is no name of one person: give a name, or none where nobody is named"));
     }
     if name.contains(is_hidden) || name.len() > PERSON_NAME_BYTES_MAX || !name.contains(char::is_alphanumeric) {
         return Err(format!(

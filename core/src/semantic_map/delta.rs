@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, element_of, place};
 use super::{Box3, SceneError, SemanticMap};
+use crate::parsing::{Keyed, json_says};
 use crate::text::{excerpt, without_mark};
 
 /// One change. In JSON the key `change` names it: `{"change": "move-item", "id": "mug-1", "position_m": [..], "box": {..}}`.
@@ -94,15 +95,12 @@ pub enum DeltaError {
 /// # Errors
 /// [`DeltaError::Json`].
 pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
-    let fail = |element, error: &serde_json::Error| DeltaError::Json {
-        element,
-        message: excerpt(&error.to_string()).into_owned(),
-    };
+    let fail = |element, error: &serde_json::Error| DeltaError::Json { element, message: json_says(error) };
     let mut parser = serde_json::Deserializer::from_str(without_mark(json));
-    let changes =
+    let changes: Vec<Keyed<MapChange>> =
         serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;
     parser.end().map_err(|error| fail("end".to_owned(), &error))?;
-    Ok(changes)
+    Ok(changes.into_iter().map(|change| change.0).collect())
 }
 
 impl SemanticMap {
@@ -223,7 +221,8 @@ mod tests {
         let message = |json: &str| changed(json).unwrap_err().to_string();
         assert!(message("{}").contains("expected a JSON list"));
         assert!(message(&REMOVE.replace("sofa-1", "sofa-2")).contains("changes[0]: there is no item \"sofa-2\""));
-        assert!(message(&REMOVE.replace("remove", "paint")).contains("unknown variant"));
+        assert!(message(r#"[["remove-item", "mug-1"]]"#).contains("a list, expected keys and values"));
+        assert!(message(&REMOVE.replace("remove", "paint")).contains("unknown word"));
         let twice = ADD.replace("mug-9", "mug-1");
         let error = changed(&twice).unwrap_err();
         assert!(std::error::Error::source(&error).unwrap().to_string().contains("is used twice"));

@@ -98,6 +98,10 @@ fn strip_m2(a: [f64; 2], b: [f64; 2], size: [f64; 2]) -> f64 {
     (left - right) * mean
 }
 
+fn no_area(index: usize) -> Fault {
+    (format!("ring {index} has no area"), "give corners that are not all on one line")
+}
+
 impl Footprint {
     /// Checks rings, the outline first. A ring may repeat its first corner at its end.
     pub(super) fn new(rings: &[Vec<[f64; 2]>]) -> Result<Self, Fault> {
@@ -122,8 +126,9 @@ impl Footprint {
                 ));
             }
             let area_m2 = signed_area_m2(&ring);
-            if area_m2 == 0.0 {
-                return Err((format!("ring {index} has no area"), "give corners that are not all on one line"));
+            let on_one_line = ring.iter().all(|corner| turn(ring[0], ring[1], *corner) == 0.0);
+            if on_one_line {
+                return Err(no_area(index));
             }
             if (area_m2 > 0.0) != (index == 0) {
                 ring.reverse();
@@ -133,6 +138,10 @@ impl Footprint {
         let corners = checked.iter().map(Vec::len).sum();
         let footprint = Self { rings: checked, corners };
         footprint.check_edges()?;
+        // One whose halves have equal areas and cross is named by the crossing.
+        if let Some(index) = footprint.rings.iter().position(|ring| signed_area_m2(ring) == 0.0) {
+            return Err(no_area(index));
+        }
         footprint.check_holes()?;
         Ok(footprint)
     }

@@ -1,5 +1,6 @@
 //! The scene file, versions 1 and 2: reading, checking, writing. `scenes/README.md` documents it field by field.
 
+use crate::parsing::json_says;
 use crate::text::{excerpt, is_hidden, without_mark};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
@@ -475,10 +476,7 @@ impl SemanticMap {
             return Err(SceneError::FileTooLarge);
         }
         let mut parser = serde_json::Deserializer::from_str(without_mark(text));
-        let json_error = |element, error: &serde_json::Error| SceneError::Json {
-            element,
-            message: excerpt(&error.to_string()).into_owned(),
-        };
+        let json_error = |element, error: &serde_json::Error| SceneError::Json { element, message: json_says(error) };
         let file: SceneFile = serde_path_to_error::deserialize(&mut parser).map_err(|error| {
             if error.inner().is_eof() {
                 let (line, element) = (error.inner().line(), element_of(error.path()));
@@ -954,7 +952,7 @@ mod tests {
             ("\"version\": 2", "\"version\": 1", "rooms[1] (\"hallway\"), `footprint`: is a key of version 2"),
             ("[[[-2, 0], [0, 0]", "[[[-2, 0], [-1, 9]", "rooms[1] (\"hallway\"), `footprint`: ring 0 meets itself"),
             ("[[[-2, 0], [0, 0]", "[[[-2, 0], [0, 2e4]", "`footprint`: [0.0, 20000.0, 0.0] lies farther than 10 km"),
-            ("[[[-2, 0], [0, 0]", "[[[-2, 0], [0]", "rooms[1].footprint[0][1]: invalid length 1"),
+            ("[[[-2, 0], [0, 0]", "[[[-2, 0], [0]", "rooms[1].footprint[0][1]: a list of 1, expected 2 of them"),
             ("\"floor\": 0, \"height\": 2.5}", "\"floor\": 0, \"height\": 0}", "`height`: leaves no volume"),
             ("\"floor\": 0,", "\"floor\": 1e9,", "`floor`: "),
             (
@@ -1017,7 +1015,7 @@ mod tests {
         let cases = [
             ("/format", json!("map"), "is `map` version 1"),
             ("/version", json!(3), "version 3, but this program reads `roomcast-scene` versions 1 to 2"),
-            ("/color", json!(1), "unknown field `color`"),
+            ("/color", json!(1), "unknown key `color`"),
             ("/name", json!(""), "scene[0] (\"\"), `name`: is empty; give a short name"),
             ("/rooms", json!([]), "`rooms`: has no entry"),
             ("/rooms/1/id", json!("kitchen"), "rooms[1] (\"kitchen\"), `id`: is used twice"),
@@ -1029,9 +1027,9 @@ mod tests {
             ("/items/0/label", json!("m\u{200b}ug"), "control character"),
             ("/items/0/label", json!("m".repeat(129)), "is 129 bytes long, more than 128"),
             ("/items/0/box/min_m", json!([9, 9, 9]), "exceeds max_m"),
-            ("/items/0/box/min_m", json!([0, 0]), "items[0].box.min_m: invalid length 2"),
+            ("/items/0/box/min_m", json!([0, 0]), "items[0].box.min_m: a list of 2, expected 3 of them"),
             ("/items/0/position_m", json!([0, 2e4, 0]), "farther than 10 km"),
-            ("/items/0/position_m", json!([0, null, 0]), "items[0].position_m[1]: invalid type: null"),
+            ("/items/0/position_m", json!([0, null, 0]), "items[0].position_m[1]: null, expected a number"),
             ("/items/1/id", json!("mug-1"), "items[1] (\"mug-1\"), `id`: is used twice"),
             ("/items/0/captions", json!([{"label": "cup", "weight": 1}]), "not among its captions"),
             ("/items/0/captions", json!([{"label": "mug", "weight": 0}]), "positive weight"),
@@ -1102,7 +1100,7 @@ mod tests {
     #[test]
     fn text_after_the_scene_is_refused() {
         let error = SemanticMap::from_json(&format!("{TWO_ROOMS} true")).unwrap_err();
-        assert!(message(&error).starts_with("end: trailing characters"), "{}", message(&error));
+        assert!(message(&error).starts_with("end: more stands behind the end"), "{}", message(&error));
     }
 
     proptest! {

@@ -12,6 +12,7 @@ use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::GroundingOptions;
 use roomcast_core::narration::history::{HistoryLimits, OBSERVATIONS_MAX, PERSONS_MAX};
 use roomcast_core::narration::{check_name, same_but_for_accents};
+use roomcast_core::parsing::{keyed, toml_says};
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::prepared::ANSWERS_MAX;
 use roomcast_core::prompt::{BINDING_BYTES_MAX, BindingSequence};
@@ -56,22 +57,12 @@ const NOT_PERSONS_MAX: usize = 256;
 /// Least bytes of the journal: either half holds a few of the longest sentences.
 const JOURNAL_BYTES_MIN: u64 = 8192;
 
-/// What the parser says, with numbers' types as people call them.
-fn in_words(error: &toml::de::Error) -> String {
-    ["usize", "u64", "u32", "u16", "u8", "i64"]
-        .iter()
-        .fold(excerpt(&error.to_string()).into_owned(), |text, number| {
-            text.replace(&format!("expected {number}"), "expected a whole number")
-        })
-        .replace("expected f64", "expected a number")
-}
-
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("failed to read the configuration {path}: {source}")]
+    #[error("failed to read the configuration {path}: {source}; `roomcast config > FILE` makes one")]
     Read {
         /// The file.
         path: PathBuf,
@@ -85,7 +76,7 @@ pub enum ConfigError {
         path: PathBuf,
     },
     /// Not TOML, an unknown key, or a value of the wrong kind.
-    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", in_words(.error))]
+    #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", toml_says(.error))]
     Parse {
         /// The file.
         path: PathBuf,
@@ -157,36 +148,52 @@ const SECONDS_MAX: f64 = 1e9;
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The model.
+    #[serde(deserialize_with = "keyed")]
     pub model: ModelConfig,
     /// The semantic map.
+    #[serde(deserialize_with = "keyed")]
     pub scene: SceneConfig,
     /// How labels are scored.
+    #[serde(deserialize_with = "keyed")]
     pub scoring: ScoringConfig,
     /// How scores are grounded.
+    #[serde(deserialize_with = "keyed")]
     pub grounding: GroundingOptions,
     /// The history window of each person.
+    #[serde(deserialize_with = "keyed")]
     pub history: HistoryLimits,
     /// Where the processes meet.
+    #[serde(deserialize_with = "keyed")]
     pub ipc: IpcConfig,
     /// The daemon.
+    #[serde(deserialize_with = "keyed")]
     pub daemon: DaemonConfig,
     /// Who lives in the house.
+    #[serde(deserialize_with = "keyed")]
     pub persons: PersonsConfig,
     /// What a forecast assumes before it has watched its person.
+    #[serde(deserialize_with = "keyed")]
     pub forecast: ForecastOptions,
     /// What is learned of the home.
+    #[serde(deserialize_with = "keyed")]
     pub habits: HabitsConfig,
     /// The planner.
+    #[serde(deserialize_with = "keyed")]
     pub planner: PlannerConfig,
     /// The narrator.
+    #[serde(deserialize_with = "keyed")]
     pub narrator: NarratorConfig,
     /// Metrics for Prometheus.
+    #[serde(deserialize_with = "keyed")]
     pub metrics: MetricsConfig,
     /// The MQTT broker.
+    #[serde(deserialize_with = "keyed")]
     pub mqtt: MqttConfig,
     /// What is published over MQTT.
+    #[serde(deserialize_with = "keyed")]
     pub bridge: BridgeConfig,
     /// The robot that is driven.
+    #[serde(deserialize_with = "keyed")]
     pub robot: RobotConfig,
 }
 
@@ -630,10 +637,8 @@ mod tests {
 
     #[test]
     fn a_value_of_the_wrong_kind_is_told_in_words() {
-        let told = |toml: &str| in_words(&toml::from_str::<Config>(toml).unwrap_err());
-        assert!(
-            told("[scoring]\nprepare = \"many\"").contains("invalid type: string \"many\", expected a whole number")
-        );
+        let told = |toml: &str| toml_says(&toml::from_str::<Config>(toml).unwrap_err());
+        assert!(told("[scoring]\nprepare = \"many\"").contains("the text \"many\", expected a whole number"));
         assert!(told("[daemon]\nhang_s = -1").contains("expected a whole number"));
         assert!(told("[scoring]\nprepare_share = \"all\"").contains("expected a number"));
     }
@@ -826,7 +831,7 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "[planner]\nroom_time_s = \"5\"").unwrap();
         let text = crate::logging::chain(&Config::load(file.path()).unwrap_err());
-        assert_eq!(text.matches("invalid type").count(), 1, "{text}");
+        assert_eq!(text.matches("the text \"5\", expected a number").count(), 1, "{text}");
         assert!(text.contains("expected a number") && !text.contains("f64"), "{text}");
     }
 

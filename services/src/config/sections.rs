@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use roomcast_core::habits::{HabitsOptions, SetOptions};
+use roomcast_core::parsing::{keyed, list_of_keyed};
 use roomcast_core::policy::PolicyName;
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
@@ -24,8 +25,10 @@ pub struct DaemonConfig {
     /// Seconds without a step of the loop after which the daemon gives itself up, for systemd to restart it.
     pub hang_s: u64,
     /// What one narrator may send.
+    #[serde(deserialize_with = "keyed")]
     pub intake: IntakeLimits,
     /// Narrators that are known by name.
+    #[serde(deserialize_with = "list_of_keyed")]
     pub narrator: Vec<KnownNarrator>,
 }
 

@@ -111,14 +111,14 @@ impl KeptMap {
         let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
             Ok(text) => text?,
             Err(error) => {
-                tracing::warn!(%error, path = %self.path.display(), "the changed map cannot be read; the configured scene is used");
+                tracing::warn!(%error, path = %self.path.display(), "the changed map cannot be read, and the configured scene is used: remove it, and apply the changes again");
                 return None;
             }
         };
         let kept: KeptFile = match serde_json::from_str(&text) {
             Ok(kept) => kept,
             Err(error) => {
-                tracing::warn!(%error, path = %self.path.display(), "the changed map is damaged; the configured scene is used");
+                tracing::warn!(%error, path = %self.path.display(), "the changed map is damaged, and the configured scene is used: remove it, and apply the changes again");
                 return None;
             }
         };

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state_file;
 use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
-use roomcast_core::text::excerpt;
+use roomcast_core::parsing::json_says;
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
@@ -104,12 +104,12 @@ impl PersonsFile {
             Ok(None) => Vec::new(),
             Ok(Some(text)) => parse(&text).unwrap_or_else(|reason| {
                 unusable = true;
-                tracing::warn!(reason, path = %path.display(), "the persons file is malformed; names mean what they mean without it");
+                tracing::warn!(reason, path = %path.display(), "the persons file is malformed, and the names in it are not known: correct or remove it, and restart");
                 Vec::new()
             }),
             Err(error) => {
                 unusable = true;
-                tracing::warn!(%error, path = %path.display(), "the persons file cannot be read; names mean what they mean without it");
+                tracing::warn!(%error, path = %path.display(), "the persons file cannot be read, and the names in it are not known: correct or remove it, and restart");
                 Vec::new()
             }
         };
@@ -213,8 +213,7 @@ fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
 
 /// Reads the file; a name or number that stands twice would make two persons of one.
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
-    let persons: Vec<KeptPerson> =
-        serde_json::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
+    let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
     let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;

@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::rc::Rc;
 
-use roomcast_core::text::{excerpt, read_text_at_most};
+use roomcast_core::parsing::{list_of_keyed, toml_says};
+use roomcast_core::text::read_text_at_most;
 use serde::de::IgnoredAny;
 use sha2::{Digest, Sha256};
 
@@ -22,7 +23,7 @@ pub struct Rules(pub(super) Vec<Rule>);
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RulesFile {
-    #[serde(rename = "rule", default)]
+    #[serde(rename = "rule", default, deserialize_with = "list_of_keyed")]
     rules: Vec<RuleKeys>,
 }
 
@@ -149,7 +150,7 @@ impl Rules {
     ///
     /// What is wrong, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let file: RulesFile = toml::from_str(text).map_err(|error| excerpt(&error.to_string()).into_owned())?;
+        let file: RulesFile = toml::from_str(text).map_err(|error| toml_says(&error))?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
             return Err(format!("{} rules; give 1 to {RULES_MAX}, each begins with [[rule]]", file.rules.len()));
         }

@@ -403,14 +403,14 @@ fn malformed_rules_are_named() {
         ("[[rule]]\ntopic = \"a\"\npresence = \"present\"\nroom = \"{1}\"", "rule 1: room has {1}; it knows {value}"),
         (
             "[[rule]]\ntopic = \"a\"\npresence = \"home\"",
-            "unknown variant `home`, expected one of `present`, `away`, `gone`, `empty`",
+            "unknown word `home`, expected one of `present`, `away`, `gone`, `empty`",
         ),
         ("[[rule]]\ntopic = \"a\"\npresence = \"empty\"", "rule 1: presence = \"empty\" says that nobody"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
         ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nwhen = \"on\"\nunless = [\"off\"]", "rule 1: when and unless exclude"),
-        ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown field"),
+        ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown key"),
     ] {
         let error = Rules::parse(text).unwrap_err();
         assert!(error.contains(part), "{text}: {error}");

@@ -161,11 +161,8 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
         ),
         (false, _) if !visitors.is_empty() => Finding::limited(
             check,
-            format!(
-                "the rules name {}, who is not among persons.residents in {shown} and counts as a visitor",
-                some_of(visitors)
-            ),
-            "add the name to persons.residents, or correct it in the rules",
+            format!("the rules name {}: not among persons.residents in {shown}, so a visitor", some_of(visitors)),
+            "add who lives here to persons.residents, or correct the name in the rules",
         ),
         (false, _) => Finding::good(check, format!("{} in {shown}", count(residents.len(), "resident"))),
     }

@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use super::schema::{self, MAX_ALIASES, RoomEntry, SceneError, element_of};
 use super::{MAX_TEXT_BYTES, SemanticMap};
 use crate::names::{Names, plain_words};
+use crate::parsing::json_says;
 use crate::text::{excerpt, is_hidden, without_mark};
 
 mod furnish;
@@ -66,11 +67,7 @@ pub enum ImportError {
 }
 
 fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -> Result<T, ImportError> {
-    let fail = |element, error: &serde_json::Error| ImportError::Json {
-        element,
-        message: excerpt(&error.to_string()).into_owned(),
-        expected,
-    };
+    let fail = |element, error: &serde_json::Error| ImportError::Json { element, message: json_says(error), expected };
     let mut parser = serde_json::Deserializer::from_str(without_mark(json));
     let value =
         serde_path_to_error::deserialize(&mut parser).map_err(|error| fail(element_of(error.path()), error.inner()))?;

@@ -107,7 +107,7 @@ struct Object {
 }
 
 #[derive(Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "no caption: give a text, or {\"text\": text, \"weight\": number}")]
 enum Candidate {
     Text(String),
     Weighted {
@@ -431,7 +431,7 @@ mod tests {
     fn what_is_no_map_is_refused() {
         let message = |json: &str| open_vocabulary(json, "x", Up::Z).unwrap_err().to_string();
         assert!(message("[]").contains("open-vocabulary map"));
-        assert!(message("{\"rooms\": 3}").contains("rooms: invalid type"));
+        assert!(message("{\"rooms\": 3}").contains("rooms: the number `3`, expected a list"));
         assert!(message(&MAP.replace("[1, 1, 1], \"bbox", "[1, 1, 1e9], \"bbox")).contains("farther than 10 km"));
         assert!(message(&MAP.replace("\"weight\": ", "\"weight\": 1e10")).contains("between 1e-9 and 1e9"));
     }

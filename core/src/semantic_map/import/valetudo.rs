@@ -13,12 +13,12 @@ use serde_json::Value;
 
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label, room_words};
 use crate::names::Names;
+use crate::parsing::toml_says;
 use crate::semantic_map::footprint::{Footprint, MAX_CORNERS};
 use crate::semantic_map::schema::{
     DoorEntry, FARTHEST_M, FORMAT, ItemEntry, ROOM_HEIGHT_M, Rings, RoomEntry, SceneFile, VERSION,
 };
 use crate::semantic_map::{Box3, MAX_ROOMS, SemanticMap};
-use crate::text::excerpt;
 
 const EXPECTED: &str = "a map as Valetudo exports it: `pixelSize` and `layers`";
 /// Most pixels of a robot's map, and of the rectangle around it.
@@ -530,7 +530,7 @@ fn text_of(value: &Value) -> Option<String> {
 pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError> {
     toml::from_str(toml).map_err(|error: toml::de::Error| ImportError::Json {
         element: ".".to_owned(),
-        message: excerpt(&error.to_string()).into_owned(),
+        message: toml_says(&error),
         expected: "names of segments, as 11 = \"kitchen\" on a line each",
     })
 }

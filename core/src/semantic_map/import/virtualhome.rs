@@ -199,7 +199,7 @@ mod tests {
                 .contains("nodes[0].bounding_box.size")
         );
         assert!(message(&GRAPH.replace("[1, 0.5, 2]", "[1, 0.5, 1e300]")).contains("farther than 10 km"));
-        assert!(message(&format!("{{\"x\": {}", "[".repeat(100_000))).contains("EOF"));
+        assert!(message(&format!("{{\"x\": {}", "[".repeat(100_000))).contains("the text ends before its ]"));
     }
 
     proptest! {

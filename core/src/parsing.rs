@@ -1,0 +1,272 @@
+//! What parsers of JSON and TOML say, in people's words; and sections that no list stands for.
+//!
+//! `serde` names the types of a program: "expected struct Box3", "expected f64". Who writes a map or a configuration does not know them.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use crate::text::{excerpt, visible};
+
+/// What a parser says of JSON, on one line, at most as long as [`excerpt`] leaves it.
+///
+/// ```
+/// use roomcast_core::parsing::json_says;
+///
+/// let error = serde_json::from_str::<Vec<u32>>("[1, true]").unwrap_err();
+/// assert_eq!(json_says(&error), "`true`, expected a whole number of 0 or more at line 1 column 8");
+/// ```
+#[must_use]
+pub fn json_says(error: &serde_json::Error) -> String {
+    excerpt(&visible(&in_words(&error.to_string(), "a list"))).into_owned()
+}
+
+/// What a parser says of JSON that is one line, which it calls the first.
+#[must_use]
+pub fn json_of_one_line_says(error: &serde_json::Error) -> String {
+    let said = json_says(error);
+    let position = format!(" at line {} column {}", error.line(), error.column());
+    match said.strip_suffix(&position) {
+        Some(said) => format!("{said} at column {}", error.column()),
+        None => said,
+    }
+}
+
+/// What a parser says of TOML: the line that it is about, and below it what is wrong.
+#[must_use]
+pub fn toml_says(error: &toml::de::Error) -> String {
+    let whole = error.to_string();
+    let said = whole.trim_end();
+    let shown = match said.strip_suffix(error.message().trim_end()) {
+        Some(line) => {
+            line.to_owned()
+                + &in_words(
+                    error.message().trim_end(),
+                    "a list: [[NAME]] begins one of several, and [\"...\"] has texts",
+                )
+        }
+        None => said.to_owned(),
+    };
+    excerpt(&shown).into_owned()
+}
+
+/// What stands there, in the program's words and in people's.
+const GIVEN: [(&str, &str); 12] = [
+    ("invalid type: sequence", "a list"),
+    ("invalid type: map", "keys and values"),
+    ("invalid type: null", "null"),
+    ("invalid type: unit value", "null"),
+    ("invalid type: string ", "the text "),
+    ("invalid type: integer ", "the number "),
+    ("invalid type: floating point ", "the number "),
+    ("invalid type: boolean ", ""),
+    ("invalid type: ", ""),
+    ("invalid value: integer ", "the number "),
+    ("invalid value: string ", "the text "),
+    ("invalid value: floating point ", "the number "),
+];
+
+/// What has no place among given and expected.
+const WHOLE: [(&str, &str); 12] = [
+    ("unknown field ", "unknown key "),
+    ("unknown variant ", "unknown word "),
+    ("missing field ", "missing key "),
+    ("duplicate field ", "given twice: the key "),
+    ("EOF while parsing an object", "the text ends before its }"),
+    ("EOF while parsing a list", "the text ends before its ]"),
+    ("EOF while parsing a string", "the text ends within quotation marks"),
+    ("EOF while parsing a value", "the text ends too early"),
+    ("key must be a string", "write keys in double quotes"),
+    ("trailing characters", "more stands behind the end"),
+    ("invalid length ", "a list of "),
+    ("wanted string or table", "give a text in quotes"),
+];
+
+/// What should stand there.
+const EXPECTED: [(&str, &str); 16] = [
+    ("usize", "a whole number of 0 or more"),
+    ("u64", "a whole number of 0 or more"),
+    ("u32", "a whole number of 0 or more"),
+    ("u16", "a whole number of 0 or more"),
+    ("u8", "a whole number of 0 or more"),
+    ("i64", "a whole number"),
+    ("i32", "a whole number"),
+    ("f64", "a number"),
+    ("f32", "a number"),
+    ("a boolean", "true or false"),
+    ("a string", "a text in quotes"),
+    ("a borrowed string", "a text in quotes"),
+    ("path string", "a path in quotes"),
+    ("a map", "keys and values"),
+    ("socket address", "an address with a port, such as 127.0.0.1:9464"),
+    ("unit", "null"),
+];
+
+/// A parser's message with the words of a program replaced; `list` says how a list is written.
+fn in_words(said: &str, list: &str) -> String {
+    // What it expects stands last: what it was given may be any text.
+    let (given, expected) = said.rsplit_once(", expected ").map_or((said, None), |(given, rest)| (given, Some(rest)));
+    let begin = |text: &str, table: &[(&str, &str)]| {
+        table.iter().find_map(|(own, word)| Some(format!("{word}{}", text.strip_prefix(own)?)))
+    };
+    let given = begin(given, &GIVEN).or_else(|| begin(given, &WHOLE)).unwrap_or_else(|| given.to_owned());
+    let given = match given.strip_prefix("invalid socket address syntax") {
+        Some(rest) => format!("no address with a port, such as 127.0.0.1:9464{rest}"),
+        None => given,
+    };
+    let Some(expected) = expected else { return given };
+    let is_of_the_program = ["struct ", "internally tagged enum ", "struct variant "];
+    let (what, place) = match expected.find(" at line ") {
+        Some(at) => expected.split_at(at),
+        None => (expected, ""),
+    };
+    let what = if what == "a sequence" {
+        list.to_owned()
+    } else if let Some(length) = what.strip_prefix("an array of length ") {
+        format!("{length} of them")
+    } else if is_of_the_program.iter().any(|kind| what.starts_with(kind)) {
+        "keys and values".to_owned()
+    } else {
+        EXPECTED.iter().find(|(own, _)| *own == what).map_or(what, |(_, words)| words).to_owned()
+    };
+    format!("{given}, expected {what}{place}")
+}
+
+/// Reads what has keys, and refuses a list: `serde` takes one for a struct whose fields it gives in their order.
+///
+/// For `#[serde(deserialize_with = "keyed")]`.
+///
+/// # Errors
+/// Those of `T`, and where there is a list.
+pub fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<T, D::Error> {
+    struct Keys<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Keys<T> {
+        type Value = T;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("keys and values")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, keys: A) -> Result<T, A::Error> {
+            T::deserialize(MapAccessDeserializer::new(keys))
+        }
+    }
+    deserializer.deserialize_map(Keys(PhantomData))
+}
+
+/// What has keys, in a list of such: see [`keyed`].
+#[derive(Debug, Deserialize)]
+#[serde(transparent, bound = "T: Deserialize<'de>")]
+pub struct Keyed<T>(#[serde(deserialize_with = "keyed")] pub T);
+
+/// As [`keyed`], for a list of what has keys.
+///
+/// # Errors
+/// Those of `T`, and where a list stands for one.
+pub fn list_of_keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    Ok(Vec::<Keyed<T>>::deserialize(deserializer)?.into_iter().map(|entry| entry.0).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Deserialize, Default)]
+    #[serde(deny_unknown_fields, default)]
+    struct File {
+        #[serde(deserialize_with = "keyed")]
+        part: Part,
+        #[serde(deserialize_with = "list_of_keyed")]
+        parts: Vec<Part>,
+        names: Vec<String>,
+        place: Option<[f64; 3]>,
+    }
+
+    #[derive(Debug, Deserialize, Default)]
+    #[serde(deny_unknown_fields, default)]
+    struct Part {
+        count: u32,
+        share: f64,
+        is_on: bool,
+    }
+
+    #[test]
+    fn no_word_of_the_program_is_told() {
+        let words =
+            ["struct", "enum", "variant", "sequence", "f64", "u32", "usize", "EOF", "unit", "field", "invalid type"];
+        for json in [
+            "[]",
+            "3",
+            "{\"part\": []}",
+            "{\"part\": 3}",
+            "{\"part\": [1, 2.0]}",
+            "{\"parts\": {}}",
+            "{\"parts\": [[1]]}",
+            "{\"parts\": [1]}",
+            "{\"names\": \"ada\"}",
+            "{\"names\": [3]}",
+            "{\"place\": [1, 2]}",
+            "{\"place\": \"here\"}",
+            "{\"part\": {\"count\": -1}}",
+            "{\"part\": {\"count\": 1.5}}",
+            "{\"part\": {\"share\": \"much\"}}",
+            "{\"part\": {\"is_on\": 1}}",
+            "{\"part\": {\"x\": 1}}",
+            "{",
+            "{\"part\"",
+            "{'part': 1}",
+            "[",
+            "\"",
+            "",
+            "{} {}",
+            "{\"names\": [\"a",
+            "{\"part\": {}, \"part\": {}}",
+            "{\"names\": null}",
+        ] {
+            let error = serde_json::from_str::<Keyed<File>>(json).unwrap_err();
+            let said = json_says(&error);
+            assert!(!words.iter().any(|word| said.contains(word)), "{json}: {said}");
+        }
+        for toml in [
+            "part = 3",
+            "part = []",
+            "parts = 3",
+            "[parts]\ncount = 1",
+            "parts = [[1]]",
+            "names = \"ada\"",
+            "names = [3]",
+            "[part]\ncount = -1",
+            "[part]\ncount = \"2\"",
+            "[part]\nshare = true",
+            "[part]\nis_on = \"yes\"",
+            "[part]\nx = 1",
+            "place = [1, 2]",
+        ] {
+            let said = toml_says(&toml::from_str::<File>(toml).unwrap_err());
+            assert!(!words.iter().any(|word| said.contains(word)), "{toml}: {said}");
+        }
+    }
+
+    #[test]
+    fn what_is_given_stays_as_it_is() {
+        let error = serde_json::from_str::<u32>("\"invalid type: map, expected struct X\"").unwrap_err();
+        let said = json_says(&error);
+        assert!(
+            said.starts_with("the text \"invalid type: map, expected struct X\", expected a whole number"),
+            "{said}"
+        );
+        let said = toml_says(&toml::from_str::<File>("names = 'expected f64'").unwrap_err());
+        assert!(said.contains("names = 'expected f64'"), "{said}");
+    }
+
+    #[test]
+    fn a_list_stands_for_no_keys() {
+        assert!(toml::from_str::<File>("part = [1, 2.0, true]").is_err());
+        assert!(toml::from_str::<File>("parts = [[1, 2.0, true]]").is_err());
+        let file: File = toml::from_str("[part]\ncount = 1\n[[parts]]\nshare = 0.5\n[[parts]]\n").unwrap();
+        assert_eq!((file.part.count, file.parts.len()), (1, 2));
+    }
+}
