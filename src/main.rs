@@ -12,6 +12,7 @@ mod bar;
 mod bridge;
 mod cli;
 mod columns;
+mod decided;
 mod exit_code;
 #[cfg(any(feature = "bridge", feature = "top", feature = "view"))]
 mod flags;

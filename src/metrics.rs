@@ -22,6 +22,7 @@ use roomcast_ipc::{
     decision_flags, question, score_flags,
 };
 
+use crate::decided::{Decided, News};
 use crate::http::{HttpError, Server, refusal};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
@@ -131,6 +132,8 @@ struct Metrics {
     versions: Family<Versions, Gauge>,
     /// The newest scores, to know what is a repetition, and how old they are at a scrape.
     newest: Option<RoomScoresV1>,
+    /// Each robot's last decision: what is sent again counts once.
+    decided: Decided,
 }
 
 fn latency_histogram() -> Histogram {
@@ -179,6 +182,7 @@ impl Metrics {
             habits_shares: Family::default(),
             versions: Family::default(),
             newest: None,
+            decided: Decided::default(),
         };
         metrics.register();
         metrics
@@ -302,7 +306,10 @@ impl Metrics {
         self.newest = Some(*scores);
     }
 
-    fn decide(&self, decision: &DecisionV1) {
+    fn decide(&mut self, decision: &DecisionV1) {
+        if self.decided.take(decision) != News::Decision {
+            return;
+        }
         let fallback = if decision.has(decision_flags::FALLBACK) { "true" } else { "false" };
         // A planner of one's own may name any policy, and ever new ones.
         let known = PolicyName::ALL.map(PolicyName::as_str).into_iter().find(|known| *known == decision.policy());
@@ -509,9 +516,13 @@ mod tests {
     /// Whoever decides may call its policy anything, and something else every time.
     #[test]
     fn foreign_policies_are_one_series() {
-        let metrics = Metrics::new();
-        let decide = |policy: &str| {
-            metrics.decide(&DecisionV1 { policy: text::encode("policy", policy).unwrap(), ..DecisionV1::default() });
+        let (mut metrics, mut sequence) = (Metrics::new(), 0);
+        let mut decide = |policy: &str| {
+            sequence += 1;
+            let policy = text::encode("policy", policy).unwrap();
+            let decision = DecisionV1 { policy, sequence, ..DecisionV1::default() };
+            // What is sent again counts once.
+            (0..2).for_each(|_| metrics.decide(&decision));
         };
         PolicyName::ALL.iter().for_each(|policy| decide(policy.as_str()));
         (0..1000).for_each(|number| decide(&format!("policy-{number}")));

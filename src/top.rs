@@ -10,7 +10,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
-    StatusResponseV1, forecast_flags, presence, reached, score_flags,
+    StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
 use crate::bar::bar;
@@ -65,6 +65,8 @@ pub struct View {
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
+    /// The configured robot's number. Others are shown only where it says nothing.
+    robot: u64,
     status: Option<StatusResponseV1>,
     snapshots_missed: u64,
     malformed: u64,
@@ -75,6 +77,12 @@ pub struct View {
 }
 
 impl View {
+    /// A view of several robots' home: `robot` is the configured one's name.
+    #[must_use]
+    pub fn of_robot(robot: &str) -> Self {
+        Self { robot: sequence::source_of_name(robot), ..Self::default() }
+    }
+
     /// Takes in room scores. A jump in their sequence is counted: snapshots were overwritten before they were read.
     pub fn scores(&mut self, scores: &RoomScoresV1) {
         if let Some(last) = &self.scores
@@ -173,7 +181,9 @@ impl View {
 
     /// Takes in a decision.
     pub fn decision(&mut self, decision: &DecisionV1) {
-        self.decision = Some(*decision);
+        if decision.robot == self.robot || self.decision.is_none_or(|known| known.robot != self.robot) {
+            self.decision = Some(*decision);
+        }
     }
 
     /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
@@ -301,7 +311,12 @@ impl View {
     fn decision_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
         let Some(decision) = &self.decision else { return vec![Line::from("no decision has been heard yet").dim()] };
         let age_s = now_ns.saturating_sub(decision.decided_ns) as f64 / 1e9;
+        let robot = match decision.robot_name() {
+            name if decision.robot != self.robot && !name.is_empty() => format!("{name}: "),
+            _ => String::new(),
+        };
         let mut first = vec![
+            Span::from(robot),
             Span::from(format!("{} ", decision.to())).bold(),
             Span::from(format!(
                 "({:.1} % likely to be occupied), by {}, {age_s:.0} s ago",
@@ -538,6 +553,22 @@ mod tests {
         let buffer = terminal.backend().buffer();
         let row = |y| (0..width).map(|x| buffer[(x, y)].symbol()).collect::<String>();
         (0..height).map(|y| row(y).trim_end().to_owned() + "\n").collect()
+    }
+
+    #[test]
+    fn of_several_robots_the_configured_one_is_shown_and_others_by_their_names() {
+        let of = |robot: &str, to: &str| DecisionV1 {
+            robot: sequence::source_of_name(robot),
+            robot_name: text::encode_cut(robot),
+            to: text::encode("to", to).unwrap(),
+            ..Default::default()
+        };
+        let mut view = View::of_robot("dusty");
+        view.decision(&of("rusty", "attic"));
+        assert!(drawn(&view, 80, 24, 0).contains("rusty: attic"));
+        ["dusty", "rusty"].into_iter().zip(["cellar", "attic"]).for_each(|(robot, to)| view.decision(&of(robot, to)));
+        let shown = drawn(&view, 80, 24, 0);
+        assert!(shown.contains("cellar (") && !shown.contains("dusty:") && !shown.contains("attic"), "{shown}");
     }
 
     /// Numbers that pass the check of their message, and that no daemon sends.

@@ -23,6 +23,7 @@ use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
 use serde_json::{Value, json};
 
+use crate::decided::{Decided, News};
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::http::{HttpError, Request, Server, refusal};
 use crate::top::who;
@@ -83,11 +84,17 @@ impl Place {
     }
 }
 
-/// Serves the page of the running system until it is asked to stop; `ready` gets the address, with the port that was found for port 0.
+/// Serves the page of the running system until it is asked to stop; of several robots it shows the configured one, `robot`; `ready` gets the address, with the port that was found for port 0.
 ///
 /// # Errors
 /// [`ViewError`] for an address that is not loopback or is taken, and when a service is lost.
-pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(SocketAddr)) -> Result<(), ViewError> {
+pub fn run(
+    place: &Place,
+    domain: &Domain,
+    robot: &str,
+    stop: &Stop,
+    ready: impl FnOnce(SocketAddr),
+) -> Result<(), ViewError> {
     let node = domain.open("roomcast-view")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let forecast: Subscriber<ForecastV1> = node.subscriber()?;
@@ -96,7 +103,8 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
     let narration: Subscriber<NarrationV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let moments = node.question_port(question::MOMENT)?;
-    let shared = Arc::new(Mutex::new(Live::default()));
+    let picture = Picture { robot: Some(sequence::source_of_name(robot)), is_configured: true, ..Picture::default() };
+    let shared = Arc::new(Mutex::new(Live { picture, ..Live::default() }));
     let (answered, key) = (Arc::clone(&shared), place.key.clone());
     let mut server = Server::start(place.address, stop, move |request| {
         let mut live = answered.lock().unwrap_or_else(PoisonError::into_inner);
@@ -125,8 +133,8 @@ pub fn run(place: &Place, domain: &Domain, stop: &Stop, ready: impl FnOnce(Socke
         if let Some(message) = forecasts.newest()? {
             picture.forecasts(&message, now_ns);
         }
-        if let Some(message) = decisions.newest()? {
-            picture.decision(&message, now_ns);
+        while let Some(received) = decisions.receive()? {
+            received.iter().for_each(|message| picture.decision(message, now_ns));
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
@@ -470,6 +478,11 @@ struct Picture {
     persons: Option<Box<PersonScoresV1>>,
     forecasts: Option<Box<PersonForecastsV1>>,
     decision: Option<(DecisionV1, u64)>,
+    /// The robot that is meant where none is named: the configured one, or the first of a recording.
+    robot: Option<u64>,
+    /// Others are shown only where it says nothing.
+    is_configured: bool,
+    decided: Decided,
     /// The newest first: when it came, who was told of by whom, and what was said.
     narration: VecDeque<(u64, String, String)>,
     items: BTreeMap<String, f64>,
@@ -507,7 +520,12 @@ impl Picture {
     }
 
     fn decision(&mut self, decision: &DecisionV1, taken_ns: u64) {
-        self.decision = Some((*decision, taken_ns));
+        let own = *self.robot.get_or_insert(decision.robot);
+        let is_others = |known: &(DecisionV1, u64)| known.0.robot != own;
+        let is_shown = decision.robot == own || !self.is_configured || self.decision.as_ref().is_none_or(is_others);
+        if self.decided.take(decision) != News::None && is_shown {
+            self.decision = Some((*decision, taken_ns));
+        }
     }
 
     fn narration(&mut self, narration: &NarrationV1, taken_ns: u64) {
@@ -575,13 +593,17 @@ impl Picture {
         let said =
             self.narration.iter().map(|(at_ns, who, text)| json!({"age_s": seconds(*at_ns), "who": who, "text": text}));
         let decision = self.decision.as_ref().map(|(decision, taken_ns)| {
+            let robot = match decision.robot_name() {
+                name if self.robot != Some(decision.robot) && !name.is_empty() => format!("The robot {name}"),
+                _ => "The robot".to_owned(),
+            };
             let text = match decision.action {
-                action::GO => format!("The robot goes to {}.", decision.to()),
-                action::PAUSE => "The robot pauses where it disturbs nobody.".to_owned(),
+                action::GO => format!("{robot} goes to {}.", decision.to()),
+                action::PAUSE => format!("{robot} pauses where it disturbs nobody."),
                 _ if !decision.to().is_empty() && decision.to() != decision.from() => {
-                    format!("The robot waits in {}, where nothing is to be done.", decision.to())
+                    format!("{robot} waits in {}, where nothing is to be done.", decision.to())
                 }
-                _ => "The robot stays where it is.".to_owned(),
+                _ => format!("{robot} stays where it is."),
             };
             // Bits are of the rooms of the scores that it rests on.
             let of = scores.filter(|scores| scores.epoch == decision.scores_epoch);
@@ -885,6 +907,32 @@ mod tests {
         }
     }
 
+    /// A page that was opened last showed what the last of all robots was told, as this one's.
+    #[test]
+    fn of_several_robots_the_configured_one_is_shown_and_others_by_their_names() {
+        let of = |robot: &str, sequence: u64, to: &str| DecisionV1 {
+            robot: sequence::source_of_name(robot),
+            robot_name: text::encode_cut(robot),
+            sequence,
+            action: action::GO,
+            to: text::encode("to", to).unwrap(),
+            ..Default::default()
+        };
+        let shown = |own: Option<&str>, told: &[DecisionV1]| {
+            let own = own.map(sequence::source_of_name);
+            let mut picture = Picture { robot: own, is_configured: own.is_some(), ..Picture::default() };
+            (1..).zip(told).for_each(|(at_ns, decision)| picture.decision(decision, at_ns));
+            picture.state(9)["decision"]["text"].as_str().unwrap_or_default().to_owned()
+        };
+        let (own, other) = (of("dusty", 1, "hall"), of("rusty", 1, "kitchen"));
+        assert_eq!(shown(Some("dusty"), &[own, other, other]), "The robot goes to hall.");
+        assert_eq!(shown(Some("dusty"), &[other]), "The robot rusty goes to kitchen.");
+        assert_eq!(shown(Some("dusty"), &[other, own, of("rusty", 2, "office")]), "The robot goes to hall.");
+        // A recording has no configuration.
+        assert_eq!(shown(None, &[own]), "The robot goes to hall.");
+        assert_eq!(shown(None, &[own, other]), "The robot rusty goes to kitchen.");
+    }
+
     /// Imported rooms have a number in their ids, which nobody calls them by.
     #[test]
     fn rooms_are_called_by_their_names_wherever_they_are_told() {
@@ -918,7 +966,7 @@ mod tests {
         picture.decision(&told, 1);
         let left = picture.state(2)["decision"]["left"].clone();
         assert!(left[0] == "bathroom" && !left.as_array().unwrap().contains(&json!("kitchen")), "{left}");
-        picture.decision(&DecisionV1 { scores_epoch: 2, ..told }, 1);
+        picture.decision(&DecisionV1 { sequence: 1, scores_epoch: 2, ..told }, 1);
         assert_eq!(picture.state(2)["decision"]["left"], Value::Null, "its bits are of other rooms");
     }
 
@@ -1003,8 +1051,9 @@ mod tests {
         let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
         let (own_stop, own_domain) = (stop.clone(), domain.clone());
         let any = Place { key: Some("k3y".to_owned()), ..Place::with_key("127.0.0.1:0".parse().unwrap()) };
-        let thread =
-            std::thread::spawn(move || run(&any, &own_domain, &own_stop, |address| found.send(address).unwrap()));
+        let thread = std::thread::spawn(move || {
+            run(&any, &own_domain, "robot", &own_stop, |address| found.send(address).unwrap())
+        });
         let address = address.recv_timeout(Duration::from_secs(60)).unwrap();
         let get_with = |path: &str, host: &str, key: &str| {
             let mut stream = std::net::TcpStream::connect(address).unwrap();

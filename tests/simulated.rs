@@ -1831,9 +1831,10 @@ impl World {
         self.tally.decisions += 1;
         if decision.has(decision_flags::FALLBACK) {
             self.tally.fallbacks += 1;
-            ensure(decision.action == action::STAY && decision.from == decision.to, || {
-                format!("a fallback that moves the robot: {decision:?}")
-            })?;
+            // A robot that pauses goes on pausing.
+            let stays = decision.action == action::STAY && decision.from == decision.to;
+            let pauses = decision.action == action::PAUSE && decision.to().is_empty();
+            ensure(stays || pauses, || format!("a fallback that moves the robot: {decision:?}"))?;
         } else {
             let name = (decision.scores_epoch, decision.scores_sequence);
             let heard = robot.heard.get(&name);

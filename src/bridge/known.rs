@@ -15,8 +15,8 @@ use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 
-/// Robots that are told of; of more, the one that decided longest ago gives way.
-const ROBOTS_MAX: usize = 8;
+/// Robots that are told of, the configured one and as many as `roomcast-bridge` follows; of more, the one that decided longest ago gives way.
+pub(super) const ROBOTS_MAX: usize = 16;
 /// What an availability topic says.
 pub(super) const ONLINE: &str = "online";
 /// What it says when the bridge or the daemon is gone.
@@ -57,11 +57,14 @@ impl Known {
         self.persons = Some(Box::new(*persons));
     }
 
-    pub(super) fn take_decision(&mut self, decision: &DecisionV1) {
+    /// Takes a decision; the configured robot, `own`, gives way to none.
+    pub(super) fn take_decision(&mut self, decision: &DecisionV1, own: &str) {
+        let own = sequence::source_of_name(own);
         let before = self.decisions.insert(decision.robot, *decision);
         self.new_robot |= before.is_none();
         if self.decisions.len() > ROBOTS_MAX
-            && let Some(oldest) = self.decisions.values().min_by_key(|decision| decision.decided_ns).map(|d| d.robot)
+            && let others = self.decisions.values().filter(|decision| decision.robot != own)
+            && let Some(oldest) = others.min_by_key(|decision| decision.decided_ns).map(|decision| decision.robot)
         {
             self.decisions.remove(&oldest);
         }

@@ -180,7 +180,7 @@ struct Ports {
 
 impl Ports {
     /// Takes whatever has come.
-    fn take(&mut self, known: &mut Known) -> Result<(), IpcError> {
+    fn take(&mut self, known: &mut Known, own: &str) -> Result<(), IpcError> {
         let Self { scores, forecasts, persons, decisions, log, message } = self;
         let (of_rooms, forecast, of_persons, decision) = &mut **message;
         while receive(scores, of_rooms, log)? {
@@ -193,7 +193,7 @@ impl Ports {
             known.take_persons(of_persons);
         }
         while receive(decisions, decision, log)? {
-            known.take_decision(decision);
+            known.take_decision(decision, own);
         }
         Ok(())
     }
@@ -235,7 +235,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     let (mut looked, mut connected, mut healed) = (None::<Instant>, start, start);
     while !stop.requested() {
         ports.scores.wait(TICK)?;
-        ports.take(&mut known)?;
+        ports.take(&mut known, &config.planner.robot)?;
         let alive = known.silence_ns(clock::monotonic_ns()).is_some_and(|silence_ns| silence_ns <= silent_ns);
         if alive && asked.is_none_or(|asked| asked.elapsed() >= ASK_AGAIN) {
             asked = Some(Instant::now());

@@ -1,3 +1,4 @@
+use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
 use roomcast_ipc::{StatusResponseV1, action, forecast_flags, presence, text};
@@ -175,7 +176,7 @@ fn decisions_come_with_their_reason_and_robots_are_bounded() {
         reason: text::encode("reason", "nobody is \"there\"").unwrap(),
         ..Default::default()
     };
-    known.take_decision(&decision);
+    known.take_decision(&decision, "robot");
     let told = message(&draw(&mut known), "roomcast/robots/robot");
     assert_eq!(
         (&told["action"], &told["room"], &told["reason"]),
@@ -184,10 +185,12 @@ fn decisions_come_with_their_reason_and_robots_are_bounded() {
     let mut other = decision;
     for number in 1..100 {
         (other.robot, other.decided_ns) = (number, number);
-        known.take_decision(&other);
+        known.take_decision(&other, "robot");
     }
-    let robots = draw(&mut known).keys().filter(|topic| topic.starts_with("roomcast/robots/")).count();
-    assert_eq!(robots, 8);
+    let all = draw(&mut known);
+    let robots = all.keys().filter(|topic| topic.starts_with("roomcast/robots/")).count();
+    assert_eq!(robots, ROBOTS_MAX);
+    assert_eq!(message(&all, "roomcast/robots/robot")["reason"], told["reason"], "the configured one keeps its place");
 }
 
 #[test]
@@ -203,7 +206,7 @@ fn robots_have_their_planners_names_and_go_with_them() {
         let all = draw(known).into_keys();
         all.filter_map(|topic| topic.strip_prefix("roomcast/robots/").map(str::to_owned)).collect::<Vec<_>>()
     };
-    ["robot", "mop2", "far", "Staubi Ä"].iter().for_each(|robot| known.take_decision(&decision(robot)));
+    ["robot", "mop2", "far", "Staubi Ä"].iter().for_each(|robot| known.take_decision(&decision(robot), "robot"));
     // Names of participants are ASCII.
     let planners = ["robot", "mop2", "Staubi Ä"].map(|robot| PLANNER.name(robot).replace('Ä', "?"));
     known.take_planners(&[&planners[..], &["roomcast-bridge".to_owned()]].concat(), "robot");
@@ -347,9 +350,9 @@ proptest::proptest! {
         let participants: Vec<_> = robots.iter().map(|name| PLANNER.name(name)).collect();
         for name in &robots {
             let (robot, robot_name) = (sequence::source_of_name(name), text::encode_cut(name));
-            known.take_decision(&DecisionV1 { robot, robot_name, ..Default::default() });
+            known.take_decision(&DecisionV1 { robot, robot_name, ..Default::default() }, "own");
         }
-        (0..unknown).for_each(|n| known.take_decision(&DecisionV1 { robot: 5 + n, ..Default::default() }));
+        (0..unknown).for_each(|n| known.take_decision(&DecisionV1 { robot: 5 + n, ..Default::default() }, "own"));
         known.take_planners(&participants, "own");
         let config = BridgeConfig { horizons_s: horizons_s.clone(), ..BridgeConfig::default() };
         let picture = known.picture(&config, "own", true);

@@ -800,6 +800,12 @@ fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
             quoted(robot)
         );
         if is_of_home_assistant(robot) {
+            let vacuum = robot.rsplit('/').next().unwrap_or_default();
+            let _ = writeln!(
+                text,
+                "# Its battery, where Home Assistant has it as a sensor of its own.\n# battery = {}",
+                quoted(&format!("homeassistant/sensor/{vacuum}_battery/state"))
+            );
             text.push_str(
                 "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n\
                  # [robot.segments]\n",

@@ -16,6 +16,7 @@ use roomcast_services::moment::Moment;
 use roomcast_services::recording::ros2::{Received, Ros2Recorder};
 use roomcast_services::recording::{self, Profile, Recorded, Recorder, Recording, RecordingError};
 
+use crate::decided::{Decided, News};
 use crate::exit_code;
 
 /// Arguments of `roomcast record`.
@@ -196,7 +197,7 @@ pub fn run(args: &Args) -> CommandResult {
     })?;
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
     let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
-    let mut forecast_known = ((0, 0), 0);
+    let (mut forecast_known, mut decided) = (((0, 0), 0), Decided::default());
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     let interrupted = loop {
@@ -241,6 +242,8 @@ pub fn run(args: &Args) -> CommandResult {
                     let name = Some((forecasts.epoch, forecasts.sequence));
                     std::mem::replace(&mut forecasts_known, name) == name
                 }
+                // A bridge to other robots sends theirs again to who joins.
+                Recorded::Decision(decision) => decided.take(decision) == News::None,
                 _ => false,
             };
             if args.heartbeats || !repeated {

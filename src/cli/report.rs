@@ -21,7 +21,7 @@ use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
-/// A planner sleeps up to 300 ms; after so long a running one has what was sent.
+/// A report wakes a planner; after so long, longer than one sleeps, a running one has what was sent.
 const LINGER: Duration = Duration::from_millis(500);
 /// How long a planner may take to notice a new listener.
 const NOTICED_WITHIN: Duration = Duration::from_secs(2);

@@ -12,6 +12,7 @@ use roomcast_ipc::{
 use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
+use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{action_word, decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::top::{POINT_NS, View, set_places};
@@ -54,7 +55,7 @@ pub fn run(args: &Args) -> CommandResult {
         return lines(&domain, &stop, args.snapshots, config.planner.robot);
     }
     let mut terminal = ratatui::try_init().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    let shown = screen(&domain, &stop, args.snapshots, &mut terminal);
+    let shown = screen(&domain, &stop, args.snapshots, &config.planner.robot, &mut terminal);
     ratatui::restore();
     shown
 }
@@ -77,7 +78,13 @@ fn ipc(error: roomcast_ipc::IpcError) -> Failure {
     Failure::new(exit_code::IPC, error)
 }
 
-fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratatui::DefaultTerminal) -> CommandResult {
+fn screen(
+    domain: &Domain,
+    stop: &Stop,
+    limit: Option<u64>,
+    robot: &str,
+    terminal: &mut ratatui::DefaultTerminal,
+) -> CommandResult {
     let terminal_failure = |error: std::io::Error| Failure::new(exit_code::FAILURE, error);
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
@@ -88,7 +95,7 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
-    let mut view = View::default();
+    let mut view = View::of_robot(robot);
     let (mut point_ns, mut status_ns) = (0, 0);
     let mut taken = None;
     let mut count = 0;
@@ -126,8 +133,11 @@ fn screen(domain: &Domain, stop: &Stop, limit: Option<u64>, terminal: &mut ratat
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
             }
-            if let Some(message) = decisions.newest().map_err(ipc)? {
-                view.decision(&message);
+            while let Some(received) = decisions.receive().map_err(ipc)? {
+                match received {
+                    Ok(message) => view.decision(&message),
+                    Err(_) => view.malformed(),
+                }
             }
             if now_ns.saturating_sub(status_ns) >= STATUS_NS {
                 // A daemon that is busy or gone does not hold up the view: its last answer stays.
@@ -250,6 +260,7 @@ struct Others {
     forecasts: Option<PersonForecastsV1>,
     narration: Vec<Value>,
     decisions: Vec<DecisionV1>,
+    decided: Decided,
     /// The configured robot, whose number decisions bear.
     robot: String,
     /// Nothing came behind the scores before.
@@ -271,6 +282,7 @@ impl Others {
             forecasts: None,
             narration: Vec::new(),
             decisions: Vec::new(),
+            decided: Decided::default(),
             robot,
             is_waited_for_in_vain: false,
         })
@@ -285,7 +297,7 @@ impl Others {
             self.narration.extend(received.iter().map(narration_json));
         }
         while let Some(received) = decisions.receive()? {
-            self.decisions.extend(received.iter());
+            self.decisions.extend(received.iter().filter(|told| self.decided.take(told) != News::None));
         }
         Ok(())
     }

@@ -47,8 +47,8 @@ pub fn run(args: &Args) -> CommandResult {
             view::run_recording(&place, recording, &stop, ready)
         }
         None => {
-            let (_, domain) = args.service.load()?;
-            view::run(&place, &domain, &stop, ready)
+            let (config, domain) = args.service.load()?;
+            view::run(&place, &domain, &config.planner.robot, &stop, ready)
         }
     };
     served.map_err(|error| {

@@ -470,6 +470,7 @@ impl Config {
         let (robot, name) = (format!("{:?}", planner.robot), format!("{:?}", narrator.name));
         let listen = metrics.listen.map(|address| address.to_string()).unwrap_or_default();
         let on_loopback = metrics.listen.is_none_or(|address| address.ip().is_loopback());
+        let battery = format!("{:?}", vacuum.battery.as_deref().unwrap_or_default());
         let seconds = 0.0..=SECONDS_MAX;
         let round_s = planner.round_s.unwrap_or_default();
         let plain = format!("1 to {NAME_BYTES} bytes of text without control characters");
@@ -540,6 +541,8 @@ impl Config {
             row("bridge.soon_at", &bridge.soon_at, bridge.soon_at > 0.0 && bridge.soon_at <= 1.0, "give more than 0, at most 1"),
             row("bridge.soon_until", &bridge.soon_until, (0.0..=bridge.soon_at).contains(&bridge.soon_until), "give 0 to bridge.soon_at"),
             row("robot.topic", &format!("{:?}", vacuum.topic), is_topic(&vacuum.topic), &format!("give {topics}")),
+            row("robot.battery", &battery, vacuum.battery.as_deref().is_none_or(is_topic), &format!("give {topics}, or leave the key out")),
+            within("robot.recharge_at", vacuum.recharge_at, 0.0..=1.0),
             within("robot.start_s", vacuum.start_s, 0.1..=3600.0),
             row("robot.least_s", &vacuum.least_s, (0.0..=vacuum.most_s).contains(&vacuum.least_s), "give 0 to robot.most_s"),
             within("robot.most_s", vacuum.most_s, 1.0..=86_400.0),
@@ -708,6 +711,8 @@ mod tests {
             ("[bridge]\nsoon_until = 0.6", "bridge.soon_until is 0.6"),
             ("[robot]\ntopic = \"a/+/b\"", "robot.topic is \"a/+/b\""),
             ("[robot]\nstart_s = 0", "robot.start_s is 0"),
+            ("[robot]\nbattery = \"a/#\"", "robot.battery is \"a/#\""),
+            ("[robot]\nrecharge_at = 1.5", "robot.recharge_at is 1.5"),
             ("[robot]\nleast_s = 8000.0", "robot.least_s is 8000"),
             ("[robot]\nmost_s = nan", "robot.most_s is NaN"),
             ("[robot.segments]\nkitchen = \"\"", "robot.segments is 1"),

@@ -369,6 +369,10 @@ pub struct RobotConfig {
     pub kind: RobotKind,
     /// Where it speaks: Valetudo's topic prefix and identifier, or Home Assistant's state topics of the vacuum.
     pub topic: String,
+    /// A topic that says how full its battery is, in percent, where the robot's own ones do not.
+    pub battery: Option<String>,
+    /// A battery of this or less, 0 to 1, says that a vacuum of Home Assistant that leaves its work has to charge and has not done the room.
+    pub recharge_at: f64,
     /// Whether it is told anything; otherwise what it would be told is only printed.
     pub obey: bool,
     /// What it does when it is to pause.
@@ -388,6 +392,8 @@ impl Default for RobotConfig {
         Self {
             kind: RobotKind::default(),
             topic: "valetudo/robot".to_owned(),
+            battery: None,
+            recharge_at: 0.2,
             obey: false,
             on_pause: OnPause::default(),
             start_s: 20.0,

@@ -18,7 +18,7 @@ use super::client::{broken, correct_keep_alive, fault_of, renew};
 use super::listener::{Heard, Listener};
 use super::recent::Recent;
 use super::rehearsal::{Remark, remarked, report};
-use super::rules::Rules;
+use super::rules::{Rules, covers};
 use super::tally::Tally;
 use super::{FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::logging::Limiter;
@@ -31,10 +31,15 @@ const QUIET_NS: u64 = 30_000_000_000;
 /// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
 const SETTLING: Duration = Duration::from_secs(4);
 
-/// A subscription to each filter, one after the other, so that it is known which one the broker answers.
+/// A subscription to each filter, one after the other, so that it is known which one the broker answers. One that another one covers is left
+/// out while the broker grants that: it may send a message once for each that fits.
 #[derive(Debug)]
 struct Subscriptions {
     filters: Vec<String>,
+    /// Those that are left out.
+    covered: Vec<String>,
+    /// How many of those the broker was asked to forget: it keeps them with the session of a narrator whose rules were others.
+    forgotten: usize,
     answered: usize,
     granted: usize,
     /// The next filter is to be asked for, as soon as the client has room.
@@ -47,12 +52,40 @@ struct Subscriptions {
 
 impl Subscriptions {
     fn new(filters: Vec<String>) -> Self {
-        Self { filters, answered: 0, granted: 0, due: false, asked: None, told: HashSet::new() }
+        let covered = Vec::new();
+        Self { filters, covered, forgotten: 0, answered: 0, granted: 0, due: false, asked: None, told: HashSet::new() }
     }
 
     /// Begins at the first filter.
     fn start(&mut self) {
+        self.filters.append(&mut self.covered);
+        self.leave_out_covered();
+        self.forgotten = 0;
         (self.answered, self.granted, self.due, self.asked) = (0, 0, true, None);
+    }
+
+    /// Leaves out what another filter covers that is not refused.
+    fn leave_out_covered(&mut self) {
+        let all = std::mem::take(&mut self.filters);
+        let is_covered = |filter: &String| all.iter().any(|other| other != filter && covers(other, filter));
+        (self.covered, self.filters) = all.iter().cloned().partition(is_covered);
+    }
+
+    /// Asks for what a refused filter covered, and no other does.
+    fn take_over(&mut self, refused: &str) {
+        let (over, asked): (Vec<_>, Vec<_>) = {
+            let others: Vec<_> =
+                self.filters.iter().filter(|filter| *filter != refused && !self.told.contains(*filter)).collect();
+            let is_free =
+                |filter: &String| covers(refused, filter) && !others.iter().any(|other| covers(other, filter));
+            self.covered.drain(..).partition(is_free)
+        };
+        self.covered = asked;
+        // Of these, too, one may cover another.
+        for filter in &over {
+            let is_covered = over.iter().any(|other| other != filter && covers(other, filter));
+            (if is_covered { &mut self.covered } else { &mut self.filters }).push(filter.clone());
+        }
     }
 
     /// Asks for the filter that is due, where the client has room.
@@ -60,12 +93,18 @@ impl Subscriptions {
         if self.due {
             let filter = self.filters.get(self.answered);
             self.due = filter.is_some_and(|filter| client.try_subscribe(filter, QoS::AtLeastOnce).is_err());
+        } else if self.granted > 0
+            && self.answered == self.filters.len()
+            && let Some(covered) = self.covered.get(self.forgotten)
+            && client.try_unsubscribe(covered).is_ok()
+        {
+            self.forgotten += 1;
         }
     }
 
     /// Takes the broker's answer to the filter asked for last.
     fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
-        let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)) else {
+        let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)).cloned() else {
             return Ok(());
         };
         let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
@@ -73,7 +112,7 @@ impl Subscriptions {
         match reason {
             SubscribeReasonCode::Success(quality) => {
                 self.granted += 1;
-                self.told.remove(filter);
+                self.told.remove(&filter);
                 if quality == QoS::AtMostOnce {
                     tracing::warn!(
                         broker,
@@ -86,6 +125,7 @@ impl Subscriptions {
                 if self.told.insert(filter.clone()) {
                     tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
                 }
+                self.take_over(&filter);
                 if self.answered == self.filters.len() && self.granted == 0 {
                     let reason = format!("{filter:?}: {refused:?}");
                     return Err(MqttError::Refused { broker: broker.to_owned(), reason });
@@ -373,5 +413,40 @@ impl<'a, W: Write> Connection<'a, W> {
             said = said || self.client.try_disconnect().is_ok();
             let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await else { return Ok(()) };
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A broker may send a message once for each filter that it fits: a button's press was narrated twice.
+    #[test]
+    fn what_another_filter_covers_is_asked_for_only_where_that_is_refused() {
+        let asked = |refused: &[&str]| {
+            let filters = ["#", "z/+", "z/button", "z/+/x", "y/b"].map(str::to_owned).to_vec();
+            let mut subscriptions = Subscriptions::new(filters);
+            let mut all = Vec::new();
+            // A connection after it begins in the same way.
+            for _ in 0..2 {
+                subscriptions.start();
+                all.clear();
+                while let Some(filter) = subscriptions.filters.get(subscriptions.answered).cloned() {
+                    let reason = if refused.contains(&filter.as_str()) {
+                        SubscribeReasonCode::NotAuthorized
+                    } else {
+                        SubscribeReasonCode::Success(QoS::AtLeastOnce)
+                    };
+                    subscriptions.asked = Some(1);
+                    let answer = SubAck { pkid: 1, return_codes: vec![reason], properties: None };
+                    subscriptions.take(&answer, "broker").unwrap();
+                    all.push(filter);
+                }
+            }
+            all
+        };
+        assert_eq!(asked(&[]), ["#"]);
+        assert_eq!(asked(&["#"]), ["#", "z/+", "z/+/x", "y/b"]);
+        assert_eq!(asked(&["#", "z/+"]), ["#", "z/+", "z/+/x", "y/b", "z/button"]);
     }
 }

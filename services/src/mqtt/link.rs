@@ -4,7 +4,7 @@
 //! old must not be carried out. What a broken connection had not delivered is dropped for the same reason, and the number of the
 //! connection changes, so that the speaker says again what still holds.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Display;
 use std::pin::pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Filter, LastWill, Packet, PubAckReason, Publish, PublishProperties};
+use rumqttc::v5::mqttbytes::v5::{ConnAck, Filter, LastWill, Packet, PubAckReason, Publish, PublishProperties};
 use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
@@ -29,6 +29,10 @@ pub const SAYING_MAX: usize = 128;
 pub const HEARING_BYTES_MAX: usize = 4 << 20;
 /// Messages on their way whose receipt the broker has not confirmed.
 const UNCONFIRMED_MAX: u16 = 32;
+/// What a packet has beside topic and payload: its head, the lengths, an identifier and how long it holds.
+const PACKET_BYTES: usize = 15;
+/// Topics of which it is said that a message is too large.
+const TOO_LARGE_MAX: usize = 64;
 /// Complaints about the broker come at most so often.
 const QUIET_NS: u64 = 30_000_000_000;
 
@@ -67,6 +71,28 @@ struct Shared {
     refused: u64,
     disconnected: bool,
     turned_ns: u64,
+    /// The largest packet that this broker takes.
+    packet_max: Option<u32>,
+    /// Topics of messages that were larger.
+    too_large: BTreeSet<String>,
+}
+
+impl Shared {
+    /// Whether the broker would end the connection at a message; said once of a topic.
+    fn is_too_large(&mut self, topic: &str, payload: &str) -> bool {
+        let Some(packet_max) = self.packet_max else { return false };
+        let bytes = PACKET_BYTES + topic.len() + payload.len();
+        let is_too_large = u32::try_from(bytes).map_or(true, |bytes| bytes > packet_max);
+        if is_too_large && self.too_large.len() < TOO_LARGE_MAX && self.too_large.insert(topic.to_owned()) {
+            tracing::error!(
+                topic,
+                bytes,
+                packet_max,
+                "a message is larger than this broker takes, and is left out: raise the broker's largest packet (mosquitto: max_packet_size)"
+            );
+        }
+        is_too_large
+    }
 }
 
 /// The link. Dropped, it ends without a farewell, so that the broker publishes the will.
@@ -131,12 +157,16 @@ impl Link {
         lock(&self.shared).turned_ns
     }
 
-    /// Says something; whether it was taken. Without a connection, or with too much under way, it is not. `keep` is MQTT's retain;
+    /// Says something; whether it was taken. Without a connection, or with too much under way, it is not. What is larger than the broker takes is
+    /// left out: it would end the connection, and all that is said with it. `keep` is MQTT's retain;
     /// `for_s` is how long the broker may hold it for whoever is away.
     pub fn say(&self, topic: &str, payload: &str, keep: bool, for_s: Option<u32>) -> bool {
         let mut shared = lock(&self.shared);
         if shared.connection == 0 {
             return false;
+        }
+        if shared.is_too_large(topic, payload) {
+            return true;
         }
         let properties = PublishProperties { message_expiry_interval: for_s, ..PublishProperties::default() };
         let payload = payload.as_bytes().to_vec();
@@ -229,7 +259,7 @@ impl Turning {
                         self.lost(&fault).await;
                         self.pause = (self.pause * 2).min(RECONNECT_BROKEN_MAX);
                     }
-                    None => self.greet(),
+                    None => self.greet(&greeting),
                 },
                 Ok(event) => self.take(event),
                 // It closes the connection of whoever has said farewell.
@@ -262,11 +292,12 @@ impl Turning {
     }
 
     /// A connection stands.
-    fn greet(&mut self) {
+    fn greet(&mut self, greeting: &ConnAck) {
         self.pause = RECONNECT;
         correct_keep_alive(&mut self.events);
         let mut shared = lock(&self.shared);
         shared.connections += 1;
+        shared.packet_max = greeting.properties.as_ref().and_then(|properties| properties.max_packet_size);
         let connections = shared.connections;
         let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
         // Before anything is said over this connection, so that an answer is not missed.
@@ -417,6 +448,28 @@ mod tests {
         let heard = hear_until(&ears, "gone");
         let said: Vec<_> = heard.iter().map(|heard| heard.topic.as_str()).collect();
         assert_eq!(said, ["will/leaving", "will/dropped"], "{heard:?}");
+    }
+
+    /// One message that the broker does not take ended the connection, again and again, and nothing was told at all.
+    #[test]
+    fn what_is_larger_than_the_broker_takes_is_left_out() {
+        let port = free_port();
+        let access = format!("{ANYBODY}\nmax_packet_size 400");
+        let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), &access) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let (speaker, ears) = (link(port, "speaker", "none"), link(port, "ears", "told/#"));
+        eventually("both are connected", || speaker.connection() > 0 && ears.connection() > 0);
+        for bytes in 360..420 {
+            let topic = format!("told/{bytes}");
+            assert!(speaker.say(&topic, &"x".repeat(bytes), false, Some(30)));
+            eventually("the broker has it", || speaker.unconfirmed() == 0);
+        }
+        assert!(speaker.say("told/last", "last", false, None));
+        let heard = hear_until(&ears, "last");
+        assert!(heard.len() > 10 && heard.len() < 40, "{}", heard.len());
+        assert_eq!(speaker.connection(), 1, "it is the same connection");
     }
 
     #[test]

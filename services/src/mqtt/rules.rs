@@ -245,6 +245,11 @@ impl Rule {
         }
         let levels: Vec<_> = topic.split('/').collect();
         let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
+        if levels.first() == Some(&"$share") {
+            return Err(format!(
+                "the topic {topic:?} is a shared subscription, which would take messages from its other clients: leave $share and the name behind it out"
+            ));
+        }
         if topic.is_empty() || levels.iter().any(wild) || levels.iter().rev().skip(1).any(|level| *level == "#") {
             return Err(format!("the topic {topic:?} is no MQTT filter (+ and # stand alone, # at the end)"));
         }
@@ -344,6 +349,25 @@ pub(super) fn matches<'a>(filter: &str, topic: &'a str) -> Option<Vec<&'a str>> 
         }
     }
     levels.next().is_none().then_some(places)
+}
+
+/// Whether every topic that fits the filter `narrow` also fits `wide`.
+pub(super) fn covers(wide: &str, narrow: &str) -> bool {
+    // Wildcards at the beginning stand for no topic of the broker's own.
+    if wide.starts_with(['+', '#']) && narrow.starts_with('$') {
+        return false;
+    }
+    let mut levels = narrow.split('/');
+    for wanted in wide.split('/') {
+        if wanted == "#" {
+            return true;
+        }
+        match levels.next() {
+            Some(level) if level == wanted || wanted == "+" && level != "#" => {}
+            _ => return false,
+        }
+    }
+    levels.next().is_none()
 }
 
 /// What is remembered of a text of any length: whether another one is the same.

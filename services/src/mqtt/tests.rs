@@ -14,7 +14,7 @@ use rumqttc::v5::{AsyncClient, Client, Event};
 
 use super::client::broken;
 use super::rehearsal::report;
-use super::rules::matches;
+use super::rules::{covers, matches};
 use super::*;
 use crate::line::{Who, line_item};
 use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
@@ -393,11 +393,42 @@ fn filters_fit_as_mqtt_has_it() {
     assert_eq!(matches("a/b/c", "a/b"), None);
 }
 
+proptest::proptest! {
+    /// A filter that another one covers hears nothing that the other does not: it need not be subscribed to.
+    #[test]
+    fn what_a_filter_covers_it_hears(
+        wide in "[ab+$](/[ab+]){0,2}(/#)?|#",
+        narrow in "[ab+$](/[ab+]){0,2}(/#)?|#",
+        topics in proptest::collection::vec("[ab$](/[ab]){0,3}", 1..40),
+    ) {
+        // Of a topic of the broker's own a wildcard at the beginning stands for none.
+        let fits = |filter: &str, topic: &str| {
+            matches(filter, topic).is_some() && !(topic.starts_with('$') && filter.starts_with(['+', '#']))
+        };
+        let covered = topics.iter().all(|topic| fits(&wide, topic) || !fits(&narrow, topic));
+        proptest::prop_assert!(!covers(&wide, &narrow) || covered, "{wide} does not hear all of {narrow}");
+        proptest::prop_assert!(covers(&narrow, &narrow));
+    }
+}
+
+#[test]
+fn filters_that_others_cover_are_named() {
+    for (wide, narrow) in
+        [("#", "a/b"), ("a/+", "a/b"), ("a/#", "a"), ("a/#", "a/+/c"), ("+/b", "a/b"), ("a/#", "a/b/#")]
+    {
+        assert!(covers(wide, narrow) && !covers(narrow, wide), "{wide} {narrow}");
+    }
+    for (one, other) in [("a/+", "+/b"), ("a/+", "b/+"), ("a/+", "a/b/c"), ("#", "$SYS/a"), ("a/+", "a/#")] {
+        assert!(!covers(one, other), "{one} {other}");
+    }
+}
+
 #[test]
 fn malformed_rules_are_named() {
     for (text, part) in [
         ("[[rule]]\ntopic = \"a/b#\"\nsay = \"x\"", "rule 1: the topic"),
         ("[[rule]]\ntopic = \"#/b\"\nsay = \"x\"", "rule 1: the topic"),
+        ("[[rule]]\ntopic = \"$share/g/a/+\"\nsay = \"x\"", "is a shared subscription"),
         ("[[rule]]\ntopic = \"a\"\nsay = \" \"", "rule 1: say is empty"),
         ("[[rule]]\ntopic = \"a/+\"\nsay = \"the {2} is {value}\"", "rule 1: say has {2}; it knows {value}, {1}"),
         ("[[rule]]\ntopic = \"a\"\npresence = \"present\"\nroom = \"{1}\"", "rule 1: room has {1}; it knows {value}"),

@@ -1,7 +1,7 @@
 //! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
 //!
 //! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
-//! the robot is**: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
+//! the robot is**, or to go on pausing: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
 //! published once, and the next one follows as soon as there are fresh scores again.
 //!
 //! Work goes in rounds. A round has a deadline, so that the stays that are left become fewer with time and no plan can put a room off
@@ -265,6 +265,11 @@ impl Planner {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
         }
+    }
+
+    /// A robot that decides for a room that the map lacks, and that room; each robot once. Its room cannot be kept clear of.
+    pub(crate) fn robot_of_another_map(&mut self) -> Option<(u64, String)> {
+        self.others.as_mut()?.of_another_map(self.scores.as_ref()?)
     }
 
     /// Decides if the robot is free, or has to leave its room, and there is something new to say.
@@ -609,15 +614,20 @@ impl Planner {
         if self.robot.work.is_some() || self.is_finished() || self.falling_back {
             return None;
         }
-        (self.finished, self.falling_back, self.pausing) = (false, true, None);
+        // A robot that was sent away from somebody is not told to wait beside them.
+        let (action, to) = match self.pausing.take() {
+            Some(_) => (action::PAUSE, None),
+            None => (action::STAY, self.robot.room),
+        };
+        (self.finished, self.falling_back) = (false, true);
         self.decided = None;
         let why = match stale {
             decision_flags::NO_SCORES => "no scores have arrived",
             decision_flags::STALE => "the scores lack narration that the scorer failed on",
             _ => "the daemon has been silent for longer than the deadline",
         };
-        let decision = self.decision(now_ns, now_unix_ns, self.robot.room, &format!("{why}: staying is safe"));
-        Some(DecisionV1 { flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
+        let decision = self.decision(now_ns, now_unix_ns, to, &format!("{why}: staying is safe"));
+        Some(DecisionV1 { action, flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
     }
 
     /// The robot pauses; said once.

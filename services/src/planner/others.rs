@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action};
+use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, text};
 
 /// Robots that are followed; of more, the one whose room is free first gives way.
 const ROBOTS_MAX: usize = 16;
@@ -23,6 +23,8 @@ struct Claim {
     waits: bool,
     /// 0 where it has no room.
     until_ns: u64,
+    /// It was said that its room is none of the map.
+    is_told: bool,
 }
 
 /// The other robots.
@@ -49,7 +51,8 @@ impl Others {
         let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(LATE_NS);
         let until_ns = if is_somewhere { end_ns } else { 0 };
         let waits = decision.action != action::GO;
-        self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, waits, until_ns });
+        let is_told = self.robots.get(&decision.robot).is_some_and(|claim| claim.is_told);
+        self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, waits, until_ns, is_told });
         if self.robots.len() > ROBOTS_MAX
             && let Some(first) = self.robots.iter().min_by_key(|(_, claim)| claim.until_ns).map(|(robot, _)| *robot)
         {
@@ -70,6 +73,15 @@ impl Others {
         self.claims(now_ns).any(|(robot, claim)| claim.room == *room && before(*robot, claim))
     }
 
+    /// A robot whose room the map lacks, and that room; each robot once.
+    pub(super) fn of_another_map(&mut self, scores: &RoomScoresV1) -> Option<(u64, String)> {
+        let is_known = |claim: &Claim| scores.rooms().iter().any(|room| room.id == claim.room);
+        let lacks = |claim: &Claim| !claim.is_told && claim.until_ns > 0 && !is_known(claim);
+        let (robot, claim) = self.robots.iter_mut().find(|(_, claim)| lacks(claim))?;
+        claim.is_told = true;
+        Some((*robot, text::decode("to", &claim.room).unwrap_or_default().to_owned()))
+    }
+
     fn claims(&self, now_ns: u64) -> impl Iterator<Item = (&u64, &Claim)> {
         self.robots.iter().filter(move |(_, claim)| claim.until_ns > now_ns)
     }
@@ -78,7 +90,6 @@ impl Others {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::text;
 
     const S: u64 = 1_000_000_000;
 
@@ -94,6 +105,21 @@ mod tests {
             to,
             ..Default::default()
         }
+    }
+
+    /// Two vacuums' imported maps call one kitchen by different numbers: neither kept clear of the other, and nobody said so.
+    #[test]
+    fn a_robot_whose_rooms_the_map_lacks_is_named_once() {
+        let mut scores = RoomScoresV1 { room_count: 1, ..Default::default() };
+        scores.room[0].id = text::encode("id", "kitchen-3").unwrap();
+        let mut others = Others::new(5);
+        others.hear(&decision(8, 1, "kitchen-3"), S);
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(7, 1, "") }, S);
+        assert_eq!(others.of_another_map(&scores), None);
+        others.hear(&decision(9, 1, "kitchen-16"), S);
+        assert_eq!(others.of_another_map(&scores), Some((9, "kitchen-16".to_owned())));
+        others.hear(&decision(9, 2, "hall-17"), S);
+        assert_eq!(others.of_another_map(&scores), None);
     }
 
     #[test]

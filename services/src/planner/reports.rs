@@ -127,7 +127,10 @@ impl Planner {
                 // A robot says that it is docked also before it leaves.
                 let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || answered.is_some() && of_work);
                 if let Some(work) = self.robot.work.take_if(|work| gives_up(work) || self.robot.charges) {
-                    self.round.fail(work.room, at_ns);
+                    // Where there was nothing to do nothing has failed.
+                    if !work.waits {
+                        self.round.fail(work.room, at_ns);
+                    }
                 }
             }
             // The battery was taken above; kinds to come say nothing yet.
@@ -144,7 +147,8 @@ impl Planner {
         match &mut self.robot.work {
             Some(work) if of_work => (work.started, work.ends_ns) = (true, ends_ns),
             Some(work) if answered.is_none() && at_ns >= work.began_ns => {
-                *work = Work { room, started: true, ends_ns, waits: false, ..work.clone() };
+                // What the robot was sent to do before is no work of this room: who answers that decision means the room of it.
+                *work = Work { room, decisions: Vec::new(), started: true, ends_ns, waits: false, ..work.clone() };
                 self.interruption.new_stay(None);
             }
             Some(_) => {}

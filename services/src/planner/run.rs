@@ -108,6 +108,14 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 planner.take_other(&other, clock::monotonic_ns());
             }
         }
+        while let Some((robot, room)) = planner.robot_of_another_map() {
+            let robot = format!("{robot:016x}");
+            tracing::warn!(
+                robot,
+                room,
+                "another robot goes to a room that the map in use does not have, so that it is not kept clear of: give both robots one map, or rooms of the same ids"
+            );
+        }
         // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
         while receive(&reports, &mut report, &mut log)? {
             if early.len() == RobotReportV1::SERVICE.buffer {

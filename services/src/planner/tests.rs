@@ -1413,3 +1413,58 @@ fn two_robots_do_not_choose_the_same_room() {
         assert!(done.iter().zip(alone).all(|(done, alone)| *done >= alone * 9 / 10), "{done:?} of {alone:?} stays");
     }
 }
+
+/// A robot that was sent away from somebody was told to wait beside them when the daemon fell silent.
+#[test]
+fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
+    for silent in [false, true] {
+        let mut home = Home::new(2, &PlannerConfig { interrupt_after_s: 0.0, ..PlannerConfig::default() });
+        let first = home.decision(1);
+        home.answer(2, report_kind::STARTED, &first);
+        home.likely = vec![0.9, 0.9];
+        let paused = (3..60).find_map(|at_s| home.look(at_s)).unwrap();
+        assert_eq!((paused.action, paused.from()), (action::PAUSE, first.to()));
+        if silent {
+            let fallback = home.planner.decide(1000 * S, 0).unwrap().unwrap();
+            fallback.check().unwrap();
+            assert!(fallback.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT));
+            assert_eq!((fallback.action, fallback.to()), (action::PAUSE, ""));
+            assert_eq!(home.planner.decide(1001 * S, 0).unwrap(), None, "said once");
+            // What it pauses for is looked at again.
+            assert_eq!(home.decision(1002).flags & decision_flags::FALLBACK, 0);
+        }
+    }
+}
+
+/// Somebody pressed the button of another room: the answer to the decision before it ended that room's work, which was not done.
+#[test]
+fn an_answer_to_a_decision_is_of_its_room_also_when_the_robot_is_at_another() {
+    let mut home = Home::new(2, &PlannerConfig { reports: Reports::Always, ..PlannerConfig::default() });
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    let other = if first.to() == "room-0" { "room-1" } else { "room-0" };
+    home.report(10, report_kind::STARTED, |report| report.room = text::encode("room", other).unwrap());
+    home.answer(20, report_kind::FINISHED, &first);
+    let done = |home: &Home| home.planner.round.covered().iter().position(|covered| *covered);
+    let room = first.to().strip_prefix("room-").unwrap().parse().unwrap();
+    assert_eq!(done(&home), Some(room));
+    assert!(home.planner.robot.work.is_some(), "it is at the other one still");
+}
+
+/// A vacuum comes to its dock at the end of each round, where it waits: that is no failure of the room.
+#[test]
+fn a_robot_that_waits_and_goes_to_charge_has_failed_at_nothing() {
+    let config = PlannerConfig { reports: Reports::Always, round_s: Some(36_000.0), ..PlannerConfig::default() };
+    let mut home = Home::new(1, &config);
+    let first = home.decision(1);
+    home.answer(2, report_kind::STARTED, &first);
+    home.answer(100, report_kind::FINISHED, &first);
+    let waits = (101..200).find_map(|at_s| home.look(at_s)).unwrap();
+    assert_eq!((waits.action, waits.to()), (action::STAY, first.to()));
+    home.report(210, report_kind::DOCKED, |report| (report.battery, report.flags) = (0.1, report_flags::HAS_BATTERY));
+    assert!(home.planner.robot.work.is_none() && home.planner.robot.charges);
+    // In the next round its first failure is one.
+    home.planner.round.begin_again();
+    home.planner.round.fail(0, 300 * S);
+    assert_eq!(home.planner.round.failed().map(|(_, _, failures)| failures).collect::<Vec<_>>(), [1]);
+}

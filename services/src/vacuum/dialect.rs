@@ -70,6 +70,8 @@ pub struct Dialect {
     kind: RobotKind,
     /// Where it speaks, without a slash at the end.
     topic: String,
+    /// Where its battery is told beside that.
+    battery: Option<String>,
     /// Where orders for Home Assistant go.
     orders: String,
 }
@@ -78,7 +80,8 @@ impl Dialect {
     /// The dialect of the configured robot; `base` is what Roomcast's own topics begin with, `name` the robot's name in them.
     #[must_use]
     pub fn new(config: &RobotConfig, base: &str, name: &str) -> Self {
-        Self { kind: config.kind, topic: config.topic.clone(), orders: format!("{base}/robots/{}/order", slug(name)) }
+        let orders = format!("{base}/robots/{}/order", slug(name));
+        Self { kind: config.kind, topic: config.topic.clone(), battery: config.battery.clone(), orders }
     }
 
     /// Below the robot's topic, what it says something by.
@@ -99,14 +102,14 @@ impl Dialect {
     /// What to subscribe to.
     #[must_use]
     pub fn filters(&self) -> Vec<String> {
-        self.parts().iter().map(|part| format!("{}/{part}", self.topic)).collect()
+        self.parts().iter().map(|part| format!("{}/{part}", self.topic)).chain(self.battery.clone()).collect()
     }
 
     /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
     #[must_use]
     pub(crate) fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
         let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
-        let is_read = part.is_some_and(|part| self.parts().contains(&part));
+        let is_read = part.is_some_and(|part| self.parts().contains(&part)) || self.battery.as_deref() == Some(topic);
         let is_unknown =
             ["", "unknown", "unavailable", "None", "null"].map(str::as_bytes).contains(&payload.trim_ascii());
         is_read && !is_unknown && self.hear(topic, payload).is_none()
@@ -115,11 +118,14 @@ impl Dialect {
     /// What a message says; nothing where it is not understood.
     #[must_use]
     pub fn hear(&self, topic: &str, payload: &[u8]) -> Option<Sensed> {
-        let part = topic.strip_prefix(&self.topic)?.strip_prefix('/')?;
         let text = std::str::from_utf8(payload).ok()?.trim();
         let plain = text.trim_matches('"');
         let battery =
             || plain.parse().ok().map(|percent: f64| percent / 100.0).filter(|share| (0.0..=1.0).contains(share));
+        if self.battery.as_deref() == Some(topic) {
+            return battery().map(Sensed::Battery);
+        }
+        let part = topic.strip_prefix(&self.topic)?.strip_prefix('/')?;
         match (self.kind, part) {
             (RobotKind::Valetudo, "$state") => Some(Sensed::Online(plain == "ready")),
             (RobotKind::Valetudo, "StatusStateAttribute/status") => status(plain).map(Sensed::Status),
@@ -252,6 +258,19 @@ mod tests {
         assert_eq!(hear("state", "unavailable"), Some(Sensed::Online(false)));
         assert_eq!(hear("battery_level", "80"), Some(Sensed::Battery(0.8)));
         assert_eq!(hear("error", "\"main brush\""), Some(Sensed::Fault("main brush".into())));
+        // Its battery may be a sensor of its own.
+        let sensor = "homeassistant/sensor/dusty_battery/state";
+        let config = RobotConfig {
+            kind: RobotKind::HomeAssistant,
+            topic: "homeassistant/vacuum/dusty".into(),
+            battery: Some(sensor.into()),
+            ..RobotConfig::default()
+        };
+        let with_sensor = Dialect::new(&config, "roomcast", "My robot");
+        assert!(with_sensor.filters().contains(&sensor.to_owned()) && !robot.filters().contains(&sensor.to_owned()));
+        assert_eq!(with_sensor.hear(sensor, b"7"), Some(Sensed::Battery(0.07)));
+        assert!(with_sensor.is_garbled(sensor, b"full") && !with_sensor.is_garbled(sensor, b"unavailable"));
+        assert_eq!(robot.hear(sensor, b"7"), None);
         let is_garbled =
             |part: &str, payload: &[u8]| robot.is_garbled(&format!("homeassistant/vacuum/dusty/{part}"), payload);
         assert!(is_garbled("battery_level", b"full") && !is_garbled("battery_level", b"unknown"));

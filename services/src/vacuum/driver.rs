@@ -1,7 +1,7 @@
 //! What a vacuum is told, and what is said of it. Pure: time comes in as a number.
 //!
-//! One order is under way at a time, and it counts as heard when the robot's own state says so: an order that was lost is given again, and
-//! after three times it has failed. Work is finished when a robot that was seen at work has left it by itself and means to do no more. A
+//! One order is under way at a time, and it counts as heard when the robot's own state says so: an order that was lost is given again. To
+//! clean has failed after three times. What ends work is given again until it is followed: nobody else calls a robot out of a person's room. Work is finished when a robot that was seen at work has left it by itself and means to do no more. A
 //! robot in an error, one that does not start and one that never ends are reported as failed, with the reason in words.
 
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use super::rooms::segment_of;
 use crate::config::{OnPause, RobotConfig, RobotKind};
 use crate::reporter::{Kind, Report};
 
-/// How often an order is given before it has failed.
+/// How often an order is given before it has failed, or before it is said that one that ends work is not followed.
 const TRIES: u32 = 3;
 /// A robot that leaves its work has finished when it has said nothing else for so long.
 const SETTLE_NS: u64 = 3_000_000_000;
@@ -67,24 +67,35 @@ pub struct Driver {
     most_ns: u64,
     configured: BTreeMap<String, String>,
     segments: BTreeMap<String, String>,
-    /// Rooms of the map in the order of `covered`.
     rooms: Vec<String>,
+    /// The broker is connected.
+    connected: bool,
+    /// The robot is, as far as it says.
     online: bool,
+    /// What the robot said last of what it does.
+    said: Option<Status>,
+    /// The same of one that is connected; none of another.
     status: Option<Status>,
+    /// The last status there was, also over a time without a broker: a robot that stood at its dock all along has not come there.
+    seen: Option<Status>,
     resumes: bool,
     battery: Option<f64>,
     fault: String,
     /// The robot has said something.
     is_heard: bool,
-    /// It has not looked at the robot yet: what that is at, it may have been sent to do by a driver before this one.
+    /// What the robot is at, it may have been sent to do by a driver before this one: it has cleaned since it was first heard.
     is_new: bool,
+    /// A battery of this or less says that a robot that leaves its work has to charge; none where the robot says it itself.
+    recharge_at: Option<f64>,
+    /// The last decision ends work, and nothing is known of the robot that may be at it.
+    is_to_end: bool,
     /// The last decision's epoch and sequence.
     decided: Option<(u64, u64)>,
     /// What is to be done next, or is under way.
     wish: Option<Work>,
     state: State,
-    /// A robot that charges in the middle of its work is not to go on by itself.
-    forgets: bool,
+    /// A robot that charges in the middle of its work is not to go on by itself: how often it is told so still, and when next.
+    forgets: Option<(u32, u64)>,
     told_ns: u64,
     told_battery: Option<f64>,
     /// What became of the last work.
@@ -110,24 +121,29 @@ impl Driver {
             configured: config.segments.clone(),
             segments: BTreeMap::new(),
             rooms: Vec::new(),
+            connected: true,
             online: true,
+            said: None,
             status: None,
+            seen: None,
             resumes: false,
             battery: None,
             fault: String::new(),
             is_heard: false,
             is_new: true,
+            recharge_at: (config.kind == RobotKind::HomeAssistant).then_some(config.recharge_at),
+            is_to_end: false,
             decided: None,
             wish: None,
             state: State::Free,
-            forgets: false,
+            forgets: None,
             told_ns: 0,
             told_battery: None,
             outcome: None,
         }
     }
 
-    /// Takes the ids of the map's rooms, in the order of scores.
+    /// Takes the ids of the map's rooms.
     pub(crate) fn know_rooms<'a>(&mut self, rooms: impl Iterator<Item = &'a str> + Clone) {
         if !rooms.clone().eq(self.rooms.iter().map(String::as_str)) {
             self.rooms = rooms.map(str::to_owned).collect();
@@ -168,10 +184,9 @@ impl Driver {
         self.decided = Some(own);
         let mut acts = Vec::new();
         match decision.action {
-            action::GO if !self.is_covered(decision) => self.go(decision, now_ns, &mut acts),
-            // A room that is done, to wait in: this robot waits at its dock.
-            action::GO | action::PAUSE => self.stop_work(now_ns, &mut acts),
-            // To wait in another room: its work is over.
+            action::GO => self.go(decision, now_ns, &mut acts),
+            action::PAUSE => self.stop_work(now_ns, &mut acts),
+            // To wait in another room: its work is over, and this robot waits at its dock.
             _ if !decision.to().is_empty() && decision.to() != decision.from() => self.stop_work(now_ns, &mut acts),
             // To stay where it is, with nothing to do.
             _ => {}
@@ -180,13 +195,8 @@ impl Driver {
         acts
     }
 
-    /// Whether the room that a decision leads to is done already.
-    fn is_covered(&self, decision: &DecisionV1) -> bool {
-        let room = self.rooms.iter().position(|room| room == decision.to());
-        room.is_some_and(|room| room < 64 && decision.covered >> room & 1 == 1)
-    }
-
     fn go(&mut self, decision: &DecisionV1, now_ns: u64, acts: &mut Vec<Act>) {
+        self.is_to_end = false;
         let (sequence, room) = (decision.sequence, decision.to().to_owned());
         let is_ending = self.is_ending();
         if let Some(work) = self.wish.as_mut().filter(|work| work.room == room && !is_ending) {
@@ -226,6 +236,8 @@ impl Driver {
             _ if self.is_ending() => {}
             _ => self.state = State::Free,
         }
+        // Whether there is anything to end shows when the robot speaks.
+        self.is_to_end = self.status.is_none() && self.state == State::Free;
     }
 
     /// Whether an order that ends work is under way, before anything else is done.
@@ -244,39 +256,74 @@ impl Driver {
         }
     }
 
+    /// Takes whether the broker is connected. While it is not, nothing is known of the robot; what it does is told again with the next
+    /// connection.
+    #[must_use]
+    pub fn link(&mut self, is_connected: bool, now_ns: u64) -> Vec<Act> {
+        let mut acts = Vec::new();
+        if self.connected == is_connected {
+            return acts;
+        }
+        self.connected = is_connected;
+        if !is_connected {
+            (self.online, self.said, self.status) = (true, None, None);
+        } else if self.is_ending()
+            && let State::Ordered { since_ns, .. } = &mut self.state
+        {
+            // A robot that says nothing is told again soon, and one that is at work as soon as it says so.
+            *since_ns = now_ns.saturating_sub(self.start_ns.saturating_sub(SETTLE_NS));
+        }
+        self.step(now_ns, &mut acts);
+        acts
+    }
+
     /// Takes what the robot says.
     #[must_use]
     pub fn sense(&mut self, sensed: Sensed, now_ns: u64) -> Vec<Act> {
         let mut acts = Vec::new();
         self.is_heard = true;
+        let says_status = matches!(sensed, Sensed::Status(_));
         match sensed {
             Sensed::Status(status) => {
-                self.online = true;
-                let before = self.status.replace(status);
-                self.look_at_change(before, now_ns, &mut acts);
-                if status == Status::Docked && before != Some(status) && !matches!(self.state, State::Working { .. }) {
-                    self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, &mut acts);
-                }
+                self.said = Some(status);
+                // Of Valetudo the broker has kept a status, also of a robot that is off: it says by itself that it is connected.
+                self.online |= self.kind == RobotKind::HomeAssistant;
             }
             Sensed::Resumes(resumes) => self.resumes = resumes,
             Sensed::Fault(fault) => self.fault = fault,
             Sensed::Segments(segments) => self.segments = segments,
-            Sensed::Online(online) => {
-                self.online = online;
-                if !online {
-                    self.status = None;
-                }
-            }
-            Sensed::Battery(battery) => {
-                self.battery = Some(battery);
-                let step = if self.status == Some(Status::Docked) { BATTERY_STEP_DOCKED } else { BATTERY_STEP };
-                if self.told_battery.is_none_or(|told| (told - battery).abs() >= step - BATTERY_EXACT) {
-                    self.tell(now_ns, &mut acts);
-                }
-            }
+            Sensed::Online(online) => self.online = online,
+            Sensed::Battery(battery) => self.battery = Some(battery),
+        }
+        if !self.online {
+            self.seen = None;
+        }
+        let before = std::mem::replace(&mut self.status, self.said.filter(|_| self.online));
+        if says_status || before != self.status {
+            self.look_at_status(before, now_ns, &mut acts);
+        }
+        let step = if self.status == Some(Status::Docked) { BATTERY_STEP_DOCKED } else { BATTERY_STEP };
+        let is_news =
+            |battery: f64| self.told_battery.is_none_or(|told| (told - battery).abs() >= step - BATTERY_EXACT);
+        if self.online && self.battery.is_some_and(is_news) {
+            self.tell(now_ns, &mut acts);
         }
         self.step(now_ns, &mut acts);
         acts
+    }
+
+    /// The robot has told its state, or is connected with the one that it told before.
+    fn look_at_status(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
+        let Some(status) = self.status else { return };
+        self.is_new &= status == Status::Cleaning;
+        let seen = self.seen.replace(status);
+        self.look_at_change(before, now_ns, acts);
+        if std::mem::take(&mut self.is_to_end) {
+            self.stop_work(now_ns, acts);
+        }
+        if status == Status::Docked && seen != Some(status) && !matches!(self.state, State::Working { .. }) {
+            self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, acts);
+        }
     }
 
     /// Takes that time has passed.
@@ -285,7 +332,7 @@ impl Driver {
         let mut acts = Vec::new();
         self.step(now_ns, &mut acts);
         // Only of work: a robot that does nothing must not seem to be at what it was sent to do. Nor one that is away.
-        let works = matches!(self.state, State::Working { .. }) && self.online && self.status.is_some();
+        let works = matches!(self.state, State::Working { .. }) && self.status.is_some();
         if works && now_ns.saturating_sub(self.told_ns) >= TELL_NS {
             self.tell(now_ns, &mut acts);
         }
@@ -306,10 +353,7 @@ impl Driver {
 
     /// Goes on as far as the robot's state allows.
     fn step(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
-        if self.forgets && self.status == Some(Status::Docked) && self.resumes {
-            self.forgets = false;
-            acts.push(Act::Order(Order::Stop));
-        }
+        self.forget(now_ns, acts);
         match self.state.clone() {
             State::Free => self.start(now_ns, acts),
             State::Ordered { order, since_ns, tries, differed } => {
@@ -318,6 +362,19 @@ impl Driver {
             State::Working { since_ns, left_ns, paused_ns } => {
                 self.look_at_work(since_ns, left_ns, paused_ns, now_ns, acts);
             }
+        }
+    }
+
+    /// Tells a robot at its dock that it is not to go on by itself. Of Home Assistant's nobody knows whether it has heard.
+    fn forget(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+        let Some((left, next_ns)) = self.forgets else { return };
+        let means_to = self.resumes || self.kind == RobotKind::HomeAssistant;
+        // What it is sent to do next takes the place of what it has left.
+        if left == 0 || matches!(self.state, State::Ordered { .. } | State::Working { .. }) && !self.is_ending() {
+            self.forgets = None;
+        } else if means_to && self.status == Some(Status::Docked) && now_ns >= next_ns {
+            acts.push(Act::Order(Order::Stop));
+            self.forgets = Some((left - 1, now_ns.saturating_add(self.start_ns)));
         }
     }
 
@@ -353,11 +410,13 @@ impl Driver {
     fn look_at_change(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
         let State::Ordered { order, since_ns, tries, differed } = self.state.clone() else { return };
         let begins = self.status == Some(Status::Cleaning) && before != self.status;
-        let again = self.is_ending() && begins && tries < TRIES;
+        let again = self.is_ending() && begins;
         if again {
             acts.push(Act::Order(order.clone()));
         }
-        let (since_ns, tries) = if again { (now_ns, tries + 1) } else { (since_ns, tries) };
+        // One of which nothing was known has heard none of those before.
+        let told = if before.is_none() { 1 } else { tries.saturating_add(1) };
+        let (since_ns, tries) = if again { (now_ns, told) } else { (since_ns, tries) };
         let differed = differed || !self.is_as_ordered(&order);
         self.state = State::Ordered { order, since_ns, tries, differed };
     }
@@ -406,18 +465,41 @@ impl Driver {
             self.state = State::Ordered { order, since_ns: now_ns, tries: tries + 1, differed };
             return;
         }
-        let away =
-            if self.online && self.status.is_some() { "does not do what it is told" } else { "is not connected" };
-        let what = if cleans { "" } else { ", also not to stop" };
-        self.state = State::Free;
+        let why = self.why_not_followed(cleans);
         if cleans {
-            // What it hears late is not to be begun.
-            acts.push(Act::Order(Order::Stop));
+            self.end(Kind::Failed, why, acts);
+            // What it hears late is not to be begun, also where it hears it when it is back.
+            return if self.status.is_some() {
+                acts.push(Act::Order(Order::Stop));
+            } else {
+                self.order(Order::Stop, now_ns, acts);
+            };
+        }
+        // A robot that stands need not go home before it goes to work.
+        if self.wish.is_some() && self.is_as_ordered(&Order::Stop) {
+            self.state = State::Free;
+            return self.start(now_ns, acts);
         }
         if self.wish.is_some() {
-            self.end(Kind::Failed, &format!("the robot {away}{what}"), acts);
-        } else {
-            tracing::error!("the robot {away}{what}");
+            self.end(Kind::Failed, why, acts);
+        } else if tries == TRIES {
+            tracing::error!(?order, why, "what ends the robot's work is not followed, and is told again until it is");
+        }
+        let hears = self.connected && self.online;
+        if hears {
+            acts.push(Act::Order(order.clone()));
+        }
+        let since_ns = if hears { now_ns } else { since_ns };
+        self.state = State::Ordered { order, since_ns, tries: TRIES + 1, differed };
+    }
+
+    /// Why an order is not followed, in words.
+    fn why_not_followed(&self, cleans: bool) -> &'static str {
+        match (self.connected, self.status) {
+            (false, _) => "the broker is away",
+            (true, None) => "the robot is not connected",
+            (true, Some(_)) if cleans => "the robot does not do what it is told",
+            (true, Some(_)) => "the robot does not stop when it is told to",
         }
     }
 
@@ -446,8 +528,9 @@ impl Driver {
         self.state = State::Working { since_ns, left_ns: left, paused_ns: paused };
         let for_ns = |since: Option<u64>| since.map(|since_ns| now_ns.saturating_sub(since_ns));
         if for_ns(left).is_some_and(|left_ns| left_ns >= SETTLE_NS) {
-            if self.resumes {
-                self.forgets = true;
+            let is_empty = self.recharge_at.zip(self.battery).is_some_and(|(at, battery)| battery <= at);
+            if self.resumes || is_empty {
+                self.forgets = Some((TRIES, now_ns));
                 return self.end(Kind::Failed, "the robot has to charge before it can go on", acts);
             }
             let worked_ns = left.unwrap_or(now_ns).saturating_sub(since_ns);

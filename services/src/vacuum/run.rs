@@ -150,7 +150,19 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
             driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
         }
         let now_ns = clock::monotonic_ns();
-        for heard in robot.link.heard() {
+        // Before what the robot says: what it is at may be what it was told by this.
+        while let Some(received) = decisions.receive()? {
+            if let Ok(decision) = received {
+                let acts = driver.decide(&decision, now_ns);
+                robot.act(acts)?;
+            }
+        }
+        let heard = robot.link.heard();
+        // What came before a connection broke says nothing of now, and comes again with the next one.
+        let is_connected = robot.link.connection() > 0;
+        let acts = driver.link(is_connected, now_ns);
+        robot.act(acts)?;
+        for heard in heard.into_iter().filter(|_| is_connected) {
             if let Some(sensed) = robot.dialect.hear(&heard.topic, &heard.payload) {
                 let acts = driver.sense(sensed, now_ns);
                 robot.act(acts)?;
@@ -166,16 +178,10 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
                 );
             }
         }
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received {
-                let acts = driver.decide(&decision, now_ns);
-                robot.act(acts)?;
-            }
-        }
         let acts = driver.tick(now_ns);
         robot.act(acts)?;
         robot.reports.tick()?;
-        hearing = hearing.go_on(&driver, robot.link.connection() > 0, config, broker);
+        hearing = hearing.go_on(&driver, is_connected, config, broker);
         if hearing.is_settled(&driver) {
             show_plan(&driver, &mut plan);
         }

@@ -231,6 +231,7 @@ fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
     let mut roots: Vec<String> = rules.iter().flat_map(|rules| rules.filters()).map(|filter| first(&filter)).collect();
     if has_robot(config) {
         roots.push(first(&config.robot.topic));
+        roots.extend(config.robot.battery.as_deref().map(first));
     }
     roots.sort();
     roots.dedup();
@@ -469,6 +470,7 @@ struct Heard {
     status: Option<Status>,
     fault: String,
     segments: BTreeMap<String, String>,
+    battery: bool,
     any: bool,
 }
 
@@ -483,7 +485,9 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
             Some(Sensed::Status(status)) => (heard.status, heard.any) = (Some(status), true),
             Some(Sensed::Fault(fault)) => (heard.fault, heard.any) = (fault, true),
             Some(Sensed::Segments(segments)) => (heard.segments, heard.any) = (segments, true),
-            Some(_) => heard.any = true,
+            // Its sensor may be there while the robot is not.
+            Some(Sensed::Battery(_)) => heard.battery = true,
+            Some(Sensed::Resumes(_)) => heard.any = true,
             None => {}
         }
     }
@@ -545,12 +549,34 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
             format!("set reports = \"always\" in [planner] of {}", place.shown()),
         ));
     }
+    if config.robot.kind == RobotKind::HomeAssistant && !heard.battery {
+        findings.push(no_battery(config, seen));
+    }
     match (config.robot.kind, map) {
         (RobotKind::Valetudo, Some(map)) => findings.push(segments(config, map, &heard.segments, place)),
         (RobotKind::HomeAssistant, Some(map)) => findings.push(segments_of_home_assistant(config, map, place)),
         (_, None) => {}
     }
     findings
+}
+
+/// Home Assistant has a vacuum's battery as a sensor of its own.
+fn no_battery(config: &Config, seen: &Seen) -> Finding {
+    let vacuum = config.robot.topic.rsplit('/').next().unwrap_or_default();
+    let sensor = format!("/sensor/{vacuum}_battery/state");
+    let found = "no battery is heard of the robot: a low one does not keep it at its dock, and a room that it leaves to charge counts as done";
+    let remedy = match (&config.robot.battery, seen.topics.keys().find(|topic| topic.ends_with(&sensor))) {
+        (_, Some(there)) if config.robot.battery.as_ref() != Some(there) => {
+            format!("set battery = {there:?} in [robot], which is there")
+        }
+        (Some(topic), _) => {
+            format!(
+                "let Home Assistant say {topic}, in percent: it does when the battery changes (mqtt_statestream); or set robot.battery to another topic"
+            )
+        }
+        _ => format!("set robot.battery to the state topic of its battery's sensor, such as homeassistant{sensor}"),
+    };
+    Finding::limited("battery", found, remedy)
 }
 
 /// Whether each room has the name that Home Assistant's automation is to get for it.
@@ -658,6 +684,29 @@ mod tests {
         assert!(verdict == Verdict::Limited && found.contains(&format!("have {}:", ids[1])), "{found}");
         assert_eq!(told(&[(&map.rooms()[0].label, "16"), (ids[1], "17")]).0, Verdict::Good, "by any name");
         assert_eq!(told(&[("attic", "16")]).0, Verdict::Wrong);
+    }
+
+    /// Since 2026.8 Home Assistant's vacuums tell no battery, and it was looked at in vain.
+    #[test]
+    fn a_robot_of_which_no_battery_is_heard_is_named() {
+        let mut config = Config::default();
+        config.robot.kind = RobotKind::HomeAssistant;
+        config.robot.topic = "homeassistant/vacuum/dusty".to_owned();
+        let place = Place { config: Path::new("roomcast.toml"), wait: std::time::Duration::ZERO };
+        let (mut seen, sensor) = (Seen::default(), "homeassistant/sensor/dusty_battery/state");
+        let said = |payload: &[u8]| look::Said { payload: payload.to_vec(), retained: true };
+        let remedy = |config: &Config, seen: &Seen| {
+            let found = robot(config, None, seen, &place).into_iter().find(|own| own.check == "battery");
+            found.map(|finding| finding.remedy.unwrap_or_default())
+        };
+        seen.topics.insert("homeassistant/vacuum/dusty/state".to_owned(), said(b"docked"));
+        assert!(remedy(&config, &seen).unwrap().contains(&format!("such as {sensor}")));
+        seen.topics.insert(sensor.to_owned(), said(b"62"));
+        assert!(remedy(&config, &seen).unwrap().contains(&format!("battery = {sensor:?}")));
+        config.robot.battery = Some(sensor.to_owned());
+        assert_eq!(remedy(&config, &seen), None);
+        seen.topics.insert(sensor.to_owned(), said(b"unavailable"));
+        assert!(remedy(&config, &seen).unwrap().starts_with("let Home Assistant say"));
     }
 
     /// What was counted before is not what is heard now.

@@ -34,6 +34,8 @@ struct Pair {
     on_the_way: Vec<(u64, (String, String))>,
     lost: Vec<usize>,
     ordered: usize,
+    /// The broker is away.
+    away: bool,
 }
 
 impl Pair {
@@ -50,6 +52,7 @@ impl Pair {
             on_the_way: Vec::new(),
             lost: Vec::new(),
             ordered: 0,
+            away: false,
         };
         pair.pass(1);
         pair.reports.clear();
@@ -60,7 +63,7 @@ impl Pair {
         for act in acts {
             match act {
                 Act::Order(order) => {
-                    if !self.lost.contains(&self.ordered) {
+                    if !self.away && !self.lost.contains(&self.ordered) {
                         self.on_the_way.push((self.now_s + self.delay_s, self.dialect.order(&order)));
                     }
                     self.ordered += 1;
@@ -84,12 +87,37 @@ impl Pair {
         self.carry_out(acts);
     }
 
+    /// The broker goes, or is back and tells what it has kept.
+    fn be_away(&mut self, away: bool) {
+        self.away = away;
+        let acts = self.driver.link(!away, self.now_s * S);
+        self.carry_out(acts);
+        if !away {
+            self.hear_again();
+        }
+    }
+
+    fn hear_again(&mut self) {
+        for (topic, payload) in self.robot.say(true) {
+            let sensed = self.dialect.hear(&topic, payload.as_bytes()).unwrap();
+            let acts = self.driver.sense(sensed, self.now_s * S);
+            self.carry_out(acts);
+        }
+    }
+
+    /// A driver is started that knows nothing.
+    fn start_again(&mut self, config: &RobotConfig) {
+        self.driver = Driver::new(config, 7);
+        self.driver.know_rooms(ROOMS.into_iter());
+    }
+
     fn pass(&mut self, seconds: u64) {
         for _ in 0..seconds {
             self.now_s += 1;
             self.arrive();
             self.robot.pass(1.0);
-            for (topic, payload) in self.robot.say(false) {
+            let said = self.robot.say(false).into_iter().filter(|_| !self.away).collect::<Vec<_>>();
+            for (topic, payload) in said {
                 if let Some(sensed) = self.dialect.hear(&topic, payload.as_bytes()) {
                     let acts = self.driver.sense(sensed, self.now_s * S);
                     self.carry_out(acts);
@@ -387,14 +415,9 @@ fn a_planner_or_driver_that_is_started_again_does_not_begin_the_room_again() {
     pair.pass(10);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)); 2]);
     // Another driver finds the robot at work; the broker has kept what it said.
-    pair.driver = Driver::new(&config(), 7);
-    pair.driver.know_rooms(ROOMS.into_iter());
+    pair.start_again(&config());
     pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
-    for (topic, payload) in pair.robot.say(true) {
-        let sensed = pair.dialect.hear(&topic, payload.as_bytes()).unwrap();
-        let acts = pair.driver.sense(sensed, pair.now_s * S);
-        pair.carry_out(acts);
-    }
+    pair.hear_again();
     pair.pass(300);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Finished, Some(1))]);
     assert_eq!(pair.robot.orders, ["clean 4"]);
@@ -426,14 +449,16 @@ fn a_decision_without_a_stay_is_work_like_any_other() {
 }
 
 #[test]
-fn rooms_without_a_segment_are_blocked_and_rooms_that_are_done_are_not_cleaned_again() {
+fn rooms_without_a_segment_are_blocked_and_another_robots_decisions_are_no_orders() {
     let mut pair = Pair::new(&config(), 100.0);
     pair.decide(&decision(1, action::GO, "garage"));
     assert_eq!(pair.of_work(), [(Kind::Blocked, Some(1))]);
-    pair.decide(&DecisionV1 { covered: 0b0100, ..decision(2, action::GO, "kitchen-3") });
     pair.decide(&DecisionV1 { robot: 8, ..decision(3, action::GO, "hall-2") });
     pair.pass(100);
     assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty());
+    // Whoever sends it to a room that is done means it.
+    pair.decide(&DecisionV1 { covered: 0b0100, ..decision(2, action::GO, "kitchen-3") });
+    assert_eq!(pair.robot.orders, ["clean 3"]);
 }
 
 #[test]
@@ -649,4 +674,161 @@ fn home_assistants_robot_is_driven_by_the_same_driver() {
     sense(&mut driver, "state", "returning", 600);
     let acts = driver.tick(604 * S);
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
+}
+
+/// The broker, its Wi-Fi or the robot was away for longer than three tries, and the robot worked on beside the person when it was back.
+#[test]
+fn what_ends_work_is_told_again_until_it_is_followed() {
+    for (on_pause, then) in [(OnPause::Return, Doing::Docked), (OnPause::Pause, Doing::Paused)] {
+        for (away_s, deaf) in (0..40).step_by(3).chain([100, 3000]).flat_map(|away_s| [(away_s, 0), (away_s, 7)]) {
+            let case = format!("{on_pause}: {away_s} s away, {deaf} orders not heard");
+            let mut pair = Pair::new(&RobotConfig { on_pause, start_s: 5.0, ..config() }, 1e6);
+            pair.decide(&decision(1, action::GO, "hall-2"));
+            pair.pass(30);
+            pair.be_away(true);
+            pair.decide(&decision(2, action::PAUSE, ""));
+            pair.pass(away_s);
+            pair.robot.orders_ignored = deaf;
+            pair.be_away(false);
+            pair.pass(3);
+            assert!(deaf > 0 || pair.robot.doing != Doing::Cleaning, "{case}: told as soon as it is back");
+            pair.pass(100);
+            assert_eq!(pair.robot.doing, then, "{case}");
+            let told = pair.robot.orders.len();
+            pair.pass(300);
+            assert_eq!((pair.robot.orders.len(), &pair.driver.state), (told, &State::Free), "{case}: it is left alone");
+        }
+    }
+}
+
+/// The room before the next one is left, whoever is told of what became of it.
+#[test]
+fn a_robot_that_does_not_stop_for_another_room_is_told_until_it_does() {
+    let mut pair = Pair::new(&RobotConfig { start_s: 5.0, ..config() }, 1e6);
+    pair.decide(&decision(1, action::GO, "hall-2"));
+    pair.pass(30);
+    pair.robot.orders_ignored = 6;
+    pair.decide(&decision(2, action::GO, "office-4"));
+    pair.pass(25);
+    assert!(pair.last_note().contains("does not stop when it is told to"), "{}", pair.last_note());
+    assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Failed, Some(2))]);
+    pair.pass(30);
+    assert_ne!(pair.robot.doing, Doing::Cleaning);
+}
+
+/// A room was reported as failed since the broker was away, and the robot, which had heard, cleaned it all the same.
+#[test]
+fn what_was_given_up_without_a_broker_is_not_done_later() {
+    for away_after_s in 0..3 {
+        let mut pair = Pair::new(&RobotConfig { start_s: 5.0, ..config() }, 1e6);
+        pair.decide(&decision(1, action::GO, "hall-2"));
+        pair.be_away(true);
+        pair.pass(100 + away_after_s);
+        assert_eq!((pair.of_work(), pair.robot.doing), (vec![(Kind::Failed, Some(1))], Doing::Cleaning));
+        pair.be_away(false);
+        pair.pass(10);
+        assert_ne!(pair.robot.doing, Doing::Cleaning);
+    }
+}
+
+/// The decision was there before the robot was heard, and was forgotten then.
+#[test]
+fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
+    let home = |action: u32, room: &str| {
+        let mut pair = Pair::new(&config(), 1e6);
+        pair.decide(&decision(1, action::GO, "kitchen-3"));
+        pair.pass(60);
+        pair.start_again(&config());
+        pair.decide(&decision(2, action, room));
+        pair.pass(2);
+        pair.hear_again();
+        pair.pass(2);
+        pair.robot.doing != Doing::Cleaning
+    };
+    assert!(home(action::PAUSE, "") && home(action::STAY, "hall-2"));
+    assert!(!home(action::STAY, "") && !home(action::GO, "kitchen-3"));
+    // Where it is at its dock already nothing is said.
+    let mut pair = Pair::new(&config(), 1e6);
+    pair.start_again(&config());
+    pair.decide(&decision(2, action::PAUSE, ""));
+    pair.hear_again();
+    pair.pass(100);
+    assert!(pair.robot.orders.is_empty());
+}
+
+/// Work that nobody had asked for was taken for the robot's own, hours after the driver's start.
+#[test]
+fn a_robot_that_somebody_sends_out_after_the_start_is_not_at_its_own_work() {
+    for wait_s in [0, 3, 3600] {
+        let mut pair = Pair::new(&config(), 1e6);
+        pair.start_again(&config());
+        pair.hear_again();
+        pair.pass(wait_s);
+        pair.robot.hear(
+            &format!("{TOPIC}/MapSegmentationCapability/clean/set"),
+            r#"{"segment_ids": ["1"], "iterations": 1}"#,
+        );
+        pair.pass(5);
+        pair.decide(&decision(1, action::GO, "kitchen-3"));
+        pair.pass(10);
+        assert_eq!(pair.robot.orders, ["clean 1", "STOP", "clean 3"]);
+        assert_eq!(pair.of_work(), [(Kind::Started, Some(1))]);
+    }
+}
+
+/// A robot of which nothing can be known was reported as alive, and the planner did not find it silent.
+#[test]
+fn nothing_is_reported_while_broker_or_robot_are_away() {
+    let mut pair = Pair::new(&config(), 1e6);
+    pair.decide(&decision(1, action::GO, "kitchen-3"));
+    pair.pass(60);
+    pair.be_away(true);
+    pair.reports.clear();
+    pair.pass(3600);
+    assert!(pair.reports.is_empty(), "{:?}", pair.reports);
+    pair.be_away(false);
+    pair.pass(60);
+    assert!(!pair.reports.is_empty() && pair.of_work().is_empty(), "it is at the same work");
+    // The broker has kept what a robot said that is off; in whatever order it tells that.
+    let said = [
+        Sensed::Online(false),
+        Sensed::Status(Status::Cleaning),
+        Sensed::Battery(0.4),
+        Sensed::Segments(BTreeMap::from([("3".to_owned(), "kitchen".to_owned())])),
+    ];
+    let mut driver = Driver::new(&config(), 7);
+    driver.know_rooms(ROOMS.into_iter());
+    let mut acts = driver.decide(&decision(1, action::GO, "kitchen-3"), S);
+    said.into_iter().for_each(|sensed| acts.extend(driver.sense(sensed, S)));
+    (2..100).for_each(|s| acts.extend(driver.tick(s * S)));
+    assert_eq!(acts, []);
+    let acts = driver.sense(Sensed::Online(true), 100 * S);
+    assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.battery == Some(0.4))), "{acts:?}");
+}
+
+/// Home Assistant does not say why a vacuum goes home: one that has to charge had "finished" its room.
+#[test]
+fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room() {
+    let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
+    for (battery, kind) in [(0.12, Kind::Failed), (0.2, Kind::Failed), (0.21, Kind::Finished), (0.9, Kind::Finished)] {
+        let mut driver = Driver::new(&config, 7);
+        driver.know_rooms(ROOMS.into_iter());
+        let mut acts = driver.sense(Sensed::Status(Status::Docked), S);
+        acts.extend(driver.decide(&decision(1, action::GO, "hall-2"), 2 * S));
+        acts.extend(driver.sense(Sensed::Status(Status::Cleaning), 3 * S));
+        acts.extend(driver.sense(Sensed::Battery(battery), 500 * S));
+        acts.extend(driver.sense(Sensed::Status(Status::Returning), 600 * S));
+        acts.extend(driver.tick(604 * S));
+        let ended: Vec<_> = acts
+            .iter()
+            .filter_map(|act| if let Act::Report(report) = act { Some(report.kind) } else { None })
+            .filter(|kind| matches!(kind, Kind::Finished | Kind::Failed))
+            .collect();
+        assert_eq!(ended, [kind], "{battery}");
+        // It goes on by itself where nobody tells it not to.
+        let mut docked = driver.sense(Sensed::Status(Status::Docked), 700 * S);
+        (701..1000).for_each(|s| docked.extend(driver.tick(s * S)));
+        let stops = docked.iter().filter(|act| matches!(act, Act::Order(Order::Stop))).count();
+        assert_eq!(stops, if kind == Kind::Failed { TRIES as usize } else { 0 }, "{battery}");
+    }
 }
