@@ -321,7 +321,9 @@ impl Line {
             Some(_) if is_empty => {
                 return Err(reason("that nobody is in a room is of everybody; leave \"person\" out"));
             }
-            Some(own) => Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {}", json_says(&error))))?,
+            Some(own) => {
+                Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {}", json_says(&error))))?
+            }
             None if is_empty => Who::Somebody,
             None => person.clone(),
         };
