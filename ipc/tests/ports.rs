@@ -225,7 +225,7 @@ fn one_subscriber_too_many_is_told_who_is_there() {
     let error = node.subscriber::<RobotReportV1>().unwrap_err();
     let said = error.to_string();
     assert!(matches!(error, IpcError::Occupied { role: "subscriber", limit, .. } if limit == places), "{said}");
-    assert!(said.contains("has them already: crowd"), "{said}");
+    assert!(said.starts_with("crowd (process") && said.contains("are here already"), "{said}");
 }
 
 #[test]

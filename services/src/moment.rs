@@ -448,7 +448,7 @@ mod tests {
         let unknown = called.of_person(3).unwrap_err().to_string();
         assert_eq!(unknown, "the moment has no scores of person 3; it has those of person 0, Zoë");
         let unnamed = called.find("Tom").unwrap_err().to_string();
-        assert!(unnamed.contains("named \"Tom\"; it has scores of person 0, Zoë"), "{unnamed}");
+        assert!(unnamed.contains("called \"Tom\"; there are scores of person 0, Zoë"), "{unnamed}");
     }
 
     /// As a home of sensors has it: somebody is told to be in a room, and no sentence is said.

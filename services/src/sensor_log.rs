@@ -724,7 +724,7 @@ mod tests {
             ("[[rule]]\npresence = \"away\"\nquiet_s = -1", "rule 1: quiet_s is -1"),
             ("[[rule]]\nsay = \"\"", "rule 1"),
             ("[[rule]]\nsay = \"They sit.\"\nshortest_s = -1.0", "rule 1: shortest_s"),
-            ("columns = [\"sensor\"]\n[[rule]]\nsay = \"They sit.\"", "columns names Start 0 times"),
+            ("columns = [\"sensor\"]\n[[rule]]\nsay = \"They sit.\"", "columns has \"start\" 0 times"),
             ("[[rule]]\nsays = \"They sit.\"", "unknown key"),
             (
                 "[[rule]]\npresence = \"unknown\"",

@@ -664,7 +664,7 @@ static MISTAKES: [Mistake; 34] = [
         make: |home| home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Adah\"]"),
         check: "persons",
         verdict: "limited",
-        found: "the rules name Ada, who is not among persons.residents",
+        found: "the rules name Ada: not among persons.residents",
         remedy: "add the name to persons.residents",
         code: exit_code::OK,
     },
@@ -1107,7 +1107,7 @@ fn a_check_of_the_configuration_names_what_the_map_does_not_have() {
     home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { Wohnzimmer = \"17\" }\n");
     let (code, _, remarks) = check();
     assert_eq!(code, i32::from(exit_code::OK), "{remarks}");
-    for remark in ["and the map has no \"mailbox\"", "the rules name Ada, who is not among persons.residents"] {
+    for remark in ["and the map has no \"mailbox\"", "the rules name Ada: not among persons.residents"] {
         assert_eq!(remarks.matches(remark).count(), 1, "{remarks}");
     }
     home.edit("home.rules.toml", "\"living-room-17\"", "\"attic\"");

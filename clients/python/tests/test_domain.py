@@ -94,7 +94,7 @@ def test_a_root_that_is_a_file_is_refused(folder: pathlib.Path) -> None:
 def test_a_root_that_others_may_write_to_is_refused(folder: pathlib.Path, mode: int) -> None:
     (folder / "open").mkdir()
     (folder / "open").chmod(mode)
-    refused(folder / "open", rf"others may write there \(mode {mode:o}\); chmod go-w it")
+    refused(folder / "open", rf"others may write there \(mode {mode:o}\): give a folder of your own")
 
 
 def test_a_root_of_another_user_is_refused(folder: pathlib.Path) -> None:

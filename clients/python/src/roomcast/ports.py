@@ -197,7 +197,10 @@ class Domain:
                 f"belongs to user {about.st_uid}; all participants run as one user: run as that user, or use another root"
             )
         if about.st_mode & 0o022:
-            raise self._bad_root(f"others may write there (mode {stat.S_IMODE(about.st_mode):o}); chmod go-w it")
+            raise self._bad_root(
+                f"others may write there (mode {stat.S_IMODE(about.st_mode):o}): give a folder of your own, which is made; "
+                "or chmod go-w this one, if it is yours alone"
+            )
 
     def _shared_memory(self) -> list[pathlib.Path]:
         """The domain's files in shared memory."""
