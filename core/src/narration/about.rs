@@ -90,9 +90,7 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     if first.ends_with("'s") && clause::is(Word::People, second) && clause::is_verb(third) {
         return About::Stranger(format!("{first} {second}"));
     }
-    // "Leak detected" is what a sensor says.
-    let is_detected = words.iter().take(NAME_WORDS_MAX).any(|word| *word == "detected");
-    if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) || is_detected {
+    if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) {
         return About::Nobody;
     }
     let (first, is_title) = (first.trim_end_matches('.'), clause::is(Word::Title, first.trim_end_matches('.')));
@@ -133,9 +131,6 @@ fn before_its_verb(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option
     Some(if is_so { About::Named(vec![name.to_owned()]) } else { About::Nobody })
 }
 
-/// What stands behind an article is looked at for so many words: "robot vacuum", "lawn mower".
-const THING_WORDS_MAX: usize = 2;
-
 /// A sentence about what stands behind an article: a person without a name, a device and its state, or a thing.
 fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
     let noun = rest.first().copied().unwrap_or_default();
@@ -145,10 +140,7 @@ fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
     if (clause::is(Word::Anybody, noun) || clause::is(Word::Anybody, next)) && !is_several {
         return About::Somebody;
     }
-    // What moves by itself, or was brought, is no device of whoever is there: "the robot vacuum is running".
-    let mut names = rest.iter().take(THING_WORDS_MAX);
-    let is_of_itself = names.any(|word| clause::is(Word::OfItself, word) || clause::is(Word::Group, word));
-    let is_device = matches!(article, "the" | "a" | "an") && !is_of_itself && clause::is_of_a_state(said);
+    let is_device = matches!(article, "the" | "a" | "an") && clause::is_of_a_state(said);
     if is_device { About::Somebody } else { About::Nobody }
 }
 

@@ -209,12 +209,8 @@ pub(super) fn is_an_event(rest: &str) -> bool {
     let ends = |more: &str| more.is_empty() || BEHIND.contains(&more.split(' ').next().unwrap_or_default());
     let has_object = |more: &str| !more.is_empty() && !ends(more);
     let is_event = CLASSES.happens.after(rest).is_some_and(|more| !has_object(more) || is_against(rest));
-    is_event || is_broadcast(rest)
-}
-
-/// Whether what is said happens where nobody of this house is, or reaches them from there: "on tv", "over the phone".
-pub(super) fn is_broadcast(said: &str) -> bool {
-    DEEDS.broadcast.iter().any(|place| crate::text::has_words(said, place))
+    let is_told = DEEDS.broadcast.iter().any(|place| crate::text::has_words(rest, place));
+    is_event || is_told
 }
 
 /// Whether two clubs play: whatever follows is the other one.

@@ -50,19 +50,6 @@ pub struct PresenceStatement {
     subject: Option<String>,
     whose: Whose,
     pronoun: Option<Pronoun>,
-    told: Told,
-}
-
-/// How a statement was made.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
-enum Told {
-    /// As a statement: it means its room by the name that it gives.
-    #[default]
-    Stated,
-    /// In a plain sentence, of its subject.
-    OfSubject,
-    /// In a plain sentence of somebody else: "Ada hugs Ben." of Ben.
-    OfOthers,
 }
 
 /// Whose presence a statement is.
@@ -117,14 +104,8 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement = Self {
-            presence,
-            room: room.map(str::to_owned),
-            subject: None,
-            whose: Whose::Subject,
-            pronoun: None,
-            told: Told::Stated,
-        };
+        let statement =
+            Self { presence, room: room.map(str::to_owned), subject: None, whose: Whose::Subject, pronoun: None };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
@@ -180,7 +161,7 @@ impl PresenceStatement {
     /// The same of a sentence in plain form.
     pub(super) fn of_plain(said: &str) -> Option<Self> {
         let Clause { subject, presence, room, is_state, .. } = Clause::read(said)?;
-        let of = |whose| Some(Self { whose, told: Told::OfSubject, ..Self::new(presence, room).ok()? });
+        let of = |whose| Some(Self { whose, ..Self::new(presence, room).ok()? });
         let of_names = |whose, names: &[&str]| Some(of(whose)?.with_subjects(names));
         match subject {
             Subject::Other => None,
@@ -250,48 +231,7 @@ impl PresenceStatement {
     /// The same of one person, who may be said to be elsewhere.
     pub(super) fn of_one(&self, presence: Presence) -> Self {
         let room = self.room.clone().filter(|_| presence == Presence::Present);
-        Self { presence, room, subject: None, whose: Whose::Subject, pronoun: self.pronoun, told: self.told }
-    }
-
-    /// The same of somebody who is not the subject of the sentence that said it.
-    pub(super) fn of_others_than_its_subject(self) -> Self {
-        Self { told: Told::OfOthers, ..self }
-    }
-
-    /// Whether a plain sentence said it of somebody who is not its subject: of Ben, where it is "Ada hugs Ben."
-    #[must_use]
-    pub fn is_of_others_than_its_subject(&self) -> bool {
-        self.told == Told::OfOthers
-    }
-
-    /// Whether a plain sentence said it, whose words for a room may mean a place elsewhere: "Ben is at the library."
-    #[must_use]
-    pub fn is_of_a_sentence(&self) -> bool {
-        self.told != Told::Stated
-    }
-
-    /// How a plain sentence told of it, as a journal keeps it in four bits: bits 0 and 1 are the pronoun (he, she), and bits 2 and 3 whether it was
-    /// said of the sentence's subject or of somebody else.
-    #[must_use]
-    pub fn telling(&self) -> u8 {
-        let pronoun = self.pronoun.map_or(0, |pronoun| if pronoun == Pronoun::He { 1 } else { 2 });
-        pronoun | (self.told as u8) << 2
-    }
-
-    /// The same statement, told so: what [`PresenceStatement::telling`] gave. Anything else is as if it was not told by a sentence.
-    #[must_use]
-    pub fn told(self, telling: u8) -> Self {
-        let pronoun = match telling & 3 {
-            1 => Some(Pronoun::He),
-            2 => Some(Pronoun::She),
-            _ => None,
-        };
-        let told = match telling >> 2 {
-            1 => Told::OfSubject,
-            2 => Told::OfOthers,
-            _ => Told::Stated,
-        };
-        Self { pronoun, told, ..self }
+        Self { presence, room, subject: None, whose: Whose::Subject, pronoun: self.pronoun }
     }
 
     /// The same of who goes out instead.
@@ -418,24 +358,6 @@ mod tests {
         assert_eq!(forms, ["present", "present in the kitchen", "nobody in the kitchen", "away", "gone"]);
         for form in forms {
             assert_eq!(PresenceStatement::parse(form).unwrap().to_string(), form);
-        }
-    }
-
-    /// How a sentence told of somebody stays with what is kept of it.
-    #[test]
-    fn how_it_was_told_is_kept() {
-        for sentence in ["She leaves the house.", "He is in the kitchen.", "Ada leaves the house.", "Nobody is home."] {
-            let statement = PresenceStatement::of_sentence(sentence).unwrap();
-            for statement in [statement.clone(), statement.clone().of_others_than_its_subject()] {
-                let own = statement.of_one(statement.presence());
-                let read = PresenceStatement::parse(&own.to_string()).unwrap().told(own.telling());
-                assert_eq!(read, own, "{sentence}");
-            }
-        }
-        for telling in 0..16 {
-            let statement = PresenceStatement::parse("away").unwrap().told(telling);
-            let again = PresenceStatement::parse("away").unwrap().told(statement.telling());
-            assert_eq!(again, statement, "{telling}");
         }
     }
 
@@ -630,8 +552,7 @@ mod tests {
         ] {
             let statement = of(sentence);
             if let Some(subject) = subject {
-                let read = PresenceStatement::parse_of(said, subject).unwrap();
-                assert_eq!(read.told(statement.telling()), statement, "{sentence}");
+                assert_eq!(PresenceStatement::parse_of(said, subject).unwrap(), statement, "{sentence}");
             }
             assert_eq!((statement.to_string().as_str(), statement.subject()), (said, subject), "{sentence}");
             assert_eq!(statement.is_of_everybody(), of_everybody, "{sentence}");

@@ -1,6 +1,6 @@
 //! Who comes along: companions, guests, groups, and whoever is seen, touched or visited.
 
-use super::kind::{is_from_afar, is_not_now, is_not_so};
+use super::kind::{is_not_now, is_not_so};
 use super::names::{NAME_WORDS_MAX, SUBJECT_WORDS_MAX, cuts, names, parts, without_too};
 use super::signs::{is_reported, is_said};
 use super::whereabouts::{after_verb, ends, ends_here, is_room, room_of, takes, where_to, works_here};
@@ -32,16 +32,14 @@ pub(in crate::narration) fn moves_nobody(said: &str) -> bool {
 
 /// Who is known and there, as somebody touches them: "lena" of "paul hugs lena".
 pub(in crate::narration) fn touched(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Vec<&str> {
-    if is_not_so(said) || is_reported(said) || is_from_afar(said) || deeds::is_broadcast(said) {
+    if is_not_so(said) || is_reported(said) || WORDS.afar.is_in(said) {
         return Vec::new();
     }
     let mut of = |more: &str| -> Option<usize> {
         let ends = more.match_indices([' ', ',']).map(|(at, _)| at).take(NAME_WORDS_MAX).chain([more.len()]);
         ends.filter(|at| names(&more[..*at]).is_some_and(|names| names.iter().all(|name| is_known(name)))).last()
     };
-    // What somebody "misses doing" is not done.
-    let is_done = |(subject, rest): &(&str, &str)| is_said(subject) && !first_word(rest).ends_with("ing");
-    let touched = cuts(said).take(NAME_WORDS_MAX).filter(is_done).find_map(|(_, rest)| {
+    let touched = cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_said(subject)).find_map(|(_, rest)| {
         let more = deeds::touched(rest)?;
         names(&more[..of(more)?])
     });

@@ -3,8 +3,8 @@
 use super::names::{NAME_WORDS_MAX, NEW_NAME_WORDS_MAX, bare, cuts};
 use super::signs::{is_unreal, without_first};
 use super::whereabouts::{
-    after_verb, arrives, ends, first_predicate, is_a_town, is_at_somebodys, is_elsewhere, is_of_what_was_left,
-    is_outside_by, predicate, state,
+    after_verb, arrives, ends, first_predicate, is_at_somebodys, is_elsewhere, is_of_what_was_left, is_outside_by,
+    predicate, state,
 };
 use super::words::{WORDS, first_word, has, is_verb};
 use super::{Clause, Subject};
@@ -30,13 +30,10 @@ pub(in crate::narration) fn is_not_now(said: &str) -> bool {
         // "A minute later" and "soon after" go on with what is told.
         let goes_on = matches!(words, "later" | "shortly" | "soon")
             && (before.is_empty()
-                // "Later than usual" is now, and so is "as always".
-                || after.starts_with(" than")
                 || has(&WORDS.units, last_word(before))
                 || after.starts_with(',')
                 || after.starts_with(" after"));
-        let is_compared = last_word(before) == "as" && has(&WORDS.again, words);
-        is_whole && !goes_on && !is_compared && !has(&WORDS.lasting, last_word(before))
+        is_whole && !goes_on && !has(&WORDS.lasting, last_word(before))
     };
     let mut begins = main.match_indices(' ').map(|(at, _)| at + 1).chain([0]);
     let is_at_another_time =
@@ -47,8 +44,7 @@ pub(in crate::narration) fn is_not_now(said: &str) -> bool {
 
 /// Whether a text has a time ahead: "in ten minutes".
 fn is_ahead(text: &str) -> bool {
-    // "For the first time in two weeks" is now.
-    text.match_indices(" in ").filter(|(at, _)| !text[..*at].ends_with(" time")).any(|(at, _)| {
+    text.match_indices(" in ").any(|(at, _)| {
         let mut words = text[at + 4..].split([' ', ',']).peekable();
         let is_count = |word: &&str| {
             word.starts_with(|c: char| c.is_ascii_digit())
@@ -61,12 +57,11 @@ fn is_ahead(text: &str) -> bool {
 }
 
 /// Whether a text says at which hour something is done, which is then a plan, or what is done every day: "ada leaves at nine". What was done at an
-/// hour has happened, and so has what was noted to the minute: "leaves the house at 8:15". Who "comes home at noon" is told of then.
+/// hour has happened, and so has what was noted to the minute: "leaves the house at 8:15".
 fn is_at_an_hour(text: &str) -> bool {
     let is_done = |word: &str| word.ends_with("ed") || has(&WORDS.past, word) || matches!(word, "has" | "have" | "had");
     text.match_indices(" at ").any(|(at, found)| {
-        let comes_home = || cuts(&text[..at]).any(|(_, rest)| state(rest).is_none() && arrives(rest));
-        has(&WORDS.hours, first_word(&text[at + found.len()..])) && !text[..at].split(' ').any(is_done) && !comes_home()
+        has(&WORDS.hours, first_word(&text[at + found.len()..])) && !text[..at].split(' ').any(is_done)
     })
 }
 
@@ -85,25 +80,14 @@ pub(in crate::narration) fn may_be_elsewhere(said: &str) -> bool {
     let is_going = |rest: &str| {
         let ways = [&WORDS.goes, &WORDS.comes, &WORDS.travels].into_iter().flat_map(|verbs| after_verb(rest, verbs));
         let mut ways = ways.chain(deeds::moves(rest));
-        ways.any(|way| WAYS.iter().any(|to| way.trim_start_matches("back ").starts_with(to)) && !is_here(way))
+        ways.any(|way| WAYS.iter().any(|to| way.trim_start_matches("back ").starts_with(to)))
     };
     // Who "is cooking" does something.
     let is_something = |rest: &str| {
         let what = state(rest).and_then(|state| state.split([' ', ',']).next());
         what.is_some_and(|what| !what.ends_with("ing") || has(&WORDS.under_way, what))
-            && !state(rest).is_some_and(is_here)
     };
     Clause::read(said).is_none() && cuts(said).any(|(_, rest)| is_going(rest) || is_something(rest))
-}
-
-/// Whether words name a place of the house, whatever follows: "home sick", "to his room". "Upstairs at work" and "home in Berlin" may be elsewhere.
-fn is_here(what: &str) -> bool {
-    let is_whole = |more: &str| more.is_empty() || more.starts_with([' ', ',']);
-    let is_elsewhere = |more: &str| {
-        more.match_indices(' ')
-            .any(|(at, _)| is_outside_by(&more[at + 1..], &["at", "in", "to"]) || is_a_town(&more[at..], &[" in "]))
-    };
-    WORDS.at_home.after(what).any(|more| is_whole(more) && !is_elsewhere(more))
 }
 
 /// Whether a plain sentence says that somebody speaks: "ada tells ben to go to the kitchen".
@@ -116,10 +100,7 @@ pub(in crate::narration) fn is_speech(said: &str) -> bool {
 /// Whether a plain sentence says what state a device is in: "the oven is on", "the door opens".
 pub(in crate::narration) fn is_of_a_state(said: &str) -> bool {
     let is_of_a_state = |(_, rest): (&str, &str)| {
-        // "At 20 degrees", and not "at the door".
-        let is_measured =
-            |state: &str| state.strip_prefix("at ").is_some_and(|at| at.starts_with(|c: char| c.is_ascii_digit()));
-        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends) || is_measured(state));
+        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends) || state.starts_with("at "));
         begun || ["opens", "closes"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends))
     };
     cuts(said).any(is_of_a_state) || is_of_an_end(said)

@@ -3,7 +3,7 @@
 use super::signs::{is_reported, without_first};
 use super::words::{WORDS, first_word, has, is_possible};
 use super::{Clause, Subject};
-use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun, deeds};
+use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun};
 
 /// A plain sentence without what it begins with of no person: "lena goes jogging" of "although it rains, lena goes jogging".
 pub(in crate::narration) fn without_opening(said: &str) -> &str {
@@ -135,23 +135,9 @@ fn pronoun_of(word: &str) -> Option<Pronoun> {
     }
 }
 
-/// What a plain sentence calls its own person by, as far as it tells: "she opens the fridge", "ada brushes her teeth". What another one is called
-/// by tells nothing: "ben kisses her", "ben helps her into her coat".
+/// What a plain sentence calls its own person by, as far as it tells: "ada brushes her teeth".
 pub(in crate::narration) fn own_pronoun(said: &str) -> Option<Pronoun> {
-    let said = without_first(said);
-    let words = || said.split([' ', ',']).filter(|word| !word.is_empty());
-    if matches!(first_word(said), "he" | "she") {
-        return pronoun(said);
-    }
-    let is_of_two = words().any(deeds::may_touch);
-    let (before, at) = words().zip(words().skip(1)).find(|(_, word)| pronoun_of(word).is_some())?;
-    let thing = words().skip_while(|word| *word != at).nth(1).unwrap_or_default();
-    let is_own = match at {
-        "himself" | "herself" => true,
-        "his" | "her" => has(&WORDS.own, thing) && !is_of_two && !has(&WORDS.takes, before),
-        _ => false,
-    };
-    pronoun_of(at).filter(|_| is_own)
+    said.split([' ', ',']).find_map(pronoun_of)
 }
 
 /// Whether a plain sentence begins with a pronoun.
@@ -232,12 +218,8 @@ pub(super) fn parts(subject: &str) -> impl Iterator<Item = &str> {
 /// What the persons of a subject are called: "ada" and "plumber" of "ada and the plumber". None where one of them is a thing, or where it is
 /// not told whom it is of.
 pub(super) fn names(subject: &str) -> Option<Vec<&str>> {
-    // "Ada and the dog" is Ada, and so is "Ada and the kids", of whom nobody knows who they are.
-    let is_group = |part: &str| {
-        let noun = part.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map(|(_, noun)| noun);
-        has(&WORDS.groups, noun.unwrap_or(part))
-    };
-    let persons = parts(subject).filter(|part| !has(&WORDS.animals, part) && !is_group(part));
+    // "Ada and the dog" is Ada.
+    let persons = parts(subject).filter(|part| !has(&WORDS.animals, part));
     persons.map(person_of).collect::<Option<Vec<_>>>().filter(|names| !names.is_empty())
 }
 
@@ -251,9 +233,6 @@ fn person_of(part: &str) -> Option<&str> {
     let is_group = || has(&WORDS.groups, name.rsplit(' ').next().unwrap_or_default());
     let is_nothing = has(&WORDS.nothing, first) || is_had || is_group();
     // "2 people" is a count, and no name fits into a message that is longer.
-    // "Ada believes Ben" is nobody: what is said of him is what she believes.
-    let is_supposed = || name.split(' ').skip(1).any(|word| has(&WORDS.supposes, word));
-    let is_nothing = is_nothing || is_supposed();
     let is_nothing =
         is_nothing || first.starts_with(|c: char| c.is_ascii_digit()) || name.len() > PERSON_NAME_BYTES_MAX;
     // "Her friend igor" is igor.

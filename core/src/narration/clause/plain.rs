@@ -1,8 +1,8 @@
 //! A sentence in plain words: lower case, without marks, as people and trackers write it.
 
-use super::names::{NAME_WORDS_MAX, names, parts};
+use super::names::NAME_WORDS_MAX;
 use super::whereabouts::{ends, is_state_ahead};
-use super::words::{WORDS, has, is_known_verb};
+use super::words::WORDS;
 
 /// A sentence in plain form: in lower case, with short forms written out.
 pub(in crate::narration) fn plain(sentence: &str) -> String {
@@ -36,27 +36,7 @@ fn write_plain(sentence: &str, text: &mut String) {
             text.insert_str(nobody.len() - "in the ".len(), "is ");
         }
     }
-    if sentence.contains(" and ") {
-        write_both(sentence, text);
-    }
     write_as_usual(text);
-}
-
-/// Leaves out "both" beside names: "both ada and ben leave" and "ada and ben both leave" are "ada and ben leave".
-fn write_both(sentence: &str, text: &mut String) {
-    // "Both eat and leave" is of two without names.
-    let is_before_a_name = |rest: &str| {
-        rest.starts_with(char::is_uppercase) || has(&WORDS.determiners, rest.split(' ').next().unwrap_or_default())
-    };
-    if sentence.strip_prefix("Both ").is_some_and(is_before_a_name) && text.starts_with("both ") {
-        text.drain(.."both ".len());
-    } else if let Some(at) = text.find(" both ") {
-        let before = text[..at].trim_end_matches(" are").trim_end_matches(" have");
-        let is_of_two = parts(before).nth(1).is_some() && names(before).is_some();
-        if is_of_two && !before.contains(',') {
-            text.replace_range(at..at + " both ".len(), " ");
-        }
-    }
 }
 
 /// Writes what is said in several ways in one: "they are both in", "has just left", "is no longer in", "ada/ben".
@@ -163,29 +143,10 @@ fn is_mark(c: char) -> bool {
 
 /// The parts of a sentence without quotation marks, and without what somebody says between them: a name alone is no speech.
 fn unquoted(sentence: &str) -> impl Iterator<Item = &str> {
-    let mut before = "";
-    sentence.split(is_mark).enumerate().filter_map(move |(at, part)| {
-        let is_told = at % 2 == 0 || is_quoted_name(before, part);
-        before = part;
-        is_told.then_some(part)
-    })
-}
-
-/// Whether words between quotation marks may be a name, and not what somebody says: "ben" of "“Ben” is away".
-fn is_quoted_name(before: &str, quoted: &str) -> bool {
-    // Speech ends as a sentence does, or with the comma before who says it.
-    if quoted.ends_with(['.', '!', '?', ',', '…']) || before.trim_end().ends_with(':') {
-        return false;
-    }
-    let quoted = quoted.to_lowercase();
-    let is_of_speech = |word: &str| {
-        let lists = [&WORDS.nobody, &WORDS.everybody, &WORDS.pronouns, &WORDS.out, &WORDS.r#in, &WORDS.leaves];
-        lists.iter().any(|words| has(words, word))
-    };
-    let mut words = quoted.split_whitespace();
-    let (first, last) = (words.next().unwrap_or_default(), words.next());
-    let is_short = || last.is_some_and(|last| is_of_speech(last) || is_known_verb(last) || first.contains(['\'', '’']));
-    words.next().is_none() && !is_of_speech(first) && !is_short()
+    /// More words than these between quotation marks are speech.
+    const NAME_WORDS: usize = 2;
+    let parts = sentence.split(is_mark).enumerate();
+    parts.filter(|(at, part)| at % 2 == 0 || part.split_whitespace().count() <= NAME_WORDS).map(|(_, part)| part)
 }
 
 /// Writes short forms out.

@@ -50,8 +50,7 @@ pub(in crate::narration) fn known_before_a_verb<'a>(
     }
     let (begin, name, rest) = found?;
     let before = said[..begin].trim_end();
-    let is_supposed = || before.split([' ', ',']).any(|word| has(&WORDS.supposes, word));
-    (!is_part_of_a_name(before)).then(|| (name, rest, is_said(before) && !is_reported(before) && !is_supposed()))
+    (!is_part_of_a_name(before)).then(|| (name, rest, is_said(before) && !is_reported(before)))
 }
 
 /// A sentence is looked at behind so many commas for whom it is about.

@@ -36,13 +36,7 @@ fn ends_away(more: &str) -> bool {
     let is_a_time =
         || more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
     let goes_on = [" from ", " for ", " to ", " by "].iter().any(|word| more.starts_with(word));
-    ends(more) && (!goes_on || is_a_time() || is_out()) && !is_at_a_thing(more)
-}
-
-/// Whether words name what is in the house and that somebody is at or comes from: "away at the desk", "goes away from the stove".
-fn is_at_a_thing(more: &str) -> bool {
-    let mut places = ["at ", "from "].iter().filter_map(|at| more.trim_start().strip_prefix(at));
-    places.any(|place| is_in_the_house(place) && !WORDS.house.after(place).any(ends))
+    ends(more) && (!goes_on || is_a_time() || is_out())
 }
 
 /// Whether words name a place: "to the hotel", "at her desk".
@@ -64,7 +58,7 @@ pub(super) fn ends_here(more: &str) -> bool {
 /// The same after words that say that somebody goes out: who "goes out to the balcony" may be in the house.
 fn ends_out(more: &str) -> bool {
     let words = more.trim_start();
-    ends(more) && (!is_a_place(words) || is_outside(words)) && !is_at_a_thing(more)
+    ends(more) && (!is_a_place(words) || is_outside(words))
 }
 
 /// Whether words begin with a place that no home has, behind a word such as "at" or "to", and end there or go on with what changes nothing: "to
@@ -132,9 +126,7 @@ pub(super) fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
         || ["left", "has left", "have left"].iter().filter_map(|left| rest.strip_prefix(left)).any(ends_away);
     // Who arrives at work is there.
     let arrives_outside = |arrives: &str| is_outside_by(arrives, &["at", "to", "into"]) && !works_here(arrives);
-    // Who gets to work may only begin with it.
-    let gets_to_work = || rest.starts_with('g') && after_verb(rest, &WORDS.comes).any(|to| to.starts_with("to work"));
-    if after_verb(rest, &WORDS.comes).any(arrives_outside) && !gets_to_work() {
+    if after_verb(rest, &WORDS.comes).any(arrives_outside) {
         return Some((Presence::Away, None));
     }
     let leaves_for = |said: &str| is_outside_by(said, &["for"]) || is_a_town(said, &["for "]);
@@ -397,7 +389,7 @@ pub(super) fn arrives(rest: &str) -> bool {
 }
 
 /// Whether words name a place by nothing but its name, which is none of a home: "for Berlin", "in rome".
-pub(super) fn is_a_town(words: &str, to: &[&str]) -> bool {
+fn is_a_town(words: &str, to: &[&str]) -> bool {
     let mut places = to.iter().filter_map(|to| words.strip_prefix(to));
     places.any(|place| {
         let name = first_word(place);
@@ -519,49 +511,32 @@ fn goes_out(rest: &str) -> bool {
         && !works_here(rest)
 }
 
-/// Whether what somebody goes to do elsewhere is done in the house: "goes to work at her desk", "to school at the kitchen table", "to shop online".
+/// Whether somebody works in the house: "goes to work at her desk", "from home".
 pub(super) fn works_here(said: &str) -> bool {
-    const HERE: [&str; 6] = [" from home", " at her ", " at his ", " at their ", " at the ", " on "];
-    if let Some((_, after)) = said.split_once("to work") {
-        return HERE.iter().any(|here| after.starts_with(here));
-    }
-    let is_here = |after: &str| {
-        let is_thing = |place| {
-            let last = room_of(noun_of(place)).rsplit(' ').next().unwrap_or_default();
-            is_in_the_house(place) || Names::built_in().knows(last)
-        };
-        let is_at_a_thing = || after.strip_prefix(" at ").is_some_and(is_thing);
-        [" from home", " online"].iter().any(|here| after.starts_with(here)) || is_at_a_thing()
-    };
-    let mut ways = said.match_indices("to ").filter(|(at, _)| *at == 0 || said[..*at].ends_with(' '));
-    ways.any(|(at, to)| WORDS.outside.after(noun_of(&said[at + to.len()..])).any(is_here))
+    let Some((_, after)) = said.split_once("to work") else { return false };
+    [" from home", " at her ", " at his ", " at their ", " at the ", " on "].iter().any(|here| after.starts_with(here))
 }
 
 /// Whom somebody takes along who goes out of the house or comes home, and which: "lily" and away of "takes lily to school", "drops lily off at
 /// school" and "picks lily up from school"; "lily" and present of "brings lily home".
 pub(super) fn takes(rest: &str) -> Option<(&str, Presence)> {
-    let mut taken = WORDS.takes.begin(rest).filter_map(|(verb, after)| Some((verb, after.strip_prefix(' ')?)));
-    // "Brings flowers from the market" has been there.
-    let is_fetched = |verb: &str| ["pick", "collect"].iter().any(|fetches| verb.starts_with(fetches));
+    let mut taken = after_verb(rest, &WORDS.takes);
     let is_errand = |place: &str| WORDS.errands.begin(place).any(|(own, after)| own.contains(' ') && ends(after));
-    let where_to = |verb: &str, place: &str| {
+    let where_to = |place: &str| {
         let place =
             ["off ", "up ", "a lift ", "a ride "].iter().find_map(|word| place.strip_prefix(word)).unwrap_or(place);
         let is_home = ["home", "back home", "back"].iter().any(|home| place.strip_prefix(home).is_some_and(ends));
         let is_out = is_outside_by(place, &["to", "into", "at"]) && !works_here(place);
         match is_home && !is_out {
             true => Some(Presence::Present),
-            false => {
-                let is_away = is_out || is_errand(place) || is_fetched(verb) && is_outside_by(place, &["from"]);
-                is_away.then_some(Presence::Away)
-            }
+            false => (is_out || is_errand(place) || is_outside_by(place, &["from"])).then_some(Presence::Away),
         }
     };
-    taken.find_map(|(verb, said)| {
+    taken.find_map(|said| {
         let said = ["off ", "up "].iter().find_map(|word| said.strip_prefix(word)).unwrap_or(said);
         let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
         let mut cuts = spaces.map(|(at, _)| (&said[..at], &said[at + 1..]));
-        cuts.find_map(|(taken, place)| Some((taken, where_to(verb, place)?))).filter(|(taken, _)| {
+        cuts.find_map(|(taken, place)| Some((taken, where_to(place)?))).filter(|(taken, _)| {
             let is_group = || {
                 taken
                     .split_once(' ')

@@ -105,14 +105,10 @@ impl<M: LanguageModel> Board<M> {
         // What a stranger says is not what a named narrator goes on with, whatever number it took.
         let teller = (is_strange, observation.source);
         let mut pronoun = None;
-        // "She" goes on with who does something, and not with whom it is done to.
-        let is_subject = is_subject(&observation);
         match &observation.name {
             Some(name) => {
                 observation.person = self.persons.number_of(name);
-                if is_subject {
-                    self.persons.remember(teller, observation.person, noted_ns);
-                }
+                self.persons.remember(teller, observation.person, noted_ns);
             }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
@@ -122,7 +118,7 @@ impl<M: LanguageModel> Board<M> {
                     Some(name) => self.persons.number_of(name),
                     None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns, is_strange)),
                 };
-                if observation.name.is_some() && is_subject {
+                if observation.name.is_some() {
                     self.persons.remember(teller, person, noted_ns);
                 }
                 (observation.person, observation.by_fit) = (person, observation.name.is_none());
@@ -158,7 +154,7 @@ impl<M: LanguageModel> Board<M> {
     /// Takes note of whom an observation told of by name that moved nobody: "Ben calls." Who is "he" after it goes by that.
     pub(super) fn hear_of(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
         for clause in self.clauses(observation.clone()) {
-            for own in self.of_persons(clause, is_strange).filter(is_subject) {
+            for own in self.of_persons(clause, is_strange) {
                 if let Some(name) = own.name.map(String::from).or_else(|| self.persons.named(&own.said).pop()) {
                     let person = self.persons.number_of(&name);
                     self.persons.remember((is_strange, own.source), person, at_ns.unwrap_or_default());
@@ -180,7 +176,7 @@ impl<M: LanguageModel> Board<M> {
             self.exclude(&own, is_strange, at_ns);
             return None;
         }
-        if own.name.is_some() && is_subject(&own) {
+        if own.name.is_some() {
             self.persons.remember((is_strange, own.source), own.person, at_ns.unwrap_or_default());
         }
         self.admit(own, pronoun, Voice::EARLIER, (is_strange, true), at_ns)
@@ -268,18 +264,8 @@ impl<M: LanguageModel> Board<M> {
         let known = self.persons.get(observation.person).map(|known| known.presence);
         let is_out = known.map_or(observation.name.is_some(), |presence| presence == Presence::Away);
         is_out
-            && match &observation.said {
-                said @ Said::Sentence(sentence) => {
-                    said.may_be_elsewhere() && self.mentions.last(sentence.as_str()).is_none()
-                }
-                // "Ben is at the library" may be said of another one than that of the house.
-                Said::Presence(statement) => {
-                    let is_strange = |room| room_named(room, &self.map, self.pipeline.grounding()).is_none();
-                    self.next_rooms.is_none()
-                        && statement.is_of_a_sentence()
-                        && statement.room().is_some_and(is_strange)
-                }
-            }
+            && observation.said.may_be_elsewhere()
+            && observation.sentence().is_some_and(|sentence| self.mentions.last(sentence).is_none())
     }
 
     /// Takes a statement that a room is empty into the forecasts; gives whether it is one that is believed.
@@ -364,11 +350,6 @@ impl<M: LanguageModel> Board<M> {
             }
         })
     }
-}
-
-/// Whether an observation is of who does something, and not of whom that is done to.
-fn is_subject(observation: &Observation) -> bool {
-    !matches!(&observation.said, Said::Presence(statement) if statement.is_of_others_than_its_subject())
 }
 
 /// How much of the way out of the house each partition has, at most 1: a hall by its name, and a front door by its share.

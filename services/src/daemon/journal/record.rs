@@ -6,13 +6,13 @@
 //! | letters | payload |
 //! | --- | --- |
 //! | `RCJ1` | a sentence: source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes), the sentence |
-//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit, bits 4 to 7: how a plain sentence told of a presence, [`PresenceStatement::telling`]) and the person's name (u8 of bytes, the bytes) |
+//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes) |
 //! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
 //! | `RCJ7`, `RCJ8` | `RCJ1` and `RCJ3` of what was last said of a person, before all that the halves hold of it; `RCJ5` follows |
 //! | `RCJ9` | that a person was forgotten then, or was a visitor and is gone by silence: the number (u32), and whether that was before all observations of the halves (u8) |
-//! | `RCJB` | whom an observation moved that was written before, so that it is not read again with those who are known at a restart: its source, epoch and sequence (u64 each), and for each person whom it moved, in their order: the number (u32; all ones where it says that a room is empty), what it is (u8; bits 0, 1 and 4 to 7 as in `RCJ3`, bit 2: it is what was observed, bit 3: it is what the one before is), the name (u8 of bytes, the bytes), and without bits 2 and 3 what it says of them (u16 of bytes, the bytes). None where it moved nobody |
+//! | `RCJB` | whom an observation moved that was written before, so that it is not read again with those who are known at a restart: its source, epoch and sequence (u64 each), and for each person whom it moved, in their order: the number (u32; all ones where it says that a room is empty), what it is (u8; bits 0 and 1 as in `RCJ3`, bit 2: it is what was observed, bit 3: it is what the one before is), the name (u8 of bytes, the bytes), and without bits 2 and 3 what it says of them (u16 of bytes, the bytes). None where it moved nobody |
 //! | `RCJA` | where a person was believed to be when the map was changed: what was observed of them last by its source, epoch and sequence (u64 each), the person (u32), the changed map's fingerprint (its first 8 bytes), for how many seconds they had then been at what they did, and the totals and counts of how long they are at one thing and in one room (f32 each), and per room of that map the probability that they were in it (f32) |
 
 use std::borrow::Cow;
@@ -69,8 +69,6 @@ const IS_BY_FIT: u8 = 1 << 1;
 /// The same of whom an observation moved: what it says of them is what was observed, or what it says of the one before.
 const IS_AS_OBSERVED: u8 = 1 << 2;
 const IS_AS_BEFORE: u8 = 1 << 3;
-/// Behind so many bits stands how a plain sentence told of a presence.
-const TELLING_AT: u32 = 4;
 
 /// What the model said of a person, or where they were believed to be when the map was changed.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -205,7 +203,7 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
                 Some(subject) => format!("{statement}\n{subject}"),
                 None => statement.to_string(),
             };
-            (IS_PRESENCE | statement.telling() << TELLING_AT, Cow::Owned(text))
+            (IS_PRESENCE, Cow::Owned(text))
         }
     }
 }
@@ -214,13 +212,10 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
 fn said_of(text: &str, kind: u8) -> Option<Said> {
     Some(match kind & IS_PRESENCE {
         0 => Said::Sentence(Sentence::new(text).ok()?),
-        _ => {
-            let statement = match text.split_once('\n') {
-                Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
-                None => PresenceStatement::parse(text).ok()?,
-            };
-            Said::Presence(statement.told(kind >> TELLING_AT))
-        }
+        _ => Said::Presence(match text.split_once('\n') {
+            Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
+            None => PresenceStatement::parse(text).ok()?,
+        }),
     })
 }
 

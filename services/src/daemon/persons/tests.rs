@@ -301,11 +301,6 @@ fn what_is_said_of_no_person_moves_nobody() {
     }
     house.after(60, "somebody", "Ada and Rocky go to the kitchen.");
     assert_eq!((house.known(), house.person("ada").unwrap().window), (1, 2));
-    // Whom JSON names is a person whatever the name, also after a restart.
-    house.after(1, "Rocky", "They open the fridge.");
-    house.restart();
-    assert_eq!((house.known(), house.presence("rocky")), (2, Some(presence::PRESENT)));
-    forget(&mut house, "Rocky");
     for sentence in ["Only Rocky is home.", "Nobody is home but Rocky.", "Everybody has left except Rocky."] {
         house.after(60, "ada", "They come home.");
         house.after(60, "somebody", sentence);
@@ -1803,7 +1798,6 @@ fn people_come_and_go_as_is_narrated() {
         ("LP", "The babysitter arrives.", "LP+babysitter"),
         ("P", "Lena kisses Paul.", "LP"),
         ("P", "Paul cooks dinner for Lena.", "P"),
-        ("-", "Paul comes home from lunch with Lena.", "P"),
         ("LP", "Lena cooks.;;She leaves the house.", "P"),
         ("LP", "Lena grabs her keys.", "LP"),
         ("LP", "Motion in the corridor.", "LP"),
@@ -1816,252 +1810,35 @@ fn people_come_and_go_as_is_narrated() {
         ("LP", "Lena cooks and Paul goes jogging.", "L"),
         ("LP", "Paul works in the home office.", "LP"),
     ] {
-        assert_eq!(here_after(before, text), after, "{text}");
-    }
-}
-
-/// Who of Lena ("L") and Paul ("P") is in the house after a text, with the visitors, where those of `before` were in it.
-fn here_after(before: &str, text: &str) -> String {
-    let mut house = House::new(&["Lena", "Paul"]);
-    house.board = board_of(FLAT, &house.config);
-    for (letter, who) in [('L', "Lena"), ('P', "Paul")] {
-        house.after(1, who, "They stand up.");
-        if !before.contains(letter) {
-            house.after(1, who, "away");
+        let mut house = House::new(&["Lena", "Paul"]);
+        house.board = board_of(FLAT, &house.config);
+        for (letter, who) in [('L', "Lena"), ('P', "Paul")] {
+            house.after(1, who, "They stand up.");
+            if !before.contains(letter) {
+                house.after(1, who, "away");
+            }
         }
-    }
-    for visitor in before.split('+').skip(1) {
-        house.after(1, visitor, "They stand up.");
-    }
-    house.wait(300);
-    for sentence in text.split(";;") {
-        house.after(10, "somebody", sentence);
-    }
-    let told = *house.board.person_scores(house.now_ns);
-    let here = told.persons().iter().filter(|person| person.presence == presence::PRESENT);
-    let mut here: Vec<&str> = here.map(PersonV1::name).collect();
-    here.sort_unstable();
-    let (mut residents, mut visitors) = (String::new(), String::new());
-    for name in here {
-        match name {
-            "Lena" => residents.push('L'),
-            "Paul" => residents.push('P'),
-            other => visitors.extend(["+", other]),
+        for visitor in before.split('+').skip(1) {
+            house.after(1, visitor, "They stand up.");
         }
-    }
-    let residents = if residents.is_empty() { "-" } else { &residents };
-    format!("{residents}{visitors}")
-}
-
-/// What somebody says, in quotation marks or behind a verb of thinking, moves only who says it.
-#[test]
-fn what_is_said_or_supposed_sends_nobody_away() {
-    let statements = [
-        "Everybody left.",
-        "Nobody's home.",
-        "Everybody leaves!",
-        "Paul left.",
-        "Paul's away.",
-        "Go away!",
-        "All gone",
-    ];
-    for who in ["TV: ", "Radio: ", "Lena whispers: ", "Lena laughs: ", "Lena texts ", "Lena yells ", "Lena types "] {
-        for said in statements {
-            let text = format!("{who}\"{said}\"");
-            assert_eq!(here_after("LP", &text), "LP", "{text}");
-            let curly = format!("{who}“{said}”");
-            assert_eq!(here_after("LP", &curly), "LP", "{curly}");
+        house.wait(300);
+        for sentence in text.split(";;") {
+            house.after(10, "somebody", sentence);
         }
-    }
-    for text in ["\"Paul left,\" says Lena.", "“Everybody left,” says the radio."] {
-        assert_eq!(here_after("LP", text), "LP", "{text}");
-    }
-    for verb in [
-        "believes", "fears", "imagines", "hopes", "guesses", "suspects", "doubts", "worries", "learns", "pretends",
-        "thinks", "assumes", "claims", "supposes", "wishes", "expects", "reckons", "insists", "jokes", "dreams",
-    ] {
-        for what in
-            ["Paul is out", "Paul has left the house", "Paul is at work", "everybody is out", "Paul leaves the house"]
-        {
-            let text = format!("Lena {verb} {what}.");
-            assert_eq!(here_after("LP", &text), "LP", "{text}");
+        let told = *house.board.person_scores(house.now_ns);
+        let here = told.persons().iter().filter(|person| person.presence == presence::PRESENT);
+        let mut here: Vec<&str> = here.map(PersonV1::name).collect();
+        here.sort_unstable();
+        let (mut residents, mut visitors) = (String::new(), String::new());
+        for name in here {
+            match name {
+                "Lena" => residents.push('L'),
+                "Paul" => residents.push('P'),
+                other => visitors.extend(["+", other]),
+            }
         }
-        let text = format!("Lena {verb} Paul is in the bedroom.");
-        assert_eq!(here_after("L", &text), "L", "{text}");
-    }
-    for begin in [
-        "Suppose",
-        "Imagine",
-        "Guess",
-        "Hopefully",
-        "Theoretically",
-        "Rumour has it",
-        "Believes",
-        "Igor and Lena believe",
-    ] {
-        let text = format!("{begin} Paul is out.");
-        let here = here_after("LP", &text);
-        assert!(here.starts_with("LP"), "{text} {here}");
-    }
-}
-
-/// Homecomings and departures with a word more, and what is done at home with the words of elsewhere.
-#[test]
-fn a_word_more_changes_not_who_is_in() {
-    for text in [
-        "Paul comes home at noon.",
-        "Paul comes home at midnight.",
-        "Paul comes home later than usual.",
-        "Paul comes home as always.",
-        "Paul comes home as usual.",
-        "Paul is home sick.",
-        "Paul is home all day.",
-        "Paul is home safely.",
-        "Paul is at home asleep.",
-        "Paul is at home working.",
-        "Paul is at home watching football.",
-        "Paul is home for the first time in two weeks.",
-        "Paul is back upstairs.",
-        "Paul is inside.",
-        "Paul is in his room.",
-        "Paul is upstairs.",
-        "Paul is in the house somewhere.",
-        "Paul goes to his room.",
-        "Paul and the kids come home.",
-        "Paul comes home and the dog barks.",
-    ] {
-        assert_eq!(here_after("L", text), "LP", "{text}");
-    }
-    for text in ["Both Lena and Paul come home.", "Lena and Paul both come home.", "Lena and Paul are both home."] {
-        assert_eq!(here_after("-", text), "LP", "{text}");
-    }
-    for text in [
-        "Both Lena and Paul leave the house.",
-        "Lena and Paul both leave the house.",
-        "Lena and Paul are both out.",
-        "Lena and Paul have both left the house.",
-        "Lena, Paul and the kids leave the house.",
-    ] {
-        assert_eq!(here_after("LP", text), "-", "{text}");
-    }
-    for text in [
-        "Lena and the kids leave the house.",
-        "Lena goes away.",
-        "Lena goes away from home.",
-        "Lena is away at a conference.",
-        "Lena goes out at last.",
-        "Lena goes to school.",
-        "Lena goes to practice.",
-        "Lena takes the tube to work.",
-        "Lena takes the bus to town.",
-        "Lena takes the train and goes to work.",
-        "Lena picks up the kids from school.",
-    ] {
-        assert_eq!(here_after("LP", text), "P", "{text}");
-    }
-    for text in [
-        "Lena goes away from the stove.",
-        "Lena goes away from the window.",
-        "Lena goes out from the kitchen.",
-        "Lena goes out from the bathroom.",
-        "Lena is away at the desk.",
-        "Lena takes the tube and brushes her teeth.",
-        "Lena gets to work.",
-        "Lena goes to school at the kitchen table.",
-        "Lena goes to shop online.",
-        "Lena brings Paul soup from the restaurant.",
-        "Lena brings Paul mail from work.",
-        "Lena brings flowers from the market.",
-        "Lena gives Paul homework from school.",
-    ] {
-        assert_eq!(here_after("LP", text), "LP", "{text}");
-    }
-}
-
-/// What is done elsewhere, over the phone, by nobody or in thought, and what is no person's doing, brings nobody home.
-#[test]
-fn what_is_done_elsewhere_or_by_no_person_brings_nobody_home() {
-    for text in [
-        "Lena joins Paul at the cinema.",
-        "Lena kisses Paul at the airport.",
-        "Lena helps Paul at work.",
-        "Lena hugs Paul at school.",
-        "Lena greets Paul at the bus stop.",
-        "Lena eats with Paul in a café.",
-        "Lena joins Paul in town.",
-        "Lena helps Paul over the phone.",
-        "Lena greets Paul on the phone.",
-        "Lena helps Paul with his homework on Zoom.",
-        "Lena misses hugging Paul.",
-        "Lena remembers kissing Paul.",
-        "Nobody hugs Paul.",
-        "Nobody helps Paul.",
-        "Nobody sees Paul in the kitchen.",
-        "Nobody lets Igor in.",
-        "No one helps Paul.",
-        "Paul is at the library.",
-        "Paul is in the lecture hall.",
-        "Paul is at the town hall.",
-        "Paul is at the nursery.",
-        "Paul is in the locker room.",
-        "Paul is at the gym.",
-    ] {
-        assert_eq!(here_after("L", text), "L", "{text}");
-    }
-    for text in [
-        "The dog is at the door.",
-        "The dog is playing.",
-        "The cat is at the window.",
-        "The vacuum is running.",
-        "The robot is running.",
-        "The robot vacuum is at the bed.",
-        "The lawn mower is running.",
-        "The kids are playing.",
-        "The neighbours are at the door.",
-        "A parcel is at the door.",
-        "Wind rattles the window.",
-        "Thunder rumbles.",
-        "Snow falls.",
-        "Hail hits the window.",
-        "Steam rises.",
-        "Soup boils on the stove.",
-        "Cake cools on the kitchen counter.",
-        "Leak detected in the bathroom.",
-        "Occupancy detected in the kitchen.",
-        "Intruder detected.",
-        "Carbon monoxide detected in the kitchen.",
-        "Battery low.",
-        "Update available.",
-        "Fire goes out.",
-        "Dizziness goes away.",
-    ] {
-        assert_eq!(here_after("-", text), "-", "{text}");
-    }
-    for text in ["The oven is on.", "The fridge is at 5 degrees.", "The dishwasher is running.", "The door opens."] {
-        assert_ne!(here_after("-", text), "-", "{text}");
-    }
-}
-
-/// "She" is who did something, and not to whom it was done; and what another one is called by teaches nothing.
-#[test]
-fn a_pronoun_is_of_who_does_something() {
-    let cases = [
-        ("LP", "Lena hugs Paul.", "She leaves the house.", "P"),
-        ("LP", "Lena greets Paul.", "She leaves the house.", "P"),
-        ("LP", "Lena sees Paul in the living room.", "She leaves the house.", "P"),
-        ("L", "Lena lets Paul in.", "She leaves the house.", "P"),
-        ("L", "Lena brings Paul home.", "She leaves the house.", "P"),
-        ("-", "Lena comes home with Paul.", "She leaves the house.", "P"),
-        ("LP", "Lena cooks.;;She hugs Paul.", "She leaves the house.", "P"),
-        ("LP", "Lena sits on the sofa.;;Paul kisses her.;;Paul kisses her.", "He leaves the house.", "L"),
-        ("LP", "Lena sits on the sofa.;;Paul helps her into her coat.", "He leaves the house.", "L"),
-        ("LP", "Paul sits on the sofa.;;Lena kisses his cheek.", "She leaves the house.", "P"),
-        ("LP", "Paul takes her coat.", "He leaves the house.", "L"),
-        ("LP", "Lena brushes her teeth.;;Paul opens the fridge.", "She leaves the house.", "P"),
-        ("LP", "Lena takes off her shoes.;;Paul opens the fridge.", "She leaves the house.", "P"),
-    ];
-    for (before, told, then, after) in cases {
-        assert_eq!(here_after(before, &format!("{told};;{then}")), after, "{told} {then}");
+        let residents = if residents.is_empty() { "-" } else { &residents };
+        assert_eq!(format!("{residents}{visitors}"), after, "{text}");
     }
 }
 
@@ -2131,7 +1908,7 @@ fn forget(house: &mut House, who: &str) -> PersonAnswer {
 }
 
 const COMPANY: [&str; 5] = ["Anna", "Ben", "Igor", "Sophia", "Lukas"];
-const SAID: [&str; 29] = [
+const SAID: [&str; 28] = [
     "They open the fridge.",
     "They leave the house.",
     "They come home.",
@@ -2157,7 +1934,6 @@ const SAID: [&str; 29] = [
     "Somebody leaves the house.",
     "Nobody is in the kitchen.",
     "She sits on the sofa.",
-    "She leaves the house.",
     "He opens the window.",
     "NAME brushes her teeth. She goes to the office.",
     "He leaves the house with OTHER.",
