@@ -61,7 +61,7 @@ pub enum ConfigError {
 }
 
 fn shown(key: &str, value: &str, allowed: &str) -> String {
-    if value.is_empty() { format!("{key} is missing: {allowed}") } else { format!("{key} = {value}: {allowed}") }
+    if value.is_empty() { format!("{key}: {allowed}") } else { format!("{key} = {value}: {allowed}") }
 }
 
 fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>) -> Result<T, ConfigError> {

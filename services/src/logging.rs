@@ -14,7 +14,7 @@ use tracing_subscriber::{EnvFilter, fmt};
 const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 
 /// llama.cpp tells much about itself that matters only when a model does not load.
-const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error";
+const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error,rumqttc=error";
 
 /// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
 const LINES_MAX: usize = 8_192;

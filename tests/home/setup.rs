@@ -665,7 +665,7 @@ static MISTAKES: [Mistake; 34] = [
         check: "persons",
         verdict: "limited",
         found: "the rules name Ada: not among persons.residents",
-        remedy: "add the name to persons.residents",
+        remedy: "add who lives here to persons.residents",
         code: exit_code::OK,
     },
     Mistake {

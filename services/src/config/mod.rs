@@ -48,6 +48,8 @@ pub const KNOWN_NARRATORS_MAX: usize = 64;
 
 /// Most bytes of what topics begin with.
 pub const TOPIC_BYTES_MAX: usize = 64;
+/// Most bytes of the topic of a sensor: its name holds that of the robot.
+const SENSOR_TOPIC_BYTES_MAX: usize = 256;
 /// Most horizons that the bridge tells of.
 pub const BRIDGE_HORIZONS_MAX: usize = 8;
 
@@ -427,12 +429,14 @@ impl Config {
         let is_name = |name: &str| {
             !name.trim().is_empty() && name.len() <= NAME_BYTES && !name.contains(roomcast_core::text::is_hidden)
         };
-        let is_topic = |topic: &str| {
+        let is_topic_of = |topic: &str, bytes_max: usize| {
             let plain = !topic.starts_with('$')
                 && !topic.contains(['+', '#'])
                 && !topic.contains(roomcast_core::text::is_hidden);
-            topic.len() <= TOPIC_BYTES_MAX && plain && topic.split('/').all(|level| !level.is_empty())
+            topic.len() <= bytes_max && plain && topic.split('/').all(|level| !level.is_empty())
         };
+        let is_topic = |topic: &str| is_topic_of(topic, TOPIC_BYTES_MAX);
+        let is_sensor = |topic: &str| is_topic_of(topic, SENSOR_TOPIC_BYTES_MAX);
         let topics =
             format!("an MQTT topic of 1 to {TOPIC_BYTES_MAX} bytes without wildcards, and without a slash at its ends");
         let ahead = format!("{:?}", bridge.horizons_s);
@@ -541,7 +545,7 @@ impl Config {
             row("bridge.soon_at", &bridge.soon_at, bridge.soon_at > 0.0 && bridge.soon_at <= 1.0, "give more than 0, at most 1"),
             row("bridge.soon_until", &bridge.soon_until, (0.0..=bridge.soon_at).contains(&bridge.soon_until), "give 0 to bridge.soon_at"),
             row("robot.topic", &format!("{:?}", vacuum.topic), is_topic(&vacuum.topic), &format!("give {topics}")),
-            row("robot.battery", &battery, vacuum.battery.as_deref().is_none_or(is_topic), &format!("give {topics}, or leave the key out")),
+            row("robot.battery", &battery, vacuum.battery.as_deref().is_none_or(is_sensor), &format!("give an MQTT topic of 1 to {SENSOR_TOPIC_BYTES_MAX} bytes without wildcards, and without a slash at its ends, or leave the key out")),
             within("robot.recharge_at", vacuum.recharge_at, 0.0..=1.0),
             within("robot.start_s", vacuum.start_s, 0.1..=3600.0),
             row("robot.least_s", &vacuum.least_s, (0.0..=vacuum.most_s).contains(&vacuum.least_s), "give 0 to robot.most_s"),

@@ -393,7 +393,7 @@ impl Default for RobotConfig {
             kind: RobotKind::default(),
             topic: "valetudo/robot".to_owned(),
             battery: None,
-            recharge_at: 0.2,
+            recharge_at: 0.15,
             obey: false,
             on_pause: OnPause::default(),
             start_s: 20.0,

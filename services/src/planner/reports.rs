@@ -72,7 +72,8 @@ impl Planner {
         // The work in hand is meant by its decision, or without one by what is reported since it began and of no other room.
         let room = named.or(told).or(placed.flatten());
         let of_work = work.is_some_and(|work| match answered {
-            Some(decision) => work.answers(decision),
+            // Work that was begun by hand answers no decision: its room tells.
+            Some(decision) => work.answers(decision) || work.decisions.is_empty() && named == Some(work.room),
             None => at_ns >= work.began_ns && room.is_none_or(|room| room == work.room),
         });
         let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work(report.kind));

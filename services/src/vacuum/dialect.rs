@@ -127,7 +127,7 @@ impl Dialect {
         }
         let part = topic.strip_prefix(&self.topic)?.strip_prefix('/')?;
         match (self.kind, part) {
-            (RobotKind::Valetudo, "$state") => Some(Sensed::Online(plain == "ready")),
+            (RobotKind::Valetudo, "$state") => Some(Sensed::Online(matches!(plain, "ready" | "alert"))),
             (RobotKind::Valetudo, "StatusStateAttribute/status") => status(plain).map(Sensed::Status),
             (RobotKind::Valetudo, "StatusStateAttribute/flag") => Some(Sensed::Resumes(plain == "resumable")),
             (RobotKind::Valetudo, "StatusStateAttribute/error_description") => {
@@ -223,6 +223,8 @@ mod tests {
         let segments = BTreeMap::from([("16".to_owned(), "Küche".to_owned()), ("17".to_owned(), String::new())]);
         assert_eq!(hear("MapData/segments", r#"{"16": "Küche", "17": null}"#), Some(Sensed::Segments(segments)));
         assert_eq!(hear("MapData/segments", "[1]"), None);
+        // One that has a complaint speaks on.
+        assert_eq!(hear("$state", "alert"), Some(Sensed::Online(true)));
         assert_eq!(hear("$state", "lost"), Some(Sensed::Online(false)));
         assert_eq!(robot.hear("valetudo/rockrobo2/StatusStateAttribute/status", b"idle"), None);
         assert_eq!(robot.hear("valetudo/rockrobo/StatusStateAttribute/status", b"\xff"), None);

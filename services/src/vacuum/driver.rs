@@ -249,7 +249,8 @@ impl Driver {
         acts.push(Act::Order(order.clone()));
         // Whoever only says what it would do waits for nothing.
         if self.obeys {
-            let differed = !self.is_as_ordered(&order);
+            // Of a robot of which nothing is known yet no state is another one.
+            let differed = self.status.is_some() && !self.is_as_ordered(&order);
             self.state = State::Ordered { order, since_ns: now_ns, tries: 1, differed };
         } else {
             (self.state, self.wish) = (State::Free, None);
@@ -265,8 +266,14 @@ impl Driver {
             return acts;
         }
         self.connected = is_connected;
+        // Home Assistant says a state when it changes, and a broker may have lost what it kept: what was said last holds until it says another.
+        let is_said_once = self.kind == RobotKind::HomeAssistant;
+        if is_connected && is_said_once {
+            self.status = self.said;
+        }
         if !is_connected {
-            (self.online, self.said, self.status) = (true, None, None);
+            (self.online, self.status) = (true, None);
+            self.said = self.said.filter(|_| is_said_once);
         } else if self.is_ending()
             && let State::Ordered { since_ns, .. } = &mut self.state
         {

@@ -231,7 +231,9 @@ fn person_of(part: &str) -> Option<&str> {
     // What somebody has is nobody, unless it is a person: "ada's mother".
     let is_had = first.ends_with("'s") && !has(&WORDS.people, name.rsplit(' ').next().unwrap_or_default());
     let is_group = || has(&WORDS.groups, name.rsplit(' ').next().unwrap_or_default());
-    let is_nothing = has(&WORDS.nothing, first) || is_had || is_group();
+    // "Ada believes Ben" is nobody: what is said of him is what she believes.
+    let is_supposed = || name.split(' ').skip(1).any(|word| has(&WORDS.supposes, word));
+    let is_nothing = has(&WORDS.nothing, first) || is_had || is_group() || is_supposed();
     // "2 people" is a count, and no name fits into a message that is longer.
     let is_nothing =
         is_nothing || first.starts_with(|c: char| c.is_ascii_digit()) || name.len() > PERSON_NAME_BYTES_MAX;

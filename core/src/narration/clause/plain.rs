@@ -145,8 +145,12 @@ fn is_mark(c: char) -> bool {
 fn unquoted(sentence: &str) -> impl Iterator<Item = &str> {
     /// More words than these between quotation marks are speech.
     const NAME_WORDS: usize = 2;
-    let parts = sentence.split(is_mark).enumerate();
-    parts.filter(|(at, part)| at % 2 == 0 || part.split_whitespace().count() <= NAME_WORDS).map(|(_, part)| part)
+    // Speech ends as a sentence does, or with the comma before who says it: "Everybody left.", "Ben left,".
+    let is_name = |part: &str| {
+        let words = part.split_whitespace().count();
+        words <= NAME_WORDS && !(words > 1 && part.ends_with(['.', '!', '?', ',', '…']))
+    };
+    sentence.split(is_mark).enumerate().filter(move |(at, part)| at % 2 == 0 || is_name(part)).map(|(_, part)| part)
 }
 
 /// Writes short forms out.

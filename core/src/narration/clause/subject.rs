@@ -50,7 +50,8 @@ pub(in crate::narration) fn known_before_a_verb<'a>(
     }
     let (begin, name, rest) = found?;
     let before = said[..begin].trim_end();
-    (!is_part_of_a_name(before)).then(|| (name, rest, is_said(before) && !is_reported(before)))
+    let is_supposed = || before.split([' ', ',']).any(|word| has(&WORDS.supposes, word));
+    (!is_part_of_a_name(before)).then(|| (name, rest, is_said(before) && !is_reported(before) && !is_supposed()))
 }
 
 /// A sentence is looked at behind so many commas for whom it is about.

@@ -338,3 +338,23 @@ fn what_is_denied_planned_or_of_a_thing_moves_nobody() {
         assert_eq!(said(sentence), "-", "{sentence}");
     }
 }
+
+/// Whatever is said or believed is not told: neither what stands between quotation marks nor what somebody thinks.
+#[test]
+fn what_is_said_or_supposed_moves_nobody() {
+    for said_by in ["TV: \"{}.\"", "Ada whispers: \"{}.\"", "\"{},\" says Ada."] {
+        for statement in ["Everybody left", "Nobody's home", "Ben left"] {
+            let sentence = said_by.replace("{}", statement);
+            assert_eq!(said(&sentence), "-", "{sentence}");
+        }
+    }
+    for verb in ["believes", "fears", "pretends", "suspects", "doubts", "hopes", "claims", "thinks"] {
+        for what in ["is out", "has left the house", "is in the kitchen"] {
+            let sentence = format!("Ada {verb} Ben {what}.");
+            let told = said(&sentence);
+            assert!(told == "-" || told.starts_with("other "), "{sentence}: {told}");
+        }
+    }
+    assert_eq!(said("\"Ben\" is away."), "ben away");
+    assert_eq!(said("Hope is away."), "hope away");
+}

@@ -125,6 +125,7 @@ pub(super) struct Words {
     pub(super) addresses: List,
     pub(super) begun: List,
     pub(super) reports: List,
+    pub(super) supposes: List,
     pub(super) greetings: List,
     pub(super) past: List,
     pub(super) no_verbs: List,

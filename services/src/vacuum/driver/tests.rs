@@ -806,11 +806,27 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.battery == Some(0.4))), "{acts:?}");
 }
 
+/// `mqtt_statestream` says a state when it changes, and a broker without persistence loses what it kept.
+#[test]
+fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
+    let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
+    let mut driver = Driver::new(&config, 7);
+    driver.know_rooms(ROOMS.into_iter());
+    let mut acts = driver.link(true, S);
+    acts.extend(driver.sense(Sensed::Status(Status::Docked), S));
+    acts.extend(driver.link(false, 2 * S));
+    acts.extend(driver.link(true, 3 * S));
+    assert!(!acts.iter().any(|act| matches!(act, Act::Order(_))), "{acts:?}");
+    let mut acts = driver.decide(&decision(1, action::GO, "hall-2"), 4 * S);
+    acts.extend(driver.tick(5 * S));
+    assert!(acts.iter().any(|act| matches!(act, Act::Order(Order::Clean { .. }))), "{acts:?}");
+}
+
 /// Home Assistant does not say why a vacuum goes home: one that has to charge had "finished" its room.
 #[test]
 fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
-    for (battery, kind) in [(0.12, Kind::Failed), (0.2, Kind::Failed), (0.21, Kind::Finished), (0.9, Kind::Finished)] {
+    for (battery, kind) in [(0.12, Kind::Failed), (0.15, Kind::Failed), (0.16, Kind::Finished), (0.9, Kind::Finished)] {
         let mut driver = Driver::new(&config, 7);
         driver.know_rooms(ROOMS.into_iter());
         let mut acts = driver.sense(Sensed::Status(Status::Docked), S);
