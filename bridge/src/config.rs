@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
-use roomcast_core::parsing::{keyed, toml_says};
+use roomcast_core::parsing::{keyed, list_of_keyed, toml_says};
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
 use serde::Deserialize;
 
@@ -97,6 +97,7 @@ pub struct Config {
     #[serde(deserialize_with = "keyed")]
     pub peers: Peers,
     /// Narrators elsewhere that are heard.
+    #[serde(deserialize_with = "list_of_keyed")]
     pub narrator: Vec<Narrator>,
     /// ROS 2.
     #[serde(deserialize_with = "keyed")]

@@ -257,7 +257,7 @@ pub fn run(
     let node = domain.open("roomcast-zenoh-peers")?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut peers = Peers::new(config.robot.key());
-    let (mut log, mut connections, mut listeners) = (Limiter::default(), 0, 0);
+    let (mut log, mut connections) = (Limiter::default(), 0);
     while !stop.requested() {
         let first = heard.recv_timeout(TICK).ok();
         if let Some(link) = link.filter(|link| link.connections() != connections)
@@ -286,9 +286,8 @@ pub fn run(
                 decisions.send(&gone)?;
             }
         }
-        let before = std::mem::replace(&mut listeners, decisions.subscribers());
-        // Who leaves has nothing to hear. Of those who come and go at once their number says nothing.
-        if decisions.tick()? && listeners >= before {
+        // Whoever has heard them takes them for no news, and who comes as others go has not.
+        if decisions.tick()? {
             peers.standing().try_for_each(|decision| decisions.send(&decision))?;
         }
     }

@@ -30,6 +30,8 @@ pub fn json_of_one_line_says(error: &serde_json::Error) -> String {
     let said = json_says(error);
     let position = format!(" at line {} column {}", error.line(), error.column());
     match said.strip_suffix(&position) {
+        // What is of another kind as a whole has no place.
+        Some(said) if error.column() == 0 => said.to_owned(),
         Some(said) => format!("{said} at column {}", error.column()),
         None => said,
     }

@@ -729,7 +729,7 @@ impl Node {
                 CallbackProgression::Continue
             });
             for id in dead {
-                // iceoryx2 has failed to clean up after it for all this time.
+                // Whoever cleans up after it right now changes the folder: one that stays as it was is left to nobody.
                 let folder = self.domain.root.join("nodes").join(id.to_string());
                 if age(&folder).is_some_and(|age| age >= JOINED_WITHIN) && self.domain.all_ours(&folder) {
                     self.domain.remove_entry(&id.to_string(), &self.config);
