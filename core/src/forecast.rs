@@ -13,6 +13,8 @@
 //! B(t)  probability that the stay that follows has not ended by then
 //! ```
 //!
+//! Time of more than twelve hours between two observations is not counted as time spent, nor is an absence of more than a day and a half as one.
+//!
 //! A and B are survival functions of stays that are not memoryless (a semi-Markov prior): whoever has sat for long will
 //! probably go on sitting. Both are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an
 //! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
@@ -91,6 +93,12 @@ impl ForecastOptions {
 /// Nobody takes so long for one action, in seconds: a longer interval is a rest, as a night is, and says nothing of how long the intervals
 /// between two rests are.
 const REST_S: f64 = 600.0;
+
+/// A longer silence, in seconds, is no stay: a night is shorter, and where the person was meanwhile nobody told.
+const SILENCE_S: f64 = 12.0 * 3_600.0;
+
+/// A longer absence, in seconds, says nothing of the next one: it was a journey, or its begin was told with a wrong date.
+const JOURNEY_S: f64 = 36.0 * 3_600.0;
 
 /// How probably somebody who comes home comes in where the map has a way in; else they do in any room, as by another door.
 const BY_THE_WAY_IN: f64 = 0.8;
@@ -238,7 +246,12 @@ impl Forecaster {
         let rested = at_s - self.object_since_s > REST_S;
         let turns = rested && mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
         let same_at_most = if turns { self.newcomer(at_s) } else { 1.0 };
-        self.update(at_s, same_at_most, mentioned.map(|mention| move |room: usize, p: f64| weigh(mention, room, p)));
+        let observed = mentioned.map(|mention| {
+            move |belief: &mut [f64]| {
+                belief.iter_mut().enumerate().for_each(|(room, p)| *p = weigh(mention, room, *p));
+            }
+        });
+        self.update(at_s, same_at_most, observed);
         self.sensed &= mentioned.is_none();
         // What is left is not turned to.
         (self.expects, self.expected) = (true, None);
@@ -260,16 +273,32 @@ impl Forecaster {
     /// [`ForecastOptions::mistaken`], wherever they were believed to be. What was seen before the last observation says nothing of now, and is not
     /// taken in; gives whether it was.
     pub fn enter(&mut self, at_s: f64, room: Option<usize>) -> bool {
+        self.enter_any(at_s, |other| Some(other) == room)
+    }
+
+    /// As [`Forecaster::enter`], of one of several rooms: in which of them, is as likely as it was before.
+    pub fn enter_any(&mut self, at_s: f64, is_meant: impl Fn(usize) -> bool) -> bool {
+        /// None of them is out of the question.
+        const LEAST: f64 = 1e-3;
         let rooms = self.belief.len();
         if self.away_since_s.is_none() && at_s < self.updated_s {
             return false;
         }
         let at_s = self.come_home(at_s);
-        let Some(entered) = room.filter(|room| *room < rooms) else { return true };
+        if !(0..rooms).any(&is_meant) {
+            return true;
+        }
         self.sensed = true;
         let before = likeliest(&self.belief);
         let mistaken = self.options.mistaken;
-        let seen = |room: usize, p: f64| mistaken * p + (1.0 - mistaken) * f64::from(u8::from(room == entered));
+        let seen = |belief: &mut [f64]| {
+            let of_meant: f64 =
+                belief.iter().enumerate().filter(|(room, _)| is_meant(*room)).map(|(_, p)| p + LEAST).sum();
+            for (room, p) in belief.iter_mut().enumerate() {
+                let share = if is_meant(room) { (*p + LEAST) / of_meant } else { 0.0 };
+                *p = mistaken * *p + (1.0 - mistaken) * share;
+            }
+        };
         self.update(at_s, 1.0, Some(seen));
         if likeliest(&self.belief) != before {
             self.begin_elsewhere(at_s);
@@ -295,7 +324,7 @@ impl Forecaster {
         let mistaken = self.options.mistaken;
         // As much of it stays as the word is mistaken, however sure the belief was; the others share the rest as before.
         let left = |p: f64| mistaken * p * (1.0 - p) / (1.0 - mistaken * p).max(f64::MIN_POSITIVE);
-        let empty = |other: usize, p: f64| if other == room { left(p) } else { p };
+        let empty = |belief: &mut [f64]| belief[room] = left(belief[room]);
         let before = likeliest(&self.belief);
         if before != Some(room) {
             self.belief[room] = left(self.belief[room]);
@@ -324,7 +353,9 @@ impl Forecaster {
     fn come_home(&mut self, at_s: f64) -> f64 {
         let at_s = at_s.max(self.updated_s);
         if let Some(since_s) = self.away_since_s.take() {
-            self.away.add((at_s - since_s).max(self.options.action_s));
+            if at_s - since_s <= JOURNEY_S {
+                self.away.add((at_s - since_s).max(self.options.action_s));
+            }
             self.belief.copy_from_slice(&self.way_in);
             self.begin_elsewhere(at_s);
             self.in_use.clear();
@@ -333,9 +364,12 @@ impl Forecaster {
         at_s
     }
 
-    /// Counts the time since the last observation.
+    /// Counts the time since the last observation, unless that was silence.
     fn spend(&mut self, at_s: f64) {
         let elapsed_s = at_s - self.updated_s;
+        if elapsed_s > SILENCE_S {
+            return;
+        }
         for (spent, p) in self.spent_s.iter_mut().zip(&self.belief) {
             *spent += p * elapsed_s;
         }
@@ -352,9 +386,9 @@ impl Forecaster {
         prior(object_s, self.options.strength).survival(0.0, (self.one_action_on(at_s) - self.updated_s).min(object_s))
     }
 
-    /// Moves the belief on to `at_s`, and makes of it there what was observed, if that says anything: per room and its probability before,
-    /// in proportion to the one after. The object in hand is still the same with at most `same_at_most`.
-    fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(usize, f64) -> f64>) {
+    /// Moves the belief on to `at_s`, and makes of it there what was observed, if that says anything: of the rooms' probabilities before,
+    /// numbers in proportion to those after. The object in hand is still the same with at most `same_at_most`.
+    fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(&mut [f64])>) {
         let before = likeliest(&self.belief);
         self.spend(at_s);
         if let Some(observed) = observed {
@@ -362,9 +396,7 @@ impl Forecaster {
             predicted.clear();
             // At one instant nobody would have moved, and what was told last would count for little.
             predicted.extend(self.ahead(self.one_action_on(at_s), 0.0, same_at_most));
-            for (room, p) in predicted.iter_mut().enumerate() {
-                *p = observed(room, *p);
-            }
+            observed(&mut predicted);
             let total: f64 = predicted.iter().sum();
             if total > 0.0 {
                 predicted.iter_mut().for_each(|p| *p /= total);
@@ -676,6 +708,34 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../scenes/studio.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         (map, grounding)
+    }
+
+    /// A weekend of which nobody told anything, and a first word with a wrong date, said for weeks where somebody was before.
+    #[test]
+    fn a_long_silence_is_no_stay_and_a_journey_no_absence() {
+        const H: f64 = 3_600.0;
+        let options = ForecastOptions { stay_s: 1_200.0, ..ForecastOptions::default() };
+        let after = |silence_s: f64| {
+            let mut own = Forecaster::new(3, options, 0.0);
+            own.enter(0.0, Some(0));
+            (0..36).for_each(|turn| {
+                own.enter(silence_s + 600.0 * f64::from(turn), Some(1 + turn as usize % 2));
+            });
+            own.at(silence_s + 6.0 * H, H).next().unwrap()
+        };
+        for silence_s in [64.0 * H, 504.0 * H, 1e9] {
+            assert!(after(silence_s) < 0.1, "{silence_s} {}", after(silence_s));
+        }
+        assert!(after(11.0 * H) > 0.3, "a night is a stay: {}", after(11.0 * H));
+
+        let back_after = |absence_s: f64| {
+            let mut own = Forecaster::new(3, options, 0.0);
+            own.leave(10.0);
+            own.enter(10.0 + absence_s, Some(0));
+            own.leave(1e9 + H);
+            own.elsewhere(1e9 + H, 4.0 * H)
+        };
+        assert!((back_after(H) - back_after(504.0 * H)).abs() < 0.1, "{} {}", back_after(H), back_after(504.0 * H));
     }
 
     /// Of one label with things in several rooms the one in the room where the person is; and that stays so until something else is observed.

@@ -348,10 +348,11 @@ impl<M: Message> Subscriber<M> {
         }
         let fail = |error| port(M::SERVICE.name, "receive", &error);
         let former = self.former.take();
-        let left = former.as_ref().map(|former| former.receive().map_err(fail)).transpose()?.flatten();
-        if left.is_some() {
+        let left = former.as_ref().map_or(Ok(None), |former| former.receive());
+        if !matches!(left, Ok(None)) {
             self.former.replace(former);
         }
+        let left = left.map_err(fail)?;
         let sample = match left {
             Some(left) => Some(left),
             None => self.subscriber.borrow().receive().map_err(fail)?,

@@ -25,6 +25,7 @@ use std::path::{Path, PathBuf};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
+use crate::daemon::Zone;
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Keys, Saying, Whereabouts};
 use roomcast_core::parsing::{list_of_keyed, toml_says};
@@ -40,6 +41,8 @@ pub const RULES_BYTES_MAX: u64 = 4 << 20;
 const LINE_BYTES: usize = 256;
 /// A plain number above this is no number of seconds: it would be later than the year 5000, and milliseconds of today are more.
 const SECONDS_MAX: f64 = 1e11;
+/// A number of seconds from here on (September 2001) is a time since 1970, in UTC; a smaller one counts from anywhere.
+const UNIVERSAL_FROM_S: f64 = 1e9;
 /// By so much clocks are set back in autumn, in seconds, on a Sunday before three o'clock.
 const FOLD_S: f64 = 3_600.0;
 const FOLD_UNTIL_S: f64 = 3.0 * 3_600.0;
@@ -103,6 +106,8 @@ enum Edge {
 pub struct SensorRules {
     columns: Vec<Column>,
     rules: Vec<Rule>,
+    /// Where a clock shows the times of a log that are universal.
+    zone: Zone,
 }
 
 /// A rules file.
@@ -255,7 +260,13 @@ impl SensorRules {
             let rule = Rule::new(keys);
             rule.map_err(|fault: String| format!("rule {number}: {fault}"))
         });
-        Ok(Self { columns: file.columns, rules: rules.collect::<Result<_, _>>()? })
+        Ok(Self { columns: file.columns, rules: rules.collect::<Result<_, _>>()?, zone: Zone::UTC })
+    }
+
+    /// The same rules, for a log whose times are wanted as a clock of that zone shows them: those that say their zone, and seconds since 1970.
+    #[must_use]
+    pub fn in_zone(self, zone: Zone) -> Self {
+        Self { zone, ..self }
     }
 
     /// Reads a log's file; see [`Self::narrate`].
@@ -359,18 +370,17 @@ impl SensorRules {
             return Err(format!("it has {found} of {wanted} fields, which tabs, semicolons or commas separate"));
         }
         let mut interval = Interval { end_s: f64::NAN, ..Interval::default() };
-        let mut is_local = true;
+        let (mut is_local, mut ends_local) = (true, true);
         for (column, field) in self.columns.iter().zip(fields) {
-            let mut time = || {
+            let time = || {
                 let is_number = field.parse().is_ok_and(f64::is_finite);
                 let hint = if is_number { "; are these milliseconds?" } else { "" };
                 let fault = || format!("{} is no time; expected 2024-03-01 08:15:00, or seconds{hint}", quoted(&field));
-                is_local &= is_clock_time(&field);
                 seconds(&field).ok_or_else(fault)
             };
             match column {
-                Column::Start => interval.start_s = time()?,
-                Column::End => interval.end_s = time()?,
+                Column::Start => (interval.start_s, is_local) = (time()?, is_clock_time(&field)),
+                Column::End => (interval.end_s, ends_local) = (time()?, is_clock_time(&field)),
                 Column::Sensor => interval.sensor = field,
                 Column::Kind => interval.kind = field,
                 Column::Place => interval.place = field,
@@ -378,9 +388,21 @@ impl SensorRules {
             }
         }
         if interval.end_s.is_nan() {
-            interval.end_s = interval.start_s;
+            (interval.end_s, ends_local) = (interval.start_s, is_local);
         }
-        if interval.end_s < interval.start_s && is_local && may_be_folded(interval.start_s, interval.end_s) {
+        if !is_local {
+            let ahead_s = self.ahead_s(interval.start_s);
+            interval.start_s += ahead_s;
+            // An interval is as long as it was, whatever became of the clock meanwhile.
+            interval.end_s += if ends_local { 0.0 } else { ahead_s };
+        } else if !ends_local {
+            interval.end_s += self.ahead_s(interval.end_s);
+        }
+        if interval.end_s < interval.start_s
+            && is_local
+            && ends_local
+            && may_be_folded(interval.start_s, interval.end_s)
+        {
             // The clock was set back in between: the end's reading came twice, and the later one is meant.
             interval.end_s += FOLD_S;
         }
@@ -388,6 +410,11 @@ impl SensorRules {
             return Err("it ends before it begins".to_owned());
         }
         Ok(interval)
+    }
+
+    /// How far the clock of the zone is ahead of a universal time. Of a number that is no time since 1970 nobody knows what it counts from.
+    fn ahead_s(&self, at_s: f64) -> f64 {
+        if at_s < UNIVERSAL_FROM_S { 0.0 } else { self.zone.local_s((at_s * 1e9) as u64) - at_s }
     }
 
     /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.
@@ -501,8 +528,8 @@ pub struct Absences {
 /// The line that cannot be read, or that no interval says who was where.
 pub fn absences(log: &[u8]) -> Result<Absences, String> {
     let columns = vec![Column::Start, Column::End];
-    let reader = SensorRules { columns: columns.clone(), rules: Vec::new() };
-    let named = SensorRules { columns: [columns, vec![Column::Sensor]].concat(), rules: Vec::new() };
+    let reader = SensorRules { columns: columns.clone(), rules: Vec::new(), zone: Zone::UTC };
+    let named = SensorRules { columns: [columns, vec![Column::Sensor]].concat(), rules: Vec::new(), zone: Zone::UTC };
     let (mut all, mut away, mut home) = (Vec::new(), Vec::new(), Vec::new());
     let mut labels: [BTreeMap<String, usize>; 2] = Default::default();
     let mut with_labels = 0;
@@ -564,9 +591,28 @@ fn says_away(label: &str) -> Option<bool> {
     }
 }
 
-/// Whether a time is what a clock on the wall shows: a date without a mark of UTC, no number of seconds.
+/// Whether a time is what a clock on the wall shows: a date that does not say its zone, no number of seconds.
 fn is_clock_time(field: &str) -> bool {
-    field.parse::<f64>().is_err() && !field.ends_with('Z')
+    field.parse::<f64>().is_err() && zone_of(field).1.is_none()
+}
+
+/// A time without the mark of its zone, and how many seconds a clock of that is ahead: "Z", "+01:00", "-0530".
+fn zone_of(field: &str) -> (&str, Option<f64>) {
+    let field = field.trim_end();
+    if let Some(time) = field.strip_suffix('Z') {
+        return (time, Some(0.0));
+    }
+    let marked = || {
+        // Dates have signs, too.
+        let at = field.rfind(['+', '-']).filter(|at| field[..*at].contains(':'))?;
+        let digits = field[at + 1..].replace(':', "");
+        let number: u32 =
+            digits.parse().ok().filter(|_| digits.len() == 4 && digits.bytes().all(|b| b.is_ascii_digit()))?;
+        let (hours, minutes) = (number / 100, number % 100);
+        let sign = if field[at..].starts_with('-') { -1.0 } else { 1.0 };
+        (hours < 15 && minutes < 60).then_some((&field[..at], sign * f64::from(3_600 * hours + 60 * minutes)))
+    };
+    marked().map_or((field, None), |(time, ahead_s)| (time, Some(ahead_s)))
 }
 
 /// Whether the clock may have been set back between two of its times. Where a log is from nobody says; but wherever summer time ends, it
@@ -578,25 +624,26 @@ fn may_be_folded(start_s: f64, end_s: f64) -> bool {
     is_sunday && of_night(start_s) && of_night(end_s) && (0.0..=FOLD_S).contains(&(start_s - end_s))
 }
 
-/// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, without regard to time zones and leap seconds;
-/// or of a plain number of seconds. None for a date or time of the day that does not exist, and for so many seconds that they must be
+/// Seconds of `2024-03-01 08:15:00` (with `T`, `/` and fractions as well) since 1970, by the clock that it was read from, without regard to leap
+/// seconds; universal ones of a time that says its zone; or those of a plain number of seconds. None for a date or time of the day that does not exist, and for so many seconds that they must be
 /// something else.
 #[must_use]
 pub fn seconds(text: &str) -> Option<f64> {
     if let Ok(seconds) = text.parse::<f64>() {
         return (seconds.abs() <= SECONDS_MAX).then_some(seconds);
     }
-    let (date, time) = text.split_once([' ', 'T'])?;
+    let (clock, ahead_s) = zone_of(text);
+    let (date, time) = clock.split_once([' ', 'T'])?;
     let mut parts = date.splitn(3, ['-', '/']);
     let (year, month, day) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
-    let mut parts = time.trim().trim_end_matches('Z').splitn(3, ':');
+    let mut parts = time.trim().splitn(3, ':');
     let (hour, minute) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
     let second: f64 = parts.next().unwrap_or("0").parse().ok()?;
     if !(1..=9_999).contains(&year) || !(0.0..61.0).contains(&second) {
         return None;
     }
     let whole = tz::UtcDateTime::new(year, month, day, hour, minute, second as u8, 0).ok()?;
-    Some(whole.unix_time() as f64 + second.fract())
+    Some(whole.unix_time() as f64 + second.fract() - ahead_s.unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -867,6 +914,40 @@ mod tests {
             ("1792895400", "1792894200"),
         ] {
             assert!(read(start, end).unwrap_err()[0].contains("it ends before it begins"), "{start} {end}");
+        }
+    }
+
+    /// Home Assistant's history has times in UTC; habits go by the hours of a clock on the wall.
+    #[test]
+    fn times_that_say_their_zone_are_those_of_the_home() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They sit on the {sensor} for {seconds} s.\"").unwrap();
+        let berlin = rules.clone().in_zone(Zone::of_variable(Some("CET-1CEST,M3.5.0,M10.5.0/3".as_ref())).unwrap());
+        let starts = |rules: &SensorRules, start: &str, end: &str| {
+            let log = rules.narrate(format!("{start},{end},sofa,-,-\n").as_bytes(), &Who::Somebody);
+            log.said.first().map(|said| (said.at_s, said.item.text.clone()))
+        };
+        let at =
+            |time: &str, said_s: u32| Some((seconds(time).unwrap(), format!("They sit on the sofa for {said_s} s.")));
+        for (start, end, local) in [
+            ("2026-11-20T08:30:00Z", "2026-11-20T08:31:00Z", "2026-11-20 09:30:00"),
+            ("2026-07-20T08:30:00.0Z", "2026-07-20T08:31:00Z", "2026-07-20 10:30:00"),
+            ("2026-11-20T08:30:00+09:00", "2026-11-20T08:31:00+0900", "2026-11-20 00:30:00"),
+            ("2026-11-20 08:30:00-05:00", "2026-11-20 08:31:00-05:00", "2026-11-20 14:30:00"),
+            ("1784536200", "1784536260", "2026-07-20 10:30:00"),
+            // A clock's own, and numbers that count from anywhere.
+            ("2026-11-20 08:30:00", "2026-11-20 08:31:00", "2026-11-20 08:30:00"),
+            ("17", "77", "1970-01-01 00:00:17"),
+            // The clock is set back meanwhile.
+            ("2026-10-25T00:59:30Z", "2026-10-25T01:00:30Z", "2026-10-25 02:59:30"),
+        ] {
+            assert_eq!(starts(&berlin, start, end), at(local, 60), "{start}");
+        }
+        // One that is not local has no fold.
+        assert_eq!(starts(&berlin, "2026-10-25 02:30:00Z", "2026-10-25 02:10:00Z"), None);
+        assert_eq!(starts(&rules, "2026-11-20T08:30:00Z", "2026-11-20T08:31:00Z"), at("2026-11-20 08:30:00", 60));
+        for wrong in ["2026-11-20T08:30:00ZZ", "2026-11-20T08:30:00+1", "2026-11-20T08:30:00+99:00", "2026-11-20-05:00"]
+        {
+            assert_eq!(seconds(wrong), None, "{wrong}");
         }
     }
 

@@ -268,7 +268,8 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     match (&args.sensors, &args.rules, &args.recording, &args.lines) {
         (Some(log), Some(rules), ..) => {
             let narrated =
-                SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, &person)).map_err(input)?;
+                SensorRules::load(rules).and_then(|rules| rules.in_zone(zone.clone()).narrate_file(log, &person));
+            let narrated = narrated.map_err(input)?;
             tell_unfit(&narrated);
             let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
             lessons.take_sensors(narrated);

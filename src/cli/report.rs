@@ -290,7 +290,7 @@ impl Names {
 
     /// The id of the room that a name means: of several in one room, none.
     fn id(&self, name: &str) -> Option<&str> {
-        let room = self.map.find_room(name)?;
+        let room = self.map.find_one_room(name)?;
         let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
         within.next().filter(|_| within.next().is_none()).map(|only| only.id.as_str())
     }
@@ -320,6 +320,9 @@ impl Rooms {
             return Ok(());
         }
         let known = scores.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
+        if self.names.as_ref().is_some_and(|names| names.id(room).is_none() && names.map.find_room(room).is_some()) {
+            return Err(format!("several rooms are called `{room}`, or it is in parts: give the id of one of {known}"));
+        }
         let is_other = self.names.as_ref().is_none_or(|names| names.map.fingerprint() != scores.map_fingerprint);
         Err(no_room(room, &known, is_other))
     }

@@ -22,7 +22,7 @@
 use std::collections::BTreeMap;
 
 use crate::grounding::{Grounding, partition_names};
-use crate::parsing::json_says;
+use crate::parsing::{Keyed, json_says};
 
 mod counts;
 mod frame;
@@ -909,7 +909,7 @@ impl Habits {
         if json.len() > 4 * BYTES_MAX {
             return Err(StoredError::TooLarge { bytes: json.len() });
         }
-        let stored: Stored = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
+        let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
         Self::restore(options, &stored.checked()?)
     }
 }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::key::Kind;
+use crate::parsing::list_of_keyed;
 
 /// Begins every file.
 const MAGIC: &[u8; 8] = b"RCHABITS";
@@ -90,6 +91,7 @@ pub(crate) struct StoredPerson {
     /// Weights of the mixtures of objects, of staying, of destinations, of both bases, of mentioning again, powers of the products with what
     /// is known of them, and how far contexts are relied on.
     pub(crate) weights: Vec<f64>,
+    #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) anchors: Vec<StoredAnchor>,
 }
 
@@ -107,9 +109,13 @@ pub(crate) struct StoredRow {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Stored {
     pub(crate) version: u16,
+    #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) objects: Vec<StoredName>,
+    #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) places: Vec<StoredName>,
+    #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) persons: Vec<StoredPerson>,
+    #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) rows: Vec<StoredRow>,
 }
 

@@ -281,6 +281,16 @@ fn bytes_and_json_give_back_what_was_learned() {
     let again = Habits::from_bytes(*habits.options(), &bytes).unwrap();
     assert!(again.to_bytes() == bytes);
     let json = habits.to_json().unwrap();
+    // Without their keys, values say nothing.
+    fn without_keys(value: &serde_json::Value) -> serde_json::Value {
+        match value {
+            serde_json::Value::Object(keys) => keys.values().map(without_keys).collect(),
+            serde_json::Value::Array(entries) => entries.iter().map(without_keys).collect(),
+            other => other.clone(),
+        }
+    }
+    let bare = without_keys(&serde_json::from_str(&json).unwrap()).to_string();
+    assert!(Habits::from_json(*habits.options(), &bare).is_err());
     assert!(Habits::from_json(*habits.options(), &json).unwrap().to_bytes() == bytes);
     let mut later = bytes.clone();
     later[8] = 9;

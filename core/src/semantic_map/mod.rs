@@ -295,6 +295,16 @@ impl SemanticMap {
             .or_else(|| only(Names::built_in().room_itself(name)?))
     }
 
+    /// As [`SemanticMap::find_room`]; none where the name is the words of several rooms, and the id of none.
+    #[must_use]
+    pub fn find_one_room(&self, name: &str) -> Option<RoomId> {
+        let found = self.find_room(name)?;
+        let own = &self.rooms[found.0 as usize];
+        let is_its_id = plain_words(&own.id) == plain_words(name);
+        let is_one = || self.rooms.iter().filter(|other| other.label == own.label).count() == 1;
+        (is_its_id || is_one()).then_some(found)
+    }
+
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
         let plain = plain_words(name);
         let words = Names::built_in().words(name);

@@ -31,6 +31,10 @@ pub(super) trait Answer: Clone + Serialize {
 /// What is wrong with it.
 fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     let text = asked.map_err(|error| error.to_string())?;
+    // Whoever reads a question with keys takes a list of their values, too.
+    if !text.trim_start().starts_with('{') {
+        return Err("it does not begin with `{`: give keys and values".to_owned());
+    }
     let parser = &mut serde_json::Deserializer::from_str(text);
     let question: Q = serde_path_to_error::deserialize(&mut *parser).map_err(|error| error.to_string())?;
     parser.end().map_err(|error| error.to_string())?;
@@ -140,6 +144,15 @@ mod tests {
         assert!(of(r#" {"ask": "list"} "#));
         for behind in ["x", "{}", ",", r#"{"ask": "forget", "id": "1", "who": "ada"}"#] {
             assert!(!of(&format!(r#"{{"ask": "list"}} {behind}"#)), "{behind}");
+        }
+    }
+
+    /// `["forget", "7"]` forgot all habits.
+    #[test]
+    fn a_list_is_no_question() {
+        for list in [r#"["forget", "7"]"#, " [\"list\"]", "[]", "\"list\"", "3", ""] {
+            assert!(read::<HabitsQuestion>(Ok::<_, String>(list)).is_err(), "{list}");
+            assert!(read::<PersonQuestion>(Ok::<_, String>(list)).is_err(), "{list}");
         }
     }
 

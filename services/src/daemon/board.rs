@@ -577,12 +577,14 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let name = (observation.source, observation.epoch, observation.sequence);
-            let mut at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
-            if of_other_boots.contains(&name) {
-                // However little the wall clock says has passed, it was before the machine's start.
-                at_ns = at_ns.map(|at_ns| at_ns.min(0));
-                // 0 would say that it has none.
+            let is_of_another_boot = of_other_boots.contains(&name);
+            if is_of_another_boot {
+                // However little the wall clock says has passed, it was before the machine's start; 0 would say that it has no time.
                 observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns.max(1));
+            }
+            let mut at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
+            if is_of_another_boot {
+                at_ns = Some(at_ns.unwrap_or(0).min(0));
             }
             let voice = Voice::of_source(observation.source);
             let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
@@ -858,8 +860,9 @@ impl<M: LanguageModel> Board<M> {
                 }
             } else {
                 let room = room_named(&seen.words, &self.map, grounding);
+                let alike = |other| room.is_none() && rooms_alike(&seen.words, grounding).any(|one| one == other);
                 // A word that is older than what is known is news to neither.
-                if own.enter(at_s, room) {
+                if own.enter_any(at_s, |other| Some(other) == room || alike(other)) {
                     self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room));
                 }
             }
@@ -1126,18 +1129,26 @@ fn follower(grounding: &Grounding, options: ForecastOptions, at_ns: i64) -> Fore
     own
 }
 
-/// The partition that a room's name means, by its own name or as the one that the room lies in.
+/// The partition that a room's name means, by its own name or as the one that the room lies in; none where several have the name.
 fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -> Option<usize> {
     let partitions = grounding.partitions();
-    let with_id = partitions.iter().position(|partition| partition.id == name);
-    let own = with_id.or_else(|| partitions.iter().position(|partition| partition.label == name));
-    own.or_else(|| {
-        let room = map.find_room(name)?;
-        let mut within = (0..).zip(partitions).filter(|(_, partition)| partition.rooms.contains(&room));
-        let (only, _) = within.next()?;
-        // A room in parts is none of them.
-        within.next().is_none().then_some(only)
-    })
+    if let Some(with_id) = partitions.iter().position(|partition| partition.id == name) {
+        return Some(with_id);
+    }
+    let mut alike = rooms_alike(name, grounding);
+    if let Some(first) = alike.next() {
+        return alike.next().is_none().then_some(first);
+    }
+    let room = map.find_one_room(name)?;
+    let mut within = (0..).zip(partitions).filter(|(_, partition)| partition.rooms.contains(&room));
+    let (only, _) = within.next()?;
+    // A room in parts is none of them.
+    within.next().is_none().then_some(only)
+}
+
+/// The partitions that are called so.
+fn rooms_alike<'a>(name: &'a str, grounding: &'a Grounding) -> impl Iterator<Item = usize> + 'a {
+    (0..).zip(grounding.partitions()).filter(move |(_, partition)| partition.label == name).map(|(at, _)| at)
 }
 
 #[cfg(test)]

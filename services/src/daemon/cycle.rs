@@ -17,12 +17,23 @@ const STEP_NS_MAX: u64 = 250_000_000;
 /// A failing scorer is tried again after this.
 const RETRY_NS: u64 = 1_000_000_000;
 
+/// A narration that was refused, and behind how many of those that wait it came.
+#[derive(Debug)]
+struct Refused {
+    behind: usize,
+    source: u64,
+    epoch: u64,
+    sequence: u64,
+}
+
 /// The state of the scoring loop.
 #[derive(Debug)]
 pub struct Cycle<M> {
     board: Board<M>,
     /// What the next steps take into the histories, each with its number in the journal, 0 without one.
     waiting: VecDeque<(Entry, u64)>,
+    /// Narrations of which the scores say that they were dealt with as soon as they contain what came before.
+    refused: VecDeque<Refused>,
     /// The journal's number of the newest observation in the histories.
     entered_record: u64,
     /// The same of the newest record that the scores rest on: an observation, or whose one is.
@@ -51,6 +62,7 @@ impl<M: LanguageModel> Cycle<M> {
         Self {
             board,
             waiting: VecDeque::new(),
+            refused: VecDeque::new(),
             entered_record: 0,
             scored_record: 0,
             // The first step scores what the journal gave, or the binding sequence alone.
@@ -75,10 +87,22 @@ impl<M: LanguageModel> Cycle<M> {
         self.board.restore(recovered.join(), now_ns, now_unix_ns)
     }
 
-    /// Takes note of a narration that was refused: the next scores say that it was dealt with, so that its narrator does not wait for it.
+    /// Takes note of a narration that was refused: scores say that it was dealt with, so that its narrator does not wait for it. They do not before
+    /// they contain what came before it: they claim that with it.
     pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.board.pass_over(source, epoch, sequence);
+        self.refused.push_back(Refused { behind: self.waiting.len(), source, epoch, sequence });
+        self.pass_over_up_to(0);
         self.due = true;
+    }
+
+    /// Passes over what was refused behind so many of those that wait; says whether there was any.
+    fn pass_over_up_to(&mut self, taken: usize) -> bool {
+        let before = self.refused.len();
+        while let Some(Refused { source, epoch, sequence, .. }) = self.refused.pop_front_if(|own| own.behind <= taken) {
+            self.board.pass_over(source, epoch, sequence);
+        }
+        self.refused.iter_mut().for_each(|own| own.behind -= taken);
+        self.refused.len() < before
     }
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
@@ -108,14 +132,17 @@ impl<M: LanguageModel> Cycle<M> {
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
         let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
-        let taken = self.waiting.drain(..self.waiting.len().min(STEP_ENTRIES_MAX));
+        let most = self.waiting.len().min(STEP_ENTRIES_MAX);
+        let taken = self.waiting.drain(..most);
         let entered_record = &mut self.entered_record;
         let entries = taken.map(|(entry, record)| {
             *entered_record = (*entered_record).max(record);
             entry
         });
         let sequence = self.board.snapshot().sequence;
-        match self.board.step_within(entries, now_ns, now_unix_ns, STEP_NS_MAX) {
+        let stepped = self.board.step_within(entries, now_ns, now_unix_ns, STEP_NS_MAX);
+        let is_news = self.pass_over_up_to(most);
+        match stepped {
             Ok(received_ns) => self.received_ns = received_ns,
             Err(error) => {
                 if !failed_before {
@@ -127,7 +154,7 @@ impl<M: LanguageModel> Cycle<M> {
                 return Err(error);
             }
         }
-        self.due = !self.waiting.is_empty() || self.board.pipeline().is_behind();
+        self.due = is_news || !self.waiting.is_empty() || self.board.pipeline().is_behind();
         self.fresh |= self.board.snapshot().sequence > sequence;
         self.scored_record = self.scored_record.max(self.entered_record);
         Ok(())

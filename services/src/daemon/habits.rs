@@ -47,7 +47,7 @@ pub struct NoZone {
 }
 
 /// The local time zone.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Zone(Option<tz::TimeZone>);
 
 impl Zone {
@@ -72,7 +72,7 @@ impl Zone {
         Self::of_variable(std::env::var_os("TZ").as_deref())
     }
 
-    fn of_variable(value: Option<&OsStr>) -> Result<Self, NoZone> {
+    pub(crate) fn of_variable(value: Option<&OsStr>) -> Result<Self, NoZone> {
         let Some(value) = value else {
             return tz::TimeZone::local().map(|zone| Self(Some(zone))).map_err(|error| NoZone {
                 reason: format!("no time zone is set: TZ is not, and /etc/localtime cannot be read: {error}"),
@@ -230,7 +230,7 @@ pub struct HomeHabits {
     state: u64,
     ticked_ns: u64,
     changed: bool,
-    /// Observations that were learned since the start.
+    /// How often what is known was changed since the start: by what was learned, forgotten, or put in its place.
     taken: u64,
     /// Who was where when what was learned was replaced.
     replaced: Vec<(u32, Place)>,
@@ -292,7 +292,9 @@ impl HomeHabits {
         learned.counts > 0 || learned.observations > 0.0
     }
 
+    /// What was learned is no longer what it was, by something else than an observation.
     fn changes(&mut self) {
+        self.taken += 1;
         self.state += 1;
         self.changed = true;
     }
@@ -661,7 +663,7 @@ impl HomeHabits {
         self.clock.map_or_else(Vec::new, |(_, now_s)| self.memory.habits.visits(now_s))
     }
 
-    /// How many observations were learned since the start.
+    /// How often what is known was changed since the start: by an observation, by forgetting, by an import.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.taken

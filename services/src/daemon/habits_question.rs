@@ -102,7 +102,7 @@ pub struct HabitsAnswer {
     pub counts: usize,
     /// Bytes in memory.
     pub bytes: usize,
-    /// Observations that were learned since the daemon started.
+    /// How often what is known was changed since the daemon started: by an observation, by forgetting, by an import.
     pub taken: u64,
     /// Whether nothing changed because the daemon has learned something that was not expected.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -298,6 +298,41 @@ mod tests {
         let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), 0);
         let line = &answer.persons[0];
         assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
+    }
+
+    /// Somebody who was forgotten while `habits learn` ran was known again when it ended; of two that ran at once, one was lost.
+    #[test]
+    fn nothing_is_put_in_place_of_what_was_changed_meanwhile() {
+        let mut memory = Memory::new(HabitsOptions::default());
+        memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
+        memory.habits.be(7, Place::Room(0), 1e9);
+        memory.habits.be(7, Place::Elsewhere, 1e9 + 3_600.0);
+        let mut board = board(memory);
+        let (mut importing, mut number) = (Importing::default(), 0);
+        let mut ask = |question| {
+            let (answer, _) = answer(&mut board, &mut importing, Ok(question), 0);
+            (answer.done, answer.taken, answer.export.unwrap_or_default())
+        };
+        let mut import = |text: &str, expected| {
+            number += 1;
+            let whole = number.to_string();
+            HabitsQuestion::Import {
+                id: whole.clone(),
+                whole,
+                part: 0,
+                parts: 1,
+                text: text.to_owned(),
+                expected: Some(expected),
+            }
+        };
+        let (_, taken, export) = ask(HabitsQuestion::Export);
+        assert!(ask(import(&export, taken)).0, "nothing has changed");
+        assert!(!ask(import(&export, taken)).0, "another import was first");
+        let (_, taken, export) = ask(HabitsQuestion::Export);
+        for who in [Some("7".to_owned()), None] {
+            assert!(ask(HabitsQuestion::Forget { id: format!("{who:?}"), who }).0);
+            assert!(!ask(import(&export, taken)).0, "somebody was forgotten meanwhile");
+        }
     }
 
     /// Whoever is meant is whom a question about persons means: a number is one in digits alone.

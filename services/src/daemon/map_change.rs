@@ -108,6 +108,8 @@ impl KeptMap {
     /// the log says so.
     #[must_use]
     pub fn load(&self) -> Option<SemanticMap> {
+        // A directory that cannot be written is told of where something is to be written.
+        let _removed = state_file::remove_unfinished(&self.path);
         let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
             Ok(text) => text?,
             Err(error) => {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::state_file;
 use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
-use roomcast_core::parsing::json_says;
+use roomcast_core::parsing::{Keyed, json_says};
 
 /// The file in the state directory.
 const FILE: &str = "persons.json";
@@ -100,6 +100,8 @@ impl PersonsFile {
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
         let mut unusable = false;
+        // A directory that cannot be written is told of where something is to be written.
+        let _removed = state_file::remove_unfinished(&path);
         let persons = match state_file::read(&path, FILE_BYTES_MAX) {
             Ok(None) => Vec::new(),
             Ok(Some(text)) => parse(&text).unwrap_or_else(|reason| {
@@ -213,7 +215,8 @@ fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
 
 /// Reads the file; a name or number that stands twice would make two persons of one.
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
-    let persons: Vec<KeptPerson> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
+    let persons: Vec<Keyed<KeptPerson>> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
+    let persons: Vec<_> = persons.into_iter().map(|Keyed(person)| person).collect();
     let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;
@@ -237,6 +240,12 @@ mod tests {
 
     fn ada() -> KeptPerson {
         KeptPerson { number: 3, name: "Ada".to_owned(), resident: Some(true), former: Vec::new() }
+    }
+
+    #[test]
+    fn a_list_is_no_person() {
+        assert!(parse(r#"[{"number": 5, "name": "Ada", "resident": true}]"#).is_ok());
+        assert!(parse(r#"[[5, "Ada", true]]"#).is_err());
     }
 
     #[test]

@@ -7,12 +7,14 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, text};
+use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags, text};
 
 /// Robots that are followed; of more, the one whose room is free first gives way.
 const ROBOTS_MAX: usize = 16;
 /// A robot that is late is waited for so long after its stay, in nanoseconds: its next decision may be on its way.
 const LATE_NS: u64 = 10_000_000_000;
+/// The same of one that works until it reports, however long its stay was thought to be; its planner may have ended without a word.
+const AT_WORK_NS: u64 = 7_200 * 1_000_000_000;
 
 /// What another robot has last been told.
 #[derive(Debug, Clone, Copy)]
@@ -48,9 +50,10 @@ impl Others {
             return;
         }
         let is_somewhere = decision.action != action::PAUSE && !decision.to().is_empty();
-        let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(LATE_NS);
-        let until_ns = if is_somewhere { end_ns } else { 0 };
         let waits = decision.action != action::GO;
+        let more_ns = if !waits && decision.has(decision_flags::REPORTED) { AT_WORK_NS } else { LATE_NS };
+        let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(more_ns);
+        let until_ns = if is_somewhere { end_ns } else { 0 };
         let is_told = self.robots.get(&decision.robot).is_some_and(|claim| claim.is_told);
         self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, waits, until_ns, is_told });
         if self.robots.len() > ROBOTS_MAX
@@ -164,6 +167,13 @@ mod tests {
             (others.taken(&scores, false, 2 * S), others.go_before(&kitchen, false, 2 * S)),
             (vec![true, false], true)
         );
+        // One that reports is at work until it is told to go elsewhere.
+        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 4, "kitchen") }, S);
+        assert_eq!(others.taken(&scores, false, 3_600 * S), [true, false]);
+        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 5, "hall") }, S);
+        assert_eq!(others.taken(&scores, false, 3_600 * S), [false, true]);
+        assert_eq!(others.taken(&scores, false, 7_300 * S), [false, false], "its planner may have ended");
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 6, "") }, S);
         // A time in the future is of now.
         others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, S);
         assert_eq!(others.taken(&scores, false, 72 * S), [false, false]);

@@ -42,7 +42,7 @@ impl Places {
 
     /// The scores' room that a name means on this map: of several in one room, none.
     pub(super) fn named(&self, name: &str, scores: &RoomScoresV1) -> Option<usize> {
-        let room = self.map.find_room(name)?;
+        let room = self.map.find_one_room(name)?;
         let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
         let only = within.next().filter(|_| within.next().is_none())?;
         scores.rooms().iter().position(|room| room.id() == only.id)

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
     Awaited, DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1,
-    RoomScoresV1, clock, decision_flags, sequence,
+    RoomScoresV1, clock, decision_flags, report_kind, sequence,
 };
 use sd_notify::NotifyState;
 
@@ -60,7 +60,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
     let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
-    let (mut early, mut awake) = (VecDeque::new(), Awake::new(config.ipc.spin_us));
+    let (mut early, mut awake) = (VecDeque::<RobotReportV1>::new(), Awake::new(config.ipc.spin_us));
     // Where two robots go for one room, the one that makes way is to leave at once.
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
@@ -119,7 +119,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
         while receive(&reports, &mut report, &mut log)? {
             if early.len() == RobotReportV1::SERVICE.buffer {
-                early.pop_front();
+                // What a robot says again and again makes way for what it says once.
+                let again =
+                    early.iter().position(|known| matches!(known.kind, report_kind::BATTERY | report_kind::POSITION));
+                early.remove(again.unwrap_or(0));
             }
             early.push_back(report);
         }

@@ -175,6 +175,8 @@ impl RoundFile {
     /// The round that was kept, of this boot: a robot that was off with its machine begins another.
     pub(super) fn load(&self) -> Option<KeptRound> {
         let path = self.file.path().display();
+        // A directory that cannot be written is told of where something is to be written.
+        let _removed = state_file::remove_unfinished(self.file.path());
         let text = state_file::read(self.file.path(), FILE_BYTES_MAX);
         let kept: KeptRound = match text.map(|text| text.map(|text| serde_json::from_str(&text))) {
             Ok(None) => return None,

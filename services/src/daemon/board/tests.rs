@@ -688,6 +688,68 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     assert_eq!((claim(&last, 9), last.has(score_flags::BEHIND)), (INVENTED, false));
 }
 
+/// The first of two bedrooms was believed in, and a robot entered the other one, in which somebody slept.
+#[test]
+fn a_name_that_several_rooms_have_is_any_of_them() {
+    let map =
+        TWO_ROOMS.replace("\"label\": \"kitchen\"", "\"label\": \"bedroom\"").replace("\"living room\"", "\"bedroom\"");
+    let map = SemanticMap::from_json(&map).unwrap();
+    let options = GroundingOptions::default();
+    let grounding = Grounding::new(&map, &options).unwrap();
+    let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
+    let mut board = Board::new(pipeline, map, options, 1).unwrap();
+    let mut said_at = |at_s: u64, words: &str| {
+        board.step([entry(3, at_s * S, words)], at_s * S, at_s * S).unwrap();
+        [0, 1].map(|room| occupied(&mut board, room, at_s * S))
+    };
+    let [one, other] = said_at(10, "They are in the bedroom.");
+    assert!((one - other).abs() < 0.1, "{one} {other}");
+    let [_, other] = said_at(12, "They sit on the sofa.");
+    assert!(other > 0.9, "there is one sofa: {other}");
+    let [_, other] = said_at(14, "They are in the bedroom.");
+    assert!(other > 0.9, "they are in one of them: {other}");
+    let [_, other] = said_at(16, "The bedroom is empty.");
+    assert!(other > 0.9, "nobody knows which one: {other}");
+}
+
+/// A narrator's clock that is ahead, or one that was set back before the machine was started again.
+#[test]
+fn what_another_boot_dates_later_than_now_was_before_the_start() {
+    let kept = DAY.map(|(at_s, sentence)| {
+        let whole = observation(3, at_s * S, sentence);
+        Observation { observed_ns: 0, observed_unix_ns: 9_000_000 * S, source: 7, epoch: 1, sequence: at_s, ..whole }
+    });
+    let mut recovered = recovered(kept);
+    recovered.of_other_boots = DAY.map(|(at_s, _)| (7, 1, at_s)).into();
+    let mut after = board();
+    after.restore(recovered, 2 * S, 1_000_080 * S);
+    after.step([], 2 * S, 1_000_080 * S).unwrap();
+    let sofa = occupied(&mut after, 1, 2 * S);
+    assert!(sofa > 0.7, "{sofa}");
+}
+
+/// A refused sentence behind a flood claimed the part of it that no step had taken: its narrator counted that as lost.
+#[test]
+fn what_is_refused_claims_nothing_that_waits_before_it() {
+    let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
+    let heard =
+        |number: u64| Observation { source: 9, epoch: 1, sequence: number, ..observation(0, number, "They sit.") };
+    let claim = |cycle: &mut crate::daemon::cycle::Cycle<TableModel>| {
+        cycle.step(S, S).unwrap();
+        let message = cycle.message(S, u64::MAX, false).copied();
+        message.and_then(|message| message.included().iter().find(|own| own.source == 9).map(|own| own.sequence))
+    };
+    (1..=600).for_each(|number| cycle.enter(Entry::new(heard(number), S), 0));
+    cycle.pass_over(9, 1, 601);
+    cycle.enter(Entry::new(heard(602), S), 0);
+    cycle.pass_over(9, 1, 603);
+    assert_eq!(claim(&mut cycle), Some(512));
+    while cycle.step_due(S) {
+        claim(&mut cycle);
+    }
+    assert_eq!(claim(&mut cycle), Some(603));
+}
+
 /// Of a flood a step takes a part, and what scores rest on never becomes less.
 #[test]
 fn a_flood_is_taken_in_parts() {

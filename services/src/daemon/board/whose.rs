@@ -293,7 +293,7 @@ impl<M: LanguageModel> Board<M> {
         true
     }
 
-    /// Says once of each name that no room of the map has it: whoever is said to be there is present, and nothing is known of where.
+    /// Says once of each name that no room of the map has it, or several have: whoever is said to be there is present, and no more is known of where.
     fn note_room(&mut self, room: &str) {
         let is_strange = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
         if is_strange && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
@@ -301,7 +301,7 @@ impl<M: LanguageModel> Board<M> {
             tracing::warn!(
                 room,
                 rooms,
-                "somebody is said to be in a room that the map does not have: they count as present, in no room in particular; correct the narrator or the scene"
+                "somebody is said to be in a room that the map does not have, or of which it has several: they count as present, in no room in particular, or in any of these; correct the narrator, with a room's id, or the scene"
             );
         }
     }
