@@ -14,6 +14,8 @@ use super::super::person_question::{PersonAnswer, PersonQuestion};
 use super::super::{Board, Entry};
 use super::*;
 
+mod sentences;
+
 const S: u64 = 1_000_000_000;
 const BOOT: [u8; 16] = [5; 16];
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
