@@ -309,7 +309,8 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
         let (mut others, mut of_named) = (Vec::new(), None);
-        let so_many = observation.said.is_of_so_many();
+        // "Both Ada and Ben go to bed" has names.
+        let so_many = observation.said.is_of_so_many().filter(|_| names.len() < 2);
         if is_open && (so_many.is_some() || observation.said.is_of_guests()) {
             let said = match statement.and_then(PresenceStatement::of_others) {
                 Some(said) => Said::Presence(said),

@@ -2,8 +2,9 @@
 
 use super::kind::{is_not_now, is_not_so};
 use super::names::{NAME_WORDS_MAX, SUBJECT_WORDS_MAX, cuts, names, parts, without_too};
+use super::places::{ends, ends_here, is_room, room_of};
 use super::signs::{is_reported, is_said};
-use super::whereabouts::{after_verb, ends, ends_here, is_room, room_of, takes, where_to, works_here};
+use super::whereabouts::{after_verb, takes, where_to, works_here};
 use super::words::{WORDS, first_word, has, is_a_way, is_verb};
 use super::{Clause, Subject};
 use crate::narration::{Presence, deeds};

@@ -1,11 +1,9 @@
 //! What kind of sentence it is: of another time, asked, ordered, reported, denied, or said from afar.
 
 use super::names::{NAME_WORDS_MAX, NEW_NAME_WORDS_MAX, bare, cuts};
+use super::places::{ends, is_at_somebodys, is_elsewhere, is_outside_by};
 use super::signs::{is_unreal, without_first};
-use super::whereabouts::{
-    after_verb, arrives, ends, first_predicate, is_at_somebodys, is_elsewhere, is_of_what_was_left, is_outside_by,
-    predicate, state,
-};
+use super::whereabouts::{after_verb, arrives, first_predicate, is_of_what_was_left, predicate, state};
 use super::words::{WORDS, first_word, has, is_verb};
 use super::{Clause, Subject};
 use crate::narration::{Presence, deeds};

@@ -2,10 +2,10 @@
 
 use super::Presence;
 use names::{cuts, names, without_too};
+use places::{ends, ends_here, in_the, is_room, room_of};
 use signs::{denied, is_doubtful, is_said};
 use whereabouts::{
-    arrives, ends, ends_here, excepted, in_the, is_alone, is_anybody, is_in_doubt, is_of_guests, is_room, of_some,
-    predicate, room_of, so_many, state, where_to,
+    arrives, excepted, is_alone, is_anybody, is_in_doubt, is_of_guests, of_some, predicate, so_many, state, where_to,
 };
 use words::{WORDS, has};
 
@@ -13,6 +13,7 @@ mod company;
 mod groups;
 mod kind;
 mod names;
+mod places;
 mod plain;
 mod signs;
 mod subject;

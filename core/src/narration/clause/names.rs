@@ -170,7 +170,11 @@ pub(super) fn cuts(said: &str) -> impl Iterator<Item = (&str, &str)> {
     let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
     let cuts = spaces.map(move |(at, _)| {
         let mut subject = said[..at].trim_end_matches([' ', ',']);
-        while let Some((before, _)) = subject.rsplit_once(' ').filter(|(_, last)| has(&WORDS.between, last)) {
+        // "Ada and Ben both leave."
+        let is_no_part = |(before, last): &(&str, &str)| {
+            has(&WORDS.between, last) || has(&WORDS.of_each, last) && before.contains(" and ")
+        };
+        while let Some((before, _)) = subject.rsplit_once(' ').filter(is_no_part) {
             subject = before;
         }
         (subject, said[at..].trim_start())
@@ -209,6 +213,8 @@ pub(super) fn without_too(said: &str) -> (&str, Option<&str>) {
 
 /// The parts of a subject that are joined by "and".
 pub(super) fn parts(subject: &str) -> impl Iterator<Item = &str> {
+    // "Both Ada and Ben."
+    let subject = subject.strip_prefix("both ").filter(|names| names.contains(" and ")).unwrap_or(subject);
     // Commas alone join nobody: "Ada, Ben is away" speaks to Ada.
     let commas = if subject.contains(" and ") { ", " } else { " and " };
     let parts = subject.split(" and ").flat_map(move |part| part.split(commas));

@@ -57,6 +57,7 @@ pub(super) struct Words {
     pub(super) nobody: List,
     pub(super) everybody: List,
     pub(super) both: List,
+    pub(super) of_each: List,
     pub(super) numbers: Vec<String>,
     pub(super) two: List,
     pub(super) orders: List,
