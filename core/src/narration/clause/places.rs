@@ -143,3 +143,28 @@ pub(super) fn is_at_somebodys(said: &str) -> bool {
         is_whole || spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
     })
 }
+
+/// Whether somebody is in the house by what they are, whatever they do there: "home sick", "at home watching football", "in her room".
+pub(super) fn is_indoors(state: &str) -> bool {
+    let is_outside =
+        |words: &str| words.match_indices(' ').any(|(at, _)| is_outside_by(&words[at + 1..], &["at", "in"]));
+    let goes_on = |more: &str| {
+        let words = more.strip_prefix(' ').unwrap_or_default();
+        let what = first_word(words);
+        let is_doing = has(&WORDS.at_home, what) || what.ends_with("ing");
+        ends_here(more) || is_own_room(words) || is_doing && !is_outside(words)
+    };
+    // "Safely home".
+    let state = state.split_once(' ').filter(|(how, _)| how.ends_with("ly")).map_or(state, |(_, state)| state);
+    is_own_room(state) || WORDS.indoors.after(state).any(goes_on)
+}
+
+/// Whether words name a room that is somebody's own, and nothing says that it is out of the house: "in his room", "up to her bedroom".
+pub(super) fn is_own_room(words: &str) -> bool {
+    let place = words.strip_prefix("up ").or_else(|| words.strip_prefix("back ")).unwrap_or(words);
+    let place = ["in ", "to ", "into "].iter().find_map(|to| place.strip_prefix(to)).unwrap_or_default();
+    let (whose, room) = place.split_once(' ').unwrap_or_default();
+    // An office is rather the one out of the house.
+    let is_room = |room: &str| has(&WORDS.rooms, room) && room != "office";
+    has(&WORDS.possessives, whose) && is_room(first_word(room)) && ends_here(&room[first_word(room).len()..])
+}

@@ -115,6 +115,8 @@ pub(super) struct Words {
     pub(super) at_house: List,
     pub(super) out: List,
     pub(super) r#in: List,
+    pub(super) indoors: List,
+    pub(super) at_home: List,
     pub(super) goes_on: List,
     pub(super) rooms: List,
     pub(super) from_afar: List,
