@@ -109,7 +109,7 @@ pub(in crate::narration) fn is_speech(said: &str) -> bool {
 /// Whether a plain sentence says what state a device is in: "the oven is on", "the door opens".
 pub(in crate::narration) fn is_of_a_state(said: &str) -> bool {
     let is_of_a_state = |(_, rest): (&str, &str)| {
-        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends) || state.starts_with("at "));
+        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends));
         begun || ["opens", "closes"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends))
     };
     cuts(said).any(is_of_a_state) || is_of_an_end(said)

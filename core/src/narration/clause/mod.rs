@@ -33,16 +33,17 @@ pub(super) use kind::{
 };
 pub(super) use names::{
     COUNT_MAX, NAME_WORDS_MAX, begins_with_a_pronoun, first_name, is_named_thing, is_of_a_pronoun, is_of_persons,
-    is_part_of_a_name, is_title, longest_subject, may_be_a_person, may_be_new, own_pronoun, possible_subjects, pronoun,
-    titled, with_strangers, without_opening,
+    is_part_of_a_name, is_read_as_a_name, is_title, longest_subject, may_be_a_person, may_be_new, own_pronoun,
+    possible_subjects, pronoun, titled, with_strangers, without_opening,
 };
+pub(super) use places::is_of_a_room;
 pub(super) use plain::plain;
 pub(super) use signs::{is_past_state, is_quoted, is_reported, is_unreal, without_first};
 pub(super) use subject::{
     begins_with_persons, behind_opening, is_begin_of_a_list, is_of_a_stranger, known_before_a_verb,
 };
 pub(super) use whereabouts::is_of_what_was_left;
-pub(super) use words::{Word, is, is_a_number_of, is_known_verb, is_verb, may_be_third_person};
+pub(super) use words::{Word, is, is_a_number_of, is_known_verb, is_verb, may_be_a_verb, may_be_third_person};
 
 /// Whom a sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 use super::signs::{is_reported, without_first};
 use super::words::{WORDS, first_word, has, is_possible};
 use super::{Clause, Subject};
-use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun};
+use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun, deeds};
 
 /// A plain sentence without what it begins with of no person: "lena goes jogging" of "although it rains, lena goes jogging".
 pub(in crate::narration) fn without_opening(said: &str) -> &str {
@@ -136,8 +136,28 @@ fn pronoun_of(word: &str) -> Option<Pronoun> {
 }
 
 /// What a plain sentence calls its own person by, as far as it tells: "ada brushes her teeth".
+/// "ben kisses her" and "ada kisses his cheek" tell it of somebody else.
 pub(in crate::narration) fn own_pronoun(said: &str) -> Option<Pronoun> {
-    said.split([' ', ',']).find_map(pronoun_of)
+    const GIVES: [&str; 8] = ["gives", "gave", "brings", "brought", "hands", "passes", "shows", "buys"];
+    const EATS: [&str; 7] = ["eats", "ate", "drinks", "drank", "has", "finishes", "sips"];
+    // "Washes her hands" hands nothing to anybody.
+    let is_verb = |subject: &str| !has(&WORDS.possessives, subject.rsplit(' ').next().unwrap_or_default());
+    let mut deeds = cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_verb(subject));
+    if deeds.any(|(_, rest)| deeds::touched(rest).is_some()) {
+        return None;
+    }
+    let words = || said.split([' ', ',']).chain(["", ""]);
+    let (befores, nouns, lasts) = ([""].into_iter().chain(words()), words().skip(1), words().skip(2));
+    words().zip(befores).zip(nouns.zip(lasts)).find_map(|((word, before), (noun, last))| {
+        let is_own = |noun: &str| has(&WORDS.own, noun) || has(&WORDS.meals, noun) && EATS.contains(&before);
+        let is_told = word.ends_with("self") || (is_own(noun) || is_own(last)) && !GIVES.contains(&before);
+        pronoun_of(word).filter(|_| is_told)
+    })
+}
+
+/// Whether a word in lower case may be read as a name by itself; "august" and "can" are other words.
+pub(in crate::narration) fn is_read_as_a_name(word: &str) -> bool {
+    names(word).is_some()
 }
 
 /// Whether a plain sentence begins with a pronoun.

@@ -26,7 +26,7 @@ pub(super) fn ends_away(more: &str) -> bool {
     let is_a_time =
         || more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
     let goes_on = [" from ", " for ", " to ", " by "].iter().any(|word| more.starts_with(word));
-    ends(more) && (!goes_on || is_a_time() || is_out())
+    ends(more) && !is_at_a_thing(more.trim_start()) && (!goes_on || is_a_time() || is_out())
 }
 
 /// Whether words name a place: "to the hotel", "at her desk".
@@ -45,10 +45,62 @@ pub(super) fn ends_here(more: &str) -> bool {
     ends(more) && !is_a_place(words) && !is_outside_by(words, &["at", "to", "into", "in"])
 }
 
-/// The same after words that say that somebody goes out: who "goes out to the balcony" may be in the house.
+/// The same after words that say that somebody goes out: who "goes out to the balcony" may be in the house, and who goes "out from the kitchen" is.
 pub(super) fn ends_out(more: &str) -> bool {
     let words = more.trim_start();
-    ends(more) && (!is_a_place(words) || is_outside(words))
+    let is_from_inside = || words.strip_prefix("from ").is_some_and(|place| is_inside(place) && !is_a_way_out(place));
+    let is_by_the_door = || words.strip_prefix("at ").is_some_and(is_a_way_out);
+    ends(more) && !is_from_inside() && (!is_a_place(words) || is_outside(words) || is_by_the_door())
+}
+
+/// The same after what is done out of the house, as "swimming" is: wherever that is, unless it is at a place in the house.
+fn ends_out_doing(more: &str) -> bool {
+    let words = more.trim_start();
+    let place = ["at ", "in "].iter().find_map(|at| words.strip_prefix(at)).filter(|place| noun_of(place) != *place);
+    place.map_or_else(|| ends_out(more), |place| ends_at(more) && !is_home_by_its_noun(place))
+}
+
+/// Whether nothing follows a place with "at" or "in" that changes what was said of it.
+fn ends_at(more: &str) -> bool {
+    let words = more.trim_start();
+    more.starts_with(' ') && ["at ", "in "].iter().any(|at| words.starts_with(at)) && !words.contains(" to ")
+}
+
+/// Whether what somebody goes for, with what follows it, is out of the house: "out", "swimming at the lake", "away from home".
+pub(super) fn is_out_for(words: &str) -> bool {
+    WORDS.errands.begin(words).any(|(what, more)| match what {
+        // Who goes away from something in the house is in it.
+        "away" => ends_out(more) && (!more.starts_with(" from ") || ends_away(more)),
+        "out" | "outside" | "abroad" => ends_out(more),
+        _ => ends_out_doing(more),
+    })
+}
+
+/// Whether a place is the way out of the house: "the front door", "the garage".
+pub(super) fn is_a_way_out(place: &str) -> bool {
+    WORDS.ways_by.after(noun_of(place)).any(ends)
+}
+
+/// Whether a place is in the house, and not the house itself.
+fn is_inside(place: &str) -> bool {
+    !is_outside_place(place) && is_in_the_house(place) && !WORDS.house.after(place).any(ends)
+}
+
+/// Whether a place is one of the house by the noun that it ends with: the garden is, and a garden center is none.
+fn is_home_by_its_noun(place: &str) -> bool {
+    let noun = room_of(noun_of(place));
+    let noun = noun.split_once(" of ").map_or(noun, |(noun, _)| noun);
+    let last = noun.rsplit(' ').next().unwrap_or_default();
+    let is_thing = Names::built_in().knows(noun) || Names::built_in().knows(last);
+    !is_outside_place(place) && (is_thing || is_room(noun) || has(&WORDS.near_the_house, last))
+}
+
+/// Whether words name a thing in the house that somebody is at: "at the desk".
+fn is_at_a_thing(words: &str) -> bool {
+    words.strip_prefix("at ").is_some_and(|place| {
+        let noun = room_of(noun_of(place));
+        noun_of(place) != place && Names::built_in().knows(noun) && !is_room(noun) && !is_outside_place(place)
+    })
 }
 
 /// Whether words begin with a place that no home has, behind a word such as "at" or "to", and end there or go on with what changes nothing: "to
@@ -167,4 +219,9 @@ pub(super) fn is_own_room(words: &str) -> bool {
     // An office is rather the one out of the house.
     let is_room = |room: &str| has(&WORDS.rooms, room) && room != "office";
     has(&WORDS.possessives, whose) && is_room(first_word(room)) && ends_here(&room[first_word(room).len()..])
+}
+
+/// Whether words are a room of the house behind "in the".
+pub(in crate::narration) fn is_of_a_room(words: &str) -> bool {
+    words.strip_prefix("in the ").is_some_and(|place| is_room(room_of(place)))
 }

@@ -3,10 +3,10 @@
 use super::Subject;
 use super::names::{COUNT_MIN, NAME_WORDS_MAX, SUBJECT_WORDS_MAX, bare, cuts, may_be_new, names, parts};
 use super::places::{
-    ends, ends_away, ends_here, ends_out, in_the, is_a_place, is_a_town, is_at_somebodys, is_elsewhere,
-    is_in_the_house, is_outside, is_outside_by, is_outside_place, is_room, room_of,
+    ends, ends_away, ends_here, ends_out, in_the, is_a_place, is_a_town, is_a_way_out, is_at_somebodys, is_elsewhere,
+    is_in_the_house, is_out_for, is_outside_by, is_outside_place, is_room, room_of,
 };
-use super::signs::{is_doubtful, is_past_state, is_reported, is_said, is_unreal};
+use super::signs::{is_doubtful, is_past_state, is_reported, is_unreal};
 use super::words::{List, STATE_VERBS, WORDS, first_word, has, is_a_way, is_verb, may_be_predicate};
 use crate::narration::{Presence, deeds};
 
@@ -35,8 +35,12 @@ pub(super) fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     }
     let rest = rest.strip_prefix("just ").unwrap_or(rest);
     // Who has left, and says not what, has left the house.
-    let has_left =
-        || ["left", "has left", "have left"].iter().filter_map(|left| rest.strip_prefix(left)).any(ends_away);
+    let has_left = || {
+        ["left", "has left", "have left"]
+            .iter()
+            .filter_map(|left| rest.strip_prefix(left))
+            .any(|more| ends_away(more) || is_by_a_door(more))
+    };
     // Who arrives at work is there.
     let arrives_outside = |arrives: &str| is_outside_by(arrives, &["at", "to", "into"]) && !works_here(arrives);
     if after_verb(rest, &WORDS.comes).any(arrives_outside) {
@@ -135,6 +139,11 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
         .map(|away| (away, None))
 }
 
+/// Whether words behind a verb of leaving say by which way: "through the front door".
+fn is_by_a_door(more: &str) -> bool {
+    [" through ", " by ", " from ", " via "].iter().any(|by| more.strip_prefix(by).is_some_and(is_a_way_out))
+}
+
 /// Verbs of who leaves, and nobody says what.
 const LEAVES: [&str; 3] = ["leaves", "leave", "left"];
 
@@ -147,7 +156,9 @@ fn leaves_the_house(rest: &str) -> bool {
         more.strip_prefix(" at ")
             .is_some_and(|place| WORDS.house.after(place).next().is_some() || is_a_place(more.trim_start()))
     };
-    let leaves = |verb: &str, more: &str| ends_away(more) && !is_plan(verb, more) && !is_of_a_thing(more);
+    let leaves = |verb: &str, more: &str| {
+        (ends_away(more) || is_by_a_door(more)) && !is_plan(verb, more) && !is_of_a_thing(more)
+    };
     LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(|more| leaves(verb, more)))
 }
 
@@ -379,12 +390,12 @@ fn goes_out(rest: &str) -> bool {
         let mut ways = [&WORDS.goes, &WORDS.travels].into_iter();
         ways.any(|verbs| follows(rest, verbs, &WORDS.ways_out, ends_out))
     };
-    (follows(rest, &WORDS.goes, &WORDS.errands, ends_out)
+    (after_verb(rest, &WORDS.goes).any(is_out_for)
         || moves_out()
         || takes_a_walk()
         || is_by_the_door()
         || is_off_to()
-        || deeds::moves(rest).is_some_and(|said| WORDS.errands.after(said).any(ends_out) && said.contains(' '))
+        || deeds::moves(rest).is_some_and(|said| is_out_for(said) && said.contains(' '))
         || ways.any(is_to_outside))
         && !works_here(rest)
 }

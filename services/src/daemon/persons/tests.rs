@@ -308,6 +308,11 @@ fn what_is_said_of_no_person_moves_nobody() {
         house.after(60, "somebody", sentence);
         assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::AWAY)), "{sentence}");
     }
+    // Whom JSON names is somebody, also for who starts again.
+    house.after(60, "Rocky", "Rocky opens the fridge.");
+    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
+    house.restart();
+    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
 }
 
 #[test]
