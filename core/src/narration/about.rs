@@ -93,6 +93,11 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
     if clause::is(Word::Nothing, first) || first.ends_with("'s") || clause::is(Word::Group, first) {
         return About::Nobody;
     }
+    // "Leak detected" is a sensor's, and "human detected in the kitchen" of somebody there.
+    if let Some(at) = words.iter().take(NAME_WORDS_MAX).position(|word| *word == "detected") {
+        let is_there = || clause::is_of_a_room(&words[at + 1..].join(" "));
+        return if clause::is(Word::Anybody, first) && is_there() { About::Somebody } else { About::Nobody };
+    }
     let (first, is_title) = (first.trim_end_matches('.'), clause::is(Word::Title, first.trim_end_matches('.')));
     // "Olga Petrova opens the fridge": a first word is written as a name in any case.
     let is_whole = || !said.split(' ').next().is_some_and(|first| first.ends_with([',', ':', ';']));
@@ -118,7 +123,12 @@ pub(super) fn about(said: &str, is_known: &mut dyn FnMut(&str) -> bool, is_name:
         if deeds::is_an_event(deed) || deeds::defeated(deed).is_some_and(is_club) {
             return About::Nobody;
         }
-        return About::Stranger(name);
+        // "Snow falls", and Mrs. Snow is a person.
+        return if clause::is(Word::Stuff, &name) { About::Nobody } else { About::Stranger(name) };
+    }
+    // "Battery low" says what nobody does.
+    if !words.iter().any(|word| clause::may_be_a_verb(word)) {
+        return About::Nobody;
     }
     // The dishwasher by its name alone is no person.
     if clause::is_verb(second) && !clause::may_be_a_person(first) { About::Nobody } else { About::Somebody }
@@ -131,6 +141,9 @@ fn before_its_verb(said: &str, is_known: &mut dyn FnMut(&str) -> bool) -> Option
     Some(if is_so { About::Named(vec![name.to_owned()]) } else { About::Nobody })
 }
 
+/// What a thing is called by has at most so many words: "robot lawn mower".
+const THING_WORDS_MAX: usize = 4;
+
 /// A sentence about what stands behind an article: a person without a name, a device and its state, or a thing.
 fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
     let noun = rest.first().copied().unwrap_or_default();
@@ -140,7 +153,11 @@ fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
     if (clause::is(Word::Anybody, noun) || clause::is(Word::Anybody, next)) && !is_several {
         return About::Somebody;
     }
-    let is_device = matches!(article, "the" | "a" | "an") && clause::is_of_a_state(said);
+    // What moves by itself, or was brought, tells of nobody: "the robot vacuum is running".
+    let is_before_verb = |words: &[&str]| clause::is_verb(words[1]) || words[1] == "are";
+    let head = rest.windows(2).take(THING_WORDS_MAX).find(|words| is_before_verb(words)).map_or(noun, |words| words[0]);
+    let is_of_itself = clause::is(Word::OfItself, head) || clause::is(Word::Group, head);
+    let is_device = matches!(article, "the" | "a" | "an") && !is_of_itself && clause::is_of_a_state(said);
     if is_device { About::Somebody } else { About::Nobody }
 }
 

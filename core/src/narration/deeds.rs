@@ -209,8 +209,12 @@ pub(super) fn is_an_event(rest: &str) -> bool {
     let ends = |more: &str| more.is_empty() || BEHIND.contains(&more.split(' ').next().unwrap_or_default());
     let has_object = |more: &str| !more.is_empty() && !ends(more);
     let is_event = CLASSES.happens.after(rest).is_some_and(|more| !has_object(more) || is_against(rest));
-    let is_told = DEEDS.broadcast.iter().any(|place| crate::text::has_words(rest, place));
-    is_event || is_told
+    is_event || is_broadcast(rest)
+}
+
+/// Whether what is said is seen or heard from elsewhere: "on tv", "over the phone".
+pub(super) fn is_broadcast(said: &str) -> bool {
+    DEEDS.broadcast.iter().any(|place| crate::text::has_words(said, place))
 }
 
 /// Whether two clubs play: whatever follows is the other one.

@@ -335,7 +335,8 @@ impl Said {
             }
             None => None,
         };
-        [own, with.map(Self::Presence), guests.map(Self::Presence)]
+        let beside = |statement: PresenceStatement| Self::Presence(statement.beside());
+        [own, with.map(beside), guests.map(beside)]
     }
 
     /// What a clause says of those whom its person sees in a room, or sends there: of where its person is it says nothing.
@@ -349,7 +350,7 @@ impl Said {
             let other = match is_there {
                 true => {
                     let there = PresenceStatement::new(Presence::Present, Some(room)).ok()?;
-                    Self::Presence(there.with_subjects(&names))
+                    Self::Presence(there.with_subjects(&names).beside())
                 }
                 false => Self::Sentence(Sentence::new(&format!("{} goes to the {room}", names.join(" and "))).ok()?),
             };
@@ -603,6 +604,32 @@ impl Said {
     #[must_use]
     pub fn may_be_new(name: &str) -> bool {
         clause::may_be_new(name) && !clause::is_named_thing(name)
+    }
+
+    /// Whether a name is that of weather, food or the like, and no person's unless somebody is known by it: "fire", "snow".
+    #[must_use]
+    pub fn is_stuff(name: &str) -> bool {
+        clause::is(clause::Word::Stuff, name)
+    }
+
+    /// Whether a word may be read as a name by itself: "august" and "can" are other words.
+    #[must_use]
+    pub fn is_read_as_a_name(word: &str) -> bool {
+        clause::is_read_as_a_name(&word.to_lowercase())
+    }
+
+    /// What it says of somebody who is known to be its person, behind `words` that it begins with: "leaves the house" of "August leaves the house.", or
+    /// of what begins with the deed. None where no verb follows.
+    #[must_use]
+    pub fn of_its_person(&self, words: &str) -> Option<Self> {
+        let rest = self.sentence()?.as_str().strip_prefix(words)?.trim_start();
+        let verb = rest.split([' ', ',', '.', '!']).next().unwrap_or_default().to_lowercase();
+        let rest = format!("{verb}{}", rest.get(verb.len()..)?);
+        let said = match verb.ends_with("ing") {
+            true => format!("They are {rest}"),
+            false => format!("He {}", Some(rest).filter(|_| clause::is_verb(&verb))?),
+        };
+        Some(Self::of(Sentence::new(&said).ok()?))
     }
 
     /// What it makes of its person.

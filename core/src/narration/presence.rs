@@ -50,6 +50,8 @@ pub struct PresenceStatement {
     subject: Option<String>,
     whose: Whose,
     pronoun: Option<Pronoun>,
+    /// It is of somebody whom its sentence is not about.
+    is_beside: bool,
 }
 
 /// Whose presence a statement is.
@@ -104,8 +106,14 @@ impl PresenceStatement {
         let named = room.is_none_or(|room| {
             room.contains(char::is_alphanumeric) && !room.contains(is_hidden) && room.len() <= SENTENCE_BYTES_MAX / 2
         });
-        let statement =
-            Self { presence, room: room.map(str::to_owned), subject: None, whose: Whose::Subject, pronoun: None };
+        let statement = Self {
+            presence,
+            room: room.map(str::to_owned),
+            subject: None,
+            whose: Whose::Subject,
+            pronoun: None,
+            is_beside: false,
+        };
         if presence == Presence::Unknown || !named {
             return Err(PresenceError { text: statement.to_string() });
         }
@@ -188,6 +196,23 @@ impl PresenceStatement {
         reading::is(Fact::IsArrival, sentence, clause::is_arrival)
     }
 
+    /// The same of somebody whom its sentence is not about: of Ben, where it is "Ada hugs Ben."
+    pub(super) fn beside(self) -> Self {
+        Self { is_beside: true, ..self }
+    }
+
+    /// Whether it is of somebody whom its sentence is not about.
+    #[must_use]
+    pub fn is_beside(&self) -> bool {
+        self.is_beside
+    }
+
+    /// The same, said by a pronoun.
+    #[must_use]
+    pub fn with_pronoun(self, pronoun: Option<Pronoun>) -> Self {
+        Self { pronoun, ..self }
+    }
+
     fn with_subject(self, subject: &str) -> Self {
         Self { subject: Some(subject.to_owned()), ..self }
     }
@@ -231,7 +256,7 @@ impl PresenceStatement {
     /// The same of one person, who may be said to be elsewhere.
     pub(super) fn of_one(&self, presence: Presence) -> Self {
         let room = self.room.clone().filter(|_| presence == Presence::Present);
-        Self { presence, room, subject: None, whose: Whose::Subject, pronoun: self.pronoun }
+        Self { presence, room, subject: None, whose: Whose::Subject, pronoun: self.pronoun, is_beside: self.is_beside }
     }
 
     /// The same of who goes out instead.

@@ -602,7 +602,8 @@ impl<M: LanguageModel> Board<M> {
                 }
                 for own in moves {
                     let person = self.persons.file().current(own.person);
-                    if self.persons.is_number_of_none(person) {
+                    // Whom JSON names is a person all the same.
+                    if observation.name.is_none() && self.persons.is_number_of_none(person) {
                         continue;
                     }
                     let own = Move { person, ..own }.apply(&observation);

@@ -142,6 +142,19 @@ fn is_at_a_door(sentence: &str) -> bool {
 /// strangers say is kept apart.
 pub(super) type Teller = (bool, u64);
 
+/// Whom a source told of by name.
+#[derive(Debug, Clone, PartialEq)]
+struct ToldOf {
+    teller: Teller,
+    /// Who did something, or the last of several.
+    person: u32,
+    /// Who else was told of in the same narration: "Ada hugs Ben."
+    beside: Vec<u32>,
+    /// Its epoch and sequence.
+    told: (u64, u64),
+    at_ns: i64,
+}
+
 /// Why somebody has no other name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotRenamed {
@@ -162,8 +175,8 @@ pub struct Persons {
     not_persons: Vec<ReadName>,
     file: PersonsFile,
     known: BTreeMap<u32, Known>,
-    /// Whom sources told of by name last, and when; newest last.
-    told_of: VecDeque<(Teller, u32, i64)>,
+    /// Whom sources told of by name last; newest last.
+    told_of: VecDeque<ToldOf>,
 }
 
 impl Persons {
@@ -309,7 +322,8 @@ impl Persons {
         let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
         let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
         let (mut others, mut of_named) = (Vec::new(), None);
-        let so_many = observation.said.is_of_so_many();
+        // "Both Ada and Ben go to bed" has names.
+        let so_many = observation.said.is_of_so_many().filter(|_| names.len() < 2);
         if is_open && (so_many.is_some() || observation.said.is_of_guests()) {
             let said = match statement.and_then(PresenceStatement::of_others) {
                 Some(said) => Said::Presence(said),
@@ -572,7 +586,8 @@ impl Persons {
 
     /// Forgets a person; gives whether they were known.
     pub(super) fn remove(&mut self, number: u32) -> bool {
-        self.told_of.retain(|told| told.1 != number);
+        self.told_of.retain(|told| told.person != number);
+        self.told_of.iter_mut().for_each(|told| told.beside.retain(|other| *other != number));
         self.known.remove(&number).is_some()
     }
 
@@ -700,6 +715,13 @@ impl Persons {
                 let names: Vec<_> = names.into_iter().filter(|name| !is_none(name)).collect();
                 if names.is_empty() { About::Nobody } else { About::Named(names) }
             }
+            // "Fire goes out."
+            About::Named(names)
+                if matches!(said, Said::Presence(_))
+                    && names.iter().any(|name| Said::is_stuff(name) && !self.is_called(name)) =>
+            {
+                About::Nobody
+            }
             about => about,
         }
     }
@@ -777,31 +799,60 @@ impl Persons {
         }
     }
 
-    /// Takes note of whom a source told of by name. Strangers push out what strangers said.
-    pub(super) fn remember(&mut self, teller: Teller, person: u32, at_ns: i64) {
-        self.told_of.retain(|told| told.0 != teller);
+    /// Takes note of whom a source told of by name in a narration of an epoch and sequence, where `is_beside` as one whom somebody else does something
+    /// with. Strangers push out what strangers said.
+    pub(super) fn remember(&mut self, teller: Teller, number: u32, is_beside: bool, told: (u64, u64), at_ns: i64) {
+        let last = self.told_of.iter().position(|own| own.teller == teller).and_then(|at| self.told_of.remove(at));
+        let last = last.filter(|last| last.told == told || is_beside && at_ns - last.at_ns <= PRONOUN_NS);
+        let (person, mut beside) = match last {
+            Some(last) if last.told != told => (last.person, vec![number]),
+            Some(mut last) => {
+                last.beside.push(if is_beside { number } else { last.person });
+                (if is_beside { last.person } else { number }, last.beside)
+            }
+            None => (number, Vec::new()),
+        };
+        beside.retain(|other| *other != person);
+        beside.truncate(PERSONS_MAX);
         if self.told_of.len() == TOLD_OF_MAX {
-            let oldest = self.told_of.iter().position(|((is_strange, _), ..)| *is_strange);
+            let oldest = self.told_of.iter().position(|own| own.teller.0);
             if oldest.is_none() && teller.0 {
                 return;
             }
             self.told_of.remove(oldest.unwrap_or_default());
         }
-        self.told_of.push_back((teller, person, at_ns));
+        self.told_of.push_back(ToldOf { teller, person, beside, told, at_ns });
     }
 
-    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before: none where they are not in the house, or are called by
-    /// the other one, or where others are called by this one and of them it is not known.
-    pub(super) fn antecedent(&self, teller: Teller, pronoun: Pronoun, at_ns: i64) -> Option<u32> {
-        let (_, person, told_ns) = self.told_of.iter().find(|told| told.0 == teller)?;
-        let known = self.known.get(person).filter(|known| known.presence == Presence::Present)?;
-        let is_others = || {
-            self.known
-                .values()
-                .any(|known| known.presence == Presence::Present && known.is_called_by(pronoun) == Some(true))
+    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before, and whether nobody else may be meant. That is who did
+    /// something; whom they did it with only where that one alone fits. None where they are not in the house, or are called by the other one, or where
+    /// others are called by this one and of them it is not known. Who has just left, and `leaves` again, is the same.
+    pub(super) fn antecedent(&self, teller: Teller, pronoun: Pronoun, leaves: bool, at_ns: i64) -> Option<(u32, bool)> {
+        let told = self.told_of.iter().find(|own| own.teller == teller)?;
+        if !(0..=PRONOUN_NS).contains(&(at_ns - told.at_ns)) {
+            return None;
+        }
+        // Whether it is theirs, as far as is known; none of who is not there.
+        let fits = |person: u32| {
+            let known = self.known.get(&person)?;
+            let is_there = known.presence == Presence::Present || leaves && known.presence == Presence::Away;
+            is_there.then(|| known.is_called_by(pronoun))
         };
-        let is_meant = known.is_called_by(pronoun).unwrap_or_else(|| !is_others());
-        (is_meant && (0..=PRONOUN_NS).contains(&(at_ns - told_ns))).then_some(*person)
+        let beside = || told.beside.iter().copied();
+        if fits(told.person) == Some(Some(true)) {
+            return Some((told.person, true));
+        }
+        if let Some(other) = beside().find(|other| fits(*other) == Some(Some(true))) {
+            return Some((other, true));
+        }
+        let mut known = self.known.values().filter(|known| known.presence == Presence::Present);
+        if known.any(|known| known.is_called_by(pronoun) == Some(true)) {
+            return None;
+        }
+        let mut open = [told.person].into_iter().chain(beside()).filter(|person| fits(*person) == Some(None));
+        let (first, other) = (open.next()?, open.next());
+        let is_first = first == told.person || fits(told.person) == Some(Some(false));
+        is_first.then_some((first, other.is_none()))
     }
 
     /// Takes note that somebody was called by a pronoun.

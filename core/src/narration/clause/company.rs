@@ -2,8 +2,9 @@
 
 use super::kind::{is_not_now, is_not_so};
 use super::names::{NAME_WORDS_MAX, SUBJECT_WORDS_MAX, cuts, names, parts, without_too};
+use super::places::{ends, ends_here, is_outside_by, is_room, room_of};
 use super::signs::{is_reported, is_said};
-use super::whereabouts::{after_verb, ends, ends_here, is_room, room_of, takes, where_to, works_here};
+use super::whereabouts::{after_verb, takes, where_to, works_here};
 use super::words::{WORDS, first_word, has, is_a_way, is_verb};
 use super::{Clause, Subject};
 use crate::narration::{Presence, deeds};
@@ -30,16 +31,27 @@ pub(in crate::narration) fn moves_nobody(said: &str) -> bool {
     Clause::read(said).is_some_and(|clause| clause.subject == Subject::Other)
 }
 
+/// Whether a subject says who does something, and that they do.
+fn is_of_somebody(subject: &str) -> bool {
+    is_said(subject) && !WORDS.nobody.after(subject).any(|more| more.is_empty() || more.starts_with(' '))
+}
+
 /// Who is known and there, as somebody touches them: "lena" of "paul hugs lena".
 pub(in crate::narration) fn touched(said: &str, mut is_known: impl FnMut(&str) -> bool) -> Vec<&str> {
-    if is_not_so(said) || is_reported(said) || WORDS.afar.is_in(said) {
+    // Who meets somebody at work is there, and a call brings nobody home.
+    let is_elsewhere = || {
+        WORDS.afar.is_in(said) || said.match_indices(' ').any(|(at, _)| is_outside_by(&said[at + 1..], &["at", "in"]))
+    };
+    if is_not_so(said) || is_reported(said) || is_elsewhere() || deeds::is_broadcast(said) {
         return Vec::new();
     }
     let mut of = |more: &str| -> Option<usize> {
         let ends = more.match_indices([' ', ',']).map(|(at, _)| at).take(NAME_WORDS_MAX).chain([more.len()]);
         ends.filter(|at| names(&more[..*at]).is_some_and(|names| names.iter().all(|name| is_known(name)))).last()
     };
-    let touched = cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_said(subject)).find_map(|(_, rest)| {
+    // What somebody "misses doing" is not done.
+    let is_done = |(subject, rest): &(&str, &str)| is_of_somebody(subject) && !first_word(rest).ends_with("ing");
+    let touched = cuts(said).take(NAME_WORDS_MAX).filter(is_done).find_map(|(_, rest)| {
         let more = deeds::touched(rest)?;
         names(&more[..of(more)?])
     });
@@ -116,7 +128,7 @@ pub(in crate::narration) fn guests(said: &str) -> Vec<&str> {
     // Of whom it is told who lets them in, not what somebody says of it.
     cuts(said)
         .take(NAME_WORDS_MAX)
-        .find_map(|(subject, rest)| of(rest).filter(|_| is_said(subject)))
+        .find_map(|(subject, rest)| of(rest).filter(|_| is_of_somebody(subject)))
         .unwrap_or_default()
 }
 
@@ -157,7 +169,7 @@ pub(in crate::narration) fn seen(
         return None;
     }
     let mut known = |words| names(words).filter(|names| names.iter().all(|name| is_known(name)));
-    cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_said(subject)).find_map(|(_, rest)| {
+    cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_of_somebody(subject)).find_map(|(_, rest)| {
         [(&WORDS.perceives, " in the ", true), (&WORDS.sends, " to the ", false)].into_iter().find_map(
             |(verbs, to, is_there)| {
                 let (who, place) = after_verb(rest, verbs).find_map(|after| after.split_once(to))?;

@@ -1,11 +1,9 @@
 //! What kind of sentence it is: of another time, asked, ordered, reported, denied, or said from afar.
 
 use super::names::{NAME_WORDS_MAX, NEW_NAME_WORDS_MAX, bare, cuts};
-use super::signs::{is_unreal, without_first};
-use super::whereabouts::{
-    after_verb, arrives, ends, first_predicate, is_at_somebodys, is_elsewhere, is_of_what_was_left, is_outside_by,
-    predicate, state,
-};
+use super::places::{ends, is_at_somebodys, is_elsewhere, is_indoors, is_outside_by, is_own_room};
+use super::signs::{is_said, is_unreal, without_first};
+use super::whereabouts::{after_verb, arrives, first_predicate, follows, is_of_what_was_left, predicate, state};
 use super::words::{WORDS, first_word, has, is_verb};
 use super::{Clause, Subject};
 use crate::narration::{Presence, deeds};
@@ -30,15 +28,19 @@ pub(in crate::narration) fn is_not_now(said: &str) -> bool {
         // "A minute later" and "soon after" go on with what is told.
         let goes_on = matches!(words, "later" | "shortly" | "soon")
             && (before.is_empty()
+                // "Later than usual" is now, "no later than six" is not.
+                || after.starts_with(" than") && last_word(before) != "no"
                 || has(&WORDS.units, last_word(before))
                 || after.starts_with(',')
                 || after.starts_with(" after"));
-        is_whole && !goes_on && !has(&WORDS.lasting, last_word(before))
+        let is_as_always = words == "always" && last_word(before) == "as";
+        is_whole && !goes_on && !is_as_always && !has(&WORDS.lasting, last_word(before))
     };
     let mut begins = main.match_indices(' ').map(|(at, _)| at + 1).chain([0]);
     let is_at_another_time =
         begins.any(|at| WORDS.not_now.begin(&main[at..]).any(|(words, after)| is_other_time(at, words, after)));
-    let is_ahead = is_ahead(main) || is_at_an_hour(main) || cuts(main).any(|(_, rest)| is_back_at_a_time(rest));
+    let is_planned = || is_at_an_hour(main) && !comes_home(main);
+    let is_ahead = is_ahead(main) || is_planned() || cuts(main).any(|(_, rest)| is_back_at_a_time(rest));
     is_at_another_time || is_ahead
 }
 
@@ -65,6 +67,12 @@ fn is_at_an_hour(text: &str) -> bool {
     })
 }
 
+/// Whether a text says that somebody comes home, which is told when it happens, also with the hour: "comes home at six".
+fn comes_home(text: &str) -> bool {
+    let is_home = |more: &str| !more.starts_with(char::is_alphanumeric);
+    cuts(text).any(|(subject, rest)| is_said(subject) && follows(rest, &WORDS.comes, &WORDS.r#in, is_home))
+}
+
 /// Whether words after a subject say when it will be there: "is home at six", "is back by noon".
 fn is_back_at_a_time(rest: &str) -> bool {
     let Some(state) = state(rest) else { return false };
@@ -80,12 +88,13 @@ pub(in crate::narration) fn may_be_elsewhere(said: &str) -> bool {
     let is_going = |rest: &str| {
         let ways = [&WORDS.goes, &WORDS.comes, &WORDS.travels].into_iter().flat_map(|verbs| after_verb(rest, verbs));
         let mut ways = ways.chain(deeds::moves(rest));
-        ways.any(|way| WAYS.iter().any(|to| way.trim_start_matches("back ").starts_with(to)))
+        ways.any(|way| WAYS.iter().any(|to| way.trim_start_matches("back ").starts_with(to)) && !is_own_room(way))
     };
     // Who "is cooking" does something.
     let is_something = |rest: &str| {
         let what = state(rest).and_then(|state| state.split([' ', ',']).next());
         what.is_some_and(|what| !what.ends_with("ing") || has(&WORDS.under_way, what))
+            && !state(rest).is_some_and(is_indoors)
     };
     Clause::read(said).is_none() && cuts(said).any(|(_, rest)| is_going(rest) || is_something(rest))
 }
@@ -100,7 +109,7 @@ pub(in crate::narration) fn is_speech(said: &str) -> bool {
 /// Whether a plain sentence says what state a device is in: "the oven is on", "the door opens".
 pub(in crate::narration) fn is_of_a_state(said: &str) -> bool {
     let is_of_a_state = |(_, rest): (&str, &str)| {
-        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends) || state.starts_with("at "));
+        let begun = state(rest).is_some_and(|state| WORDS.begun.after(state).any(ends));
         begun || ["opens", "closes"].iter().any(|verb| rest.strip_prefix(verb).is_some_and(ends))
     };
     cuts(said).any(is_of_a_state) || is_of_an_end(said)
@@ -119,8 +128,11 @@ pub(in crate::narration) fn is_from_afar(said: &str) -> bool {
     let begins = |rest: &str, words: &String| {
         rest.strip_prefix(words.as_str()).is_some_and(|more| !more.starts_with(char::is_alphanumeric))
     };
-    // Who comes home from work is there.
-    if Clause::read(said).is_some_and(|clause| clause.is_arrival && clause.subject != Subject::Other) {
+    // Who comes home from work is there, and so is who is home from work.
+    let is_home = |clause: &Clause<'_>| {
+        clause.is_arrival || clause.is_state && clause.presence == Presence::Present && clause.room.is_none()
+    };
+    if Clause::read(said).is_some_and(|clause| is_home(&clause) && clause.subject != Subject::Other) {
         return false;
     }
     let is_outside = || said.match_indices(' ').any(|(at, _)| is_outside_by(&said[at + 1..], &["at", "in"]));

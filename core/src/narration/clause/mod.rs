@@ -2,10 +2,10 @@
 
 use super::Presence;
 use names::{cuts, names, without_too};
+use places::{ends, ends_here, in_the, is_room, room_of};
 use signs::{denied, is_doubtful, is_said};
 use whereabouts::{
-    arrives, ends, ends_here, excepted, in_the, is_alone, is_anybody, is_in_doubt, is_of_guests, is_room, of_some,
-    predicate, room_of, so_many, state, where_to,
+    arrives, excepted, is_alone, is_anybody, is_in_doubt, is_of_guests, of_some, predicate, so_many, state, where_to,
 };
 use words::{WORDS, has};
 
@@ -13,6 +13,7 @@ mod company;
 mod groups;
 mod kind;
 mod names;
+mod places;
 mod plain;
 mod signs;
 mod subject;
@@ -32,16 +33,17 @@ pub(super) use kind::{
 };
 pub(super) use names::{
     COUNT_MAX, NAME_WORDS_MAX, begins_with_a_pronoun, first_name, is_named_thing, is_of_a_pronoun, is_of_persons,
-    is_part_of_a_name, is_title, longest_subject, may_be_a_person, may_be_new, own_pronoun, possible_subjects, pronoun,
-    titled, with_strangers, without_opening,
+    is_part_of_a_name, is_read_as_a_name, is_title, longest_subject, may_be_a_person, may_be_new, own_pronoun,
+    possible_subjects, pronoun, titled, with_strangers, without_opening,
 };
+pub(super) use places::is_of_a_room;
 pub(super) use plain::plain;
 pub(super) use signs::{is_past_state, is_quoted, is_reported, is_unreal, without_first};
 pub(super) use subject::{
     begins_with_persons, behind_opening, is_begin_of_a_list, is_of_a_stranger, known_before_a_verb,
 };
 pub(super) use whereabouts::is_of_what_was_left;
-pub(super) use words::{Word, is, is_a_number_of, is_known_verb, is_verb, may_be_third_person};
+pub(super) use words::{Word, is, is_a_number_of, is_known_verb, is_verb, may_be_a_verb, may_be_third_person};
 
 /// Whom a sentence is about.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 use super::signs::{is_reported, without_first};
 use super::words::{WORDS, first_word, has, is_possible};
 use super::{Clause, Subject};
-use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun};
+use crate::narration::{PERSON_NAME_BYTES_MAX, Pronoun, deeds};
 
 /// A plain sentence without what it begins with of no person: "lena goes jogging" of "although it rains, lena goes jogging".
 pub(in crate::narration) fn without_opening(said: &str) -> &str {
@@ -136,8 +136,28 @@ fn pronoun_of(word: &str) -> Option<Pronoun> {
 }
 
 /// What a plain sentence calls its own person by, as far as it tells: "ada brushes her teeth".
+/// "ben kisses her" and "ada kisses his cheek" tell it of somebody else.
 pub(in crate::narration) fn own_pronoun(said: &str) -> Option<Pronoun> {
-    said.split([' ', ',']).find_map(pronoun_of)
+    const GIVES: [&str; 8] = ["gives", "gave", "brings", "brought", "hands", "passes", "shows", "buys"];
+    const EATS: [&str; 7] = ["eats", "ate", "drinks", "drank", "has", "finishes", "sips"];
+    // "Washes her hands" hands nothing to anybody.
+    let is_verb = |subject: &str| !has(&WORDS.possessives, subject.rsplit(' ').next().unwrap_or_default());
+    let mut deeds = cuts(said).take(NAME_WORDS_MAX).filter(|(subject, _)| is_verb(subject));
+    if deeds.any(|(_, rest)| deeds::touched(rest).is_some()) {
+        return None;
+    }
+    let words = || said.split([' ', ',']).chain(["", ""]);
+    let (befores, nouns, lasts) = ([""].into_iter().chain(words()), words().skip(1), words().skip(2));
+    words().zip(befores).zip(nouns.zip(lasts)).find_map(|((word, before), (noun, last))| {
+        let is_own = |noun: &str| has(&WORDS.own, noun) || has(&WORDS.meals, noun) && EATS.contains(&before);
+        let is_told = word.ends_with("self") || (is_own(noun) || is_own(last)) && !GIVES.contains(&before);
+        pronoun_of(word).filter(|_| is_told)
+    })
+}
+
+/// Whether a word in lower case may be read as a name by itself; "august" and "can" are other words.
+pub(in crate::narration) fn is_read_as_a_name(word: &str) -> bool {
+    names(word).is_some()
 }
 
 /// Whether a plain sentence begins with a pronoun.
@@ -170,7 +190,11 @@ pub(super) fn cuts(said: &str) -> impl Iterator<Item = (&str, &str)> {
     let spaces = said.match_indices(' ').take(SUBJECT_WORDS_MAX);
     let cuts = spaces.map(move |(at, _)| {
         let mut subject = said[..at].trim_end_matches([' ', ',']);
-        while let Some((before, _)) = subject.rsplit_once(' ').filter(|(_, last)| has(&WORDS.between, last)) {
+        // "Ada and Ben both leave."
+        let is_no_part = |(before, last): &(&str, &str)| {
+            has(&WORDS.between, last) || has(&WORDS.of_each, last) && before.contains(" and ")
+        };
+        while let Some((before, _)) = subject.rsplit_once(' ').filter(is_no_part) {
             subject = before;
         }
         (subject, said[at..].trim_start())
@@ -209,6 +233,8 @@ pub(super) fn without_too(said: &str) -> (&str, Option<&str>) {
 
 /// The parts of a subject that are joined by "and".
 pub(super) fn parts(subject: &str) -> impl Iterator<Item = &str> {
+    // "Both Ada and Ben."
+    let subject = subject.strip_prefix("both ").filter(|names| names.contains(" and ")).unwrap_or(subject);
     // Commas alone join nobody: "Ada, Ben is away" speaks to Ada.
     let commas = if subject.contains(" and ") { ", " } else { " and " };
     let parts = subject.split(" and ").flat_map(move |part| part.split(commas));

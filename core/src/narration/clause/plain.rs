@@ -1,7 +1,8 @@
 //! A sentence in plain words: lower case, without marks, as people and trackers write it.
 
 use super::names::NAME_WORDS_MAX;
-use super::whereabouts::{ends, is_state_ahead};
+use super::places::ends;
+use super::whereabouts::is_state_ahead;
 use super::words::WORDS;
 
 /// A sentence in plain form: in lower case, with short forms written out.
@@ -58,7 +59,10 @@ fn write_as_usual(text: &mut String) {
         ["has ", "have ", "is ", "are "].iter().flat_map(|verb| text.match_indices(*verb)).find_map(|(at, verb)| {
             let begin = at + verb.len();
             let is_word = text[..at].ends_with(' ');
-            let end = WORDS.between.after(&text[begin..]).find(|after| after.starts_with(' '))?;
+            let rest = &text[begin..];
+            // "Ada and Ben are both home."
+            let of_several = || WORDS.of_each.after(rest).find(|_| text[..at].contains(" and "));
+            let end = WORDS.between.after(rest).chain(of_several()).find(|after| after.starts_with(' '))?;
             is_word.then(|| (begin, text.len() - end.len() + 1))
         })
     };

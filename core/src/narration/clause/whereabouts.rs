@@ -1,10 +1,13 @@
 //! Where the words after a subject put it: in a room, at home, out of the house, gone.
 
 use super::Subject;
-use super::names::{COUNT_MIN, MODIFIERS_MAX, NAME_WORDS_MAX, SUBJECT_WORDS_MAX, bare, cuts, may_be_new, names, parts};
-use super::signs::{is_doubtful, is_past_state, is_reported, is_said, is_unreal};
+use super::names::{COUNT_MIN, NAME_WORDS_MAX, SUBJECT_WORDS_MAX, bare, cuts, may_be_new, names, parts};
+use super::places::{
+    ends, ends_away, ends_here, ends_out, in_the, is_a_place, is_a_town, is_a_way_out, is_at_somebodys, is_elsewhere,
+    is_in_the_house, is_out_for, is_outside_by, is_outside_place, is_room, room_of,
+};
+use super::signs::{is_doubtful, is_past_state, is_reported, is_unreal};
 use super::words::{List, STATE_VERBS, WORDS, first_word, has, is_a_way, is_verb, may_be_predicate};
-use crate::names::Names;
 use crate::narration::{Presence, deeds};
 
 /// Whether words go on with what somebody is: "in the kitchen", "away until monday".
@@ -13,96 +16,6 @@ pub(super) fn is_state_ahead(rest: &str) -> bool {
     let is_place =
         || WORDS.out.after(rest).chain(WORDS.r#in.after(rest)).any(ends) || is_outside_by(rest, &["at", "in"]);
     words.iter().any(|word| rest.starts_with(word)) || is_place()
-}
-
-/// Whether nothing follows a place that changes what was said of it.
-pub(super) fn ends(more: &str) -> bool {
-    let goes_on = |words: &str| WORDS.goes_on.after(words).any(|rest| !rest.starts_with(char::is_alphanumeric));
-    more.is_empty() || (more.starts_with([' ', ',']) && (goes_on(more.trim_start()) || is_outside(more.trim_start())))
-}
-
-/// The same after words that say that somebody is away: "leaves for bed" and "gone from the kitchen" are in the house.
-fn ends_away(more: &str) -> bool {
-    let to = more.trim_start().split_once(' ').map_or("", |(_, to)| to);
-    let is_out = || {
-        WORDS.away_for.iter().any(|place| to.starts_with(place.as_str()))
-            || is_outside(more.trim_start())
-            || is_a_town(more, &[" to ", " from ", " for "])
-    };
-    // "On a business trip in Rome".
-    if is_a_town(more, &[" in "]) {
-        return true;
-    }
-    let is_a_time =
-        || more.trim_start().split_once(' ').is_some_and(|(_, rest)| rest.starts_with(|c: char| c.is_ascii_digit()));
-    let goes_on = [" from ", " for ", " to ", " by "].iter().any(|word| more.starts_with(word));
-    ends(more) && (!goes_on || is_a_time() || is_out())
-}
-
-/// Whether words name a place: "to the hotel", "at her desk".
-fn is_a_place(words: &str) -> bool {
-    ["at ", "to ", "in "].iter().any(|to| {
-        words.strip_prefix(to).is_some_and(|place| {
-            has(&WORDS.determiners, place.split([' ', ',']).next().unwrap_or_default())
-                && !place.starts_with("the moment")
-        })
-    })
-}
-
-/// The same as [`ends`] after words that say that somebody is there: who is "back at the hotel" is elsewhere.
-pub(super) fn ends_here(more: &str) -> bool {
-    let words = more.trim_start();
-    ends(more) && !is_a_place(words) && !is_outside_by(words, &["at", "to", "into", "in"])
-}
-
-/// The same after words that say that somebody goes out: who "goes out to the balcony" may be in the house.
-fn ends_out(more: &str) -> bool {
-    let words = more.trim_start();
-    ends(more) && (!is_a_place(words) || is_outside(words))
-}
-
-/// Whether words begin with a place that no home has, behind a word such as "at" or "to", and end there or go on with what changes nothing: "to
-/// work", "back at her school", "from the doctor".
-pub(super) fn is_outside(words: &str) -> bool {
-    is_outside_by(words, &["to", "into", "at", "from", "for", "in"])
-}
-
-/// The same behind one of `to`.
-pub(super) fn is_outside_by(words: &str, to: &[&str]) -> bool {
-    let words = ["back ", "off ", "over ", "down "].iter().find_map(|way| words.strip_prefix(way)).unwrap_or(words);
-    let mut places = to.iter().filter_map(|to| words.strip_prefix(to)?.strip_prefix(' '));
-    places.any(is_outside_place)
-}
-
-/// A place without its article: "new cinema" of "the new cinema".
-fn noun_of(place: &str) -> &str {
-    place.split_once(' ').filter(|(first, _)| has(&WORDS.determiners, first)).map_or(place, |(_, noun)| noun)
-}
-
-/// Whether words begin with a place that no home has: "the new cinema", "football practice".
-fn is_outside_place(place: &str) -> bool {
-    let mut nouns = std::iter::successors(Some(noun_of(place)), |noun| {
-        let (first, rest) = noun.split_once(' ')?;
-        let is_modifier = first.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '\'')
-            && ![&WORDS.goes_on, &WORDS.no_verbs, &WORDS.rooms, &WORDS.determiners, &WORDS.not_said]
-                .iter()
-                .any(|words| has(words, first));
-        is_modifier.then_some(rest)
-    });
-    nouns.by_ref().take(1 + MODIFIERS_MAX).any(|noun| WORDS.outside.after(noun).any(ends))
-}
-
-/// Whether a place is one of the house or may be; of the places at home, only an office may be driven to.
-fn is_in_the_house(place: &str) -> bool {
-    let noun = noun_of(place);
-    let is_thing = Names::built_in().knows(room_of(noun)) || is_room(room_of(place));
-    let is_near = || room_of(noun).split(' ').any(|word| has(&WORDS.near_the_house, word));
-    WORDS.house.after(place).any(ends) || ((is_thing || is_near()) && first_word(noun) != "office")
-}
-
-/// Whether words behind "to" or "for" name a place with an article, or one that no home has, which is not in the house: "the lake", "work".
-pub(super) fn is_elsewhere(place: &str) -> bool {
-    is_outside_place(place) || (noun_of(place) != place && !is_in_the_house(place))
 }
 
 /// What a sentence's words after its subject say of where somebody is: presence, and the room where it is one.
@@ -122,8 +35,12 @@ pub(super) fn first_predicate(rest: &str) -> Option<(Presence, Option<&str>)> {
     }
     let rest = rest.strip_prefix("just ").unwrap_or(rest);
     // Who has left, and says not what, has left the house.
-    let has_left =
-        || ["left", "has left", "have left"].iter().filter_map(|left| rest.strip_prefix(left)).any(ends_away);
+    let has_left = || {
+        ["left", "has left", "have left"]
+            .iter()
+            .filter_map(|left| rest.strip_prefix(left))
+            .any(|more| ends_away(more) || is_by_a_door(more))
+    };
     // Who arrives at work is there.
     let arrives_outside = |arrives: &str| is_outside_by(arrives, &["at", "to", "into"]) && !works_here(arrives);
     if after_verb(rest, &WORDS.comes).any(arrives_outside) {
@@ -181,13 +98,6 @@ fn is_on_the_way(state: &str) -> bool {
     WORDS.ways_to.after(state).any(|to| to.strip_prefix(" to ").is_some_and(is_elsewhere))
 }
 
-/// Whether a home may have a room that is called so.
-pub(super) fn is_room(name: &str) -> bool {
-    has(&WORDS.rooms, name.split([' ', '-']).next_back().unwrap_or_default())
-        && !has(&WORDS.rooms_elsewhere, name)
-        && is_said(name)
-}
-
 /// What the last thing that somebody does says of where they are then: "takes her keys and leaves". Who leaves, and nobody says what, leaves the
 /// house.
 fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence, Option<&'static str>)> {
@@ -229,6 +139,11 @@ fn last_of_all(subject: &str, rest: &str, are_several: bool) -> Option<(Presence
         .map(|away| (away, None))
 }
 
+/// Whether words behind a verb of leaving say by which way: "through the front door".
+fn is_by_a_door(more: &str) -> bool {
+    [" through ", " by ", " from ", " via "].iter().any(|by| more.strip_prefix(by).is_some_and(is_a_way_out))
+}
+
 /// Verbs of who leaves, and nobody says what.
 const LEAVES: [&str; 3] = ["leaves", "leave", "left"];
 
@@ -241,7 +156,9 @@ fn leaves_the_house(rest: &str) -> bool {
         more.strip_prefix(" at ")
             .is_some_and(|place| WORDS.house.after(place).next().is_some() || is_a_place(more.trim_start()))
     };
-    let leaves = |verb: &str, more: &str| ends_away(more) && !is_plan(verb, more) && !is_of_a_thing(more);
+    let leaves = |verb: &str, more: &str| {
+        (ends_away(more) || is_by_a_door(more)) && !is_plan(verb, more) && !is_of_a_thing(more)
+    };
     LEAVES.iter().any(|verb| rest.strip_prefix(verb).is_some_and(|more| leaves(verb, more)))
 }
 
@@ -348,17 +265,6 @@ pub(super) fn is_anybody(subject: &str) -> bool {
         && subject.rsplit(' ').next().is_some_and(|last| has(&WORDS.anybody, last))
 }
 
-/// What comes after "in the" or "at the".
-pub(super) fn in_the(state: &str) -> Option<&str> {
-    state.strip_prefix("in the ").or_else(|| state.strip_prefix("at the "))
-}
-
-/// A room's name: what stands before the words that change nothing.
-pub(super) fn room_of(words: &str) -> &str {
-    let ends_at = words.match_indices([' ', ',']).map(|(at, _)| at).find(|at| ends(&words[*at..]));
-    &words[..ends_at.unwrap_or(words.len())]
-}
-
 /// What follows one of the verbs that words begin with.
 pub(super) fn after_verb<'a>(rest: &'a str, verbs: &List) -> impl Iterator<Item = &'a str> {
     verbs.after(rest).filter_map(|after| after.strip_prefix(' '))
@@ -386,23 +292,6 @@ pub(super) fn arrives(rest: &str) -> bool {
         || follows(rest, &WORDS.drops_in, &WORDS.at_house, ends_here)
         || state(rest).is_some_and(is_back)
         || matches!(takes(rest), Some((_, Presence::Present)))
-}
-
-/// Whether words name a place by nothing but its name, which is none of a home: "for Berlin", "in rome".
-fn is_a_town(words: &str, to: &[&str]) -> bool {
-    let mut places = to.iter().filter_map(|to| words.strip_prefix(to));
-    places.any(|place| {
-        let name = first_word(place);
-        let is_word = |words: &List| words.iter().any(|own| own.split(' ').any(|word| word == name));
-        let is_name = name.len() > 3 && name.chars().all(char::is_alphabetic) && !has(&WORDS.determiners, name);
-        is_name
-            && ends(&place[name.len()..])
-            && !Names::built_in().knows(name)
-            && ![&WORDS.rooms, &WORDS.house, &WORDS.not_said, &WORDS.goes_on, &WORDS.away_for, &WORDS.pronouns]
-                .into_iter()
-                .any(is_word)
-            && !name.ends_with("ing")
-    })
 }
 
 /// Whether somebody goes by a vehicle, which no home has room for, or takes what carries many: "drives to the lake", "takes the bus to town".
@@ -501,12 +390,12 @@ fn goes_out(rest: &str) -> bool {
         let mut ways = [&WORDS.goes, &WORDS.travels].into_iter();
         ways.any(|verbs| follows(rest, verbs, &WORDS.ways_out, ends_out))
     };
-    (follows(rest, &WORDS.goes, &WORDS.errands, ends_out)
+    (after_verb(rest, &WORDS.goes).any(is_out_for)
         || moves_out()
         || takes_a_walk()
         || is_by_the_door()
         || is_off_to()
-        || deeds::moves(rest).is_some_and(|said| WORDS.errands.after(said).any(ends_out) && said.contains(' '))
+        || deeds::moves(rest).is_some_and(|said| is_out_for(said) && said.contains(' '))
         || ways.any(is_to_outside))
         && !works_here(rest)
 }
@@ -585,19 +474,5 @@ pub(super) fn where_to(said: &str) -> Option<(&str, &str, Whereabouts<'_>)> {
         let where_to = predicate(rest).or_else(|| last_of_all(subject, rest, are_several));
         let of_all = || all_leave(subject, rest).or_else(|| all_in_a_room(subject, rest));
         Some((subject, rest, where_to.or_else(of_all)?))
-    })
-}
-
-/// Whether a plain sentence has the house of somebody else as a place: "at his parents' house", "at vera's".
-pub(super) fn is_at_somebodys(said: &str) -> bool {
-    let is_house = |of: &str, after: &str| {
-        (of.ends_with("'s") || of.ends_with("s'"))
-            && ["house", "home", "place", "flat", "apartment"].contains(&first_word(after))
-    };
-    said.match_indices(" at ").any(|(at, _)| {
-        let place = &said[at + " at ".len()..];
-        let mut spaces = place.match_indices(' ').map(|(at, _)| at).take(NAME_WORDS_MAX);
-        let is_whole = (place.ends_with("'s") || place.ends_with("s'")) && place.split(' ').count() <= NAME_WORDS_MAX;
-        is_whole || spaces.any(|at| is_house(&place[..at], &place[at + 1..]))
     })
 }

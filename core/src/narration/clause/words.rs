@@ -57,6 +57,7 @@ pub(super) struct Words {
     pub(super) nobody: List,
     pub(super) everybody: List,
     pub(super) both: List,
+    pub(super) of_each: List,
     pub(super) numbers: Vec<String>,
     pub(super) two: List,
     pub(super) orders: List,
@@ -73,6 +74,7 @@ pub(super) struct Words {
     pub(super) takes: List,
     pub(super) lets: List,
     pub(super) ways_out: List,
+    pub(super) ways_by: List,
     pub(super) ways_to: List,
     pub(super) postures: List,
     pub(super) delayed: List,
@@ -84,6 +86,8 @@ pub(super) struct Words {
     pub(super) tracked_states: List,
     pub(super) zones: List,
     pub(super) possessives: List,
+    pub(super) own: List,
+    pub(super) meals: List,
     pub(super) outside: List,
     pub(super) rooms_elsewhere: List,
     pub(super) away_for: List,
@@ -103,6 +107,8 @@ pub(super) struct Words {
     pub(super) titles: List,
     pub(super) people: List,
     pub(super) nothing: List,
+    pub(super) stuff: List,
+    pub(super) of_itself: List,
     pub(super) leaves: List,
     pub(super) goes: List,
     pub(super) travels: List,
@@ -114,6 +120,8 @@ pub(super) struct Words {
     pub(super) at_house: List,
     pub(super) out: List,
     pub(super) r#in: List,
+    pub(super) indoors: List,
+    pub(super) at_home: List,
     pub(super) goes_on: List,
     pub(super) rooms: List,
     pub(super) from_afar: List,
@@ -230,10 +238,12 @@ pub(in crate::narration) enum Word {
     Greeting,
     Group,
     Nothing,
+    OfItself,
     People,
     Possessive,
     Pronoun,
     Report,
+    Stuff,
     Title,
 }
 
@@ -248,10 +258,12 @@ pub(in crate::narration) fn is(kind: Word, word: &str) -> bool {
         Word::Greeting => &WORDS.greetings,
         Word::Group => &WORDS.groups,
         Word::Nothing => &WORDS.nothing,
+        Word::OfItself => &WORDS.of_itself,
         Word::People => &WORDS.people,
         Word::Possessive => &WORDS.possessives,
         Word::Pronoun => &WORDS.pronouns,
         Word::Report => &WORDS.reports,
+        Word::Stuff => &WORDS.stuff,
         Word::Title => &WORDS.titles,
     };
     has(words, word)
@@ -267,6 +279,15 @@ pub(in crate::narration) fn is_verb(word: &str) -> bool {
     // "Status" and "Marcus" are none.
     let is_third = word.ends_with('s') && !word.ends_with("ss") && !word.ends_with("us");
     (is_third || word.ends_with("ed") || has(&WORDS.past, word)) && !has(&WORDS.no_verbs, word)
+}
+
+/// Whether a word may be a verb in any form: "open", "opens", "opening".
+pub(in crate::narration) fn may_be_a_verb(word: &str) -> bool {
+    is_verb(word)
+        || matches!(word, "are" | "am")
+        || word.ends_with("ing")
+        || deeds::is_form(word)
+        || has(&WORDS.orders, word)
 }
 
 /// Whether a word may by its letters be what one person does, said in the present: "opens", and not "lukas", "chris" or "carlos", nor what has an accent.

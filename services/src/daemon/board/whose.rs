@@ -25,6 +25,7 @@ enum Place {
 impl<M: LanguageModel> Board<M> {
     /// The observations that one of several clauses stands for, each of those whom it names; itself where it has one.
     pub(super) fn clauses(&self, observation: Observation) -> impl Iterator<Item = Observation> + use<M> {
+        let observation = self.of_its_person(observation);
         let is_visitor = |name: &str| self.persons.is_visitor(self.persons.number_of(name));
         let said = observation.said.clauses(|name| self.persons.is_called(name), is_visitor);
         let of_known = |said: Said| match said {
@@ -47,6 +48,26 @@ impl<M: LanguageModel> Board<M> {
         };
         let several: Vec<Observation> = said.into_iter().map(of_known).map(own).collect();
         several.is_empty().then_some(observation).into_iter().chain(several)
+    }
+
+    /// An observation whose sentence is read as one of its person: one that begins with a deed, where its key says whose it is ("Leaves the house."), and
+    /// one that begins with the name of somebody who is known, where the name is another word, too ("August leaves the house.").
+    fn of_its_person(&self, observation: Observation) -> Observation {
+        let Some(sentence) = observation.sentence() else { return observation };
+        let is_open = observation.person == SOMEBODY && observation.name.is_none();
+        let first = sentence.split([' ', '.', '!']).next().unwrap_or_default();
+        let is_own = |name: &str| observation.name.as_deref().is_none_or(|own| same_name(own, name));
+        if !Said::is_read_as_a_name(first) && is_own(first) && self.persons.is_called(first) {
+            let named = observation.said.of_its_person(first).filter(|_| is_open || observation.name.is_some());
+            let name = Some(first.into());
+            return named.map_or_else(|| observation.clone(), |said| Observation { said, name, ..observation.clone() });
+        }
+        let own = if is_open { None } else { observation.said.of_its_person("") };
+        // What is done in the house stays as it was said.
+        match own.filter(|said| matches!(said, Said::Presence(_))) {
+            Some(Said::Presence(own)) => Observation { said: Said::Presence(own.with_pronoun(None)), ..observation },
+            _ => observation,
+        }
     }
 
     /// The observations of persons that one stands for; none where it moves nobody ("The milk is out."), or where its subject is somebody who is not known
@@ -105,21 +126,29 @@ impl<M: LanguageModel> Board<M> {
         // What a stranger says is not what a named narrator goes on with, whatever number it took.
         let teller = (is_strange, observation.source);
         let mut pronoun = None;
+        let told = (observation.epoch, observation.sequence);
+        let is_beside = is_beside(&observation);
         match &observation.name {
             Some(name) => {
                 observation.person = self.persons.number_of(name);
-                self.persons.remember(teller, observation.person, noted_ns);
+                self.persons.remember(teller, observation.person, is_beside, told, noted_ns);
             }
             None if observation.person == SOMEBODY => {
                 observation.name = self.persons.named(&observation.said).pop().map(Into::into);
                 pronoun = observation.said.pronoun();
-                let meant = || self.persons.antecedent(teller, pronoun?, noted_ns);
+                let leaves = observation.said.presence() == Presence::Away;
+                let meant = || self.persons.antecedent(teller, pronoun?, leaves, noted_ns);
                 let person = match &observation.name {
                     Some(name) => self.persons.number_of(name),
-                    None => meant().unwrap_or_else(|| self.fitting(&observation.said, noted_ns, is_strange)),
+                    None => match meant() {
+                        // Where "he" may be either, it sends neither away.
+                        Some((_, false)) if leaves => return None,
+                        Some((person, _)) => person,
+                        None => self.fitting(&observation.said, noted_ns, is_strange),
+                    },
                 };
                 if observation.name.is_some() {
-                    self.persons.remember(teller, person, noted_ns);
+                    self.persons.remember(teller, person, is_beside, told, noted_ns);
                 }
                 (observation.person, observation.by_fit) = (person, observation.name.is_none());
                 let Observation { source, epoch, sequence, .. } = observation;
@@ -155,9 +184,11 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn hear_of(&mut self, observation: &Observation, is_strange: bool, at_ns: Option<i64>) {
         for clause in self.clauses(observation.clone()) {
             for own in self.of_persons(clause, is_strange) {
+                let is_beside = is_beside(&own);
                 if let Some(name) = own.name.map(String::from).or_else(|| self.persons.named(&own.said).pop()) {
                     let person = self.persons.number_of(&name);
-                    self.persons.remember((is_strange, own.source), person, at_ns.unwrap_or_default());
+                    let (teller, told) = ((is_strange, own.source), (own.epoch, own.sequence));
+                    self.persons.remember(teller, person, is_beside, told, at_ns.unwrap_or_default());
                 }
             }
         }
@@ -177,7 +208,8 @@ impl<M: LanguageModel> Board<M> {
             return None;
         }
         if own.name.is_some() {
-            self.persons.remember((is_strange, own.source), own.person, at_ns.unwrap_or_default());
+            let (teller, told) = ((is_strange, own.source), (own.epoch, own.sequence));
+            self.persons.remember(teller, own.person, is_beside(&own), told, at_ns.unwrap_or_default());
         }
         self.admit(own, pronoun, Voice::EARLIER, (is_strange, true), at_ns)
     }
@@ -207,8 +239,10 @@ impl<M: LanguageModel> Board<M> {
         }
         // "She" is whom its teller told of last, as they were before; whoever was found otherwise may be called anything.
         let teller = (is_strange, observation.source);
-        let is_meant =
-            |pronoun: &Pronoun| self.persons.antecedent(teller, *pronoun, noted_ns) == Some(observation.person);
+        let leaves = observation.said.presence() == Presence::Away;
+        let is_meant = |pronoun: &Pronoun| {
+            self.persons.antecedent(teller, *pronoun, leaves, noted_ns) == Some((observation.person, true))
+        };
         let pronoun = if observation.name.is_some() {
             observation.said.own_pronoun()
         } else if observation.by_fit {
@@ -350,6 +384,11 @@ impl<M: LanguageModel> Board<M> {
             }
         })
     }
+}
+
+/// Whether an observation is of somebody whom its sentence is not about: of Ben, where it is "Ada hugs Ben."
+fn is_beside(observation: &Observation) -> bool {
+    matches!(&observation.said, Said::Presence(statement) if statement.is_beside())
 }
 
 /// How much of the way out of the house each partition has, at most 1: a hall by its name, and a front door by its share.

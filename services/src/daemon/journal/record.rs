@@ -18,7 +18,7 @@
 use std::borrow::Cow;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
+use roomcast_core::narration::{Observation, PresenceStatement, Pronoun, SOMEBODY, Said, Sentence};
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
 pub(super) const MAGIC: [u8; 4] = *b"RCJ1";
@@ -201,7 +201,12 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
         Said::Presence(statement) => {
             let text = match statement.subject() {
                 Some(subject) => format!("{statement}\n{subject}"),
-                None => statement.to_string(),
+                // An empty subject, and by which pronoun it was said.
+                None => match statement.pronoun() {
+                    Some(Pronoun::He) => format!("{statement}{HE}"),
+                    Some(Pronoun::She) => format!("{statement}{SHE}"),
+                    None => statement.to_string(),
+                },
             };
             (IS_PRESENCE, Cow::Owned(text))
         }
@@ -212,12 +217,22 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
 fn said_of(text: &str, kind: u8) -> Option<Said> {
     Some(match kind & IS_PRESENCE {
         0 => Said::Sentence(Sentence::new(text).ok()?),
-        _ => Said::Presence(match text.split_once('\n') {
-            Some((text, subject)) => PresenceStatement::parse_of(text, subject).ok()?,
-            None => PresenceStatement::parse(text).ok()?,
-        }),
+        _ => {
+            let by = [(HE, Pronoun::He), (SHE, Pronoun::She)]
+                .into_iter()
+                .find_map(|(end, pronoun)| Some((text.strip_suffix(end)?, pronoun)));
+            Said::Presence(match (by, text.split_once('\n')) {
+                (Some((text, pronoun)), _) => PresenceStatement::parse(text).ok()?.with_pronoun(Some(pronoun)),
+                (None, Some((text, subject))) => PresenceStatement::parse_of(text, subject).ok()?,
+                (None, None) => PresenceStatement::parse(text).ok()?,
+            })
+        }
     })
 }
+
+/// What stands behind a presence that was said by a pronoun.
+const HE: &str = "\n\nhe";
+const SHE: &str = "\n\nshe";
 
 /// Whom an observation moved, as a record.
 #[must_use]

@@ -14,6 +14,8 @@ use super::super::person_question::{PersonAnswer, PersonQuestion};
 use super::super::{Board, Entry};
 use super::*;
 
+mod sentences;
+
 const S: u64 = 1_000_000_000;
 const BOOT: [u8; 16] = [5; 16];
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
@@ -306,6 +308,11 @@ fn what_is_said_of_no_person_moves_nobody() {
         house.after(60, "somebody", sentence);
         assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::AWAY)), "{sentence}");
     }
+    // Whom JSON names is somebody, also for who starts again.
+    house.after(60, "Rocky", "Rocky opens the fridge.");
+    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
+    house.restart();
+    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
 }
 
 #[test]
