@@ -10,7 +10,7 @@ use roomcast_ipc::{
 };
 use rustix::process::Signal;
 
-use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, roomcast, scores_with};
+use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with};
 
 #[test]
 fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_other() {

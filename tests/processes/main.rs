@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Domain, Node, RoomScoresV1, StatusResponseV1, Subscriber, sequence};
+use roomcast_ipc::{DecisionV1, Domain, Node, RobotReportV1, RoomScoresV1, StatusResponseV1, Subscriber, sequence};
 use rustix::process::{Pid, Signal, kill_process};
 
 mod commands;
@@ -200,4 +200,13 @@ fn habits(world: &World, arguments: &[&str]) -> (i32, serde_json::Value, String)
     let output = world.command(&[&["habits"], arguments].concat()).output().unwrap();
     let answer = serde_json::from_slice(&output.stdout).unwrap_or_default();
     (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
+}
+
+/// Waits until so many recorders have their last port.
+fn recorders_listen(node: &Node, count: usize) {
+    let reports = node.publisher::<RobotReportV1>().unwrap();
+    eventually("the recorders listen", || {
+        let listeners = reports.listeners();
+        (listeners.iter().filter(|name| *name == "roomcast-record").count() == count).then_some(())
+    });
 }

@@ -1,7 +1,5 @@
 //! What is scraped.
 
-use std::io::Write;
-
 use rustix::process::Signal;
 
 use super::{PATIENCE, World, eventually, exit_code};

@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::process::Command;
 
-use roomcast_ipc::{NarrationV1, Node, RobotReportV1, RoomScoresV1, narration_kind, sequence};
+use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, narration_kind, sequence};
 use rustix::process::Signal;
 
-use super::{World, eventually, exit_code, includes, probabilities, recorder_listens, roomcast, scores_with};
+use super::{World, exit_code, includes, probabilities, recorder_listens, recorders_listen, roomcast, scores_with};
 
 #[test]
 fn a_running_systems_scores_are_explained_down_to_the_tokens() {
@@ -190,15 +190,6 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     let whole = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).to_lowercase();
     let moments = recording.moments.iter().map(|moment| serde_json::to_string(moment).unwrap().to_lowercase());
     assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
-}
-
-/// Waits until so many recorders have their last port.
-fn recorders_listen(node: &Node, count: usize) {
-    let reports = node.publisher::<RobotReportV1>().unwrap();
-    eventually("the recorders listen", || {
-        let listeners = reports.listeners();
-        (listeners.iter().filter(|name| *name == "roomcast-record").count() == count).then_some(())
-    });
 }
 
 /// The messages of a file that was written for ROS 2, by topic: type, when it was made, bytes.
