@@ -86,7 +86,7 @@ pub enum SceneError {
         /// The file's `version`.
         version: u32,
     },
-    /// More than one of the faults here; of many the first [`FAULTS_MAX`].
+    /// More than one of the faults here; of many the first 20.
     #[error("{}{} things are wrong:{}", if .0.len() < FAULTS_MAX { "" } else { "at least " }, .0.len(), listed(.0))]
     Several(Vec<SceneError>),
     /// One element breaks a rule.
