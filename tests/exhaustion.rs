@@ -263,6 +263,38 @@ fn program_for_others(directory: &Path) -> PathBuf {
 }
 
 #[test]
+fn a_state_folder_that_cannot_be_written_is_named_before_anything_runs() {
+    let outer = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+    let program = program_for_others(outer.path());
+    let (locked, config) = (outer.path().join("locked"), outer.path().join("roomcast.toml"));
+    fs::create_dir(&locked).unwrap();
+    fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).unwrap();
+    let (locked, file) = (locked.to_str().unwrap(), config.to_str().unwrap());
+    let cannot_write = format!("cannot write into {locked}: ");
+    for (state, part, remedy) in [
+        (locked.to_owned(), cannot_write.clone(), "run this as the user that the services run as"),
+        (format!("{locked}/new/state"), cannot_write, "run this as the user that the services run as"),
+        (format!("{file}/state"), format!("{file} is no folder"), "give another folder"),
+    ] {
+        fs::write(&config, format!("[daemon]\nstate = {state:?}\n")).unwrap();
+        fs::set_permissions(&config, fs::Permissions::from_mode(0o644)).unwrap();
+        for arguments in [["config", "--check"], ["daemon", "--config"]] {
+            let mut command = Command::new(&program);
+            command.args(arguments).arg(&config).stdin(Stdio::null()).env_remove("ROOMCAST_ROOT");
+            if geteuid().is_root() {
+                // Root may write anywhere.
+                command.uid(NOBODY).gid(NOBODY);
+            }
+            let output = command.output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(4), "{arguments:?}: {said}");
+            let begin = format!("daemon.state is {state}: {part}");
+            assert!(said.contains(&begin) && said.contains(remedy), "{arguments:?}: {said}");
+        }
+    }
+}
+
+#[test]
 fn another_user_can_neither_read_nor_publish() {
     if !geteuid().is_root() {
         skipped("only root can run something as another user");

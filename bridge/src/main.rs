@@ -5,7 +5,8 @@ use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
 use roomcast_bridge::config::{self, Config};
 use roomcast_bridge::stop::Stop;
 use roomcast_bridge::{hub, robot, watch};
@@ -53,6 +54,11 @@ enum Command {
     Config,
     /// Prints an example of the router's configuration: mutual TLS, and who may read and write what.
     Router,
+    /// Prints a shell's completion script.
+    Completions {
+        /// The shell to complete for.
+        shell: Shell,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -108,6 +114,11 @@ fn run(command: Command) -> Result<(), Failure> {
     match command {
         Command::Config => print(config::MANUAL),
         Command::Router => print(include_str!("router.json5")),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "roomcast-bridge", &mut script);
+            print(&String::from_utf8_lossy(&script))
+        }
         Command::Robot { file, root, domain } => {
             let (mut config, stop) = load(&file)?;
             config.ipc.root = root.or(config.ipc.root);

@@ -188,3 +188,15 @@ fn the_largest_configuration_starts_under_the_units_limit_of_files() {
     let said = unit.process.said();
     assert!(said.contains("files are open in this process, of at most 96: raise the limit"), "{said}");
 }
+
+/// As the package installs them.
+#[test]
+fn completions_offer_every_command() {
+    for shell in ["bash", "zsh", "fish"] {
+        let output = bridge().args(["completions", shell]).output().unwrap();
+        let script = String::from_utf8(output.stdout).unwrap();
+        for offered in ["robot", "hub", "watch", "config", "router", "completions", "input", "domain"] {
+            assert!(output.status.success() && script.contains(offered), "{shell}: {offered} is missing");
+        }
+    }
+}

@@ -5,8 +5,8 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{MapAccess, Visitor};
+use serde::de::value::{MapAccessDeserializer, StrDeserializer};
+use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use crate::text::{excerpt, visible};
@@ -157,6 +157,28 @@ pub fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) ->
         }
     }
     deserializer.deserialize_map(Keys(PhantomData))
+}
+
+/// Reads one word of several, and says of anything else that a text should stand there: `serde_json` says of it "expected value".
+///
+/// For `#[serde(deserialize_with = "word")]`.
+///
+/// # Errors
+/// Those of `T`, and where there is no text.
+pub fn word<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<T, D::Error> {
+    struct Word<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de>> Visitor<'de> for Word<T> {
+        type Value = T;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a text in quotes")
+        }
+
+        fn visit_str<E: Error>(self, text: &str) -> Result<T, E> {
+            T::deserialize(StrDeserializer::new(text))
+        }
+    }
+    deserializer.deserialize_str(Word(PhantomData))
 }
 
 /// What has keys, in a list of such: see [`keyed`].

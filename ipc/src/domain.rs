@@ -161,6 +161,7 @@ impl Domain {
             config,
             domain: self.clone(),
             unused: Mutex::default(),
+            tell: None,
             _last: LastOut(self.clone()),
             _guardian: guardian,
         })
@@ -594,6 +595,7 @@ pub struct Node {
     config: Config,
     domain: Domain,
     unused: Mutex<Unused>,
+    tell: Option<fn(&IpcError)>,
     /// After the node has left.
     _last: LastOut,
     /// Last, since leaving may have to wait for memory too.
@@ -656,6 +658,12 @@ impl Drop for Guardian {
 }
 
 impl Node {
+    /// Has it told, once for each port, when another participant is in the way and is waited for. It may take 8 s until that is an error.
+    #[must_use]
+    pub fn telling_of_waits(self, tell: fn(&IpcError)) -> Self {
+        Self { tell: Some(tell), ..self }
+    }
+
     /// Makes sure that nobody else of this participant's name is alive. Of several that join at once, the first stays.
     ///
     /// # Errors
@@ -817,6 +825,7 @@ impl Node {
         refuse_too_little_memory()?;
         let start = Instant::now();
         let mut pause = Duration::from_millis(2);
+        let mut tell = self.tell;
         loop {
             match open() {
                 Ok(port) => {
@@ -833,9 +842,13 @@ impl Node {
                         other => other,
                     });
                 }
-                Err(OpenFailure::Passing(_)) => {
+                Err(OpenFailure::Passing(error)) => {
                     self.remove_dead_participants();
                     if start.elapsed() >= LIKELY_WITHIN {
+                        let is_of_another = matches!(error, IpcError::Occupied { .. } | IpcError::NameTaken { .. });
+                        if let Some(tell) = tell.take_if(|_| is_of_another) {
+                            tell(&error);
+                        }
                         // As soon as it may be: a service that then has no memory takes a while more.
                         self.domain.remove_unmade_memory();
                         self.remove_unused_services(true);

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::os::unix::fs::PermissionsExt;
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
@@ -186,8 +187,15 @@ fn a_second_daemon_is_refused_by_name_of_the_service() {
     let private = Private::new("second");
     let first = private.domain.open("daemon").unwrap();
     let held = first.publisher::<RoomScoresV1>().unwrap();
-    let second = private.domain.open("daemon").unwrap();
+    // Whom it waits for is told long before it gives up, and once.
+    static TOLD: Mutex<Vec<(Instant, String)>> = Mutex::new(Vec::new());
+    let tell = |error: &IpcError| TOLD.lock().unwrap().push((Instant::now(), error.to_string()));
+    let second = private.domain.open("daemon").unwrap().telling_of_waits(tell);
+    let start = Instant::now();
     let error = second.publisher::<RoomScoresV1>().unwrap_err();
+    let told = std::mem::take(&mut *TOLD.lock().unwrap());
+    assert!(told.len() == 1 && told[0].1.starts_with("daemon (process"), "{told:?}");
+    assert!(told[0].0 - start < start.elapsed() / 2, "{:?} of {:?}", told[0].0 - start, start.elapsed());
     assert!(matches!(error, IpcError::Occupied { role: "publisher", limit: 1, .. }), "{error}");
     assert!(error.to_string().contains("roomcast/v1/room-scores"), "{error}");
     drop(held);

@@ -23,6 +23,7 @@ pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_i
 use crate::line::{LINE_BYTES_MAX, item_by};
 use crate::logging::Limiter;
 use crate::notify::notify;
+use crate::participant::join;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
@@ -374,7 +375,7 @@ pub fn run(
     pace: Pace,
     stop: &Stop,
 ) -> Result<Outcome, IpcError> {
-    let node = domain.open(&format!("roomcast-narrator-{}", config.name))?;
+    let node = join(domain, &format!("roomcast-narrator-{}", config.name))?;
     let mut sender = Narrator::new(&node, config, limits)?;
     let (items_in, items) = bounded(1);
     let mut input = input;

@@ -1,6 +1,12 @@
-//! The names by which the services of a robot take part in a domain.
+//! How services take part in a domain, and the names of those that each robot has.
 
-use roomcast_ipc::sequence;
+use roomcast_ipc::{Domain, IpcError, Node, sequence};
+
+/// Joins as a service, whose log says for whom it waits: a place that somebody else has makes it fail only after seconds.
+pub(crate) fn join(domain: &Domain, name: &str) -> Result<Node, IpcError> {
+    let tell = |error: &IpcError| tracing::warn!(reason = %error, "waiting up to 8 s for another to end");
+    Ok(domain.open(name)?.telling_of_waits(tell))
+}
 
 /// A kind of service of which each robot has one.
 #[derive(Debug, Clone, Copy)]

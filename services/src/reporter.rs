@@ -1,6 +1,6 @@
 //! The reporter: what a robot says of itself, as lines of JSON or word by word, as messages for its planner.
 
-use roomcast_core::parsing::{Keyed, json_of_one_line_says};
+use roomcast_core::parsing::{Keyed, json_of_one_line_says, word};
 use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
@@ -52,7 +52,7 @@ impl Kind {
 #[serde(deny_unknown_fields)]
 pub struct Report {
     /// What.
-    #[serde(rename = "report")]
+    #[serde(rename = "report", deserialize_with = "word")]
     pub kind: Kind,
     /// The room that it speaks of, by its id or its name in the map.
     #[serde(default)]
@@ -212,6 +212,11 @@ mod tests {
         for (line, part) in [
             ("{}", "missing key `report`"),
             (r#"{"report": "done"}"#, "report: unknown word `done`, expected one of `position`, `started`, `finished`"),
+            (
+                r#"{"report": 3}"#,
+                "report: the number `3`, expected a text in quotes at column 12; expected {\"report\"",
+            ),
+            (r#"{"report": null}"#, "report: null, expected a text in quotes"),
             (r#"{"report": "docked", "romm": "hall"}"#, "unknown key `romm`"),
             (r#"{"report": "docked", "battery": "full"}"#, "battery: the text \"full\", expected a number"),
             (r#"{"report": "docked", "position": [1, 2]}"#, "position"),

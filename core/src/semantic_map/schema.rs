@@ -35,6 +35,9 @@ pub(super) const MAX_ALIASES: usize = 1_000;
 /// How far from the origin a map reaches, in metres along each axis.
 pub(super) const FARTHEST_M: f64 = 10_000.0;
 
+/// Faults that are told at once.
+const FAULTS_MAX: usize = 20;
+
 /// Why a scene cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -83,6 +86,9 @@ pub enum SceneError {
         /// The file's `version`.
         version: u32,
     },
+    /// More than one of the faults here; of many the first 20.
+    #[error("{}{} things are wrong:{}", if .0.len() < FAULTS_MAX { "" } else { "at least " }, .0.len(), listed(.0))]
+    Several(Vec<SceneError>),
     /// One element breaks a rule.
     #[error("{element}, `{field}`: {problem}; {remedy}")]
     Element {
@@ -95,6 +101,43 @@ pub enum SceneError {
         /// What to do.
         remedy: &'static str,
     },
+}
+
+fn listed(faults: &[SceneError]) -> String {
+    faults.iter().map(|fault| format!("\n- {fault}")).collect()
+}
+
+/// What is wrong with a scene, as far as it was looked at.
+#[derive(Default)]
+struct Faults(Vec<SceneError>);
+
+impl Faults {
+    /// What comes of the entries that are well. Behind [`FAULTS_MAX`] faults no more are looked at.
+    fn each<T, U>(
+        &mut self,
+        entries: impl IntoIterator<Item = T>,
+        mut check: impl FnMut(T) -> Result<U, SceneError>,
+    ) -> Vec<U> {
+        let mut good = Vec::new();
+        for entry in entries {
+            if self.0.len() >= FAULTS_MAX {
+                break;
+            }
+            match check(entry) {
+                Ok(checked) => good.push(checked),
+                Err(fault) => self.0.push(fault),
+            }
+        }
+        good
+    }
+
+    fn end(mut self) -> Result<(), SceneError> {
+        match self.0.len() {
+            0 => Ok(()),
+            1 => Err(self.0.remove(0)),
+            _ => Err(SceneError::Several(self.0)),
+        }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -470,7 +513,8 @@ impl SemanticMap {
     /// Reads and checks a scene from its JSON text.
     ///
     /// # Errors
-    /// Names the first element that is malformed, beyond a limit, doubled, or refers to something that is not there.
+    /// Names each element that is malformed, beyond a limit, doubled, or refers to something that is not there. What lies in rooms or joins them
+    /// is looked at where all rooms are well.
     pub fn from_json(text: &str) -> Result<Self, SceneError> {
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(SceneError::FileTooLarge);
@@ -507,11 +551,6 @@ impl SemanticMap {
             return Err(SceneError::Format { format, version: file.version });
         }
         let scene = Place { list: "scene", index: 0, id: &file.name };
-        check_text(&file.name, MAX_TEXT_BYTES).map_err(|problem| scene.error("name", problem, "give a short name"))?;
-        for (field, prose) in [("description", &file.description), ("source", &file.source)] {
-            check_prose(prose, MAX_PROSE_BYTES)
-                .map_err(|problem| scene.error(field, problem, "shorten it to one line"))?;
-        }
         check_count("rooms", file.rooms.len(), MAX_ROOMS)?;
         check_count("parts", file.parts.len(), 10 * MAX_ROOMS)?;
         check_count("groups", file.groups.len(), 10 * MAX_ROOMS)?;
@@ -523,20 +562,35 @@ impl SemanticMap {
             return Err(scene.error("rooms", "has no entry", "give at least one room"));
         }
 
+        let mut faults = Faults::default();
+        let texts = [
+            ("name", check_text(&file.name, MAX_TEXT_BYTES), "give a short name"),
+            ("description", check_prose(&file.description, MAX_PROSE_BYTES), "shorten it to one line"),
+            ("source", check_prose(&file.source, MAX_PROSE_BYTES), "shorten it to one line"),
+        ];
+        faults.each(texts, |(field, checked, remedy)| checked.map_err(|problem| scene.error(field, problem, remedy)));
+
         // Rooms, parts and groups can all be partitions, so they share one space of ids.
         let mut partition_ids = Ids::new();
         let mut room_ids = Ids::new();
         let mut corners = Corners { version: file.version, left: CornersLeft::new() };
-        let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids, &mut corners)?;
-        let parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
-        let groups = check_groups(&file.groups, &mut partition_ids, &room_ids, &rooms, &mut corners)?;
+        let rooms = check_rooms(&file.rooms, &mut partition_ids, &mut room_ids, &mut corners, &mut faults);
+        let (mut parts, mut groups, mut doors) = (Vec::new(), Vec::new(), Vec::new());
         let doors_found = file.doors.is_empty();
-        let doors = if doors_found { doors::found(&rooms) } else { check_doors(&file.doors, &room_ids)? };
-        for (index, (label, others)) in file.aliases.iter().enumerate() {
-            let place = Place { list: "aliases", index, id: label };
-            [label].into_iter().chain(others).try_for_each(|words| place.label(words))?;
+        if rooms.len() == file.rooms.len() {
+            parts = check_parts(&file.parts, &mut partition_ids, &room_ids, &rooms, &mut corners, &mut faults);
+            groups = check_groups(&file.groups, &mut partition_ids, &room_ids, &rooms, &mut corners, &mut faults);
+            doors = check_doors(&file.doors, &room_ids, &mut faults);
         }
-        let (labels, items) = check_items(&file.items)?;
+        faults.each(file.aliases.iter().enumerate(), |(index, (label, others))| {
+            let place = Place { list: "aliases", index, id: label };
+            [label].into_iter().chain(others).try_for_each(|words| place.label(words))
+        });
+        let (labels, items) = check_items(&file.items, &mut faults);
+        faults.end()?;
+        if doors_found {
+            doors = doors::found(&rooms);
+        }
 
         let mut map = Self {
             name: file.name,
@@ -666,9 +720,9 @@ fn check_rooms<'a>(
     partition_ids: &mut Ids<'a>,
     room_ids: &mut Ids<'a>,
     corners: &mut Corners,
-) -> Result<Vec<Room>, SceneError> {
-    let mut rooms = Vec::with_capacity(entries.len());
-    for (index, entry) in entries.iter().enumerate() {
+    faults: &mut Faults,
+) -> Vec<Room> {
+    faults.each(entries.iter().enumerate(), |(index, entry)| {
         let place = Place { list: "rooms", index, id: &entry.id };
         partition_ids.insert(place)?;
         room_ids.insert(place)?;
@@ -676,9 +730,8 @@ fn check_rooms<'a>(
         let RoomEntry { r#box: bounds, ref footprint, floor, height, .. } = *entry;
         let extent = Extent { bounds, footprint: footprint.as_ref(), floor, height };
         let space = place.space(&extent, None, corners)?;
-        rooms.push(Room { id: entry.id.clone(), label: entry.label.clone(), space });
-    }
-    Ok(rooms)
+        Ok(Room { id: entry.id.clone(), label: entry.label.clone(), space })
+    })
 }
 
 fn find_room(place: Place, field: &'static str, id: &str, room_ids: &Ids) -> Result<RoomId, SceneError> {
@@ -695,9 +748,9 @@ fn check_parts<'a>(
     room_ids: &Ids,
     rooms: &[Room],
     corners: &mut Corners,
-) -> Result<Vec<Part>, SceneError> {
-    let mut parts = Vec::with_capacity(entries.len());
-    for (index, entry) in entries.iter().enumerate() {
+    faults: &mut Faults,
+) -> Vec<Part> {
+    faults.each(entries.iter().enumerate(), |(index, entry)| {
         let place = Place { list: "parts", index, id: &entry.id };
         partition_ids.insert(place)?;
         place.label(&entry.label)?;
@@ -710,9 +763,8 @@ fn check_parts<'a>(
             let field = if space.footprint.is_some() { "footprint" } else { "box" };
             return Err(place.error(field, "lies outside its room", "give a place inside the room"));
         }
-        parts.push(Part { id: entry.id.clone(), label: entry.label.clone(), room, space });
-    }
-    Ok(parts)
+        Ok(Part { id: entry.id.clone(), label: entry.label.clone(), room, space })
+    })
 }
 
 fn check_groups<'a>(
@@ -721,10 +773,10 @@ fn check_groups<'a>(
     room_ids: &Ids,
     all_rooms: &[Room],
     corners: &mut Corners,
-) -> Result<Vec<Group>, SceneError> {
-    let mut groups = Vec::with_capacity(entries.len());
+    faults: &mut Faults,
+) -> Vec<Group> {
     let mut taken = BTreeSet::new();
-    for (index, entry) in entries.iter().enumerate() {
+    faults.each(entries.iter().enumerate(), |(index, entry)| {
         let place = Place { list: "groups", index, id: &entry.id };
         partition_ids.insert(place)?;
         place.label(&entry.label)?;
@@ -755,15 +807,13 @@ fn check_groups<'a>(
         } else {
             None
         };
-        groups.push(Group { id: entry.id.clone(), label: entry.label.clone(), rooms, space });
-    }
-    Ok(groups)
+        Ok(Group { id: entry.id.clone(), label: entry.label.clone(), rooms, space })
+    })
 }
 
-fn check_doors(entries: &[DoorEntry], room_ids: &Ids) -> Result<Vec<Door>, SceneError> {
+fn check_doors(entries: &[DoorEntry], room_ids: &Ids, faults: &mut Faults) -> Vec<Door> {
     let mut ids = Ids::new();
-    let mut doors = Vec::with_capacity(entries.len());
-    for (index, entry) in entries.iter().enumerate() {
+    faults.each(entries.iter().enumerate(), |(index, entry)| {
         let place = Place { list: "doors", index, id: &entry.id };
         ids.insert(place)?;
         place.point("position_m", &entry.position_m)?;
@@ -772,15 +822,14 @@ fn check_doors(entries: &[DoorEntry], room_ids: &Ids) -> Result<Vec<Door>, Scene
         if rooms[0] == rooms[1] {
             return Err(place.error("rooms", "joins a room to itself", "name two different rooms"));
         }
-        doors.push(Door { id: entry.id.clone(), rooms, position_m: entry.position_m });
-    }
-    Ok(doors)
+        Ok(Door { id: entry.id.clone(), rooms, position_m: entry.position_m })
+    })
 }
 
-fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneError> {
+fn check_items(entries: &[ItemEntry], faults: &mut Faults) -> (Vec<String>, Vec<Item>) {
     let mut ids = Ids::new();
     let mut words = BTreeSet::new();
-    for (index, entry) in entries.iter().enumerate() {
+    faults.each(entries.iter().enumerate(), |(index, entry)| {
         let place = Place { list: "items", index, id: &entry.id };
         ids.insert(place)?;
         place.label(&entry.label)?;
@@ -789,7 +838,8 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
         check_captions(place, entry)?;
         words.insert(entry.label.as_str());
         words.extend(entry.captions.iter().map(|caption| caption.label.as_str()));
-    }
+        Ok(())
+    });
     let labels: Vec<&str> = words.into_iter().collect();
     let label_id = |label: &str| LabelId(index_u32(labels.partition_point(|known| *known < label)));
     let items = (entries.iter())
@@ -808,7 +858,7 @@ fn check_items(entries: &[ItemEntry]) -> Result<(Vec<String>, Vec<Item>), SceneE
             }
         })
         .collect();
-    Ok((labels.iter().map(|&label| label.to_owned()).collect(), items))
+    (labels.iter().map(|&label| label.to_owned()).collect(), items)
 }
 
 /// Least share of a caption.
@@ -1044,6 +1094,36 @@ mod tests {
             let text = refused(pointer, value.clone());
             assert!(text.contains(expected), "{pointer} = {value}: {text}");
         }
+    }
+
+    #[test]
+    fn all_faults_are_named_at_once() {
+        let mut scene: Value = serde_json::from_str(TWO_ROOMS).unwrap();
+        for (pointer, value) in [
+            ("/name", json!("")),
+            ("/items/0/label", json!("Mug")),
+            ("/items/1/position_m", json!([0, 2e4, 0])),
+            ("/parts/0/room", json!("attic")),
+            ("/doors/0/rooms", json!(["kitchen", "kitchen"])),
+            ("/aliases/sofa", json!([""])),
+        ] {
+            *scene.pointer_mut(pointer).unwrap() = value;
+        }
+        let said = |scene: &Value| message(&SemanticMap::from_json(&scene.to_string()).unwrap_err());
+        let lists = |said: &str| -> Vec<String> {
+            said.lines().skip(1).map(|line| line[2..].split('[').next().unwrap().to_owned()).collect()
+        };
+        let all = said(&scene);
+        assert!(all.starts_with("6 things are wrong:\n- scene[0] (\"\"), `name`: is empty"), "{all}");
+        assert_eq!(lists(&all), ["scene", "parts", "doors", "aliases", "items", "items"]);
+        // What lies in a room that is not well is not blamed for that.
+        scene["rooms"][0]["label"] = json!("Kitchen");
+        assert_eq!(lists(&said(&scene)), ["scene", "rooms", "aliases", "items", "items"]);
+        // Not all of very many.
+        let item = scene["items"][0].clone();
+        scene["items"].as_array_mut().unwrap().extend(std::iter::repeat_n(item, 100));
+        let many = said(&scene);
+        assert!(many.starts_with("at least 20 things are wrong:") && lists(&many).len() == 20, "{many}");
     }
 
     #[test]

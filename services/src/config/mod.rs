@@ -6,6 +6,8 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use rustix::fs::Access;
+use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
 use roomcast_core::forecast::ForecastOptions;
@@ -125,21 +127,48 @@ fn within<T: PartialOrd + fmt::Display>(key: &'static str, value: T, range: Rang
     Limit { key, holds: range.contains(&value), value: value.to_string(), remedy }
 }
 
-/// Why a path can be no folder on this machine, and not made one; none where it is one, or may be made.
-#[must_use]
-pub fn no_folder(path: &Path) -> Option<String> {
+/// Why nothing can be kept in a folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NoFolder {
+    /// What is wrong.
+    pub reason: String,
+    /// What helps; none where only another folder does.
+    pub remedy: Option<&'static str>,
+}
+
+/// What of a path is there: the path itself, or the nearest folder above it. An error says why it can be no folder.
+fn there(path: &Path) -> Result<&Path, String> {
     if path.as_os_str().as_encoded_bytes().contains(&0) {
-        return Some("no path has a NUL byte".to_owned());
+        return Err("no path has a NUL byte".to_owned());
     }
-    // Links that lead nowhere are in the way, too.
-    let there = path.ancestors().find(|path| path.symlink_metadata().is_ok())?;
-    (!there.is_dir()).then(|| format!("{} is no folder", there.display()))
+    // A path of one name lies in the current folder. Links that lead nowhere are in the way, too.
+    let above = path.ancestors().map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
+    let there = above.into_iter().find(|path| path.symlink_metadata().is_ok()).unwrap_or(Path::new("/"));
+    if there.is_dir() { Ok(there) } else { Err(format!("{} is no folder", there.display())) }
+}
+
+/// Why nothing can be kept in a folder by this user; none where it is one, or may be made.
+#[must_use]
+pub fn no_folder(path: &Path) -> Option<NoFolder> {
+    let there = match there(path) {
+        Ok(there) => there,
+        Err(reason) => return Some(NoFolder { reason, remedy: None }),
+    };
+    let error = rustix::fs::access(there, Access::WRITE_OK | Access::EXEC_OK).err()?;
+    let remedy = match error {
+        Errno::ACCESS | Errno::PERM => {
+            Some("run this as the user that the services run as, or give that user the folder")
+        }
+        Errno::ROFS => Some("mount its disk so that it can be written: mount -o remount,rw"),
+        _ => None,
+    };
+    Some(NoFolder { reason: format!("cannot write into {}: {error}", there.display()), remedy })
 }
 
 /// The fault of a key that names a folder.
-fn folder_fault(key: &'static str, folder: &Path) -> Option<ConfigError> {
-    let remedy = format!("{}; give another folder", no_folder(folder)?);
-    Some(ConfigError::Value { key, value: folder.display().to_string(), remedy })
+fn folder_fault(key: &'static str, folder: &Path, fault: NoFolder) -> ConfigError {
+    let remedy = format!("{}; {}", fault.reason, fault.remedy.unwrap_or("give another folder"));
+    ConfigError::Value { key, value: folder.display().to_string(), remedy }
 }
 
 /// Most seconds that a key may hold.
@@ -404,16 +433,20 @@ impl Config {
         values.chain(others.into_iter().flatten()).collect()
     }
 
-    /// What is wrong with the domain's root path on this machine, as far as a look at it tells.
+    /// What is wrong with the domain's root path on this machine, as far as a look at it tells. Whether it may be made is not looked at: of a
+    /// service systemd makes it.
     #[must_use]
     pub fn root_fault(&self) -> Option<ConfigError> {
-        folder_fault("ipc.root", self.ipc.root.as_ref()?)
+        let root = self.ipc.root.as_ref()?;
+        let reason = there(root).err()?;
+        Some(folder_fault("ipc.root", root, NoFolder { reason, remedy: None }))
     }
 
     /// What is wrong with the state directory on this machine, as far as a look at it tells.
     #[must_use]
     pub fn state_fault(&self) -> Option<ConfigError> {
-        folder_fault("daemon.state", &self.daemon.state_directory()?)
+        let folder = self.daemon.state_directory()?;
+        Some(folder_fault("daemon.state", &folder, no_folder(&folder)?))
     }
 
     /// Every limit, and whether it holds.
@@ -786,7 +819,8 @@ mod tests {
         }
         assert_eq!(no_folder(Path::new("beside/new")), None);
         for (wrong, named) in [("file", "file"), ("file/new", "file"), ("link", "link"), ("link/new", "link")] {
-            assert_eq!(no_folder(&at(wrong)), Some(format!("{} is no folder", at(named).display())), "{wrong}");
+            let reason = format!("{} is no folder", at(named).display());
+            assert_eq!(no_folder(&at(wrong)), Some(NoFolder { reason, remedy: None }), "{wrong}");
         }
         let config: Config = toml::from_str("[ipc]\nroot = \"/dev/null\"\n[daemon]\nstate = \"a\\u0000b\"").unwrap();
         let told = [config.root_fault(), config.state_fault()].map(|fault| fault.unwrap().to_string());

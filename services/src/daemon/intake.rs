@@ -497,7 +497,9 @@ impl Intake {
     }
 }
 
-/// What gives the daemon a relayed narrator's narration: the bridge's own source, as the bridge is a workspace of its own.
+/// What gives the daemon a relayed narrator's narration, by the bridge's own file: tests of both together find where one of them changes alone.
+/// Neither crate can use the other. The bridge would get llama.cpp by this one, and this one zenoh by the bridge. What both use is the contract,
+/// and how the bridge keeps to it is no part of that.
 #[cfg(test)]
 #[path = "../../../bridge/src/relay.rs"]
 mod relay;

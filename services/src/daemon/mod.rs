@@ -28,6 +28,7 @@ use crate::config::{Config, DaemonConfig};
 use crate::embedded;
 use crate::no_model::NoModel;
 use crate::notify::notify;
+use crate::participant::join;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
 use habits_file::Keeper;
@@ -155,7 +156,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     stop: &Stop,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
 ) -> Result<(), DaemonError> {
-    let node = domain.open("roomcast-daemon")?;
+    let node = join(domain, "roomcast-daemon")?;
     // First the services, of which only one daemon can hold the scores', then the inbox, then the model, which takes longest: narration
     // that comes meanwhile waits in the port.
     let ports = Ports::open(&node)?;

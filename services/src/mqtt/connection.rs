@@ -1,6 +1,6 @@
 //! A connection that listens.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::VecDeque;
 use std::fmt::Display;
 use std::io::Write;
 use std::pin::pin;
@@ -9,16 +9,18 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{Packet, Publish, SubAck, SubscribeReasonCode};
+use rumqttc::v5::mqttbytes::v5::{Packet, Publish};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
 use tokio::time::{sleep, timeout_at};
 
 use super::acknowledgements::Acknowledgements;
 use super::client::{broken, correct_keep_alive, fault_of, renew};
+use super::copies::Copies;
 use super::listener::{Heard, Listener};
 use super::recent::Recent;
 use super::rehearsal::{Remark, remarked, report};
-use super::rules::{Rules, covers};
+use super::rules::Rules;
+use super::subscriptions::Subscriptions;
 use super::tally::Tally;
 use super::{FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::logging::Limiter;
@@ -31,111 +33,6 @@ const QUIET_NS: u64 = 30_000_000_000;
 /// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
 const SETTLING: Duration = Duration::from_secs(4);
 
-/// A subscription to each filter, one after the other, so that it is known which one the broker answers. One that another one covers is left
-/// out while the broker grants that: it may send a message once for each that fits.
-#[derive(Debug)]
-struct Subscriptions {
-    filters: Vec<String>,
-    /// Those that are left out.
-    covered: Vec<String>,
-    /// How many of those the broker was asked to forget: it keeps them with the session of a narrator whose rules were others.
-    forgotten: usize,
-    answered: usize,
-    granted: usize,
-    /// The next filter is to be asked for, as soon as the client has room.
-    due: bool,
-    /// The packet that the broker has to answer: more answers than questions say nothing.
-    asked: Option<u16>,
-    /// Filters whose refusal was told.
-    told: HashSet<String>,
-}
-
-impl Subscriptions {
-    fn new(filters: Vec<String>) -> Self {
-        let covered = Vec::new();
-        Self { filters, covered, forgotten: 0, answered: 0, granted: 0, due: false, asked: None, told: HashSet::new() }
-    }
-
-    /// Begins at the first filter.
-    fn start(&mut self) {
-        self.filters.append(&mut self.covered);
-        self.leave_out_covered();
-        self.forgotten = 0;
-        (self.answered, self.granted, self.due, self.asked) = (0, 0, true, None);
-    }
-
-    /// Leaves out what another filter covers that is not refused.
-    fn leave_out_covered(&mut self) {
-        let all = std::mem::take(&mut self.filters);
-        let is_covered = |filter: &String| all.iter().any(|other| other != filter && covers(other, filter));
-        (self.covered, self.filters) = all.iter().cloned().partition(is_covered);
-    }
-
-    /// Asks for what a refused filter covered, and no other does.
-    fn take_over(&mut self, refused: &str) {
-        let (over, asked): (Vec<_>, Vec<_>) = {
-            let others: Vec<_> =
-                self.filters.iter().filter(|filter| *filter != refused && !self.told.contains(*filter)).collect();
-            let is_free =
-                |filter: &String| covers(refused, filter) && !others.iter().any(|other| covers(other, filter));
-            self.covered.drain(..).partition(is_free)
-        };
-        self.covered = asked;
-        // Of these, too, one may cover another.
-        for filter in &over {
-            let is_covered = over.iter().any(|other| other != filter && covers(other, filter));
-            (if is_covered { &mut self.covered } else { &mut self.filters }).push(filter.clone());
-        }
-    }
-
-    /// Asks for the filter that is due, where the client has room.
-    fn send(&mut self, client: &AsyncClient) {
-        if self.due {
-            let filter = self.filters.get(self.answered);
-            self.due = filter.is_some_and(|filter| client.try_subscribe(filter, QoS::AtLeastOnce).is_err());
-        } else if self.granted > 0
-            && self.answered == self.filters.len()
-            && let Some(covered) = self.covered.get(self.forgotten)
-            && client.try_unsubscribe(covered).is_ok()
-        {
-            self.forgotten += 1;
-        }
-    }
-
-    /// Takes the broker's answer to the filter asked for last.
-    fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
-        let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)).cloned() else {
-            return Ok(());
-        };
-        let reason = answer.return_codes.first().copied().unwrap_or(SubscribeReasonCode::Unspecified);
-        (self.answered, self.asked, self.due) = (self.answered + 1, None, true);
-        match reason {
-            SubscribeReasonCode::Success(quality) => {
-                self.granted += 1;
-                self.told.remove(&filter);
-                if quality == QoS::AtMostOnce {
-                    tracing::warn!(
-                        broker,
-                        filter,
-                        "the broker grants quality 0 only: what it sends while away is lost"
-                    );
-                }
-            }
-            refused => {
-                if self.told.insert(filter.clone()) {
-                    tracing::error!(broker, filter, reason = ?refused, "the broker refuses a subscription: nothing is heard of it; give this client the right to read it");
-                }
-                self.take_over(&filter);
-                if self.answered == self.filters.len() && self.granted == 0 {
-                    let reason = format!("{filter:?}: {refused:?}");
-                    return Err(MqttError::Refused { broker: broker.to_owned(), reason });
-                }
-            }
-        }
-        Ok(())
-    }
-}
-
 /// The client, what it has heard and where it says it.
 pub(super) struct Connection<'a, W> {
     broker: String,
@@ -144,6 +41,7 @@ pub(super) struct Connection<'a, W> {
     listener: Listener,
     subscriptions: Subscriptions,
     recent: Recent,
+    copies: Copies,
     pub(super) acknowledgements: Acknowledgements,
     /// Messages that wait until others are acknowledged, oldest first, and their bytes.
     held: VecDeque<Publish>,
@@ -199,6 +97,7 @@ impl<'a, W: Write> Connection<'a, W> {
             listener,
             subscriptions,
             recent,
+            copies: Copies::default(),
             acknowledgements: Acknowledgements::default(),
             held: VecDeque::new(),
             held_bytes: 0,
@@ -285,15 +184,18 @@ impl<'a, W: Write> Connection<'a, W> {
                 (self.connected, self.pause) = (true, RECONNECT);
                 correct_keep_alive(&mut self.events);
                 self.recent.connect(greeting.session_present);
+                if !greeting.session_present {
+                    self.copies.forget();
+                }
                 self.listener.first_connection = *connections == 1;
                 self.listener.listen_from(Instant::now());
                 if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
                     tracing::info!(broker = self.broker, connections, not_told, "connected");
                 }
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
-                self.subscriptions.start();
+                self.subscriptions.start(greeting);
             }
-            Event::Outgoing(Outgoing::Subscribe(pkid)) => self.subscriptions.asked = Some(*pkid),
+            Event::Outgoing(Outgoing::Subscribe(pkid) | Outgoing::Unsubscribe(pkid)) => self.subscriptions.sent(*pkid),
             Event::Outgoing(packet) => {
                 self.recent.sent(packet);
                 if matches!(packet, Outgoing::PubAck(_)) {
@@ -303,6 +205,7 @@ impl<'a, W: Write> Connection<'a, W> {
             }
             Event::Incoming(Packet::PingResp(_)) => self.recent.answered(),
             Event::Incoming(Packet::SubAck(answer)) => self.subscriptions.take(answer, &self.broker)?,
+            Event::Incoming(Packet::UnsubAck(answer)) => self.subscriptions.ended(answer),
             Event::Incoming(Packet::Publish(_)) if self.leaves => {}
             Event::Incoming(Packet::Publish(message)) => {
                 self.held_bytes += held_bytes(message);
@@ -326,7 +229,7 @@ impl<'a, W: Write> Connection<'a, W> {
             let line = match self.recent.again(connections, &message) {
                 Some(line) => line,
                 None => {
-                    if self.hear(&message).is_err() {
+                    if !self.copies.take(&message) && self.hear(&message).is_err() {
                         return Ok(Turn::Unread);
                     }
                     self.recent.take(connections, &message, self.acknowledgements.written);
@@ -365,7 +268,7 @@ impl<'a, W: Write> Connection<'a, W> {
         }
         // Subscriptions that were not sent are made again at the next connection.
         renew(&mut self.events);
-        self.subscriptions.due = false;
+        self.subscriptions.stop();
         self.acknowledgements.forget();
         self.connected = false;
         let pause = Instant::now();
@@ -413,40 +316,5 @@ impl<'a, W: Write> Connection<'a, W> {
             said = said || self.client.try_disconnect().is_ok();
             let Ok(Ok(_)) = timeout_at(end, self.events.poll()).await else { return Ok(()) };
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A broker may send a message once for each filter that it fits: a button's press was narrated twice.
-    #[test]
-    fn what_another_filter_covers_is_asked_for_only_where_that_is_refused() {
-        let asked = |refused: &[&str]| {
-            let filters = ["#", "z/+", "z/button", "z/+/x", "y/b"].map(str::to_owned).to_vec();
-            let mut subscriptions = Subscriptions::new(filters);
-            let mut all = Vec::new();
-            // A connection after it begins in the same way.
-            for _ in 0..2 {
-                subscriptions.start();
-                all.clear();
-                while let Some(filter) = subscriptions.filters.get(subscriptions.answered).cloned() {
-                    let reason = if refused.contains(&filter.as_str()) {
-                        SubscribeReasonCode::NotAuthorized
-                    } else {
-                        SubscribeReasonCode::Success(QoS::AtLeastOnce)
-                    };
-                    subscriptions.asked = Some(1);
-                    let answer = SubAck { pkid: 1, return_codes: vec![reason], properties: None };
-                    subscriptions.take(&answer, "broker").unwrap();
-                    all.push(filter);
-                }
-            }
-            all
-        };
-        assert_eq!(asked(&[]), ["#"]);
-        assert_eq!(asked(&["#"]), ["#", "z/+", "z/+/x", "y/b"]);
-        assert_eq!(asked(&["#", "z/+"]), ["#", "z/+", "z/+/x", "y/b", "z/button"]);
     }
 }

@@ -63,10 +63,12 @@ mod acknowledgements;
 mod broker;
 mod client;
 mod connection;
+mod copies;
 mod listener;
 mod recent;
 mod rehearsal;
 mod rules;
+mod subscriptions;
 
 pub mod link;
 pub mod look;

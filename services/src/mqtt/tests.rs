@@ -1287,3 +1287,112 @@ fn more_answers_than_questions_say_nothing() {
     assert!(listening.next().unwrap().contains("step 1."));
     listening.end();
 }
+
+/// The filters of a subscription with an identifier, and of one without.
+fn is_identified(subscribe: &[u8]) -> bool {
+    subscribe[2] > 0
+}
+
+/// Row "filters that overlap": the broker sends a copy for each of them.
+#[test]
+fn what_fits_two_filters_is_said_once() {
+    const PRESSES: &str = "[[rule]]\ntopic = \"zigbee/+\"\nrepeats = true\nsay = \"They press {value}.\"\n\
+        [[rule]]\ntopic = \"+/button\"\nrepeats = true\npresence = \"present\"\n";
+    let port = free_port();
+    let Some(mut broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+        skipped(NO_BROKER);
+        return;
+    };
+    let press = |broker: &Mosquitto| {
+        let presses: Vec<_> =
+            ["once", "once", "twice", "once"].map(|press| ("zigbee/button", press.into(), false)).to_vec();
+        broker.publish(&presses);
+    };
+    let mut expected = Vec::new();
+    for press in ["once", "once", "twice", "once"] {
+        expected.extend([format!("{{\"text\":\"They press {press}.\"}}"), r#"{"presence":"present"}"#.to_owned()]);
+    }
+    broker.publish(&[("home/start", "first".into(), true)]);
+    let start = "[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {value}.\"\nretained = true";
+    let mut first = Listening::start(port, &format!("{PRESSES}{start}"));
+    assert!(first.next().unwrap().contains("the first"));
+    press(&broker);
+    let said: Vec<_> = (0..8).map(|_| first.next().unwrap()).collect();
+    assert_eq!(said, expected);
+    assert_eq!(first.end(), (Vec::new(), Heard { said: 9, ..Heard::default() }));
+    // What the broker keeps for a narrator that is away, also over its own restart, and also where that has another filter then.
+    press(&broker);
+    broker = broker.restart();
+    let other = "[[rule]]\ntopic = \"zigbee/#\"\nrepeats = true\nsay = \"They press {value}.\"\n\
+        [[rule]]\ntopic = \"+/button\"\nrepeats = true\npresence = \"present\"\n";
+    let mut second = Listening::start(port, other);
+    let said: Vec<_> = (0..8).map(|_| second.next().unwrap()).collect();
+    assert_eq!(said, expected);
+    // Its session still has the filter of before.
+    press(&broker);
+    let said: Vec<_> = (0..8).map(|_| second.next().unwrap()).collect();
+    assert_eq!(said, expected);
+    assert_eq!(second.end(), (Vec::new(), Heard { said: 16, ..Heard::default() }));
+}
+
+/// A broker may take no identifiers, by its greeting or by its answer.
+#[test]
+fn a_broker_without_identifiers_is_asked_without() {
+    let (mut broker, port) = Liar::new();
+    let mut listening = Listening::start(port, BELL);
+    broker.greet(false, &[]);
+    let (_, subscribe) = broker.read_kind(8);
+    assert!(is_identified(&subscribe));
+    broker.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 0xa1]);
+    let (_, subscribe) = broker.read_kind(8);
+    assert!(!is_identified(&subscribe));
+    broker.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
+    broker.write(&[message("bell", "ada", 1, false), message("bell", "ada", 2, false)].concat());
+    assert_eq!(listening.next(), listening.next(), "each is a ring of its own");
+    broker.greet(true, &[41, 0]);
+    let (_, subscribe) = broker.read_kind(8);
+    assert!(!is_identified(&subscribe));
+    broker.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
+    listening.end();
+}
+
+/// What another filter covers is ended once, and only in a session that the broker has kept.
+#[test]
+fn a_subscription_that_is_left_out_is_ended_once() {
+    let rules = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring.\"\n\
+        [[rule]]\ntopic = \"#\"\nsay = \"They do {value}.\"";
+    // Whether it asks for an end before it acknowledges a message.
+    let asks = |broker: &mut Liar| {
+        broker.write(&message("bell", "x", 1, false));
+        broker.read().unwrap()
+    };
+    let (mut broker, port) = Liar::new();
+    let listening = Listening::start(port, rules);
+    broker.greet(false, &[]);
+    broker.grant();
+    assert_eq!(asks(&mut broker).0, 4, "a new session has nothing to end");
+    broker.greet(true, &[]);
+    broker.grant();
+    assert_eq!(asks(&mut broker).0, 4, "nor what this narrator began");
+    listening.end();
+
+    let (mut broker, port) = Liar::new();
+    let listening = Listening::start(port, rules);
+    // The first answer is lost.
+    for is_answered in [false, true] {
+        broker.greet(true, &[]);
+        broker.grant();
+        let (kind, unsubscribe) = asks(&mut broker);
+        assert_eq!(kind, 10);
+        assert!(unsubscribe.ends_with(b"bell"));
+        broker.acknowledged(1);
+        if is_answered {
+            broker.write(&[0xb0, 4, unsubscribe[0], unsubscribe[1], 0, 0]);
+            assert_eq!(asks(&mut broker).0, 4, "one end is enough");
+        }
+    }
+    broker.greet(true, &[]);
+    broker.grant();
+    assert_eq!(asks(&mut broker).0, 4, "it was ended");
+    listening.end();
+}

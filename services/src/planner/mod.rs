@@ -615,9 +615,9 @@ impl Planner {
             return None;
         }
         // A robot that was sent away from somebody is not told to wait beside them.
-        let (action, to) = match self.pausing.take() {
-            Some(_) => (action::PAUSE, None),
-            None => (action::STAY, self.robot.room),
+        let (action, to, does) = match self.pausing.take() {
+            Some(_) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
+            None => (action::STAY, self.robot.room, "staying is safe"),
         };
         (self.finished, self.falling_back) = (false, true);
         self.decided = None;
@@ -626,7 +626,7 @@ impl Planner {
             decision_flags::STALE => "the scores lack narration that the scorer failed on",
             _ => "the daemon has been silent for longer than the deadline",
         };
-        let decision = self.decision(now_ns, now_unix_ns, to, &format!("{why}: staying is safe"));
+        let decision = self.decision(now_ns, now_unix_ns, to, &format!("{why}: {does}"));
         Some(DecisionV1 { action, flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
     }
 

@@ -15,7 +15,7 @@ use crate::awake::Awake;
 use crate::config::Config;
 use crate::logging::Limiter;
 use crate::notify::notify;
-use crate::participant::PLANNER;
+use crate::participant::{PLANNER, join};
 use crate::receive::receive;
 use crate::setup;
 use crate::stop::Stop;
@@ -35,7 +35,7 @@ const QUIET_NS: u64 = 5_000_000_000;
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     // The number is the one by which decisions name the robot.
     let number = sequence::source_of_name(&config.planner.robot);
-    let node = domain.open(&PLANNER.name(&config.planner.robot))?;
+    let node = join(domain, &PLANNER.name(&config.planner.robot))?;
     node.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;

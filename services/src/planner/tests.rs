@@ -1429,6 +1429,11 @@ fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
             fallback.check().unwrap();
             assert!(fallback.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT));
             assert_eq!((fallback.action, fallback.to()), (action::PAUSE, ""));
+            assert!(
+                fallback.reason().ends_with(": the robot had paused, and goes on pausing"),
+                "{}",
+                fallback.reason()
+            );
             assert_eq!(home.planner.decide(1001 * S, 0).unwrap(), None, "said once");
             // What it pauses for is looked at again.
             assert_eq!(home.decision(1002).flags & decision_flags::FALLBACK, 0);

@@ -70,8 +70,8 @@ pub struct Dialect {
     kind: RobotKind,
     /// Where it speaks, without a slash at the end.
     topic: String,
-    /// Where its battery is told beside that.
-    battery: Option<String>,
+    /// Where its battery is told.
+    battery: String,
     /// Where orders for Home Assistant go.
     orders: String,
 }
@@ -81,10 +81,16 @@ impl Dialect {
     #[must_use]
     pub fn new(config: &RobotConfig, base: &str, name: &str) -> Self {
         let orders = format!("{base}/robots/{}/order", slug(name));
-        Self { kind: config.kind, topic: config.topic.clone(), battery: config.battery.clone(), orders }
+        let own = match config.kind {
+            RobotKind::Valetudo => "BatteryStateAttribute/level",
+            RobotKind::HomeAssistant => "battery_level",
+        };
+        // Where a sensor of its own is configured, only that counts: the broker may still have what the robot itself said of old.
+        let battery = config.battery.clone().unwrap_or_else(|| format!("{}/{own}", config.topic));
+        Self { kind: config.kind, topic: config.topic.clone(), battery, orders }
     }
 
-    /// Below the robot's topic, what it says something by.
+    /// Below the robot's topic, what it says something by, but for its battery.
     fn parts(&self) -> &'static [&'static str] {
         match self.kind {
             RobotKind::Valetudo => &[
@@ -92,24 +98,23 @@ impl Dialect {
                 "StatusStateAttribute/status",
                 "StatusStateAttribute/flag",
                 "StatusStateAttribute/error_description",
-                "BatteryStateAttribute/level",
                 "MapData/segments",
             ],
-            RobotKind::HomeAssistant => &["state", "battery_level", "error"],
+            RobotKind::HomeAssistant => &["state", "error"],
         }
     }
 
     /// What to subscribe to.
     #[must_use]
     pub fn filters(&self) -> Vec<String> {
-        self.parts().iter().map(|part| format!("{}/{part}", self.topic)).chain(self.battery.clone()).collect()
+        self.parts().iter().map(|part| format!("{}/{part}", self.topic)).chain([self.battery.clone()]).collect()
     }
 
     /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
     #[must_use]
     pub(crate) fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
         let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
-        let is_read = part.is_some_and(|part| self.parts().contains(&part)) || self.battery.as_deref() == Some(topic);
+        let is_read = part.is_some_and(|part| self.parts().contains(&part)) || self.battery == topic;
         let is_unknown =
             ["", "unknown", "unavailable", "None", "null"].map(str::as_bytes).contains(&payload.trim_ascii());
         is_read && !is_unknown && self.hear(topic, payload).is_none()
@@ -120,10 +125,9 @@ impl Dialect {
     pub fn hear(&self, topic: &str, payload: &[u8]) -> Option<Sensed> {
         let text = std::str::from_utf8(payload).ok()?.trim();
         let plain = text.trim_matches('"');
-        let battery =
-            || plain.parse().ok().map(|percent: f64| percent / 100.0).filter(|share| (0.0..=1.0).contains(share));
-        if self.battery.as_deref() == Some(topic) {
-            return battery().map(Sensed::Battery);
+        if self.battery == topic {
+            let share = plain.parse::<f64>().ok()? / 100.0;
+            return (0.0..=1.0).contains(&share).then_some(Sensed::Battery(share));
         }
         let part = topic.strip_prefix(&self.topic)?.strip_prefix('/')?;
         match (self.kind, part) {
@@ -136,9 +140,6 @@ impl Dialect {
                 } else {
                     plain.to_owned()
                 }))
-            }
-            (RobotKind::Valetudo, "BatteryStateAttribute/level") | (RobotKind::HomeAssistant, "battery_level") => {
-                battery().map(Sensed::Battery)
             }
             (RobotKind::Valetudo, "MapData/segments") => segments(text).map(Sensed::Segments),
             (RobotKind::HomeAssistant, "state") => match plain {
@@ -269,7 +270,11 @@ mod tests {
             ..RobotConfig::default()
         };
         let with_sensor = Dialect::new(&config, "roomcast", "My robot");
-        assert!(with_sensor.filters().contains(&sensor.to_owned()) && !robot.filters().contains(&sensor.to_owned()));
+        let own = "homeassistant/vacuum/dusty/battery_level";
+        let listens = |robot: &Dialect| [sensor, own].map(|topic| robot.filters().contains(&topic.to_owned()));
+        assert_eq!((listens(&with_sensor), listens(&robot)), ([true, false], [false, true]));
+        // What the broker has kept of the vacuum's own attribute is of old.
+        assert_eq!(with_sensor.hear(own, b"80"), None);
         assert_eq!(with_sensor.hear(sensor, b"7"), Some(Sensed::Battery(0.07)));
         assert!(with_sensor.is_garbled(sensor, b"full") && !with_sensor.is_garbled(sensor, b"unavailable"));
         assert_eq!(robot.hear(sensor, b"7"), None);

@@ -14,7 +14,7 @@ use crate::logging::Limiter;
 use crate::mqtt::link::Link;
 use crate::mqtt::{Broker, MqttError, shown};
 use crate::notify::{Watchdog, notify};
-use crate::participant::DRIVER;
+use crate::participant::{DRIVER, join};
 use crate::reporter::{Report, Reporter};
 use crate::stop::Stop;
 
@@ -122,7 +122,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     require_stays(config)?;
     let robot = &config.planner.robot;
     let number = sequence::source_of_name(robot);
-    let node = domain.open(&DRIVER.name(robot))?;
+    let node = join(domain, &DRIVER.name(robot))?;
     node.be_the_only_one()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;

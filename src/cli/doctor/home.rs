@@ -8,13 +8,10 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Said;
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_ipc::{Domain, sequence};
-use roomcast_services::config::{Config, no_folder};
+use roomcast_services::config::{Config, NoFolder, no_folder};
 use roomcast_services::daemon::{NoZone, Zone};
 use roomcast_services::logging::chain;
 use roomcast_services::participant::{DRIVER, OfRobot, PLANNER};
-
-use rustix::fs::Access;
-use rustix::io::Errno;
 
 use super::finding::{Finding, Place, segment_of_no_room, segments_at_odds, some_of};
 #[cfg(feature = "mqtt")]
@@ -87,31 +84,15 @@ fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     let folder = config.daemon.state_directory()?;
     let shown = folder.display();
     let another = || format!("give another folder as daemon.state in {}", place.shown());
-    if let Some(reason) = no_folder(&folder) {
-        return Some(Finding::wrong(check, format!("nothing can be kept in {shown}: {reason}"), another()));
-    }
     // A folder that is not there yet is made by the daemon.
-    let there = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("/"));
-    let finding = match rustix::fs::access(there, Access::WRITE_OK | Access::EXEC_OK) {
-        Ok(()) => Finding::good(check, format!("kept in {shown}")),
-        Err(error) => {
-            let remedy = remedy_of_state(error).map_or_else(another, str::to_owned);
-            let found = format!("nothing can be kept in {shown}: cannot write into {}: {error}", there.display());
-            Finding::wrong(check, found, remedy)
+    let finding = match no_folder(&folder) {
+        None => Finding::good(check, format!("kept in {shown}")),
+        Some(NoFolder { reason, remedy }) => {
+            let remedy = remedy.map_or_else(another, str::to_owned);
+            Finding::wrong(check, format!("nothing can be kept in {shown}: {reason}"), remedy)
         }
     };
     Some(finding)
-}
-
-/// What helps where a folder cannot be written, by the system's reason: none where only another folder does.
-fn remedy_of_state(error: Errno) -> Option<&'static str> {
-    match error {
-        Errno::ACCESS | Errno::PERM => {
-            Some("run this as the user that the services run as, or give that user the folder")
-        }
-        Errno::ROFS => Some("mount its disk so that it can be written: mount -o remount,rw"),
-        _ => None,
-    }
 }
 
 /// Whether there is anything in the rooms that a person can turn to.

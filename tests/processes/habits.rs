@@ -1,0 +1,228 @@
+//! Habits.
+
+use roomcast_ipc::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, sequence};
+use rustix::process::Signal;
+
+use super::{World, eventually, habits, includes, recorder_listens, scores_with};
+
+/// Observations of all persons that habits were learned from.
+fn learned(world: &World) -> f64 {
+    let (code, answer, errors) = habits(world, &["show", "--json"]);
+    assert_eq!(code, 0, "{errors}");
+    answer["persons"].as_array().unwrap().iter().map(|person| person["observations"].as_f64().unwrap()).sum()
+}
+
+/// However a daemon ends, and whatever became of its file, it begins again, and has learned each observation once.
+#[test]
+fn habits_are_learned_once_over_kills_and_damage() {
+    const WALK: &str = "They open the fridge.\nThey grab the kettle.\nThey sit on the sofa.\nThey go to bed.\n";
+    let mut world = World::new("habits");
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(&config, "[habits]\nsave_s = 1.0\n").unwrap();
+    let (config, state) = (config.to_str().unwrap().to_owned(), world.state());
+    let start = |world: &mut World| world.start(&["daemon", "--config", &config, "--state", state.to_str().unwrap()]);
+    let file = world.state().join("habits");
+    let mut daemon = start(&mut world);
+    assert_eq!(world.narrate("one", WALK).0, 0);
+    let once = eventually("it is learned", || Some(learned(&world)).filter(|learned| *learned > 2.0));
+    for number in 2..5_u32 {
+        // Before and after it was written.
+        if number % 2 == 0 {
+            eventually("it is written", || file.exists().then_some(()));
+        }
+        world.signal(daemon, Signal::KILL);
+        world.wait(daemon);
+        daemon = start(&mut world);
+        assert_eq!(learned(&world), f64::from(number - 1) * once);
+        assert_eq!(world.narrate(&format!("walk-{number}"), WALK).0, 0);
+        eventually("all is learned", || (learned(&world) == f64::from(number) * once).then_some(()));
+    }
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+    let mode = std::os::unix::fs::PermissionsExt::mode(&std::fs::metadata(&file).unwrap().permissions());
+    assert_eq!(mode & 0o777, 0o600);
+    let whole = std::fs::read(&file).unwrap();
+    assert!(!String::from_utf8_lossy(&whole).contains("They"), "words of things, no sentences");
+    daemon = start(&mut world);
+    assert_eq!(learned(&world), 4.0 * once);
+
+    // Half of the file: it is set aside, and the journal teaches what it holds.
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+    std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+    daemon = start(&mut world);
+    assert_eq!(learned(&world), 4.0 * once);
+    assert!(world.state().join("habits.damaged").exists());
+    // Forgotten is forgotten over a kill, also what was set aside.
+    assert_eq!(habits(&world, &["forget", "--person", "eve"]).0, 3);
+    let (code, _, errors) = habits(&world, &["forget", "--all"]);
+    assert_eq!((code, learned(&world)), (0, 0.0), "{errors}");
+    assert!(!world.state().join("habits.damaged").exists());
+    world.signal(daemon, Signal::KILL);
+    let (_, log) = world.wait(daemon);
+    assert!(log.contains("the habits file cannot be used"), "{log}");
+    start(&mut world);
+    assert_eq!(learned(&world), 0.0);
+}
+
+/// What another home has learned becomes the forecast, and is gone from it when it is forgotten.
+#[test]
+fn imported_habits_change_the_forecast_until_they_are_forgotten() {
+    use roomcast_core::habits::{Habits, HabitsOptions, Place};
+    const PERSON: u32 = 3;
+    // Ten minutes in the living room, ten minutes in the kitchen, the whole day long.
+    let mut teacher = Habits::new(HabitsOptions::default());
+    let rooms = ["kitchen", "living room", "bathroom"].map(str::to_owned).to_vec();
+    teacher.bind(vec!["sofa".to_owned()], rooms, vec![0.0, 1.0, 0.0]);
+    let now_s = roomcast_ipc::clock::unix_ns() as f64 / 1e9;
+    for minute in 0..4 * 1_440_u32 {
+        let at_s = now_s - 5.0 * 86_400.0 + 60.0 * f64::from(minute);
+        teacher.be(PERSON, Place::Room(usize::from(minute / 10 % 2 == 0)), at_s);
+        teacher.tick(PERSON, at_s, &mut |_, p| p.fill(0.25));
+    }
+    let mut world = World::new("import");
+    let export = world.directory.path().join("export.json");
+    std::fs::write(&export, teacher.to_json().unwrap()).unwrap();
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let forecasts = node.subscriber::<PersonForecastsV1>().unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let mut number = 0;
+    // In the kitchen in a quarter of an hour.
+    let mut kitchen = || {
+        number += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
+        let source = sequence::source_of_name("test");
+        narration.send(&NarrationV1 { source, epoch: 1, sequence: number, person: PERSON, ..message }).unwrap();
+        let told = scores_with(&scores, "it is scored", |scores| includes(scores, "test", number));
+        let forecast = eventually("the forecast", || {
+            forecasts.newest().unwrap().filter(|forecast| forecast.sequence >= told.sequence)
+        });
+        let room = forecast.rooms().position(|room| room == "kitchen").unwrap();
+        let horizon = forecast.horizon_s.iter().position(|horizon_s| *horizon_s == 900.0).unwrap();
+        let own = forecast.persons()[0];
+        let all: f32 = own.elsewhere[horizon] + own.probability.iter().map(|row| row[horizon]).sum::<f32>();
+        assert!((all - 1.0).abs() < 1e-4, "{all}");
+        own.probability[room][horizon]
+    };
+    let before = kitchen();
+    let (code, _, errors) = habits(&world, &["import", export.to_str().unwrap()]);
+    assert_eq!(code, 0, "{errors}");
+    let known = kitchen();
+    assert!(known > before + 0.2 && known > 0.6, "{before} {known}");
+    let (_, answer, _) = habits(&world, &["show", "--json"]);
+    let shipped = answer["persons"][0]["forecast"][1]["shipped"].as_f64().unwrap();
+    assert!(shipped < 0.5, "{answer}");
+    // Every twenty minutes of four days both rooms were left once; a visit of before counts nearly as much as one of now.
+    let visits = |room: usize| {
+        let line = &answer["visits"][room];
+        (line["room"].as_str().unwrap(), line["by_part"].as_array().unwrap().iter().map(|n| n.as_f64().unwrap()).sum())
+    };
+    let rooms: [(&str, f64); 3] = [visits(0), visits(1), visits(2)];
+    assert!(rooms.iter().all(|(room, count)| (270.0..=292.0).contains(count) == (*room != "bathroom")), "{rooms:?}");
+    let copy = world.directory.path().join("copy.json");
+    assert_eq!(habits(&world, &["export", copy.to_str().unwrap()]).0, 0);
+    assert!(std::fs::read_to_string(&copy).unwrap().contains("living room"));
+    assert_eq!(habits(&world, &["export", copy.to_str().unwrap()]).0, 3, "a file is not overwritten");
+    std::fs::write(&copy, "{}").unwrap();
+    let (code, _, errors) = habits(&world, &["import", copy.to_str().unwrap()]);
+    assert!(code == 3 && errors.contains("the daemon changed nothing"), "{errors}");
+    assert!(kitchen() > 0.6);
+
+    // To forget a person is to forget their habits.
+    let output = world.command(&["person", "forget", "3"]).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let after = kitchen();
+    assert!((after - before).abs() < 0.15, "{before} {after}");
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+}
+
+/// What was narrated before the daemon was there is learned in addition to what it has learned by itself.
+#[test]
+fn habits_are_learned_from_lines_with_times() {
+    let mut world = World::new("learn");
+    world.start_daemon();
+    assert_eq!(world.narrate("camera", "They open the fridge.\n").0, 0);
+    eventually("it is learned", || (learned(&world) == 1.0).then_some(()));
+    let day = |day: u32| {
+        let at_s = f64::from(day).mul_add(86_400.0, 1_709_280_900.0);
+        let line = |at_s: f64, text: &str| format!(r#"{{"text": "{text}", "observed_unix_s": {at_s}, "person": 3}}"#);
+        [line(at_s, "They sit on the sofa."), line(at_s + 900.0, "They open the fridge.")].join("\n")
+    };
+    let file = world.directory.path().join("days.jsonl");
+    let ahead = r#"{"text": "They sit on the sofa.", "observed_unix_s": 4e9, "person": 3}"#;
+    let lines = (0..5).map(day).collect::<Vec<_>>().join("\n") + "\nThey have no time.\n\n" + ahead;
+    std::fs::write(&file, lines).unwrap();
+    // The rest is learned, and what is left out is said.
+    let (code, _, errors) = habits(&world, &["learn", file.to_str().unwrap()]);
+    let said = errors.contains("line 11: it has no time") && errors.contains("line 13: its time lies");
+    assert!(code == 3 && said && errors.contains("2 lines left out"), "{errors}");
+    assert_eq!(learned(&world), 11.0);
+    // Without times there is nothing to learn.
+    std::fs::write(&file, "They sit on the sofa.\n").unwrap();
+    assert_eq!(habits(&world, &["learn", file.to_str().unwrap()]).0, 3);
+    assert_eq!(habits(&world, &["learn"]).0, 2);
+    assert_eq!(learned(&world), 11.0);
+}
+
+/// What was recorded, and days of activities, teach a home as well.
+#[test]
+fn habits_are_learned_from_a_recording_and_from_days() {
+    let mut world = World::new("learn-days");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let file = world.directory.path().join("day.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    assert_eq!(world.narrate("camera", "They open the fridge.\nThey sit on the sofa.\n").0, 0);
+    eventually("it is learned", || (learned(&world) == 2.0).then_some(()));
+    world.signal(recorder, Signal::TERM);
+    assert!(world.wait(recorder).0.success());
+    assert_eq!(habits(&world, &["forget", "--all"]).0, 0);
+    assert_eq!(learned(&world), 0.0);
+    let (code, _, errors) = habits(&world, &["learn", "--recording", file.to_str().unwrap()]);
+    assert_eq!((code, learned(&world)), (0, 2.0), "{errors}");
+
+    let days = world.directory.path().join("days");
+    std::fs::create_dir(&days).unwrap();
+    for day in 0..3 {
+        let text = "### breakfast-00.txt\n[OPEN] <fridge> (305) [1]\n420.0\n[SIT] <sofa> (368) [2]\n430.5\n";
+        std::fs::write(days.join(format!("{day:03}.txt")), text).unwrap();
+    }
+    let days = days.to_str().unwrap();
+    let learn = ["learn", "--days", days, "--first-day", "2024-03-04", "--person", "3"];
+    let (code, _, errors) = habits(&world, &learn);
+    assert_eq!((code, learned(&world)), (0, 8.0), "{errors}");
+    let (_, answer, _) = habits(&world, &["show", "--json"]);
+    let of = |person: u64| answer["persons"].as_array().unwrap().iter().find(|own| own["person"] == person).cloned();
+    assert_eq!(of(3).unwrap()["observations"], 6.0, "{answer}");
+    assert_eq!(habits(&world, &["learn", "--days", days, "--first-day", "soon"]).0, 2);
+    // What is not yet is not learned, nor from a sensor log; and a log in plain seconds harms nothing.
+    let (code, _, errors) = habits(&world, &["learn", "--days", days, "--first-day", "2200-01-01"]);
+    assert!(code == 3 && errors.contains("day 1, action 1: its time lies"), "{errors}");
+    let (log, rules) = (world.directory.path().join("log.tsv"), world.directory.path().join("rules.toml"));
+    std::fs::write(&rules, "[[rule]]\nsay = \"They open the {sensor}.\"\n").unwrap();
+    let learn = |text: &str| {
+        std::fs::write(&log, text).unwrap();
+        habits(&world, &["learn", "--sensors", log.to_str().unwrap(), "--rules", rules.to_str().unwrap()])
+    };
+    let (code, _, errors) = learn("2200-03-01 08:00:00\t2200-03-01 08:00:08\tfridge\t-\t-\n100\t105\tfridge\t-\t-\n");
+    assert!(code == 3 && errors.contains("line 1: its time lies") && errors.contains("1 line left out"), "{errors}");
+    assert_eq!(learned(&world), 9.0);
+    let (code, _, errors) = learn("1709280900000\t1709280905000\tfridge\t-\t-\n");
+    assert!(code == 3 && errors.contains("milliseconds"), "{errors}");
+    assert_eq!(learned(&world), 9.0);
+    // A restarted daemon knows all of it.
+    drop((scores, node));
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+    let daemon = world.start_daemon();
+    assert_eq!(learned(&world), 9.0);
+    assert_eq!(habits(&world, &["learn", "--days", world.state().to_str().unwrap()]).0, 3);
+    world.signal(daemon, Signal::TERM);
+    assert!(world.wait(daemon).0.success());
+}

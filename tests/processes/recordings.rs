@@ -1,0 +1,406 @@
+//! Recordings and explanations.
+
+use std::path::Path;
+use std::process::Command;
+
+use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, narration_kind, sequence};
+use rustix::process::Signal;
+
+use super::{World, exit_code, includes, probabilities, recorder_listens, recorders_listen, roomcast, scores_with};
+
+#[test]
+fn a_running_systems_scores_are_explained_down_to_the_tokens() {
+    let mut world = World::new("explain");
+    world.start_daemon();
+    let lines = "They walk to the kitchen.\nThey open the fridge.\nThey grab the milk.\n";
+    assert_eq!(world.narrate("camera", lines).0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let scores = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
+    let plan = world.directory.path().join("plan.svg");
+    let mut command =
+        world.command(&["explain", "--live", "--json", "--top", "1000", "--plan", plan.to_str().unwrap()]);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let explained: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let read: Vec<_> = lines.lines().map(serde_json::Value::from).collect();
+    assert_eq!(explained["narration"].as_array(), Some(&read));
+    let mut labels = 0;
+    for (id, probability) in probabilities(&scores) {
+        let partitions = explained["partitions"].as_array().unwrap();
+        let partition = partitions.iter().find(|partition| partition["id"] == id.as_str()).unwrap();
+        assert!((partition["probability"].as_f64().unwrap() - probability).abs() < 1e-9, "{id}");
+        for label in partition["labels"].as_array().unwrap() {
+            let sum: f64 =
+                label["tokens"].as_array().unwrap().iter().map(|token| token["log_prob_nats"].as_f64().unwrap()).sum();
+            let sum = sum + label["prior_nats"].as_f64().unwrap();
+            assert!((sum - label["log_prob_nats"].as_f64().unwrap()).abs() < 1e-9, "{label}");
+            labels += 1;
+        }
+    }
+    assert!(labels > 30, "{labels} labels stand behind the studio's rooms");
+    assert!(std::fs::read_to_string(plan).unwrap().contains("They grab the milk."));
+}
+
+/// Of several persons the rooms are as likely as the daemon publishes them: that somebody's next thing is there.
+#[test]
+fn of_several_persons_the_rooms_are_explained_as_they_are_published() {
+    let mut world = World::new("explain-all");
+    world.start_daemon();
+    let lines = "{\"person\": \"ada\", \"text\": \"They open the fridge.\"}\n{\"person\": \"ben\", \"text\": \"They lie on the bed.\"}\n";
+    assert_eq!(world.narrate("camera", lines).0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let scores = scores_with(&scores, "scores", |scores| includes(scores, "camera", 2));
+    let output = world.command(&["explain", "--live", "--json"]).output().unwrap();
+    let explained: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(explained["persons"].as_array().unwrap().len(), 2);
+    let partitions = explained["partitions"].as_array().unwrap();
+    for (id, probability) in probabilities(&scores) {
+        let partition = partitions.iter().find(|partition| partition["id"] == id.as_str()).unwrap();
+        assert!((partition["probability"].as_f64().unwrap() - probability).abs() < 1e-9, "{id}");
+    }
+    let falls = |pair: &[serde_json::Value]| pair[0]["probability"].as_f64() >= pair[1]["probability"].as_f64();
+    assert!(partitions.windows(2).all(falls), "{partitions:?}");
+}
+
+/// How far recorded scores are from those that were computed again, as `explain --recording` says it.
+fn difference_of(explained: &str) -> f64 {
+    let said = explained.split("differ by at most ").nth(1).unwrap().split_whitespace().next().unwrap();
+    said.trim_end_matches('.').parse().unwrap()
+}
+
+#[test]
+fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_them() {
+    let mut world = World::new("record");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    // What was said before the recording belongs to its windows.
+    assert_eq!(world.narrate("early", "They wake up.\nThey walk to the bathroom.\n").0, 0);
+    let file = world.directory.path().join("day.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    let lines = "They walk to the kitchen.\nThey open the fridge.\nThey grab the milk.\nThey close the fridge.\n";
+    for (number, line) in lines.lines().enumerate() {
+        assert_eq!(world.narrate(&format!("camera-{number}"), line).0, 0);
+    }
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let narration = |recording: &roomcast_services::recording::Recording| -> Vec<Vec<u8>> {
+        let messages = recording.messages.iter().map(|(_, message)| message);
+        messages.filter(|m| m.topic() == NarrationV1::SERVICE.name).map(|m| m.to_bytes()).collect()
+    };
+    let last_scores =
+        |recording: &roomcast_services::recording::Recording| recording.moment(None, None).unwrap().scores;
+    let recorded = last_scores(&recording);
+    let told = recording.messages.iter().filter_map(|(_, message)| match message {
+        roomcast_services::recording::Recorded::Narration(narration) => Some(narration.text().to_owned()),
+        _ => None,
+    });
+    assert_eq!(told.collect::<Vec<_>>().join("\n") + "\n", lines, "{log}");
+    assert_eq!(recorded.window, 6);
+
+    // Explained from the file alone, by its number and by its time.
+    let explain = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        let output = command.args(["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let text = explain(&["--top", "3"]);
+    assert!(text.contains("They wake up.") && text.contains("They close the fridge."), "{text}");
+    assert!(difference_of(&text) < 5e-3, "{text}");
+    let earlier = explain(&["--sequence", &(recorded.sequence - 1).to_string()]);
+    assert!(earlier.contains("They grab the milk.") && !earlier.contains("They close the fridge."), "{earlier}");
+
+    // Into a fresh domain: the same narration, and scores that agree as far as the scorer's tolerance goes.
+    let mut other = World::new("replay");
+    other.start_daemon();
+    let other_node = other.domain.open("test").unwrap();
+    let other_scores = other_node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&other_scores, "the first scores", |_| true);
+    let early = "They wake up.\nThey walk to the bathroom.\n";
+    assert_eq!(other.narrate("early", early).0, 0);
+    let second = other.directory.path().join("again.mcap");
+    let recorder = other.start(&["record", second.to_str().unwrap()]);
+    recorder_listens(&other_node);
+    let replayed = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
+    assert!(replayed.status.success(), "{replayed:?}");
+    let said = String::from_utf8(replayed.stderr).unwrap();
+    assert!(said.contains(&format!("4 of {} messages replayed", recording.messages.len())), "{said}");
+    assert!(
+        said.contains("the others are scores, forecasts, decisions and reports") && !said.contains("before"),
+        "{said}"
+    );
+    let last = scores_with(&other_scores, "all of it", |scores| includes(scores, "camera-3", 1));
+    other.signal(recorder, Signal::TERM);
+    assert!(other.wait(recorder).0.success());
+    let again = roomcast_services::recording::read(&second).unwrap();
+    assert_eq!(narration(&again), narration(&recording), "bit for bit");
+    assert_eq!(last.window, recorded.window);
+    for (a, b) in recorded.rooms().iter().zip(last.rooms()) {
+        assert!((a.probability - b.probability).abs() < 5e-3 && a.id == b.id, "{} {}", a.probability, b.probability);
+    }
+    let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
+    let said = String::from_utf8(twice.stderr).unwrap();
+    assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
+}
+
+/// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.
+#[test]
+fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
+    let mut world = World::new("forgotten");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    let mut sequence = 0;
+    let mut tell = |name: &str, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(narration_kind::SENTENCE, text).unwrap();
+        let source = sequence::source_of_name("test");
+        let person_name = roomcast_ipc::text::encode("name", name).unwrap();
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person_name, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence))
+    };
+    tell("Bob", "They open the fridge.");
+    tell("Ada", "They sit on the sofa.");
+    let forgotten = world.command(&["person", "forget", "bob"]).output().unwrap();
+    assert!(forgotten.status.success(), "{forgotten:?}");
+    let file = world.directory.path().join("later.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    // What a narrator has to say next hands late listeners the history first.
+    tell("Ada", "They stand up.");
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let told = recording.messages.iter().filter_map(|(_, message)| match message {
+        roomcast_services::recording::Recorded::Narration(narration) => Some(narration.text().to_owned()),
+        _ => None,
+    });
+    assert_eq!(told.collect::<Vec<_>>(), ["They stand up."], "{log}");
+    let whole = String::from_utf8_lossy(&std::fs::read(&file).unwrap()).to_lowercase();
+    let moments = recording.moments.iter().map(|moment| serde_json::to_string(moment).unwrap().to_lowercase());
+    assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
+}
+
+/// The messages of a file that was written for ROS 2, by topic: type, when it was made, bytes.
+fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64, Vec<u8>)>> {
+    let mut topics = std::collections::BTreeMap::<_, Vec<_>>::new();
+    for message in mcap::MessageStream::new(bytes).unwrap() {
+        let message = message.unwrap();
+        let schema = message.channel.schema.as_ref().unwrap();
+        assert_eq!((schema.encoding.as_str(), message.channel.message_encoding.as_str()), ("ros2msg", "cdr"));
+        assert!(message.channel.metadata["topic_type_hash"].starts_with("RIHS01_"));
+        assert!(message.channel.metadata["offered_qos_profiles"].contains("reliability: 1"));
+        let entry = (schema.name.clone(), message.publish_time, message.data.to_vec());
+        topics.entry(message.channel.topic.clone()).or_default().push(entry);
+    }
+    topics
+}
+
+/// Two recorders hear the same: what ROS 2 reads in the one file is what the other, which is replayed, has.
+#[test]
+fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
+    use roomcast_ros2::content::{of_all, of_one};
+    use roomcast_ros2::types::{Classification, Header, MarkerArray, Text, decode};
+    use roomcast_ros2::words;
+    use roomcast_services::recording::Recorded;
+
+    let mut world = World::new("record-ros2");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let path = |name: &str| world.directory.path().join(name).to_str().unwrap().to_owned();
+    let (own, theirs) = (path("own.mcap"), path("theirs.mcap"));
+    let recorders = [world.start(&["record", &own]), world.start(&["record", "--profile", "ros2", &theirs])];
+    recorders_listen(&node, 2);
+    let planner = world.start(&["planner", "--room-time", "0.2"]);
+    let lines = [
+        r#"{"person": "Ada", "text": "They walk to the kitchen."}"#,
+        r#"{"person": "Ada", "text": "[Grab] <mug> (1)"}"#,
+        "Ada opens the fridge.",
+    ];
+    let lines: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    assert_eq!(world.narrate("camera", &lines).0, 0);
+    let reported = world.command(&["report", "started", "--room", "kitchen", "--note", "all well"]).output().unwrap();
+    assert!(reported.status.success(), "{reported:?}");
+    // Whoever speaks ends first, so that both hear the same end.
+    for process in [planner, daemon].into_iter().chain(recorders) {
+        world.signal(process, Signal::TERM);
+        let (status, log) = world.wait(process);
+        assert!(status.success(), "{log}");
+    }
+
+    let bytes = std::fs::read(&theirs).unwrap();
+    let profile = mcap::read::LinearReader::new(&bytes).unwrap().find_map(|record| match record.unwrap() {
+        mcap::records::Record::Header(header) => Some(header.profile),
+        _ => None,
+    });
+    assert_eq!(profile.as_deref(), Some("ros2"));
+    let topics = of_ros2(&bytes);
+    let kinds: Vec<_> = topics.iter().map(|(topic, messages)| (topic.as_str(), messages[0].0.as_str())).collect();
+    let (text, rooms) = ("std_msgs/msg/String", "vision_msgs/msg/Classification");
+    assert_eq!(
+        kinds,
+        [
+            ("/roomcast/decision", text),
+            ("/roomcast/markers", "visualization_msgs/msg/MarkerArray"),
+            ("/roomcast/narration", text),
+            ("/roomcast/person/p_ada", rooms),
+            ("/roomcast/report", text),
+            ("/roomcast/rooms", rooms),
+        ]
+    );
+    let texts = |topic: &str| -> Vec<String> {
+        topics[topic].iter().map(|(_, _, bytes)| decode::<Text>(bytes).unwrap().data).collect()
+    };
+    let narrated = ["Ada: They walk to the kitchen.", "Ada: They grab the mug.", "Ada opens the fridge."];
+    assert_eq!(texts("/roomcast/narration"), narrated);
+    assert_eq!(texts("/roomcast/report"), ["robot has begun to work in kitchen: all well"]);
+
+    let own = roomcast_services::recording::read(Path::new(&own)).unwrap();
+    let decided = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::Decision(decision) => Some(words::decision(decision, "robot").data),
+        _ => None,
+    });
+    let decided: Vec<_> = decided.collect();
+    assert_eq!(texts("/roomcast/decision"), decided);
+    assert!(decided[0].starts_with("robot goes to ") && decided[0].contains(": "), "{decided:?}");
+    let classified = |topic: &str| -> Vec<Classification> {
+        let messages = topics[topic].iter();
+        messages
+            .map(|(_, made, bytes)| {
+                let told: Classification = decode(bytes).unwrap();
+                assert_eq!(told.header, Header::of_unix_ns(*made, "map"));
+                told
+            })
+            .collect()
+    };
+    let scored = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::RoomScores(scores) => Some(of_all(scores, Header::of_unix_ns(scores.computed_unix_ns, "map"))),
+        _ => None,
+    });
+    assert_eq!(classified("/roomcast/rooms"), scored.collect::<Vec<_>>());
+    let of_persons = own.messages.iter().filter_map(|(_, message)| match message {
+        Recorded::PersonScores(scores) => Some(scores),
+        _ => None,
+    });
+    let of_persons = of_persons
+        .flat_map(|scores| scores.persons().iter().map(|person| of_one(scores, person, Header::default()).results));
+    let ada: Vec<_> = classified("/roomcast/person/p_ada").into_iter().map(|told| told.results).collect();
+    assert_eq!(ada, of_persons.collect::<Vec<_>>());
+    let rooms = classified("/roomcast/rooms");
+    for (_, made, bytes) in &topics["/roomcast/markers"] {
+        let drawn: MarkerArray = decode(bytes).unwrap();
+        let of = rooms.iter().rfind(|rooms| rooms.header == Header::of_unix_ns(*made, "map")).unwrap();
+        let names = drawn.markers.iter().filter(|marker| !marker.text.is_empty());
+        assert_eq!(names.count(), of.results.len());
+    }
+
+    // It is for others: nothing here reads it as its own.
+    for arguments in [&["replay", &theirs][..], &["explain", "--recording", &theirs]] {
+        let output = roomcast(arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "{said}");
+        assert!(
+            said.contains("has the profile \"ros2\", and only those of the profile \"roomcast\" are read"),
+            "{said}"
+        );
+    }
+}
+
+/// Several persons, one of whom only a presence is known, one who left, and a window that an hour's silence ended.
+#[test]
+fn a_recorded_household_is_explained_by_name() {
+    let mut world = World::new("record-home");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let long_ago = roomcast_ipc::clock::unix_ns() as f64 / 1e9 - 7_200.0;
+    let early = format!(
+        r#"{{"person": "ada", "text": "They lie on the bed.", "observed_unix_s": {long_ago}}}
+{{"person": "ben", "presence": "present"}}
+{{"person": "cleo", "text": "They wash the dishes."}}
+"#
+    );
+    assert_eq!(world.narrate("early", &early).0, 0);
+    let renamed = world.command(&["person", "rename", "cleo", "Cleopatra"]).output().unwrap();
+    assert!(renamed.status.success(), "{renamed:?}");
+    let file = world.directory.path().join("home.mcap");
+    let recorder = world.start(&["record", file.to_str().unwrap()]);
+    recorder_listens(&node);
+    let lines = [
+        r#"{"person": "ada", "text": "They open the fridge."}"#,
+        r#"{"person": "cleo", "text": "They dry the dishes."}"#,
+        r#"{"person": "Dora", "text": "They sit on the sofa."}"#,
+        "Dora leaves the house.",
+    ];
+    for (number, line) in lines.iter().enumerate() {
+        assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
+    }
+    world.signal(recorder, Signal::TERM);
+    let (status, log) = world.wait(recorder);
+    assert!(status.success(), "{log}");
+    let explain = |more: &[&str]| explain_recording(&file, more);
+    let recording = roomcast_services::recording::read(&file).unwrap();
+    let last = recording.moment(None, None).unwrap().scores;
+    for sequence in last.sequence - 3..=last.sequence {
+        let text = explain(&["--sequence", &sequence.to_string()]);
+        assert!(difference_of(&text) < 5e-3, "scores {sequence}: {text}");
+        assert!(!text.contains("They contain"), "scores {sequence}: {text}");
+    }
+    let text = explain(&[]);
+    assert!(text.contains("Cleopatra") && !text.contains("They lie on the bed."), "{text}");
+    assert!(explain(&["--person", "cleopatra"]).contains("They dry the dishes."));
+}
+
+/// What `explain` says of a recording.
+fn explain_recording(file: &Path, more: &[&str]) -> String {
+    let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Sentences that name nobody are of whom the daemon took them for, also where nobody was ever named.
+#[test]
+fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
+    let early = [
+        "{\"text\": \"They open the fridge.\", \"person\": \"ada\"}\n{\"text\": \"They take a shower.\", \"person\": \"ben\"}\n",
+        "{\"presence\": \"present\", \"person\": \"ada\"}\n{\"presence\": \"away\", \"person\": \"ben\"}\n",
+    ];
+    for (round, early) in early.into_iter().enumerate() {
+        let mut world = World::new(&format!("record-by-fit-{round}"));
+        world.start_daemon();
+        let node = world.domain.open("test").unwrap();
+        let scores = node.subscriber::<RoomScoresV1>().unwrap();
+        scores_with(&scores, "the first scores", |_| true);
+        assert_eq!(world.narrate("early", early).0, 0);
+        let file = world.directory.path().join("home.mcap");
+        let recorder = world.start(&["record", file.to_str().unwrap()]);
+        recorder_listens(&node);
+        let lines = ["They grab the milk.", "They dry themselves with the towel.", "They close the fridge."];
+        for (number, line) in lines.iter().enumerate() {
+            assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
+        }
+        world.signal(recorder, Signal::TERM);
+        let (status, log) = world.wait(recorder);
+        assert!(status.success(), "{log}");
+        let explain = |more: &[&str]| explain_recording(&file, more);
+        let text = explain(&[]);
+        assert!(difference_of(&text) < 5e-3 && !text.contains("They contain"), "{text}");
+        let of_ada = explain(&["--person", "ada"]);
+        let is_hers = |line: &str| of_ada.contains(line);
+        assert!(is_hers("They grab the milk.") && is_hers("They close the fridge."), "{of_ada}");
+    }
+}
