@@ -216,7 +216,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
     let (read, unit) = lessons_of(args)?;
     tell_faults(read.faults());
     if read.lessons().is_empty() {
-        let text = "nothing in it can be learned from: it has no narration with a time in the past";
+        let text = "nothing in it can be learned from: it has no narration with a time in the past; a sensor log is given with --sensors and --rules";
         return Err(Failure::new(exit_code::INPUT, text));
     }
     let (config, _) = args.common.service.load()?;

@@ -144,7 +144,11 @@ pub type CommandResult = Result<(), Failure>;
 pub fn table(header: &[&str]) -> comfy_table::Table {
     let mut table = comfy_table::Table::new();
     table.load_style(comfy_table::presets::NOTHING).set_header(header);
-    table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
+    // A serial line, or a container's, may say that it has none.
+    const COLUMNS_MIN: u16 = 20;
+    if table.width().is_none_or(|columns| columns >= COLUMNS_MIN) {
+        table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
+    }
     table
 }
 

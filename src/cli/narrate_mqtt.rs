@@ -62,7 +62,9 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
     let mut remark = |line: &str| {
         let nobody = super::doctor::no_person(line, &config.persons.not_persons);
         let nobody = nobody.or_else(|| super::doctor::no_resident(line, &persons, &config.persons.residents));
-        nobody.or_else(|| home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions)))
+        let lacking = home.as_mut().and_then(|(map, mentions)| super::doctor::remark(line, map, mentions));
+        let all: Vec<String> = [nobody, lacking].into_iter().flatten().collect();
+        (!all.is_empty()).then(|| all.join("; "))
     };
     let heard = mqtt::rehearse(options, rules, std::io::stdout(), stop, &mut remark).map_err(broker::failure)?;
     let Heard { said, unfit, silent, unsayable, oversized } = heard;

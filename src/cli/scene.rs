@@ -408,6 +408,12 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
             grounding.partitions()[nearest.0 as usize].id
         ));
     }
+    for (index, room) in map.rooms().iter().enumerate() {
+        let volume_m3 = room.space.volume_m3();
+        if volume_m3 > LARGEST_M3 {
+            warnings.push(format!("rooms[{index}] ({:?}) has {volume_m3:.0} m³: lengths are metres", room.id));
+        }
+    }
     for (index, room) in (0u32..).zip(map.rooms()).skip(1) {
         if map.path(RoomId(0), RoomId(index)).is_none() {
             warnings.push(format!("no way through doors leads from {:?} to {:?}", map.rooms()[0].id, room.id));
@@ -437,6 +443,8 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     warnings
 }
 
+/// No hall is larger; a room of a map in centimetres is.
+const LARGEST_M3: f64 = 1e6;
 /// How much of a room may lie in another one without a word, as a share of its volume: walls have a thickness.
 const OVERLAP_SHARE: f64 = 0.05;
 /// Most items that one warning names.
@@ -730,6 +738,13 @@ mod tests {
             "{partly:?}"
         );
         assert_eq!(of(&[room("living", 2.9, 8.0), kitchen]), [""; 0], "a wall");
+    }
+
+    #[test]
+    fn a_map_in_centimetres_is_told_of() {
+        let large = json!({"id": "hall", "label": "hall", "box": {"min_m": [0, 0, 0], "max_m": [400, 400, 250]}});
+        let warned = warned(&json!([large]), &json!([item("sofa", 1.0)]), &json!({}));
+        assert!(warned.len() == 1 && warned[0].contains("lengths are metres"), "{warned:?}");
     }
 
     #[test]

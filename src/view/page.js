@@ -225,7 +225,7 @@ const show = () => {
     const warm = element("items").checked ? state.items : {};
     const most = Math.max(0, ...Object.values(warm));
     for (const [id, dot] of Object.entries(plan.dots)) {
-      const share = warm[id] || 0;
+      const share = Object.hasOwn(warm, id) ? warm[id] : 0;
       dot.setAttribute("r", most > 0 ? 1.6 * plan.unit * Math.sqrt(share / most) : 0);
     }
   }

@@ -76,10 +76,10 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     asked: Result<PersonQuestion, String>,
 ) -> PersonAnswer {
     let find = |board: &Board<M>, who: &str| {
-        board
-            .persons()
-            .find(who)
-            .ok_or_else(|| format!("nobody is known as {who:?}: `roomcast person list` says who is"))
+        board.persons().find(who).ok_or_else(|| match board.persons().is_awaited(who) {
+            true => format!("{who:?} was not observed yet: correct persons.residents in the configuration"),
+            false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
+        })
     };
     let mut failed = false;
     let result = asked.and_then(|question| match question {

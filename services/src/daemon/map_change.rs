@@ -11,7 +11,7 @@ use roomcast_core::semantic_map::delta::MapChange;
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 
 /// The changed map's file in the state directory.
-const FILE: &str = "changed-map.json";
+pub(super) const FILE: &str = "changed-map.json";
 /// Most bytes of it that are read: a scene, as JSON writes it again.
 const FILE_BYTES_MAX: u64 = 2 * MAX_FILE_BYTES;
 
@@ -108,8 +108,6 @@ impl KeptMap {
     /// the log says so.
     #[must_use]
     pub fn load(&self) -> Option<SemanticMap> {
-        // A directory that cannot be written is told of where something is to be written.
-        let _removed = state_file::remove_unfinished(&self.path);
         let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
             Ok(text) => text?,
             Err(error) => {

@@ -228,6 +228,12 @@ fn load<M: LanguageModel + Send + 'static>(
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
+    for directory in &state {
+        for file in [persons_file::FILE, map_change::FILE] {
+            // A directory that cannot be written is told of where something is to be written.
+            let _removed = state_file::remove_unfinished(&directory.join(file));
+        }
+    }
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
@@ -319,7 +325,11 @@ fn restore<M: LanguageModel>(
             "the journal has sentences of more than the {most} tokens that a window holds; they are left out: raise model.context_tokens and history.tokens to have them"
         );
     }
-    tracing::info!(restored, damaged_bytes, directory = %options.directory.display(), "journal read");
+    let directory = options.directory.display();
+    tracing::info!(restored, damaged_bytes, %directory, "journal read");
+    if damaged_bytes > 0 {
+        tracing::warn!(damaged_bytes, %directory, "parts of the journal are damaged or of another version: what they hold is not known any more");
+    }
     Ok((journal, restored))
 }
 

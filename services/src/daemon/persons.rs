@@ -910,6 +910,12 @@ impl Persons {
         (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
     }
 
+    /// Whether a name or a number means one who lives here, and was not observed yet.
+    pub(super) fn is_awaited(&self, who: &str) -> bool {
+        let number = self.meant(who);
+        self.find(who).is_none() && self.residents().any(|resident| resident == number)
+    }
+
     /// Gives a person a name, from now on and over restarts.
     ///
     /// # Errors

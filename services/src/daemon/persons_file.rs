@@ -11,7 +11,7 @@ use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
 use roomcast_core::parsing::{Keyed, json_says};
 
 /// The file in the state directory.
-const FILE: &str = "persons.json";
+pub(super) const FILE: &str = "persons.json";
 /// Most bytes of it that are read, and written: ten thousand persons.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Former names that a person keeps, the newest.
@@ -100,8 +100,6 @@ impl PersonsFile {
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
         let mut unusable = false;
-        // A directory that cannot be written is told of where something is to be written.
-        let _removed = state_file::remove_unfinished(&path);
         let persons = match state_file::read(&path, FILE_BYTES_MAX) {
             Ok(None) => Vec::new(),
             Ok(Some(text)) => parse(&text).unwrap_or_else(|reason| {

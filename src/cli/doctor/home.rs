@@ -86,13 +86,29 @@ fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     let another = || format!("give another folder as daemon.state in {}", place.shown());
     // A folder that is not there yet is made by the daemon.
     let finding = match no_folder(&folder) {
-        None => Finding::good(check, format!("kept in {shown}")),
+        None => match little_room(&folder) {
+            None => Finding::good(check, format!("kept in {shown}")),
+            Some(left) => {
+                let found = format!("kept in {shown}, on whose disk {left} KiB are left");
+                let remedy = format!("make room on it; or {}", another());
+                if left == 0 { Finding::wrong(check, found, remedy) } else { Finding::limited(check, found, remedy) }
+            }
+        },
         Some(NoFolder { reason, remedy }) => {
             let remedy = remedy.map_or_else(another, str::to_owned);
             Finding::wrong(check, format!("nothing can be kept in {shown}: {reason}"), remedy)
         }
     };
     Some(finding)
+}
+
+/// How many KiB the disk of a folder, or of the one above it that is there, has left, where it may not be enough for all that a daemon keeps.
+fn little_room(folder: &Path) -> Option<u64> {
+    /// Journal, habits, and another copy of each while it is replaced.
+    const ENOUGH_BYTES: u64 = 64 << 20;
+    let disk = folder.ancestors().find_map(|folder| rustix::fs::statvfs(folder).ok())?;
+    let left_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
+    (left_bytes < ENOUGH_BYTES).then_some(left_bytes >> 10)
 }
 
 /// Whether there is anything in the rooms that a person can turn to.
@@ -237,6 +253,10 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
     if status.failed_steps > 0 {
         let found = format!("{} of {} steps failed", status.failed_steps, status.steps);
         return Finding::wrong(check, found, "its log says why; roomcast model check");
+    }
+    if status.journal_failures > 0 {
+        let found = format!("its journal could not be written {} times since it started", status.journal_failures);
+        return Finding::limited(check, found, "its log says why; a restart would know less of who is where");
     }
     let found = format!(
         "{} accepted, {}",

@@ -123,14 +123,18 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
 fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
     let known: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
     let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
-    let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_room(room).is_none()).collect();
+    let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_one_room(room).is_none()).collect();
     let (number, room) = unknown.first()?;
+    let why = match map.find_room(room) {
+        Some(_) => "as several of the map are called",
+        None => "which the map does not have",
+    };
     let more = match unknown.len() {
         1 => String::new(),
         2 => ", and one more rule does alike".to_owned(),
         several => format!(", and {} more rules do alike", several - 1),
     };
-    let found = format!("{}: rule {number} names the room {room:?}, which the map does not have{more}", path.display());
+    let found = format!("{}: rule {number} names the room {room:?}, {why}{more}", path.display());
     let remedy = match nearest(room, known.iter().copied()) {
         Some(meant) => format!("write room = {meant:?}"),
         None => format!("write one of the map's rooms: {}", known.join(", ")),
@@ -185,13 +189,19 @@ pub(in crate::cli) fn no_resident(line: &str, persons: &Persons, residents: &[St
     is_guest.then(|| format!("nobody who lives here is called {name:?} (persons.residents: {who}): they are a visitor"))
 }
 
+/// Whether a topic is one of Home Assistant's own: `BASE/DOMAIN/OBJECT/state`, or below the base that its manual has.
+fn is_of_statestream(topic: &str) -> bool {
+    topic.starts_with("homeassistant/") || topic.ends_with("/state") && topic.matches('/').count() >= 3
+}
+
 /// What a line of narration speaks of and the map does not have, for people.
 pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
-    if let Some(room) = of("room").filter(|room| map.find_room(room).is_none()) {
+    if let Some(room) = of("room").filter(|room| map.find_one_room(room).is_none()) {
         let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
-        return Some(format!("the map has no room {room:?}; its rooms are {}", rooms.join(", ")));
+        let has = if map.find_room(room).is_some() { "several rooms called" } else { "no room" };
+        return Some(format!("the map has {has} {room:?}; its rooms are {}", rooms.join(", ")));
     }
     let thing = missing_thing(of("text")?, map, mentions)?;
     Some(format!("the map has no {thing:?}"))
@@ -333,6 +343,12 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
                 format!(
                     "write {other}/ for {wanted}/ in the topics of the rules, or give mqtt_statestream base_topic: {wanted} and restart Home Assistant"
                 ),
+            ),
+            None if !rules.about().any(|rule| is_of_statestream(rule.topic)) => (
+                found,
+                "switch something; if nothing comes then, look in the settings of the devices, or of what brings them to the broker, under which \
+                 topics they speak; roomcast narrate --mqtt --dry-run shows what comes"
+                    .to_owned(),
             ),
             None => (
                 found,
@@ -746,6 +762,17 @@ mod tests {
         let some = "1 topic seen: 1 of 2 rules hear one, the others fitted a message before";
         assert_eq!(told(&["oven"]), (Verdict::Good, some.to_owned()));
         assert_eq!(told(&["oven", "lamp"]), (Verdict::Good, "2 topics seen, and every rule hears one".to_owned()));
+    }
+
+    /// Who followed the remedy for Home Assistant would have it speak under the topics of Zigbee2MQTT.
+    #[test]
+    fn only_home_assistants_topics_are_set_in_home_assistant() {
+        for own in ["homeassistant/sensor/a/state", "homeassistant/#", "home/binary_sensor/hall/state"] {
+            assert!(is_of_statestream(own), "{own}");
+        }
+        for other in ["zigbee2mqtt/hall", "zigbee2mqtt/+", "frigate/events", "b/#", "shelly/relay/state"] {
+            assert!(!is_of_statestream(other), "{other}");
+        }
     }
 
     #[test]

@@ -329,9 +329,15 @@ fn remove(path: &Path) -> io::Result<()> {
 }
 
 fn open_file(path: &Path) -> io::Result<File> {
-    use std::os::unix::fs::OpenOptionsExt;
+    use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
     state_file::require_plain(path)?;
-    OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)
+    let file = OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)?;
+    // Others could read a copy, as a backup makes one. Who does not own the file cannot change that.
+    let is_open = file.metadata().is_ok_and(|found| found.permissions().mode() & 0o077 != 0);
+    if is_open {
+        let _kept = file.set_permissions(fs::Permissions::from_mode(0o600));
+    }
+    Ok(file)
 }
 
 #[cfg(test)]
