@@ -97,12 +97,13 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// Passes over what was refused behind so many of those that wait; says whether there was any.
     fn pass_over_up_to(&mut self, taken: usize) -> bool {
-        let before = self.refused.len();
-        while let Some(Refused { source, epoch, sequence, .. }) = self.refused.pop_front_if(|own| own.behind <= taken) {
+        let is_next = |own: &&Refused| own.behind <= taken;
+        let passed = self.refused.iter().take_while(is_next).count();
+        for Refused { source, epoch, sequence, .. } in self.refused.drain(..passed) {
             self.board.pass_over(source, epoch, sequence);
         }
         self.refused.iter_mut().for_each(|own| own.behind -= taken);
-        self.refused.len() < before
+        passed > 0
     }
 
     /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.

@@ -228,10 +228,10 @@ fn load<M: LanguageModel + Send + 'static>(
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
-    for directory in &state {
+    if let Some(directory) = &state {
         for file in [persons_file::FILE, map_change::FILE] {
             // A directory that cannot be written is told of where something is to be written.
-            let _removed = state_file::remove_unfinished(&directory.join(file));
+            let _removed = crate::state_file::remove_unfinished(&directory.join(file));
         }
     }
     let configured = setup::load_map(config.scene.path.as_deref())?;
