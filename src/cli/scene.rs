@@ -743,7 +743,9 @@ mod tests {
     #[test]
     fn a_map_in_centimetres_is_told_of() {
         let large = json!({"id": "hall", "label": "hall", "box": {"min_m": [0, 0, 0], "max_m": [400, 400, 250]}});
-        let warned = warned(&json!([large]), &json!([item("sofa", 1.0)]), &json!({}));
+        let scene = json!({"format": "roomcast-scene", "version": 1, "name": "home", "rooms": [large], "items": [item("sofa", 1.0)]});
+        let map = SemanticMap::from_json(&scene.to_string()).unwrap();
+        let warned = warnings(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap());
         assert!(warned.len() == 1 && warned[0].contains("lengths are metres"), "{warned:?}");
     }
 

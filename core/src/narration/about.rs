@@ -150,6 +150,10 @@ fn of_a_noun(said: &str, article: &str, rest: &[&str]) -> About {
     // "An old man", "the young woman".
     let next = rest.get(1).copied().unwrap_or_default();
     let is_several = rest.get(1) == Some(&"and");
+    // "The delivery man" is none of those who live here, whoever he is.
+    if clause::is(Word::Trade, noun) && clause::is(Word::Anybody, next) {
+        return About::Nobody;
+    }
     if (clause::is(Word::Anybody, noun) || clause::is(Word::Anybody, next)) && !is_several {
         return About::Somebody;
     }

@@ -39,7 +39,9 @@ pub(in crate::narration) fn is_not_now(said: &str) -> bool {
     let mut begins = main.match_indices(' ').map(|(at, _)| at + 1).chain([0]);
     let is_at_another_time =
         begins.any(|at| WORDS.not_now.begin(&main[at..]).any(|(words, after)| is_other_time(at, words, after)));
-    let is_planned = || is_at_an_hour(main) && !comes_home(main);
+    let goes_on = said[main.len()..].trim_start_matches(',').trim_start();
+    let is_all = goes_on.is_empty() || goes_on.starts_with("and ") || goes_on.starts_with("then ");
+    let is_planned = || is_at_an_hour(main) && !(is_all && ends_with_an_hour(main) && comes_home(main));
     let is_ahead = is_ahead(main) || is_planned() || cuts(main).any(|(_, rest)| is_back_at_a_time(rest));
     is_at_another_time || is_ahead
 }
@@ -64,6 +66,33 @@ fn is_at_an_hour(text: &str) -> bool {
     let is_done = |word: &str| word.ends_with("ed") || has(&WORDS.past, word) || matches!(word, "has" | "have" | "had");
     text.match_indices(" at ").any(|(at, found)| {
         has(&WORDS.hours, first_word(&text[at + found.len()..])) && !text[..at].split(' ').any(is_done)
+    })
+}
+
+/// Whether the hour is the last that a text says: behind "at six in winter" and "at six, maybe" it is no longer told as it happens.
+fn ends_with_an_hour(text: &str) -> bool {
+    const MORE: [&str; 13] = [
+        "past",
+        "to",
+        "o'clock",
+        "sharp",
+        "today",
+        "am",
+        "pm",
+        "five",
+        "ten",
+        "fifteen",
+        "twenty",
+        "thirty",
+        "forty-five",
+    ];
+    const PARTS: [&str; 4] = [" in the morning", " in the afternoon", " in the evening", " at night"];
+    let text = PARTS.iter().find_map(|part| text.strip_suffix(part)).unwrap_or(text);
+    text.rsplit_once(" at ").is_some_and(|(_, time)| {
+        let mut words = time.split(' ');
+        words.clone().next().is_some_and(|first| has(&WORDS.hours, first))
+            && words.all(|word| has(&WORDS.hours, word) || MORE.contains(&word))
+            && !time.ends_with(" to")
     })
 }
 

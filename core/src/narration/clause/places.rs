@@ -53,11 +53,20 @@ pub(super) fn ends_out(more: &str) -> bool {
     ends(more) && !is_from_inside() && (!is_a_place(words) || is_outside(words) || is_by_the_door())
 }
 
-/// The same after what is done out of the house, as "swimming" is: wherever that is, unless it is at a place in the house.
+/// The same after what is done out of the house, as "swimming" is: also at places that are not always out of it, as a pool.
 fn ends_out_doing(more: &str) -> bool {
     let words = more.trim_start();
     let place = ["at ", "in "].iter().find_map(|at| words.strip_prefix(at)).filter(|place| noun_of(place) != *place);
-    place.map_or_else(|| ends_out(more), |place| ends_at(more) && !is_home_by_its_noun(place))
+    let is_out = |place: &str| is_outside_place(place) || is_a_resort(place) && !is_home_by_its_noun(place);
+    place.map_or_else(|| ends_out(more), |place| ends_at(more) && is_out(place))
+}
+
+/// Whether a place is one to which people go for sport, a walk or to shop: "the lake", "the corner store".
+fn is_a_resort(place: &str) -> bool {
+    let noun = room_of(noun_of(place));
+    has(&WORDS.resorts, noun.rsplit(' ').next().unwrap_or_default())
+        && !noun.starts_with("app ")
+        && !noun.starts_with("online ")
 }
 
 /// Whether nothing follows a place with "at" or "in" that changes what was said of it.

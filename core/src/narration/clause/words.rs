@@ -121,6 +121,8 @@ pub(super) struct Words {
     pub(super) out: List,
     pub(super) r#in: List,
     pub(super) indoors: List,
+    pub(super) resorts: List,
+    pub(super) trades: List,
     pub(super) at_home: List,
     pub(super) goes_on: List,
     pub(super) rooms: List,
@@ -245,6 +247,7 @@ pub(in crate::narration) enum Word {
     Report,
     Stuff,
     Title,
+    Trade,
 }
 
 /// Whether a word in lower case is of a kind.
@@ -265,6 +268,7 @@ pub(in crate::narration) fn is(kind: Word, word: &str) -> bool {
         Word::Report => &WORDS.reports,
         Word::Stuff => &WORDS.stuff,
         Word::Title => &WORDS.titles,
+        Word::Trade => &WORDS.trades,
     };
     has(words, word)
 }
