@@ -197,7 +197,8 @@ impl PresenceStatement {
     }
 
     /// The same of somebody whom its sentence is not about: of Ben, where it is "Ada hugs Ben."
-    pub(super) fn beside(self) -> Self {
+    #[must_use]
+    pub fn beside(self) -> Self {
         Self { is_beside: true, ..self }
     }
 

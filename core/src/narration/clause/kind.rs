@@ -98,7 +98,11 @@ fn ends_with_an_hour(text: &str) -> bool {
 
 /// Whether a text says that somebody comes home, which is told when it happens, also with the hour: "comes home at six".
 fn comes_home(text: &str) -> bool {
-    let is_home = |more: &str| !more.starts_with(char::is_alphanumeric);
+    // "Back at the office" is elsewhere.
+    let is_home = |more: &str| {
+        let at = more.strip_prefix(" at ").map(first_word);
+        !more.starts_with(char::is_alphanumeric) && at.is_none_or(|first| has(&WORDS.hours, first))
+    };
     cuts(text).any(|(subject, rest)| is_said(subject) && follows(rest, &WORDS.comes, &WORDS.r#in, is_home))
 }
 

@@ -257,11 +257,12 @@ pub(super) fn excepted(words: &str) -> Option<(&str, Option<Vec<&str>>)> {
     Some((words[..begin].trim_end_matches([' ', ',']), names(words[end..].trim_start())))
 }
 
-/// Whether a subject is somebody without a name: "a woman", "the old man".
+/// Whether a subject is somebody without a name who may live here: "a woman", "the old man", and not "the delivery man".
 pub(super) fn is_anybody(subject: &str) -> bool {
     let mut words = subject.split(' ');
     words.next().is_some_and(|first| has(&WORDS.determiners, first))
         && subject.split(' ').count() <= 3
+        && !subject.split(' ').any(|word| has(&WORDS.trades, word))
         && subject.rsplit(' ').next().is_some_and(|last| has(&WORDS.anybody, last))
 }
 

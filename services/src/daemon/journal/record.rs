@@ -199,7 +199,7 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
     match said {
         Said::Sentence(sentence) => (0, Cow::Borrowed(sentence.as_str())),
         Said::Presence(statement) => {
-            let text = match statement.subject() {
+            let mut text = match statement.subject() {
                 Some(subject) => format!("{statement}\n{subject}"),
                 // An empty subject, and by which pronoun it was said.
                 None => match statement.pronoun() {
@@ -208,6 +208,9 @@ fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
                     None => statement.to_string(),
                 },
             };
+            if statement.is_beside() {
+                text.push_str(BESIDE);
+            }
             (IS_PRESENCE, Cow::Owned(text))
         }
     }
@@ -218,14 +221,16 @@ fn said_of(text: &str, kind: u8) -> Option<Said> {
     Some(match kind & IS_PRESENCE {
         0 => Said::Sentence(Sentence::new(text).ok()?),
         _ => {
+            let (text, is_beside) = text.strip_suffix(BESIDE).map_or((text, false), |text| (text, true));
             let by = [(HE, Pronoun::He), (SHE, Pronoun::She)]
                 .into_iter()
                 .find_map(|(end, pronoun)| Some((text.strip_suffix(end)?, pronoun)));
-            Said::Presence(match (by, text.split_once('\n')) {
+            let statement = match (by, text.split_once('\n')) {
                 (Some((text, pronoun)), _) => PresenceStatement::parse(text).ok()?.with_pronoun(Some(pronoun)),
                 (None, Some((text, subject))) => PresenceStatement::parse_of(text, subject).ok()?,
                 (None, None) => PresenceStatement::parse(text).ok()?,
-            })
+            };
+            Said::Presence(if is_beside { statement.beside() } else { statement })
         }
     })
 }
@@ -233,6 +238,8 @@ fn said_of(text: &str, kind: u8) -> Option<Said> {
 /// What stands behind a presence that was said by a pronoun.
 const HE: &str = "\n\nhe";
 const SHE: &str = "\n\nshe";
+/// What stands behind one of somebody whom its sentence is not about.
+const BESIDE: &str = "\n\nbeside";
 
 /// Whom an observation moved, as a record.
 #[must_use]
