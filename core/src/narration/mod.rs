@@ -623,12 +623,7 @@ impl Said {
     #[must_use]
     pub fn of_its_person(&self, words: &str) -> Option<Self> {
         let rest = self.sentence()?.as_str().strip_prefix(words)?.trim_start();
-        let verb = rest.split([' ', ',', '.', '!']).next().unwrap_or_default();
-        // Most begin with "they", and nothing is written of them.
-        if verb.eq_ignore_ascii_case("they") {
-            return None;
-        }
-        let verb = verb.to_lowercase();
+        let verb = rest.split([' ', ',', '.', '!']).next().unwrap_or_default().to_lowercase();
         let rest = format!("{verb}{}", rest.get(verb.len()..)?);
         let said = match verb.ends_with("ing") {
             true => format!("They are {rest}"),

@@ -56,6 +56,10 @@ impl<M: LanguageModel> Board<M> {
         let Some(sentence) = observation.sentence() else { return observation };
         let is_open = observation.person == SOMEBODY && observation.name.is_none();
         let first = sentence.split([' ', '.', '!']).next().unwrap_or_default();
+        // Most begin so; nothing is allocated for them.
+        if ["they", "he", "she"].iter().any(|pronoun| first.eq_ignore_ascii_case(pronoun)) {
+            return observation;
+        }
         let is_own = |name: &str| observation.name.as_deref().is_none_or(|own| same_name(own, name));
         if !Said::is_read_as_a_name(first) && is_own(first) && self.persons.is_called(first) {
             let named = observation.said.of_its_person(first).filter(|_| is_open || observation.name.is_some());
