@@ -796,9 +796,11 @@ mod tests {
     fn a_header_without_end_is_refused_and_takes_no_memory() {
         let served = Served::start("header");
         let line = format!("X-Filler: {}\r\n", "x".repeat(1000));
-        for (start, more, all) in
-            [("X-Filler: ", "x".repeat(1 << 16), 300 << 20), ("", line, 60 << 20), ("Range: ", "1".repeat(99), 60 << 20)]
-        {
+        for (start, more, all) in [
+            ("X-Filler: ", "x".repeat(1 << 16), 300 << 20),
+            ("", line, 60 << 20),
+            ("Range: ", "1".repeat(99), 60 << 20),
+        ] {
             let before = resident_kb();
             let mut stream = served.connect();
             let _gone = write!(stream, "GET /metrics HTTP/1.1\r\nHost: localhost\r\n{start}");
