@@ -62,9 +62,12 @@ impl<M: LanguageModel> Board<M> {
         }
         let is_own = |name: &str| observation.name.as_deref().is_none_or(|own| same_name(own, name));
         if !Said::is_read_as_a_name(first) && is_own(first) && self.persons.is_called(first) {
-            let named = observation.said.of_its_person(first).filter(|_| is_open || observation.name.is_some());
+            let may_name = is_open || observation.name.is_some();
             let name = Some(first.into());
-            return named.map_or_else(|| observation.clone(), |said| Observation { said, name, ..observation.clone() });
+            return match observation.said.of_its_person(first).filter(|_| may_name) {
+                Some(said) => Observation { said, name, ..observation },
+                None => observation,
+            };
         }
         let own = if is_open { None } else { observation.said.of_its_person("") };
         // What is done in the house stays as it was said.
