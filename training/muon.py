@@ -28,6 +28,16 @@ def orthogonalised(matrices: torch.Tensor, half: bool = False) -> torch.Tensor:
     return x.to(matrices.dtype)
 
 
+def shared_out(parameters: list[torch.nn.Parameter], parts: list[int], workers: int) -> list[int]:
+    """Which worker steps each parameter: the one that has the least to compute so far."""
+    loads, steppers = [0] * workers, []
+    for parameter, number in zip(parameters, parts):
+        rows, columns = sorted((parameter.size(0) // number, parameter.size(1)))
+        steppers.append(loads.index(min(loads)))
+        loads[steppers[-1]] += number * rows * rows * (4 * columns + 2 * rows)
+    return steppers
+
+
 class Muon(torch.optim.Optimizer):
     """Each matrix is stepped by one of the workers, which then tell one another the result.
 
@@ -37,11 +47,12 @@ class Muon(torch.optim.Optimizer):
     def __init__(self, parameters, parts: list[int], rate: float, weight_decay: float, momentum: float = 0.95, rank: int = 0, workers: int = 1, half: bool = False):
         super().__init__(parameters, {"lr": rate, "weight_decay": weight_decay})
         self.parts, self.momentum, self.rank, self.workers, self.half = parts, momentum, rank, workers, half
+        self.steppers = shared_out(parameters, parts, workers)
 
     @torch.no_grad()
     def step(self, closure=None) -> None:
         group = self.param_groups[0]
-        own = [index % self.workers == self.rank for index in range(len(group["params"]))]
+        own = [stepper == self.rank for stepper in self.steppers]
         updates = self.updates([(parameter, parts) for parameter, parts, mine in zip(group["params"], self.parts, own) if mine])
         if self.workers > 1:
             computed = iter(updates)

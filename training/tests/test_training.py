@@ -31,7 +31,7 @@ import things
 import train
 import tokenizer as vocabulary
 from model import Household, Shape
-from muon import orthogonalised
+from muon import orthogonalised, shared_out
 from narration import PRODUCT, Step, Style, bind, next_targets, parse_step, segments, sentence, words
 
 SHARED = Path(os.environ.get("SHARED", HERE.parent.parent / "shared"))
@@ -250,6 +250,13 @@ def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch,
     assert not [*(tmp_path / "cut").glob("resume-*")]
     # Whoever watches changes nothing.
     assert torch.equal(weights("watched", watch=lambda step, model: None), whole)
+
+
+def test_no_worker_waits_long_for_the_other_to_orthogonalise():
+    matrices = [(module.weight, parts) for block in Household(Shape()).blocks for module, parts in block.matrices()]
+    steppers = shared_out([weight for weight, _ in matrices], [parts for _, parts in matrices], 2)
+    entries = [sum(weight.numel() for (weight, _), stepper in zip(matrices, steppers) if stepper == worker) for worker in (0, 1)]
+    assert max(entries) < 1.2 * min(entries)
 
 
 def test_matrices_together_are_orthogonalised_as_one_by_one():
