@@ -25,7 +25,7 @@ import tokenizer as vocabulary
 from corpus import Encoder, PAPER_BINDINGS
 from descriptions import Reader, next_things
 from model import Household
-from narration import DEFAULT_BINDING, bind, next_targets, sentence, words
+from narration import DEFAULT_BINDING, PRODUCT, Style, bind, next_targets, sentence, words
 from statistics_file import count
 from train import restore
 
@@ -116,14 +116,16 @@ class Baselines:
         return {"uniform": self.uniform, "frequency": self.frequency, "markov1": one, "markov2": two}
 
 
-def cases_of(programs: list[data.Program], scene: Scene):
-    """Every step of every program whose next object is in the scene and has another label there than the step's own.
+def cases_of(programs: list[data.Program], scene: Scene, style: Style = PRODUCT):
+    """Every step of every program whose next object is in the scene and has another label there than the step's own, told in a style.
 
     Yields the program's number, the sentences of the window, the objects visited, the next object's label, the room now and the room next.
     """
     for number, program in enumerate(programs):
         steps, targets = list(program.steps), next_targets(list(program.steps))
         identifiers = [next((o for s in steps[k + 1 :] for o in s.objects[:1] if o[0] == t), None) for k, t in enumerate(targets)]
+        rng = random.Random(program.source)
+        said = [sentence(step, style, rng) for step in steps]
         room, visited = None, []
         for k, step in enumerate(steps):
             if step.target and (not visited or visited[-1] != step.target):
@@ -132,8 +134,7 @@ def cases_of(programs: list[data.Program], scene: Scene):
                 room = scene.room(label, step.objects[0][1], program.source)
             here = bind(step.objects[-1][0], scene.index) if step.objects else None
             if targets[k] and (label := bind(targets[k], scene.index)) and label != here:
-                told = [sentence(s) for s in steps[max(0, k + 1 - WINDOW) : k + 1]]
-                yield number, told, list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
+                yield number, said[max(0, k + 1 - WINDOW) : k + 1], list(visited), label, room, scene.room(label, identifiers[k][1], program.source)
 
 
 def cases_of_descriptions(programs: list[data.Program], scene: Scene, reader: Reader):

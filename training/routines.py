@@ -114,10 +114,11 @@ def check(routine: Routine) -> None:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--out", type=Path, required=True)
+    arguments.add_argument("--fold", choices=("sealed",), help="leave the sealed activities out instead of those of the test split")
     given = arguments.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     rng = random.Random("programs")
-    trained = [r for r in load(Path(__file__).resolve().parent / "routines") if split_of(r.cluster, False) == "train"]
+    trained = [r for r in load(Path(__file__).resolve().parent / "routines") if split_of(r.cluster, False, given.fold) == "train"]
     for number, routine in enumerate(trained):
         lines = (" ".join([f"[{step.action}]", *(f"<{word.replace(' ', '_')}> ({n})" for word, n in step.objects)]) for step in routine.program(rng).steps)
         (given.out / f"{number:04}.txt").write_text(f"{routine.title}\n\n\n" + "\n".join(lines) + "\n")

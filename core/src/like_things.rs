@@ -4,12 +4,14 @@
 //! and go back to the table that they were at before. So a forecast of where somebody goes next divides a label's probability otherwise:
 //!
 //! ```text
-//! P(r | l) = a w(l, r) + (1 - a) (m u(l, r) + (1 - m) w(l, r) n(r) / sum over r' of w(l, r') n(r'))
+//! P(r | l) = a w(l, r) + (1 - a) v(l) (m u(l, r) + (1 - m) w(l, r) n(r) / sum over r' of w(l, r') n(r'))
 //!
 //! w(l, r)   the share of label l's things that is in room r (Equation 2)
+//! v(l)      sum over r of w(l, r): what of label l is in rooms at all
 //! n(r)      sum over r' of b(r') k(r', r): how near room r is to where the person is believed to be, b
 //! k(r', r)  1 in the room itself, else c exp(-distance of the rooms' middles / d)
-//! u(l, r)   where the person was when a sentence named label l last (its last word for a thing), since they rested; without that, m is 0
+//! u(l, r)   where the person was when a sentence named label l last (its last word for a thing), since they rested, among the rooms that have one; without
+//!           that, m is 0
 //! a, m      the part that all of them share evenly; of the rest, the part of the one that was in use
 //! ```
 //!

@@ -230,17 +230,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
         }
         None => (programs, Vec::new()),
     };
-    let mut statistics = embedded_statistics()?;
-    if !args.fit.is_empty() {
-        let mut fitted = Vec::new();
-        for folder in &args.fit {
-            let (more, faults) = prediction::load_programs(folder)?;
-            report_faults(&faults);
-            fitted.extend(more);
-        }
-        let fit = statistics.kneser_ney;
-        statistics = Statistics { kneser_ney: fit, ..Statistics::fit(fitted.iter().map(|named| &named.program)) };
-    }
+    let statistics = fitted(&args.fit, &embedded_statistics()?)?;
     let maps = maps(&args.scene)?;
     let options = prediction::Options {
         history: args.model.limits(),
@@ -263,6 +253,21 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
 /// What the baselines know of the embedded model's training split.
 fn embedded_statistics() -> Result<Statistics, Failure> {
     Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
+}
+
+/// Counts of other programs, smoothed as `statistics` are, which are taken where none are given.
+fn fitted(folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
+    if folders.is_empty() {
+        return Ok(statistics.clone());
+    }
+    let mut programs = Vec::new();
+    for folder in folders {
+        let (more, faults) = prediction::load_programs(folder)?;
+        report_faults(&faults);
+        programs.extend(more);
+    }
+    let counts = Statistics::fit(programs.iter().map(|named| &named.program));
+    Ok(Statistics { kneser_ney: statistics.kneser_ney, ..counts })
 }
 
 /// Each once, in their order.
@@ -333,6 +338,9 @@ struct Manifest {
     #[serde(skip)]
     path: PathBuf,
     splits: BTreeMap<String, Split>,
+    /// What trained the model.
+    #[serde(default)]
+    command: String,
     /// Titles near one another, by the name of their activity.
     #[serde(default)]
     activities: BTreeMap<String, Vec<String>>,
@@ -403,6 +411,7 @@ fn forecast_text(report: &Report) -> String {
         "top-5",
         "mrr",
         "brier",
+        "confidence",
         "ece",
     ]);
     let mut differences =
@@ -439,8 +448,8 @@ fn forecast_text(report: &Report) -> String {
         let [nll_less, top1_less, mrr_less, _] = less.unwrap_or_default();
         activities.add_row(named.iter().cloned().chain([nll, top1, mrr, ece, nll_less, top1_less, mrr_less]));
         let s = &row.summary;
-        let ece = with(s.ece());
-        table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain([ece]));
+        let calibration = [s.confidence(), s.ece()].map(with);
+        table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain(calibration));
     }
     let mut text = format!(
         "{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n\n\
@@ -529,7 +538,8 @@ fn forecast_markdown(report: &Report) -> String {
     let items: Vec<&str> = BINDINGS.map(<&str>::from).to_vec();
     let items: Vec<&str> =
         items.into_iter().filter(|items| report.rows.iter().any(|row| row.items == Some(items))).collect();
-    let mut header = vec!["place".to_owned(), "predictor".to_owned(), "object: NLL".into(), "MRR".into(), "ECE".into()];
+    let mut header: Vec<String> =
+        ["place", "predictor", "object: NLL", "MRR", "top-1", "confidence", "ECE"].map(str::to_owned).to_vec();
     for items in &items {
         header.extend(["room: NLL", "ECE", "changes found", "where to"].map(|name| format!("{name} ({items})")));
     }
@@ -538,15 +548,18 @@ fn forecast_markdown(report: &Report) -> String {
         "model",
         "model-near",
         "model-cache",
+        "model-kneser-ney-cache",
         "kneser-ney",
         "kneser-ney-cache",
         "markov2",
+        "markov1",
         "frequency",
         "uniform",
         "stay",
         "no-narration",
     ];
     let (mut levels, mut programs, mut activities) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut alike, mut alike_less) = (Vec::new(), Vec::new());
     for scene in &scenes {
         for predictor in order.into_iter().filter(|name| predictors.contains(name)) {
             type Cell<'a> = &'a dyn Fn((f64, Option<[f64; 2]>)) -> String;
@@ -557,6 +570,8 @@ fn forecast_markdown(report: &Report) -> String {
                     predictor.to_owned(),
                     cell(object.nll()),
                     cell(object.mrr()),
+                    cell(object.top1()),
+                    cell(object.confidence()),
                     cell(object.ece()),
                 ];
                 for items in &items {
@@ -568,9 +583,11 @@ fn forecast_markdown(report: &Report) -> String {
                 Some(cells)
             };
             levels.extend(figures(&|row| Some(row.summary), &cell));
+            alike.extend(figures(&|row| Some(row.macro_average), &cell));
             if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
                 programs.extend(figures(&|row| row.model_less_this, &less_cell));
                 activities.extend(figures(&|row| row.model_less_this_by_activity, &less_cell));
+                alike_less.extend(figures(&|row| row.model_less_this_macro, &less_cell));
             }
         }
     }
@@ -584,6 +601,12 @@ fn forecast_markdown(report: &Report) -> String {
     );
     if m > 1 {
         let _ = writeln!(text, "\nThe same, intervals over {m} activities:\n\n{}", markdown(&less, &activities));
+        let _ = writeln!(
+            text,
+            "\nMeans in which each of {m} activities counts alike:\n\n{}\n\n{}",
+            markdown(&header, &alike),
+            markdown(&less, &alike_less)
+        );
     }
     if !report.nearness.is_empty() {
         let rows: Vec<Vec<String>> = report

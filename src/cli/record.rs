@@ -10,6 +10,7 @@ use roomcast_ipc::{
 };
 
 use super::choice::choice;
+use super::top::{SILENCE, silence};
 use super::{CommandResult, Failure, count, ranges, service};
 use roomcast_services::logging::{self, Limiter};
 use roomcast_services::moment::Moment;
@@ -200,6 +201,7 @@ pub fn run(args: &Args) -> CommandResult {
     let (mut forecast_known, mut decided) = (((0, 0), 0), Decided::default());
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
+    let mut is_silent = true;
     let interrupted = loop {
         // What came before the end is still recorded.
         let is_over = args.seconds.map(|seconds| started.elapsed() >= Duration::from_secs(seconds));
@@ -214,6 +216,11 @@ pub fn run(args: &Args) -> CommandResult {
         take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
         take(&reports, &mut news, &mut malformed, |message| Recorded::RobotReport(Box::new(message)))?;
         let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
+        is_silent &= !news.iter().any(|message| matches!(message, Recorded::RoomScores(_)));
+        if is_silent && started.elapsed() >= SILENCE {
+            is_silent = false;
+            super::tell(format_args!("roomcast: {}; this records what comes", silence(&domain)));
+        }
         for message in &news {
             let repeated = match message {
                 // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.

@@ -37,9 +37,8 @@ pub struct Args {
 const STATUS_NS: u64 = 1_000_000_000;
 /// How long it may take to answer before the view goes on without.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
-/// How long nothing may be heard by whoever wants some snapshots, and before lines of JSON say so. A daemon that lives repeats its scores
-/// much more often.
-const SILENCE: Duration = Duration::from_secs(10);
+/// How long nothing may be heard before it is said: a daemon that lives repeats its scores much more often.
+pub(super) const SILENCE: Duration = Duration::from_secs(10);
 /// How often the screen is drawn again when no key is pressed.
 const FRAME: Duration = Duration::from_millis(100);
 
@@ -61,7 +60,7 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 /// What is said of a silence.
-fn silence(domain: &Domain) -> String {
+pub(super) fn silence(domain: &Domain) -> String {
     let place = service::shown(domain);
     format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs())
 }

@@ -262,7 +262,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
 }
 
 /// What the training writes of a fold, with the shipped model: `held_out` and `trained` are programs.
-fn write_fold(folder: &Path, trained: &str, held_out: &str) {
+fn write_fold(folder: &Path, fold: &str, trained: &str, held_out: &str) {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
     std::fs::create_dir_all(folder).unwrap();
     for name in ["household.gguf", "household-statistics.json"] {
@@ -270,7 +270,8 @@ fn write_fold(folder: &Path, trained: &str, held_out: &str) {
     }
     let files = |name: &str| serde_json::json!({ "files": [format!("programs/{name}")] });
     let splits = serde_json::json!({ "train": files(trained), "test": files(held_out), "sealed": files("c.txt") });
-    std::fs::write(folder.join("manifest.json"), serde_json::json!({ "splits": splits }).to_string()).unwrap();
+    let manifest = serde_json::json!({ "command": format!("run.py --fold {fold}"), "splits": splits });
+    std::fs::write(folder.join("manifest.json"), manifest.to_string()).unwrap();
 }
 
 /// Folds are pooled, and the sealed split is opened once: what is found is in the file before it is shown.
@@ -296,21 +297,22 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     };
     let input = Some(i32::from(exit_code::INPUT));
 
-    write_fold(Path::new(&path("folds/fold-1")), "a.txt", "b.txt");
+    write_fold(Path::new(&path("folds/fold-1")), "1", "a.txt", "b.txt");
     let (code, _, said) = run("folds", &["--folds", &path("folds")]);
     assert!(code == input && said.contains("1 finished fold,") && said.contains("training/run.py"), "{said}");
-    write_fold(Path::new(&path("folds/fold-2")), "b.txt", "a.txt");
+    write_fold(Path::new(&path("folds/fold-2")), "2", "b.txt", "a.txt");
     let (_, report, said) = run("folds", &["--folds", &path("folds")]);
     let report = report.unwrap_or_else(|| panic!("{said}"));
     assert_eq!((&report[0]["programs"], &report[0]["activities"]), (&2.into(), &2.into()));
-    write_fold(Path::new(&path("folds/fold-2")), "a.txt", "b.txt");
+    write_fold(Path::new(&path("folds/fold-2")), "2", "a.txt", "b.txt");
     let (code, _, said) = run("folds", &["--folds", &path("folds")]);
     assert!(code == input && said.contains("b.txt is held out by two folds"), "{said}");
-    write_fold(Path::new(&path("folds/fold-2")), "a.txt", "a.txt");
+    write_fold(Path::new(&path("folds/fold-2")), "2", "a.txt", "a.txt");
     let (code, _, said) = run("folds", &["--folds", &path("folds")]);
     assert!(code == input && said.contains("so it was not held out"), "{said}");
 
-    let (record, trained, none) = (path("sealed.json"), path("folds/fold-1"), path("programs"));
+    write_fold(Path::new(&path("sealed")), "sealed", "a.txt", "b.txt");
+    let (record, trained, none) = (path("sealed.json"), path("sealed"), path("programs"));
     let sealed = ["--trained", &trained, "--record", &record, "--places", &none];
     let manifest = path("folds/fold-1/manifest.json");
     let (code, _, said) = run("forecast", &["--manifest", &manifest, "--split", "sealed"]);
@@ -320,6 +322,12 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let unread = ["--trained", &path("folds/none"), "--record", &nowhere, "--places", &none];
     let (code, _, said) = run("sealed", &unread);
     assert!(code == input && said.contains("cannot be written down") && said.contains("--record"), "{said}");
+    // Nor is the split opened for another model, or before everything is there.
+    let (code, _, said) = run("sealed", &["--trained", &path("folds/fold-1"), "--record", &record, "--places", &none]);
+    assert!(code == input && said.contains("--fold sealed"), "{said}");
+    let (code, _, said) = run("sealed", &[&sealed[..], &["--scene", "nowhere.json"]].concat());
+    assert!(code == input && said.contains("nowhere.json"), "{said}");
+    assert_eq!(std::fs::read_to_string(&record).unwrap().trim(), "[]");
     let (_, shown, said) = run("sealed", &sealed);
     let shown = shown.unwrap_or_else(|| panic!("{said}"));
     let written = std::fs::read_to_string(&record).unwrap();

@@ -559,7 +559,7 @@ impl Habits {
         let Self { persons, counts, frame, .. } = self;
         let Person { slot, objects, stays, .. } = &mut persons[at];
         let whose = Whose { counts, slot: *slot, others, now_min: moment::minute(at_s), times: 0 };
-        objects.forecast(whose, frame, frame.place(stays.place), at_s, model);
+        objects.forecast(whose, frame, frame.room(stays.place), at_s, model);
         &objects.mixed
     }
 

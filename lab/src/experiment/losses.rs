@@ -85,11 +85,12 @@ impl Sums {
         let n = self.cases.max(1.0);
         let gap = |[_, confidence, right]: &[f64; 3]| (confidence - right).abs();
         let ece = self.bins.iter().map(gap).sum::<f64>();
-        [self.nll_nats, self.top1, self.top5, self.reciprocal_rank, self.brier, ece].map(|sum| sum / n)
+        let confidence = self.bins.iter().map(|[_, confidence, _]| confidence).sum::<f64>();
+        [self.nll_nats, self.top1, self.top5, self.reciprocal_rank, self.brier, confidence, ece].map(|sum| sum / n)
     }
 }
 
-const METRICS: [&str; 6] = ["nll_nats", "top1", "top5", "mrr", "brier", "ece"];
+const METRICS: [&str; 7] = ["nll_nats", "top1", "top5", "mrr", "brier", "confidence", "ece"];
 
 /// 95 % intervals, each `[low, high]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -104,6 +105,8 @@ pub struct Intervals {
     pub mrr: [f64; 2],
     /// Of the Brier score.
     pub brier: [f64; 2],
+    /// Of the mean confidence.
+    pub confidence: [f64; 2],
     /// Of the expected calibration error.
     pub ece: [f64; 2],
 }
@@ -123,6 +126,8 @@ pub struct Summary {
     pub mrr: f64,
     /// Mean Brier score over all outcomes, 0 to 2.
     pub brier: f64,
+    /// Mean probability of the likeliest outcome: above `top1`, the forecast is too sure of itself.
+    pub confidence: f64,
     /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
     pub ece: f64,
     /// Bootstrap intervals over groups; none where fewer than two have cases.
@@ -164,6 +169,12 @@ impl Summary {
         self.with(self.brier, |ci95| ci95.brier)
     }
 
+    /// The mean confidence and its interval.
+    #[must_use]
+    pub fn confidence(&self) -> (f64, Option<[f64; 2]>) {
+        self.with(self.confidence, |ci95| ci95.confidence)
+    }
+
     /// The calibration error and its interval.
     #[must_use]
     pub fn ece(&self) -> (f64, Option<[f64; 2]>) {
@@ -190,8 +201,17 @@ pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
 /// As [`summarise`], where each group counts alike, however many cases it has.
 #[must_use]
 pub(crate) fn macro_average(groups: &[Sums], seed: u64) -> Summary {
-    let alike: Vec<Sums> = groups.iter().filter(|group| group.cases > 0.0).map(Sums::as_one_case).collect();
-    summarise(&alike, seed)
+    summarise(&alike(groups), seed)
+}
+
+/// As [`difference`], where each group counts alike.
+#[must_use]
+pub(crate) fn macro_difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
+    difference(&alike(groups), &alike(others), seed)
+}
+
+fn alike(groups: &[Sums]) -> Vec<Sums> {
+    groups.iter().filter(|group| !group.is_empty()).map(Sums::as_one_case).collect()
 }
 
 /// The means of one forecast less those of another on the same cases in the same groups. Both are resampled together, so that how hard the
@@ -207,6 +227,8 @@ pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
 
 /// Draws groups that have cases. The draws depend on `seed` and the number of these alone. One group drawn again and again is always the same:
 /// that is no interval without width, but none.
+///
+/// The calibration error is a mean of absolute values, which grows when cases are drawn again. So its samples are less what that adds on average.
 fn bootstrap<const ROWS: usize>(
     rows: [&[Sums]; ROWS],
     seed: u64,
@@ -230,15 +252,20 @@ fn bootstrap<const ROWS: usize>(
             samples.iter_mut().zip(value(sample)).for_each(|(samples, mean)| samples.push(mean));
         }
     }
-    let intervals = samples.map(ci95);
-    let ci95 = if let [Some(nll_nats), Some(top1), Some(top5), Some(mrr), Some(brier), Some(ece)] = intervals {
-        Some(Intervals { nll_nats, top1, top5, mrr, brier, ece })
-    } else {
-        None
+    let [nll_nats, top1, top5, mrr, brier, confidence, ece] = value(all);
+    let [.., drawn] = &mut samples;
+    let added = drawn.iter().sum::<f64>() / drawn.len() as f64 - ece;
+    // Of one forecast it is never negative; of a difference it may be.
+    let least = if ROWS == 1 { 0.0 } else { f64::NEG_INFINITY };
+    drawn.iter_mut().for_each(|sample| *sample = (*sample - added).max(least));
+    let ci95 = match samples.map(ci95) {
+        [Some(nll_nats), Some(top1), Some(top5), Some(mrr), Some(brier), Some(confidence), Some(ece)] => {
+            Some(Intervals { nll_nats, top1, top5, mrr, brier, confidence, ece })
+        }
+        _ => None,
     };
-    let [nll_nats, top1, top5, mrr, brier, ece] = value(all);
     let cases = all.first().map_or(0.0, |sums| sums.cases) as usize;
-    Summary { cases, nll_nats, top1, top5, mrr, brier, ece, ci95 }
+    Summary { cases, nll_nats, top1, top5, mrr, brier, confidence, ece, ci95 }
 }
 
 #[cfg(test)]
@@ -287,6 +314,21 @@ mod tests {
         assert!(low <= few.top1 && few.top1 <= high);
         assert!(width(&many) < 0.2 * width(&few));
         assert_eq!(summarise(&groups(20), 1), few);
+    }
+
+    /// A forecast that is right as often as it says has an error by chance alone, and drawing cases again adds to it.
+    #[test]
+    fn the_interval_of_a_calibration_error_holds_it() {
+        let group = |i: usize| {
+            let mut sums = Sums::default();
+            (0..3).for_each(|_| sums.add(&[0.7, 0.3], usize::from(i * 7 % 10 >= 7)));
+            sums
+        };
+        let groups: Vec<Sums> = (0..40).map(group).collect();
+        let forecast = summarise(&groups, 1);
+        assert!(forecast.ece < 0.01 && (forecast.confidence - 0.7).abs() < 1e-12, "{forecast:?}");
+        let [low, high] = forecast.ci95.unwrap().ece;
+        assert!(low <= forecast.ece && forecast.ece <= high, "{forecast:?}");
     }
 
     /// A program without a case is none that was drawn, and one program has no interval.

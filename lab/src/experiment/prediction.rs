@@ -2,7 +2,7 @@
 //!
 //! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
 //! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
-//! whose object the map lacks are left out. The *next room* is that of the item which the object is bound to
+//! whose object the map lacks are left out. Another object is asked for than the one in hand, so that one is taken out of every forecast of objects. The *next room* is that of the item which the object is bound to
 //! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
 //! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
 
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
-use super::losses::{Summary, Sums, difference, macro_average, merged, summarise};
+use super::losses::{Summary, Sums, difference, macro_average, macro_difference, merged, summarise};
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
@@ -83,6 +83,8 @@ pub struct Row {
     pub macro_average: Summary,
     /// As `model_less_this`, with intervals over activities.
     pub model_less_this_by_activity: Option<Summary>,
+    /// As `model_less_this_by_activity`, of the means in which every activity counts alike.
+    pub model_less_this_macro: Option<Summary>,
 }
 
 /// The table, and what was left out of it.
@@ -140,10 +142,11 @@ pub struct Options {
     pub seed: u64,
 }
 
-const PREDICTORS: [&str; 11] = [
+const PREDICTORS: [&str; 12] = [
     "model",
     "model-near",
     "model-cache",
+    "model-kneser-ney-cache",
     "uniform",
     "frequency",
     "markov1",
@@ -214,7 +217,7 @@ struct Case {
     here: Option<usize>,
     /// The last three objects, the latest last.
     context: [Option<String>; 3],
-    /// The labels turned to so far, the latest last, and the one in hand, where the map has it.
+    /// The labels turned to so far, the latest last, and the one in hand, where the map has it. That one is not next.
     visited: Vec<usize>,
     in_hand: Option<usize>,
 }
@@ -337,14 +340,11 @@ fn evaluate<M: LanguageModel>(
     let baselines = Baselines::new(&part.statistics, &mut binder, grounding);
     let mut grounded = GroundedScores::default();
     let blind = source.score([], &options.binding.clone().without_narration())?;
-    let (blind_labels, blind_rooms) = both(&blind, grounding, &mut grounded)?;
+    let blind = probabilities(&blind);
     let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
     let even_labels = vec![1.0 / labels as f64; labels];
     let even_rooms = vec![1.0 / rooms as f64; rooms];
-    let frequency = baselines.frequency().to_vec();
-    let frequency_rooms = rooms_of(&frequency, grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
-    let mut others = Vec::new();
     let mut mentions = Mentions::new(map, grounding);
 
     for (index, NamedProgram { path, program, .. }) in part.programs.iter().enumerate() {
@@ -360,43 +360,37 @@ fn evaluate<M: LanguageModel>(
         for case in &cases {
             listener.hear(program, &sentences, &rows, case.done, (&mut mentions, grounding));
             let near_rooms = listener.forecaster.expected().unwrap_or(&even_rooms).to_vec();
-            let (model_labels, model_rooms) = both(&rows[case.done], grounding, &mut grounded)?;
-            let remembering = baselines::MODEL_CACHE.mixed(&model_labels, &case.visited, case.in_hand);
-            let remembering_rooms = rooms_of(&remembering, grounding, &mut grounded)?;
+            let model = probabilities(&rows[case.done]);
             let context @ [_, before, last] = case.context.each_ref().map(Option::as_deref);
-            let first = baselines.markov1(last);
-            let second = baselines.markov2(before, last);
             let chain = baselines.kneser_ney(context);
-            let cached = baselines.with_cache(&chain, &case.visited, case.in_hand);
-            let chain_rooms = rooms_of(&chain, grounding, &mut grounded)?;
-            let cached_rooms = rooms_of(&cached, grounding, &mut grounded)?;
-            let first_rooms = rooms_of(&first, grounding, &mut grounded)?;
-            let second_rooms = rooms_of(&second, grounding, &mut grounded)?;
             let stay_rooms = baselines.stay(case.here, rooms);
-            let stay_labels = labels_in(&stay_rooms, grounding);
-            let forecasts: [(&[f64], &[f64]); PREDICTORS.len()] = [
-                (&model_labels, &model_rooms),
-                (&model_labels, &near_rooms),
-                (&remembering, &remembering_rooms),
-                (&even_labels, &even_rooms),
-                (&frequency, &frequency_rooms),
-                (&first, &first_rooms),
-                (&second, &second_rooms),
-                (&chain, &chain_rooms),
-                (&cached, &cached_rooms),
-                (&stay_labels, &stay_rooms),
-                (&blind_labels, &blind_rooms),
+            let (visited, in_hand) = (case.visited.as_slice(), case.in_hand);
+            // Rooms are those of the labels, unless they are given.
+            let forecasts: [(Vec<f64>, Option<&[f64]>); PREDICTORS.len()] = [
+                (model.clone(), None),
+                (model.clone(), Some(&near_rooms)),
+                (baselines::MODEL_CACHE.mixed(&model, visited, in_hand), None),
+                (baselines::mixture(&model, &chain, visited, in_hand), None),
+                (even_labels.clone(), Some(&even_rooms)),
+                (baselines.frequency().to_vec(), None),
+                (baselines.markov1(last), None),
+                (baselines.markov2(before, last), None),
+                (chain.clone(), None),
+                (baselines.with_cache(&chain, visited, in_hand), None),
+                (labels_in(&stay_rooms, grounding), Some(&stay_rooms)),
+                (blind.clone(), None),
             ];
-            for (predictor, (of_labels, of_rooms)) in forecasts.into_iter().enumerate() {
+            for (predictor, (of_labels, of_rooms)) in forecasts.iter().enumerate() {
                 let row = predictor * TARGETS.len();
-                sums[row][index].add(of_labels, case.object);
-                if let Some(room) = case.room {
-                    sums[row + 1][index].add(of_rooms, room);
-                    if let Some(here) = case.here.filter(|here| *here != room) {
-                        sums[row + 2][index].add(of_rooms, room);
-                        without(of_rooms, here, &mut others);
-                        sums[row + 3][index].add(&others, room);
-                    }
+                let others = in_hand.map(|label| without(of_labels, label));
+                sums[row][index].add(others.as_deref().unwrap_or(of_labels), case.object);
+                let Some(room) = case.room else { continue };
+                let of_labels = || rooms_of(of_labels, grounding, &mut grounded);
+                let of_rooms = of_rooms.map_or_else(of_labels, |rooms| Ok(rooms.to_vec()))?;
+                sums[row + 1][index].add(&of_rooms, room);
+                if let Some(here) = case.here.filter(|here| *here != room) {
+                    sums[row + 2][index].add(&of_rooms, room);
+                    sums[row + 3][index].add(&without(&of_rooms, here), room);
                 }
             }
         }
@@ -424,6 +418,7 @@ fn rows(scene: &str, items: ItemChoice, sums: &Groups, of_activity: &[usize], se
             by_activity: summarise(activities, seed),
             macro_average: macro_average(activities, seed),
             model_less_this_by_activity: is_other.then(|| difference(&by_activity[model], activities, seed)),
+            model_less_this_macro: is_other.then(|| macro_difference(&by_activity[model], activities, seed)),
         }
     });
     rows.collect()
@@ -541,27 +536,22 @@ pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, ExperimentError> {
     steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
 }
 
-/// Probabilities over the labels (s_c normalised) and over the partitions, from ln s_c.
-fn both(
-    log_prob_nats: &[f64],
-    grounding: &Grounding,
-    grounded: &mut GroundedScores,
-) -> Result<(Vec<f64>, Vec<f64>), ExperimentError> {
-    grounding.ground(log_prob_nats, grounded)?;
+/// Probabilities over the labels, from ln s_c.
+fn probabilities(log_prob_nats: &[f64]) -> Vec<f64> {
     let greatest = log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let mut labels: Vec<f64> = log_prob_nats.iter().map(|l| (l - greatest).exp()).collect();
     let total: f64 = labels.iter().sum();
     labels.iter_mut().for_each(|p| *p /= total);
-    Ok((labels, grounded.partition_probability.clone()))
+    labels
 }
 
-/// Probabilities given that it is not `room`.
-fn without(rooms: &[f64], room: usize, out: &mut Vec<f64>) {
-    out.clear();
-    out.extend_from_slice(rooms);
-    out[room] = 0.0;
-    let total: f64 = out.iter().sum();
-    out.iter_mut().for_each(|p| *p /= total.max(f64::MIN_POSITIVE));
+/// Probabilities given that it is not this outcome.
+fn without(probabilities: &[f64], outcome: usize) -> Vec<f64> {
+    let mut others = probabilities.to_vec();
+    others[outcome] = 0.0;
+    let total: f64 = others.iter().sum();
+    others.iter_mut().for_each(|p| *p /= total.max(f64::MIN_POSITIVE));
+    others
 }
 
 fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
@@ -690,8 +680,8 @@ mod tests {
             .unwrap()
         };
         let report = run_with(std::slice::from_ref(&part));
-        // Eleven predictors: of the object once, of three targets of rooms under each way of binding.
-        assert_eq!(report.rows.len(), 77);
+        // Twelve predictors: of the object once, of three targets of rooms under each way of binding.
+        assert_eq!(report.rows.len(), 84);
         assert_eq!((report.nearness.len(), report.activities), (3, 3));
         assert!(report.nearness.iter().all(|near| near.nearness == [1.0, 1.0]));
         assert!(report.cases > 40 && report.rows.iter().all(|row| row.summary.nll_nats.is_finite()));
@@ -700,6 +690,10 @@ mod tests {
         assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
         let uniform = find("uniform", Target::Room).summary;
         assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);
+        // One thing is in hand, and is none of those that may be next.
+        let labels = studio().1.scored_labels().len() as f64;
+        let even = find("uniform", Target::Object).summary.nll_nats;
+        assert!(even < labels.ln() - 1e-6 && even > (labels - 1.0).ln() - 1e-9);
         // Of three rooms two are left to somebody who leaves one of them.
         let chance = find("uniform", Target::RoomIfChanged).summary;
         assert!((chance.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.top1 - 0.5).abs() < 1e-9);

@@ -29,7 +29,8 @@ pub struct Setup {
     pub window: Option<usize>,
 }
 
-/// A share with its 95 % interval by bootstrap over pairs of home and activity, and over models where there are several.
+/// A share with its 95 % interval by bootstrap over homes, over activities, and over models where there are several, each drawn apart: what an activity
+/// does in one home it does in the others too (Owen, 2007, the pigeonhole bootstrap).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Share {
     /// The share.
@@ -67,10 +68,10 @@ struct Total {
 }
 
 impl Total {
-    fn add(&mut self, other: &Self) {
-        self.runs += other.runs;
-        self.disturbance_s += other.disturbance_s;
-        self.failures += other.failures;
+    fn add(&mut self, other: &Self, times: f64) {
+        self.runs += times * other.runs;
+        self.disturbance_s += times * other.disturbance_s;
+        self.failures += times * other.failures;
     }
 
     /// F and mean D_T.
@@ -80,35 +81,53 @@ impl Total {
     }
 }
 
-/// Totals by decider and home, of one model.
+/// Totals by decider and pair of home and activity, of one model.
 struct Totals {
     deciders: Vec<Decider>,
+    /// The numbers of home and activity.
+    pairs: Vec<[usize; 2]>,
     of: Vec<Vec<Total>>,
+}
+
+/// The number of a name, which is a new one's where it is not known.
+fn number_of<'a>(known: &mut Vec<&'a str>, name: &'a str) -> usize {
+    known.iter().position(|other| *other == name).unwrap_or_else(|| {
+        known.push(name);
+        known.len() - 1
+    })
 }
 
 impl Totals {
     fn new(cells: &[Cell]) -> Self {
-        let (mut deciders, mut homes): (Vec<Decider>, Vec<(&str, &str)>) = Default::default();
+        let (mut deciders, mut pairs, mut of): (Vec<Decider>, Vec<[usize; 2]>, Vec<Vec<Total>>) = Default::default();
+        let (mut homes, mut activities) = (Vec::new(), Vec::new());
         for cell in cells {
-            if !deciders.contains(&cell.decider) {
+            let pair = [number_of(&mut homes, &cell.scene), number_of(&mut activities, &cell.program)];
+            let at = pairs.iter().position(|known| *known == pair).unwrap_or(pairs.len());
+            if at == pairs.len() {
+                pairs.push(pair);
+            }
+            let decider = deciders.iter().position(|known| *known == cell.decider).unwrap_or(deciders.len());
+            if decider == deciders.len() {
                 deciders.push(cell.decider);
+                of.push(Vec::new());
             }
-            if !homes.contains(&(&cell.scene, &cell.program)) {
-                homes.push((&cell.scene, &cell.program));
-            }
+            of[decider].resize(pairs.len(), Total::default());
+            of[decider][at].add(
+                &Total {
+                    runs: cell.runs.len() as f64,
+                    disturbance_s: cell.runs.iter().map(|run| run.disturbance_s).sum(),
+                    failures: cell.runs.iter().filter(|run| run.coverage_s.is_none()).count() as f64,
+                },
+                1.0,
+            );
         }
-        let mut of = vec![vec![Total::default(); homes.len()]; deciders.len()];
-        for cell in cells {
-            let decider = deciders.iter().position(|decider| *decider == cell.decider);
-            let home = homes.iter().position(|home| *home == (&cell.scene, &cell.program));
-            let (Some(decider), Some(home)) = (decider, home) else { continue };
-            of[decider][home].add(&Total {
-                runs: cell.runs.len() as f64,
-                disturbance_s: cell.runs.iter().map(|run| run.disturbance_s).sum(),
-                failures: cell.runs.iter().filter(|run| run.coverage_s.is_none()).count() as f64,
-            });
-        }
-        Self { deciders, of }
+        Self { deciders, pairs, of }
+    }
+
+    /// How many homes, or activities, there are.
+    fn count(&self, which: usize) -> usize {
+        self.pairs.iter().map(|pair| pair[which] + 1).max().unwrap_or(0)
     }
 }
 
@@ -145,22 +164,25 @@ fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
 pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
     let totals: Vec<Totals> = models.iter().map(|cells| Totals::new(cells)).collect();
     let Some(first) = totals.first() else { return Vec::new() };
-    let homes = first.of.first().map_or(0, Vec::len);
-    let points = |drawn_models: &[usize], drawn_homes: &[usize]| -> Vec<(Decider, (f64, f64))> {
+    let points = |[models, homes, activities]: &[Vec<usize>; 3]| -> Option<Vec<(Decider, (f64, f64))>> {
+        let drawn = |of: &[usize], one: usize| of.iter().filter(|other| **other == one).count() as f64;
+        let times: Vec<f64> =
+            first.pairs.iter().map(|[home, activity]| drawn(homes, *home) * drawn(activities, *activity)).collect();
         let of_decider = |(index, decider): (usize, &Decider)| {
             let mut sum = Total::default();
-            for model in drawn_models {
-                drawn_homes.iter().filter_map(|home| totals[*model].of[index].get(*home)).for_each(|one| sum.add(one));
+            for model in models {
+                totals[*model].of[index].iter().zip(&times).for_each(|(one, times)| sum.add(one, *times));
             }
             (*decider, sum.point())
         };
-        first.deciders.iter().enumerate().map(of_decider).collect()
+        // Homes and activities may be drawn that were never paired.
+        times.iter().any(|times| *times > 0.0).then(|| first.deciders.iter().enumerate().map(of_decider).collect())
     };
-    let [every_model, every_home]: [Vec<usize>; 2] = [totals.len(), homes].map(|count| (0..count).collect());
-    let all = points(&every_model, &every_home);
+    let every: [Vec<usize>; 3] = [totals.len(), first.count(0), first.count(1)].map(|count| (0..count).collect());
+    let Some(all) = points(&every) else { return Vec::new() };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let samples: Vec<_> =
-        (0..RESAMPLES).map(|_| points(&drawn(&every_model, &mut rng), &drawn(&every_home, &mut rng))).collect();
+        (0..RESAMPLES).filter_map(|_| points(&every.each_ref().map(|of| drawn(of, &mut rng)))).collect();
     let named = first.deciders.iter().filter(|decider| !matches!(decider, Decider::CoverageAware(_)));
     let row = |decider: &Decider| {
         let values = shown(&all, *decider);
@@ -241,7 +263,7 @@ pub fn curves(setup: Setup, cells: &[Cell]) -> (String, String) {
         .zip(&totals.of)
         .map(|(decider, homes)| {
             let mut sum = Total::default();
-            homes.iter().for_each(|home| sum.add(home));
+            homes.iter().for_each(|home| sum.add(home, 1.0));
             (*decider, sum.point())
         })
         .collect();
@@ -298,6 +320,24 @@ mod tests {
             optima: Vec::new(),
             horizon_s: 100,
         }
+    }
+
+    /// What depends on the activity alone is no surer for being tried in three homes.
+    #[test]
+    fn homes_and_activities_are_drawn_apart() {
+        let failures = [("p", 0), ("q", 1), ("r", 3)];
+        let cells = |scenes: &[&str]| -> Vec<Cell> {
+            let of = |scene: &str, (program, failures): (&str, usize)| {
+                let runs: Vec<(f64, bool)> = (0..4).map(|run| (20.0, run >= failures)).collect();
+                Cell { scene: scene.into(), ..cell(program, Decider::Policy(PolicyName::Naive), &runs) }
+            };
+            scenes.iter().flat_map(|scene| failures.map(|activity| of(scene, activity))).collect()
+        };
+        let rate = |scenes: &[&str]| rows(SETUP, &[cells(scenes)], 1)[0].failure_rate;
+        let (one, three) = (rate(&["s"]), rate(&["s", "t", "u"]));
+        assert_eq!(one.value, three.value);
+        assert_eq!(one.ci95, [0.0, 0.75]);
+        assert_eq!(three.ci95, [0.0, 0.75]);
     }
 
     #[test]

@@ -50,7 +50,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Those of the paper's tables: the person takes the nearest item, and restarts are as many as make a mean that can be compared.
+    /// The person takes the nearest item, where the paper's takes any. Restarts are as many as make a mean that can be compared.
     fn default() -> Self {
         Self {
             history: HistoryLimits::default(),
@@ -148,14 +148,17 @@ impl<'a> Home<'a> {
         self.tracks.iter().flat_map(|track| &track.timeline.skipped).map(String::as_str)
     }
 
-    /// Room probabilities at a time: S of all persons added up, normalised.
+    /// Room probabilities at a time: that anybody is there, 1 - prod(1 - p) over the persons, as the daemon gives them.
     fn probability(&self, at_s: f64) -> Vec<f64> {
-        let mut sum = vec![0.0; self.cost.rooms()];
-        for track in &self.tracks {
-            let row = &track.scores[track.timeline.done_by(at_s)];
-            sum.iter_mut().zip(row).for_each(|(sum, score)| *sum += score);
+        if let [track] = self.tracks.as_slice() {
+            return normalised(track.scores[track.timeline.done_by(at_s)].clone());
         }
-        normalised(sum)
+        let mut nobody = vec![1.0; self.cost.rooms()];
+        for track in &self.tracks {
+            let own = normalised(track.scores[track.timeline.done_by(at_s)].clone());
+            nobody.iter_mut().zip(own).for_each(|(nobody, p)| *nobody *= 1.0 - p);
+        }
+        normalised(nobody.into_iter().map(|nobody| 1.0 - nobody).collect())
     }
 
     /// The forecaster of a person at a time: all that was observed until then.

@@ -116,20 +116,27 @@ impl<'a> Binder<'a> {
                     let draw = stable_hash(&[&stream.to_le_bytes(), object.name.as_bytes(), &object.id.to_le_bytes()]);
                     *items.get((draw % items.len().max(1) as u64) as usize)?
                 }
-                ItemChoice::Nearest => *items.iter().min_by(|a, b| {
-                    let far = |item: ItemId| distance_m(map.items()[item.0 as usize].position_m, from_m);
-                    far(**a).total_cmp(&far(**b))
-                })?,
+                ItemChoice::Nearest => nearest(map, items, from_m)?,
             };
-            Some(Place {
-                label: candidates.label,
-                item: Some(item),
-                partition: grounding.item_partition()[item.0 as usize],
-                position_m: map.items()[item.0 as usize].position_m,
-            })
+            Some(item_place(map, grounding, item, candidates.label))
         });
         self.bound.insert(object.clone(), place);
         place
+    }
+
+    /// All places that may be meant by an object's name; by somebody at `from_m`, where that is given.
+    pub(crate) fn places(&mut self, name: &str, from_m: Option<[f64; 3]>) -> Vec<Place> {
+        let (choice, map, grounding) = (self.choice, self.map, self.grounding);
+        let Some(candidates) = self.candidates(name) else { return Vec::new() };
+        if let Some(room) = candidates.room {
+            return vec![room_place(map, grounding, room, candidates.label)];
+        }
+        let place = |item: &ItemId| item_place(map, grounding, *item, candidates.label);
+        match (choice, from_m) {
+            (ItemChoice::Nearest, Some(from_m)) => nearest(map, &candidates.items, from_m).iter().map(place).collect(),
+            (ItemChoice::First, _) => candidates.items.first().map(place).into_iter().collect(),
+            _ => candidates.items.iter().map(place).collect(),
+        }
     }
 
     fn candidates(&mut self, name: &str) -> Option<&Candidates> {
@@ -159,6 +166,20 @@ impl<'a> Binder<'a> {
             }
         }
         self.map.find_room(name).map(by_room)
+    }
+}
+
+fn nearest(map: &SemanticMap, items: &[ItemId], from_m: [f64; 3]) -> Option<ItemId> {
+    let far = |item: ItemId| distance_m(map.items()[item.0 as usize].position_m, from_m);
+    items.iter().copied().min_by(|a, b| far(*a).total_cmp(&far(*b)))
+}
+
+fn item_place(map: &SemanticMap, grounding: &Grounding, item: ItemId, label: Option<usize>) -> Place {
+    Place {
+        label,
+        item: Some(item),
+        partition: grounding.item_partition()[item.0 as usize],
+        position_m: map.items()[item.0 as usize].position_m,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::cell::LazyCell;
 use std::io;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
 use roomcast_core::pipeline::Prepared;
@@ -16,8 +16,8 @@ use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};
 
-/// A question to forget somebody waits at most this long for the journal.
-const FORGET_PATIENCE: Duration = Duration::from_secs(5);
+/// A question to forget somebody waits at most this long for the journal and the habits file together.
+pub(super) const FORGET_PATIENCE: Duration = Duration::from_secs(5);
 /// A changed map waits at most this long for the journal.
 const BELIEFS_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -143,10 +143,11 @@ fn forget<M: LanguageModel>(
     };
     // Whose an observation in a window is was found.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
-    let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, FORGET_PATIENCE));
+    let until = Instant::now() + FORGET_PATIENCE;
+    let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = *in_journal.as_ref().unwrap_or(&1);
     let in_file = board.persons_mut().file_mut().remove(person);
-    let in_habits = write_habits(board, keeper);
+    let in_habits = write_habits(board, keeper, until);
     let error = in_journal.err().or(in_file.err()).or(in_habits.err());
     (error.map(|error| not_yet_kept(&error)), records)
 }
@@ -163,12 +164,16 @@ fn not_yet_kept(error: &io::Error) -> String {
     format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
 }
 
-/// Writes what is left of what was learned after somebody was forgotten, and waits for it.
-pub(super) fn write_habits<M: LanguageModel>(board: &mut Board<M>, keeper: Option<&Keeper>) -> io::Result<()> {
+/// Writes what is left of what was learned after somebody was forgotten, and waits for it `until` then.
+pub(super) fn write_habits<M: LanguageModel>(
+    board: &mut Board<M>,
+    keeper: Option<&Keeper>,
+    until: Instant,
+) -> io::Result<()> {
     let Some(keeper) = keeper else { return Ok(()) };
     let habits = board.habits_mut();
     let Some(memory) = habits.memory_if_changed() else { return Ok(()) };
-    keeper.forget(memory, FORGET_PATIENCE).inspect_err(|_| habits.keep_changed())
+    keeper.forget(memory, until).inspect_err(|_| habits.keep_changed())
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::habits::{BYTES_MAX, Habits, HabitsOptions};
@@ -207,11 +207,11 @@ impl Keeper {
         }
     }
 
-    /// Writes what is left after somebody was forgotten, within `patience`.
-    pub(super) fn forget(&self, memory: Memory, patience: Duration) -> io::Result<()> {
+    /// Writes what is left after somebody was forgotten, `until` then at the latest.
+    pub(super) fn forget(&self, memory: Memory, until: Instant) -> io::Result<()> {
         let (done, answer) = bounded(1);
-        let sent = self.work.as_ref().map(|work| work.send_timeout(Work::Forget(Box::new(memory), done), patience));
-        match sent.map(|sent| sent.map(|()| answer.recv_timeout(patience))) {
+        let sent = self.work.as_ref().map(|work| work.send_deadline(Work::Forget(Box::new(memory), done), until));
+        match sent.map(|sent| sent.map(|()| answer.recv_deadline(until))) {
             Some(Ok(Ok(result))) => result,
             _ => Err(io::Error::from(io::ErrorKind::TimedOut)),
         }
@@ -246,6 +246,7 @@ fn run(file: &HabitsFile, queue: &Receiver<Work>, failed: &AtomicBool) {
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
+    use std::time::Duration;
 
     use roomcast_core::habits::{Place, Turn};
 
@@ -319,7 +320,7 @@ mod tests {
         assert_eq!(memory.habits.learned().counts, 0);
         assert!(file.write(&learned()).unwrap_err().to_string().contains("repair or remove it"));
         let mut keeper = Keeper::start(file).unwrap();
-        assert!(keeper.forget(learned(), Duration::from_secs(60)).is_err());
+        assert!(keeper.forget(learned(), Instant::now() + Duration::from_secs(60)).is_err());
         keeper.finish(Some(learned()));
         assert!(load(directory.path()).1.habits.learned().counts > 0);
     }

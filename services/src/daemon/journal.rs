@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crossbeam::channel::{SendTimeoutError, Sender, bounded};
 use roomcast_core::narration::Observation;
@@ -218,8 +218,7 @@ impl JournalHandle {
     }
 
     /// Takes out of the journal what a person did, before and after a restart of the machine: the observations of which `is_theirs` says so,
-    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits at most `patience` for the writer to take it
-    /// up, and as long for it to be done.
+    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits for it `until` then.
     ///
     /// # Errors
     ///
@@ -228,14 +227,14 @@ impl JournalHandle {
         &self,
         person: u32,
         is_theirs: impl Fn(&Observation, Option<u32>) -> bool + Send + 'static,
-        patience: Duration,
+        until: Instant,
     ) -> io::Result<usize> {
         let (done, answer) = bounded(1);
         let work = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
         let forget = Work::Forget { person, is_theirs: Box::new(is_theirs), done };
-        match work.map(|work| work.send_timeout(forget, patience)) {
+        match work.map(|work| work.send_deadline(forget, until)) {
             Some(Ok(())) => {
-                answer.recv_timeout(patience).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
+                answer.recv_deadline(until).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
             }
             Some(Err(SendTimeoutError::Timeout(_))) => Err(io::Error::from(io::ErrorKind::TimedOut)),
             Some(Err(SendTimeoutError::Disconnected(_))) | None => Err(io::Error::other("the journal is closed")),

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
@@ -11,7 +11,7 @@ use roomcast_ipc::{
 };
 use sd_notify::NotifyState;
 
-use super::answers::{answer_about_person, answer_change, write_habits};
+use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, write_habits};
 use super::aside::Desk;
 use super::asked::{Answered, Question};
 use super::cycle::Cycle;
@@ -461,7 +461,7 @@ impl<M: LanguageModel> Scoring<M> {
                     // Answers that nobody has read tell of what is forgotten, and so do those that are remembered.
                     habits_questions.forget_answers();
                     is_new = true;
-                    if let Err(error) = write_habits(board, keeper.as_ref()) {
+                    if let Err(error) = write_habits(board, keeper.as_ref(), Instant::now() + FORGET_PATIENCE) {
                         answer.reason = Some(format!(
                             "it holds until the daemon starts again: the habits file cannot be written: {error}"
                         ));

@@ -6,7 +6,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde_json::{Value, json};
 
 use super::{
-    BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, forecast_markdown, forecast_text, maps, report_faults,
+    BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, fitted, forecast_markdown, forecast_text, maps,
+    report_faults,
 };
 use crate::cli::choice::choice;
 use crate::cli::{CommandResult, Failure, count, print, print_json};
@@ -14,10 +15,12 @@ use crate::exit_code;
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::prompt::BindingSequence;
-use roomcast_lab::experiment::Progress;
+use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report};
+use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource};
 use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_llama::LlamaModel;
 use roomcast_services::state_file;
 
 /// What both ask about.
@@ -66,6 +69,10 @@ pub(super) struct SealedArgs {
     /// Places that nobody has measured yet, opened together with the split: a folder for each, with map.json and programs/.
     #[arg(long, value_name = "DIR", default_value = "training/sealed")]
     places: PathBuf,
+    /// Programs that the baselines of these places are counted on, may be repeated; those that the model's folder has when left out. Without what is
+    /// sealed: `training/routines.py --fold sealed` writes such.
+    #[arg(long, value_name = "DIR")]
+    fit: Vec<PathBuf>,
     #[command(flatten)]
     asked: Asked,
     #[command(flatten)]
@@ -91,6 +98,10 @@ impl Trained {
 
     fn model(&self) -> PathBuf {
         self.folder.join("household.gguf")
+    }
+
+    fn source(&self, model: &ModelArgs, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
+        ModelArgs { model: Some(self.model()), ..model.clone() }.source(grounding)
     }
 
     fn part(&self, programs: &[NamedProgram], split: &str) -> Result<Part, Failure> {
@@ -130,7 +141,16 @@ impl Asked {
         scenes: &[PathBuf],
         model: &ModelArgs,
     ) -> Result<Report, Failure> {
-        let maps = maps(scenes)?;
+        self.measure_in(trained, parts, &maps(scenes)?, model)
+    }
+
+    fn measure_in(
+        &self,
+        trained: &[Trained],
+        parts: &[Part],
+        maps: &[(SemanticMap, Grounding)],
+        model: &ModelArgs,
+    ) -> Result<Report, Failure> {
         let options = prediction::Options {
             history: model.limits(),
             binding: BindingSequence::default(),
@@ -140,10 +160,8 @@ impl Asked {
         };
         let programs: usize = parts.iter().map(|part| part.programs.len()).sum();
         let progress = Progress::new("programs", programs * maps.len() * options.items.len());
-        let open = |part: usize, grounding: &Grounding| {
-            ModelArgs { model: Some(trained[part].model()), ..model.clone() }.source(grounding)
-        };
-        Ok(prediction::run(&maps, parts, &options, &progress, open)?)
+        let open = |part: usize, grounding: &Grounding| trained[part].source(model, grounding);
+        Ok(prediction::run(maps, parts, &options, &progress, open)?)
     }
 }
 
@@ -189,11 +207,14 @@ fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
     Ok(found)
 }
 
+/// What the command has that trains a model for the sealed split alone.
+const ONLY_SEALED: &str = " --fold sealed";
+
 pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     refuse_model(&args.model, "--trained")?;
     let record = &args.record;
     let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", record.display()));
-    let mut entries: Vec<Value> = match std::fs::read_to_string(record) {
+    let entries: Vec<Value> = match std::fs::read_to_string(record) {
         Ok(text) => serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
         Err(error) => return Err(failed(error.to_string())),
@@ -209,24 +230,40 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
             |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
         state_file::write_out(record, (text + "\n").as_bytes()).map_err(no_record)
     };
-    // Before anything is measured, too: the split is opened once.
+    // Before the split is looked at: what is found in it is written down.
     write(&entries)?;
-    let programs = args.asked.load()?;
     let trained = [Trained::read(&args.trained)?];
-    let part = trained[0].part(&programs, SEALED)?;
-    let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|e| failed(e.to_string()))?;
-    let places = folders(&args.places, "map.json")?;
-    let mut reports =
-        vec![args.asked.measure(&trained, std::slice::from_ref(&part), &args.asked.scene, &args.model)?];
-    for place in places {
+    if !trained[0].manifest.command.contains(ONLY_SEALED) {
+        let fault = format!(
+            "this model was trained with {:?}, and the split is opened once: give one of `python training/run.py --shared DATA{ONLY_SEALED}`",
+            trained[0].manifest.command
+        );
+        return Err(trained[0].manifest.failed(fault));
+    }
+    // All that may fail comes before the split is opened.
+    let part = trained[0].part(&args.asked.load()?, SEALED)?;
+    let mut opened = vec![(maps(&args.asked.scene)?, part.clone())];
+    let statistics = fitted(&args.fit, &part.statistics)?;
+    for place in folders(&args.places, "map.json")? {
         let (programs, faults) = prediction::load_programs(&place.join("programs"))?;
         report_faults(&faults);
-        let part = Part { programs, ..part.clone() };
-        reports.push(args.asked.measure(&trained, &[part], &[place.join("map.json")], &args.model)?);
+        let part = Part { programs, statistics: statistics.clone(), ..part.clone() };
+        opened.push((maps(&[place.join("map.json")])?, part));
     }
-    let opened = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    entries.push(json!({ "opened_unix_s": opened, "model_sha256": hex::encode(sha256), "reports": reports }));
+    for (_, grounding) in opened.iter().flat_map(|(maps, _)| maps) {
+        trained[0].source(&args.model, grounding)?;
+    }
+    let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|e| failed(e.to_string()))?;
+    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let entry =
+        |reports: &[Report]| json!({ "opened_unix_s": now_s, "model_sha256": hex::encode(sha256), "reports": reports });
+    // Whoever ends this command from here on has opened the split, too.
+    write(&[entry(&[])])?;
+    let reports = opened
+        .iter()
+        .map(|(maps, part)| args.asked.measure_in(&trained, std::slice::from_ref(part), maps, &args.model))
+        .collect::<Result<Vec<_>, _>>()?;
     // Written first: nobody sees what is not written down.
-    write(&entries)?;
+    write(&[entry(&reports)])?;
     args.asked.print(&reports)
 }

@@ -2,7 +2,6 @@
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::time::Instant;
 
 use proptest::prelude::*;
 use roomcast_core::forecast::PACES;
@@ -166,7 +165,7 @@ fn what_is_kept_aside_goes_when_somebody_is_forgotten() {
     let first = PathBuf::from(format!("{}.large-1", current.display()));
     fs::copy(&first, format!("{}.large-64", current.display())).unwrap();
     let is_carla = |observation: &Observation, _: Option<u32>| observation.person == 7;
-    assert!(journal.handle().forget(7, is_carla, Duration::from_secs(60)).unwrap() > 0);
+    assert!(journal.handle().forget(7, is_carla, Instant::now() + Duration::from_secs(60)).unwrap() > 0);
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         let path = file.unwrap().path();
@@ -443,7 +442,7 @@ fn who_says_much_pushes_nobody_out() {
             }
             // Eve is forgotten, and then said to be away with everybody.
             let is_eve = |o: &Observation, _| o.name.as_deref() == Some("eve");
-            assert_eq!(journal.handle().forget(3, is_eve, Duration::from_secs(30)).unwrap(), 1);
+            assert_eq!(journal.handle().forget(3, is_eve, Instant::now() + Duration::from_secs(30)).unwrap(), 1);
             journal.append(&quiet(6, "ben", "present in the kitchen"));
             told(&journal, &quiet(6, "ben", "present"), 2, &[1.0, 0.0]);
         } else {
@@ -541,7 +540,7 @@ fn last_words_keep_their_order_over_rotations() {
                 expected.push(round);
             }
             4 => {
-                journal.handle().forget(1, |o, _| o.source == 99, Duration::from_secs(30)).unwrap();
+                journal.handle().forget(1, |o, _| o.source == 99, Instant::now() + Duration::from_secs(30)).unwrap();
                 expected.clear();
             }
             // What names somebody and changes nothing does not count.
@@ -624,8 +623,8 @@ fn who_is_forgotten_leaves_no_trace() {
     }
     let is_ada = |o: &Observation| o.name.as_deref() == Some("ada");
     let is_theirs = move |o: &Observation, found: Option<u32>| is_ada(o) || found == Some(1);
-    assert!(handle.forget(1, is_theirs, Duration::from_secs(30)).unwrap() > 0);
-    assert_eq!(handle.forget(1, is_theirs, Duration::from_secs(30)).unwrap(), 0);
+    assert!(handle.forget(1, is_theirs, Instant::now() + Duration::from_secs(30)).unwrap() > 0);
+    assert_eq!(handle.forget(1, is_theirs, Instant::now() + Duration::from_secs(30)).unwrap(), 0);
     let last = journal.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
