@@ -119,7 +119,7 @@ pub fn run(
         let picture = &mut live.picture;
         // What is malformed is passed over; `roomcast top` and the metrics count it.
         while let Some(received) = narration.receive()? {
-            received.iter().for_each(|message| picture.narration(message, now_ns));
+            received.iter().for_each(|message| picture.narration(message, told_ns(message.observed_ns, now_ns)));
         }
         if let Some(message) = scores.newest()? {
             picture.scores(&message, now_ns);
@@ -134,7 +134,7 @@ pub fn run(
             picture.forecasts(&message, now_ns);
         }
         while let Some(received) = decisions.receive()? {
-            received.iter().for_each(|message| picture.decision(message, now_ns));
+            received.iter().for_each(|message| picture.decision(message, told_ns(message.decided_ns, now_ns)));
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
@@ -155,6 +155,11 @@ pub fn run(
     }
     server.join();
     Ok(())
+}
+
+/// When it was, of something that may have been kept for whoever joins late: as it says itself, and now where it says nothing or a time ahead.
+fn told_ns(own_ns: u64, now_ns: u64) -> u64 {
+    if own_ns == 0 { now_ns } else { own_ns.min(now_ns) }
 }
 
 /// The things' scores, which the daemon makes for whoever follows them. Where others have all
@@ -483,7 +488,7 @@ struct Picture {
     /// Others are shown only where it says nothing.
     is_configured: bool,
     decided: Decided,
-    /// The newest first: when it came, who was told of by whom, and what was said.
+    /// The newest first: when it was, who was told of by whom, and what was said.
     narration: VecDeque<(u64, String, String)>,
     items: BTreeMap<String, f64>,
     quality: Quality,
@@ -1043,25 +1048,68 @@ mod tests {
         let _left = domain.clean_up();
     }
 
-    /// The page of a system in which nothing runs is served, to those who ask this machine.
-    #[test]
-    fn the_page_is_served_with_its_policy_to_this_machine_alone() {
-        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
-        let domain = Domain::new(folder.path().join("d"), &format!("view-{}", std::process::id())).unwrap();
+    /// A view of the domain that runs, with the key "k3y".
+    fn viewed(domain: &Domain) -> (SocketAddr, Stop, std::thread::JoinHandle<Result<(), ViewError>>) {
         let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
         let (own_stop, own_domain) = (stop.clone(), domain.clone());
         let any = Place { key: Some("k3y".to_owned()), ..Place::with_key("127.0.0.1:0".parse().unwrap()) };
         let thread = std::thread::spawn(move || {
             run(&any, &own_domain, "robot", &own_stop, |address| found.send(address).unwrap())
         });
-        let address = address.recv_timeout(Duration::from_secs(60)).unwrap();
-        let get_with = |path: &str, host: &str, key: &str| {
-            let mut stream = std::net::TcpStream::connect(address).unwrap();
-            write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
-            let mut text = String::new();
-            stream.read_to_string(&mut text).unwrap();
-            text
-        };
+        (address.recv_timeout(Duration::from_secs(60)).unwrap(), stop, thread)
+    }
+
+    fn got(address: SocketAddr, path: &str, host: &str, key: &str) -> String {
+        let mut stream = std::net::TcpStream::connect(address).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nX-Roomcast-Key: {key}\r\n\r\n").unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        text
+    }
+
+    /// A person who had left hours before was "away, 2 s ago": what services keep comes when the view joins.
+    #[test]
+    fn what_was_said_before_the_view_began_is_as_old_as_it_is() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("kept-{}", std::process::id())).unwrap();
+        let node = domain.open("test").unwrap();
+        let (narration, decisions) = (node.publisher().unwrap(), node.publisher().unwrap());
+        // As old as the machine's clock allows.
+        let (then_ns, (epoch, sequence)) = (1, (1, 1));
+        let said = NarrationV1::new(narration_kind::SENTENCE, "They open the fridge.").unwrap();
+        narration.send(&NarrationV1 { source: 7, epoch, sequence, observed_ns: then_ns, ..said }).unwrap();
+        let (robot, to) = (sequence::source_of_name("robot"), text::encode("to", "kitchen").unwrap());
+        let action = action::GO;
+        let decision = DecisionV1 { robot, epoch, sequence, decided_ns: then_ns, action, to, ..Default::default() };
+        decisions.send(&decision).unwrap();
+        let least_s = clock::monotonic_ns() as f64 / 1e9 - 1.0;
+        let (address, stop, thread) = viewed(&domain);
+        let ages = (0..600).find_map(|_| {
+            // Late subscribers are handed what they missed.
+            narration.tick().unwrap();
+            decisions.tick().unwrap();
+            let answer = got(address, "/state", "localhost", "k3y");
+            let state: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+            let ages = [&state["narration"][0]["age_s"], &state["decision"]["age_s"]].map(Value::as_f64);
+            std::thread::sleep(Duration::from_millis(50));
+            Some([ages[0]?, ages[1]?])
+        });
+        assert!(ages.unwrap().into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
+        stop.request();
+        assert!(matches!(thread.join(), Ok(Ok(()))));
+        drop((narration, decisions, node));
+        let _left = domain.clean_up();
+        // Who has no clock says when it is heard, and nothing is said ahead of time.
+        assert_eq!([told_ns(0, 9), told_ns(5, 9), told_ns(12, 9)], [9, 5, 9]);
+    }
+
+    /// The page of a system in which nothing runs is served, to those who ask this machine.
+    #[test]
+    fn the_page_is_served_with_its_policy_to_this_machine_alone() {
+        let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(folder.path().join("d"), &format!("view-{}", std::process::id())).unwrap();
+        let (address, stop, thread) = viewed(&domain);
+        let get_with = |path: &str, host: &str, key: &str| got(address, path, host, key);
         let get = |path: &str, host: &str| get_with(path, host, "k3y");
         let page = get_with("/", "localhost", "");
         assert!(page.starts_with("HTTP/1.1 200") && page.contains(POLICY) && page.contains("nosniff"), "{page}");

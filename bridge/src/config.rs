@@ -173,7 +173,7 @@ pub struct Ipc {
 
 impl Default for Ipc {
     fn default() -> Self {
-        Self { root: None, domain: Domain::default_for_user().name().to_owned() }
+        Self { root: None, domain: Domain::DEFAULT_NAME.to_owned() }
     }
 }
 
@@ -517,7 +517,7 @@ impl Config {
     ///
     /// [`ConfigError::Domain`].
     pub fn domain(&self) -> Result<Domain, ConfigError> {
-        let root = self.ipc.root.clone().unwrap_or_else(|| Domain::default_for_user().root().to_owned());
+        let root = self.ipc.root.clone().unwrap_or_else(Domain::default_root);
         Ok(Domain::new(root, &self.ipc.domain)?)
     }
 }

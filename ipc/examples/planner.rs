@@ -5,7 +5,7 @@ use std::time::Duration;
 use roomcast_ipc::{Domain, RoomScoresV1, clock};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let node = Domain::default_for_user().open("example-planner")?;
+    let node = Domain::default_for_user()?.open("example-planner")?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     loop {
         scores.wait(Duration::from_millis(500))?;

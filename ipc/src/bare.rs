@@ -9,6 +9,7 @@ use iceoryx2::prelude::ServiceName;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
 use crate::domain::{Flavour, Node};
+use crate::port::port;
 use crate::{IpcError, Message};
 
 /// Sends payloads of `M`'s layout, unchecked.
@@ -102,8 +103,4 @@ fn services<M: Message>(node: &Node, service: &'static str) -> Result<Services<M
     let data = node.inner().service_builder(&name).publish_subscribe::<M>().open_or_create();
     let events = node.inner().service_builder(&name).event().open_or_create();
     Ok((data.map_err(|error| port(service, "open", &error))?, events.map_err(|error| port(service, "open", &error))?))
-}
-
-fn port(service: &'static str, operation: &'static str, error: &dyn std::fmt::Debug) -> IpcError {
-    IpcError::Port { service, operation, cause: format!("{error:?}") }
 }

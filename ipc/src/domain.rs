@@ -1,6 +1,7 @@
 //! Where participants meet: a root path, a name, and the nodes that join.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsString;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError, mpsc};
@@ -81,7 +82,17 @@ pub struct Domain {
     name: String,
 }
 
+/// The user's own root path.
+fn own_root(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
+    let root = variable("XDG_RUNTIME_DIR").map(|base| Path::new(&base).join("roomcast"));
+    root.filter(|root| root.is_absolute() && root.as_os_str().len() <= ROOT_LIMIT)
+        .unwrap_or_else(|| PathBuf::from(format!("/tmp/roomcast-{}", geteuid().as_raw())))
+}
+
 impl Domain {
+    /// The name of a domain for which none is given.
+    pub const DEFAULT_NAME: &str = "roomcast";
+
     /// A domain at `root` (at most 40 bytes, absolute) named `name` (of `a-z`, `0-9`, `-`: 15 for every user, up to 22 where
     /// the user's number is short).
     ///
@@ -102,15 +113,28 @@ impl Domain {
         Ok(Self { root, name: name.to_owned() })
     }
 
-    /// The domain that all commands use when none is given: under `$XDG_RUNTIME_DIR` when it is set and short enough, else
-    /// `/tmp/roomcast-UID`; named `roomcast`.
+    /// The domain of all commands when none is given: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` name it; without them it is
+    /// [`Self::DEFAULT_NAME`] at [`Self::default_root`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::new`], for what the environment says.
+    pub fn default_for_user() -> Result<Self, IpcError> {
+        Self::named_by(|variable| env::var_os(variable))
+    }
+
+    fn named_by(variable: impl Fn(&str) -> Option<OsString>) -> Result<Self, IpcError> {
+        let root = variable("ROOMCAST_ROOT").filter(|root| !root.is_empty()).map(PathBuf::from);
+        let name = variable("ROOMCAST_DOMAIN");
+        let name = name.as_ref().map_or(Self::DEFAULT_NAME.into(), |name| name.to_string_lossy());
+        Self::new(root.unwrap_or_else(|| own_root(variable)), &name)
+    }
+
+    /// The root path when neither command line nor configuration nor environment name one: under `$XDG_RUNTIME_DIR` when it is
+    /// set and short enough, else `/tmp/roomcast-UID`.
     #[must_use]
-    pub fn default_for_user() -> Self {
-        let fallback = || PathBuf::from(format!("/tmp/roomcast-{}", geteuid().as_raw()));
-        let root = env::var_os("XDG_RUNTIME_DIR").map(|base| Path::new(&base).join("roomcast"));
-        let root =
-            root.filter(|root| root.is_absolute() && root.as_os_str().len() <= ROOT_LIMIT).unwrap_or_else(fallback);
-        Self { root, name: "roomcast".to_owned() }
+    pub fn default_root() -> PathBuf {
+        own_root(|variable| env::var_os(variable))
     }
 
     /// The root path.
@@ -904,6 +928,31 @@ pub(crate) enum OpenFailure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The Python client's test has the same environments.
+    #[test]
+    fn the_environment_names_the_domain() {
+        let named = |set: &[(&str, &str)]| {
+            Domain::named_by(|name| set.iter().find(|(own, _)| *own == name).map(|(_, value)| value.into()))
+        };
+        let (root, name, base) = ("ROOMCAST_ROOT", "ROOMCAST_DOMAIN", "XDG_RUNTIME_DIR");
+        let own = format!("/tmp/roomcast-{}", geteuid().as_raw());
+        for (set, at, called) in [
+            (&[(root, "/run/rc"), (name, "kitchen"), (base, "/run/user/1")][..], "/run/rc", "kitchen"),
+            (&[(root, "/run/rc")], "/run/rc", "roomcast"),
+            (&[(name, "kitchen"), (base, "/run/user/1")], "/run/user/1/roomcast", "kitchen"),
+            (&[(root, ""), (base, "/run/user/1")], "/run/user/1/roomcast", "roomcast"),
+            (&[(base, "relative")], &own, "roomcast"),
+            (&[(base, "/a/base/that/no/address/of/a/socket/holds")], &own, "roomcast"),
+            (&[], &own, "roomcast"),
+        ] {
+            assert_eq!(named(set).unwrap(), Domain::new(at, called).unwrap(), "{set:?}");
+        }
+        assert!(matches!(named(&[(root, "relative")]), Err(IpcError::BadRoot { .. })));
+        for bad in ["", "Kitchen"] {
+            assert!(matches!(named(&[(name, bad)]), Err(IpcError::BadDomainName { .. })), "{bad:?}");
+        }
+    }
 
     #[test]
     fn a_participant_is_found_by_its_number() {

@@ -47,7 +47,7 @@
 //! use std::time::Duration;
 //! use roomcast_ipc::{Domain, RoomScoresV1};
 //!
-//! let node = Domain::default_for_user().open("my-planner")?;
+//! let node = Domain::default_for_user()?.open("my-planner")?;
 //! let scores = node.subscriber::<RoomScoresV1>()?;
 //! loop {
 //!     scores.wait(Duration::from_millis(500))?;

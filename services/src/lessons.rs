@@ -159,7 +159,8 @@ impl Lessons {
     #[cfg(feature = "recording")]
     pub fn take_recording(&mut self, recording: &Recording) {
         let mut names = BTreeSet::new();
-        let narrations = recording.messages.iter().filter_map(|(received_unix_ns, message)| match message {
+        let received = recording.received_unix_ns.iter().zip(&recording.messages);
+        let narrations = received.filter_map(|(received_unix_ns, (_, message))| match message {
             Recorded::Narration(narration) => Some((*received_unix_ns, narration)),
             _ => None,
         });
@@ -373,18 +374,33 @@ mod tests {
         );
     }
 
+    #[cfg(feature = "recording")]
+    fn message(sequence: u64, observed_unix_ns: u64) -> Recorded {
+        let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
+        Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 { sequence, observed_unix_ns, ..narration }))
+    }
+
+    /// The times of a recording go on from a start in 1970, and its clock was set meanwhile.
+    #[cfg(feature = "recording")]
+    #[test]
+    fn a_recording_over_a_clock_that_was_set_teaches_hours_by_the_right_one() {
+        let messages = vec![(1, message(1, 0)), (2, message(2, NOW_NS - 7))];
+        let mut lessons = lines();
+        let received_unix_ns = vec![NOW_NS - 9, NOW_NS - 5];
+        lessons.take_recording(&Recording { messages, received_unix_ns, ..Recording::default() });
+        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns).collect();
+        assert_eq!(times, [NOW_NS - 9, NOW_NS - 7]);
+    }
+
     /// A recording of a machine whose clock was ahead.
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_of_the_future_teaches_nothing() {
-        let message = |sequence, observed_unix_ns| {
-            let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
-            Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 { sequence, observed_unix_ns, ..narration }))
-        };
         let messages =
             vec![(NOW_NS, message(1, 0)), (2 * NOW_NS, message(2, 2 * NOW_NS)), (2 * NOW_NS, message(3, NOW_NS))];
         let mut lessons = lines();
-        lessons.take_recording(&Recording { messages, ..Recording::default() });
+        let received_unix_ns = vec![NOW_NS, 2 * NOW_NS, 2 * NOW_NS];
+        lessons.take_recording(&Recording { messages, received_unix_ns, ..Recording::default() });
         assert_eq!((lessons.lessons().len(), lessons.faults().count()), (2, 1));
         assert!(lessons.faults().told()[0].starts_with("narration 2: its time lies"));
     }

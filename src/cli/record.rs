@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
-    Subscriber, clock, question, score_flags,
+    DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    RoomScoresV1, Subscriber, clock, question, score_flags,
 };
 
 use super::choice::choice;
@@ -14,8 +14,8 @@ use super::top::{SILENCE, silence};
 use super::{CommandResult, Failure, count, ranges, service};
 use roomcast_services::logging::{self, Limiter};
 use roomcast_services::moment::Moment;
-use roomcast_services::recording::ros2::{Received, Ros2Recorder};
-use roomcast_services::recording::{self, Profile, Recorded, Recorder, Recording, RecordingError};
+use roomcast_services::recording::ros2::Ros2Recorder;
+use roomcast_services::recording::{self, Profile, Received, Recorded, Recorder, Recording, RecordingError};
 
 use crate::decided::{Decided, News};
 use crate::exit_code;
@@ -83,14 +83,14 @@ impl Output {
 
     fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
         match self {
-            Self::Roomcast(recorder) => recorder.write(message, received.unix_ns),
+            Self::Roomcast(recorder) => recorder.write(message, received),
             Self::Ros2(recorder) => recorder.write(message, received),
         }
     }
 
     fn tell(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
         match self {
-            Self::Roomcast(recorder) => recorder.attach(moment, received.unix_ns),
+            Self::Roomcast(recorder) => recorder.attach(moment, received),
             Self::Ros2(recorder) => recorder.tell(moment),
         }
     }
@@ -146,6 +146,66 @@ impl MapAsked {
     }
 }
 
+/// A publisher's start, and the number of what it said.
+type Name = (u64, u64);
+
+/// What was recorded last of what the services say again and again.
+#[derive(Debug, Default)]
+struct Known {
+    scores: Option<(Name, u32, Vec<IncludedV1>)>,
+    persons: Option<Name>,
+    forecast: Forecasts,
+    person_forecasts: Forecasts,
+    decided: Decided,
+}
+
+impl Known {
+    /// Whether a message only says again what the recording has.
+    fn repeats(&mut self, message: &Recorded, now_ns: u64) -> bool {
+        match message {
+            // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
+            Recorded::RoomScores(scores) => {
+                let flags = scores.flags & !score_flags::HEARTBEAT;
+                let said = Some(((scores.epoch, scores.sequence), flags, scores.included().to_vec()));
+                let is_same = said == self.scores;
+                self.scores = said;
+                is_same && scores.has(score_flags::HEARTBEAT)
+            }
+            Recorded::PersonScores(scores) => {
+                let name = Some((scores.epoch, scores.sequence));
+                std::mem::replace(&mut self.persons, name) == name
+            }
+            Recorded::Forecast(forecast) => self.forecast.repeats((forecast.epoch, forecast.sequence), now_ns),
+            Recorded::PersonForecasts(forecasts) => {
+                self.person_forecasts.repeats((forecasts.epoch, forecasts.sequence), now_ns)
+            }
+            // A bridge to other robots sends theirs again to who joins.
+            Recorded::Decision(decision) => self.decided.take(decision) == News::None,
+            Recorded::Narration(_) | Recorded::RobotReport(_) => false,
+        }
+    }
+}
+
+/// What is expected changes a little as time passes, so of the forecasts of the same scores one a minute is kept.
+#[derive(Debug, Default)]
+struct Forecasts {
+    last: Option<Name>,
+    /// When the minute began.
+    minute_ns: Option<u64>,
+}
+
+impl Forecasts {
+    fn repeats(&mut self, name: Name, now_ns: u64) -> bool {
+        let is_same = self.last.replace(name) == Some(name);
+        // What is new in between begins no other minute: whoever compares forecasts with what came finds one of each.
+        let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.saturating_sub(begun_ns) < FORECAST_NS);
+        if !is_within {
+            self.minute_ns = Some(now_ns);
+        }
+        is_same && is_within
+    }
+}
+
 /// Records until it is asked to stop.
 ///
 /// # Errors
@@ -197,8 +257,7 @@ pub fn run(args: &Args) -> CommandResult {
         Failure::new(exit_code::FAILURE, text)
     })?;
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
-    let (mut scores_known, mut persons_known, mut forecasts_known) = (None, None, None);
-    let (mut forecast_known, mut decided) = (((0, 0), 0), Decided::default());
+    let mut known = Known::default();
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut malformed = 0;
     let mut is_silent = true;
@@ -222,37 +281,7 @@ pub fn run(args: &Args) -> CommandResult {
             super::tell(format_args!("roomcast: {}; this records what comes", silence(&domain)));
         }
         for message in &news {
-            let repeated = match message {
-                // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
-                Recorded::RoomScores(scores) => {
-                    let flags = scores.flags & !score_flags::HEARTBEAT;
-                    let said = Some((scores.epoch, scores.sequence, flags, scores.included().to_vec()));
-                    let same = said == scores_known;
-                    scores_known = said;
-                    same && scores.has(score_flags::HEARTBEAT)
-                }
-                Recorded::PersonScores(scores) => {
-                    let name = Some((scores.epoch, scores.sequence));
-                    std::mem::replace(&mut persons_known, name) == name
-                }
-                // What is expected changes as time passes, a little.
-                Recorded::Forecast(forecast) => {
-                    let name = (forecast.epoch, forecast.sequence);
-                    let (known, told_ns) = forecast_known;
-                    let repeats = known == name && received.monotonic_ns.saturating_sub(told_ns) < FORECAST_NS;
-                    if !repeats {
-                        forecast_known = (name, received.monotonic_ns);
-                    }
-                    repeats
-                }
-                Recorded::PersonForecasts(forecasts) => {
-                    let name = Some((forecasts.epoch, forecasts.sequence));
-                    std::mem::replace(&mut forecasts_known, name) == name
-                }
-                // A bridge to other robots sends theirs again to who joins.
-                Recorded::Decision(decision) => decided.take(decision) == News::None,
-                _ => false,
-            };
+            let repeated = known.repeats(message, received.monotonic_ns);
             if args.heartbeats || !repeated {
                 recorder.write(message, received).map_err(output)?;
             }
@@ -318,6 +347,28 @@ fn take<M: Message>(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Persons' forecasts came into the file with each event alone, and nothing was there to compare an idle hour with.
+    #[test]
+    fn of_repeated_forecasts_there_is_one_a_minute_of_rooms_and_of_persons() {
+        let second_ns = 1_000_000_000;
+        let both = |sequence| {
+            [
+                Recorded::Forecast(Box::new(ForecastV1 { epoch: 1, sequence, ..Default::default() })),
+                Recorded::PersonForecasts(Box::new(PersonForecastsV1 { epoch: 1, sequence, ..Default::default() })),
+            ]
+        };
+        let (mut known, mut kept) = (Known::default(), [Vec::new(), Vec::new()]);
+        for second in 0..200 {
+            // Something is said after 100 s.
+            for (message, kept) in both(1 + u64::from(second >= 100)).iter().zip(&mut kept) {
+                if !known.repeats(message, (7 + second) * second_ns) {
+                    kept.push(second);
+                }
+            }
+        }
+        assert_eq!(kept, [[0, 60, 100, 120, 180], [0, 60, 100, 120, 180]]);
+    }
 
     #[test]
     fn a_daemon_that_had_no_time_is_asked_again_for_its_map() {

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, IpcError, MAX_SOURCES, Message, NarrationV1, Node, PersonForecastsV1, PersonScoresV1,
-    Publisher, RobotReportV1, RoomScoresV1, Subscriber,
+    DecisionV1, Domain, ForecastV1, IpcError, MAX_SOURCES, NarrationV1, Node, PersonForecastsV1, PersonScoresV1,
+    Publisher, RobotReportV1, RoomScoresV1,
 };
 
 use super::{CommandResult, Failure, ranges, record, service};
@@ -24,8 +24,8 @@ pub struct Args {
     /// So many times faster than it was recorded.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = ranges::positive)]
     speed: f64,
-    /// Replay scores, forecasts, decisions and robots' reports too, for a domain without a daemon and a planner. Without it only the narration is
-    /// replayed, and a daemon that has not heard it before scores it again.
+    /// Replay scores, forecasts, decisions and robots' reports too, in a domain without a daemon, planner, robot and bridge, which would act on
+    /// them. Without it only the narration is replayed, and a daemon that has not heard it before scores it again.
     #[arg(long)]
     all: bool,
     /// Seconds to wait at the end until a daemon has taken in the last narration.
@@ -112,9 +112,17 @@ pub fn run(args: &Args) -> CommandResult {
     let messages = record::read(&args.file)?.messages;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-replay").map_err(ipc)?;
+    if args.all {
+        refuse_beside(&node.participants().map_err(ipc)?, &domain)?;
+    }
     let publishers = Publishers::open(&node, args.all).map_err(ipc)?;
     let heard = (!args.all).then(|| node.subscriber::<RoomScoresV1>()).transpose().map_err(ipc)?;
-    let known = heard.as_ref().map(|heard| known_before(heard, &messages)).transpose().map_err(ipc)?.flatten();
+    let mut newest = None;
+    if let Some(heard) = &heard {
+        heard.wait(TICK).map_err(ipc)?;
+        newest = heard.newest().map_err(ipc)?;
+    }
+    let known = newest.as_ref().and_then(|scores| known_words(scores, &messages));
     let start_unix_ns = messages.first().map_or(0, |(time, _)| *time);
     let started = Instant::now();
     let mut sent = 0_u64;
@@ -146,15 +154,19 @@ pub fn run(args: &Args) -> CommandResult {
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
     // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
     let (begun, linger) = (Instant::now(), Duration::from_secs(args.linger));
-    while begun.elapsed() < linger && !stop.requested() {
+    while !stop.requested() {
         publishers.tick().map_err(ipc)?;
         heard.wait(TICK).map_err(ipc)?;
-        if let Some(scores) = heard.newest().map_err(ipc)?
-            && scores.included().iter().any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2)
-        {
+        newest = heard.newest().map_err(ipc)?.or(newest);
+        let mut included = newest.iter().flat_map(RoomScoresV1::included);
+        if included.any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2) {
             // A recorder that looks now and then gets its chance, too.
             std::thread::sleep(TICK);
             return Ok(());
+        }
+        // Also whoever does not wait looks once.
+        if begun.elapsed() >= linger {
+            break;
         }
     }
     if stop.requested() {
@@ -162,22 +174,43 @@ pub fn run(args: &Args) -> CommandResult {
             "{sent} of {of} messages were replayed, and nothing has confirmed the last one"
         )));
     }
+    let place = service::shown(&domain);
     Err(Failure::new(
         exit_code::IPC,
-        format!(
-            "no scores contain the last narration of {}; is a daemon running in {}?",
-            NarrationV1::SERVICE.name,
-            service::shown(&domain)
-        ),
+        match newest {
+            None => format!("no daemon was heard in {place}: start `roomcast daemon`, then replay again"),
+            Some(_) => format!(
+                "the daemon in {place} had not taken in the last narration {} s after it was sent: give it longer (--linger SECONDS)",
+                args.linger
+            ),
+        },
     ))
 }
 
-/// How many of the narrations the daemon has taken in already, in words, as far as its newest scores tell.
-fn known_before(heard: &Subscriber<RoomScoresV1>, messages: &[(u64, Recorded)]) -> Result<Option<String>, IpcError> {
-    heard.wait(TICK)?;
-    Ok(heard.newest()?.and_then(|scores| known_words(&scores, messages)))
+/// Who takes what is replayed for what is so, by the beginning of their names: a robot would drive where it was sent then, and of a daemon's
+/// scores beside the recorded ones nobody knows which hold.
+const MISLED: [(&str, &str); 6] = [
+    ("roomcast-daemon", "a daemon"),
+    ("roomcast-planner", "a planner"),
+    ("roomcast-robot", "a robot's driver"),
+    ("roomcast-bridge", "a bridge over MQTT"),
+    ("roomcast-zenoh", "a bridge to others"),
+    ("roomcast-ros2", "a bridge to ROS 2"),
+];
+
+/// Refuses to replay everything where somebody would act on it.
+fn refuse_beside(participants: &[String], domain: &Domain) -> CommandResult {
+    let misled =
+        MISLED.into_iter().find_map(|(name, who)| Some((who, participants.iter().find(|own| own.starts_with(name))?)));
+    let Some((who, name)) = misled else { return Ok(()) };
+    let text = format!(
+        "{who} ({name:?}) runs in {}, and would take what is replayed for what is so: end it, or replay in a domain of its own (--domain NAME)",
+        service::shown(domain)
+    );
+    Err(Failure::new(exit_code::IPC, text))
 }
 
+/// How many of the narrations the daemon has taken in already, in words, as far as its newest scores tell.
 fn known_words(scores: &RoomScoresV1, messages: &[(u64, Recorded)]) -> Option<String> {
     let contained = |message: &NarrationV1| {
         let newest = scores.included().iter().find(|i| (i.source, i.epoch) == (message.source, message.epoch));
@@ -213,6 +246,32 @@ fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &
 mod tests {
     use super::*;
     use roomcast_ipc::IncludedV1;
+    use roomcast_services::participant::{DRIVER, PLANNER};
+
+    #[test]
+    fn everything_is_replayed_beside_those_alone_who_do_nothing_by_it() {
+        let domain = Domain::new("/tmp/roomcast-x", "x").unwrap();
+        let refused = |names: &[&str]| {
+            let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
+            refuse_beside(&names, &domain).err().map(|failure| failure.to_string())
+        };
+        let watching = ["roomcast-metrics", "roomcast-record", "roomcast-replay", "roomcast-top", "roomcast-view"];
+        assert_eq!(refused(&watching), None);
+        let (planner, driver) = (PLANNER.name("mop 2"), DRIVER.name("mop 2"));
+        let acting = [
+            "roomcast-bridge",
+            "roomcast-daemon",
+            &planner,
+            "roomcast-robot",
+            &driver,
+            "roomcast-ros2",
+            "roomcast-zenoh",
+        ];
+        for name in acting {
+            let said = refused(&["roomcast-top", name]).unwrap();
+            assert!(said.contains(name) && said.contains("end it, or replay in a domain of its own"), "{said}");
+        }
+    }
 
     /// Nineteen narrators said one sentence each, and scores have places for sixteen.
     #[test]

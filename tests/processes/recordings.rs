@@ -149,6 +149,15 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
     let said = String::from_utf8(twice.stderr).unwrap();
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
+    // What the daemon has already needs no waiting.
+    let at_once =
+        other.command(&["replay", file.to_str().unwrap(), "--speed", "50", "--linger", "0"]).output().unwrap();
+    assert!(at_once.status.success(), "{at_once:?}");
+    // All of it would be taken for what is so.
+    let beside = other.command(&["replay", file.to_str().unwrap(), "--all", "--speed", "50"]).output().unwrap();
+    assert_eq!(beside.status.code(), Some(i32::from(exit_code::IPC)), "{beside:?}");
+    let said = String::from_utf8(beside.stderr).unwrap();
+    assert!(said.contains("a daemon (\"roomcast-daemon\") runs in") && !said.contains("replayed in"), "{said}");
 }
 
 /// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.

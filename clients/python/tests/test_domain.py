@@ -20,13 +20,37 @@ from samples import ROOMCAST, private_domain
 NOBODY = 65_534
 
 
-def test_the_environment_names_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROOMCAST_ROOT", "/tmp/roomcast-of-a-test")
-    monkeypatch.setenv("ROOMCAST_DOMAIN", "kitchen")
-    assert Domain.default_for_user() == Domain("/tmp/roomcast-of-a-test", "kitchen")
-    monkeypatch.delenv("ROOMCAST_ROOT")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/1")
-    assert Domain.default_for_user() == Domain("/run/user/1/roomcast", "kitchen")
+ROOT, NAME, BASE = "ROOMCAST_ROOT", "ROOMCAST_DOMAIN", "XDG_RUNTIME_DIR"
+OWN = f"/tmp/roomcast-{os.geteuid()}"
+
+
+@pytest.mark.parametrize(
+    ("given", "root", "name"),
+    [
+        ({ROOT: "/run/rc", NAME: "kitchen", BASE: "/run/user/1"}, "/run/rc", "kitchen"),
+        ({ROOT: "/run/rc"}, "/run/rc", "roomcast"),
+        ({NAME: "kitchen", BASE: "/run/user/1"}, "/run/user/1/roomcast", "kitchen"),
+        ({ROOT: "", BASE: "/run/user/1"}, "/run/user/1/roomcast", "roomcast"),
+        ({BASE: "relative"}, OWN, "roomcast"),
+        ({BASE: "/a/base/that/no/address/of/a/socket/holds"}, OWN, "roomcast"),
+        ({}, OWN, "roomcast"),
+    ],
+)
+def test_the_environment_names_the_domain(monkeypatch: pytest.MonkeyPatch, given: dict[str, str], root: str, name: str) -> None:
+    """The test in Rust has the same environments."""
+    for variable in (ROOT, NAME, BASE):
+        monkeypatch.delenv(variable, raising=False)
+    for variable, value in given.items():
+        monkeypatch.setenv(variable, value)
+    assert Domain.default_for_user() == Domain(root, name)
+
+
+@pytest.mark.parametrize("given", [{ROOT: "relative"}, {NAME: ""}, {NAME: "Kitchen"}])
+def test_a_domain_that_the_environment_names_is_checked(monkeypatch: pytest.MonkeyPatch, given: dict[str, str]) -> None:
+    for variable, value in given.items():
+        monkeypatch.setenv(variable, value)
+    with pytest.raises(RoomcastError):
+        Domain.default_for_user()
 
 
 @pytest.fixture

@@ -242,7 +242,7 @@ pub struct IpcConfig {
 
 impl Default for IpcConfig {
     fn default() -> Self {
-        Self { root: None, domain: Domain::default_for_user().name().to_owned(), spin_us: 0 }
+        Self { root: None, domain: Domain::DEFAULT_NAME.to_owned(), spin_us: 0 }
     }
 }
 
@@ -252,7 +252,7 @@ impl IpcConfig {
     /// # Errors
     /// When root path or name cannot be a domain's.
     pub fn domain(&self) -> Result<Domain, IpcError> {
-        let root = self.root.clone().unwrap_or_else(|| Domain::default_for_user().root().to_owned());
+        let root = self.root.clone().unwrap_or_else(Domain::default_root);
         Domain::new(root, &self.domain)
     }
 }

@@ -23,6 +23,7 @@ use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
+pub use self::tape::Received;
 use self::tape::{Form, Tape};
 use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
@@ -411,20 +412,21 @@ impl Recorder {
         Ok(Self { tape, channels })
     }
 
-    /// Appends a message that was received at `received_unix_ns`.
+    /// Appends a message.
     ///
     /// # Errors
     ///
     /// [`RecordingError::Write`].
-    pub fn write(&mut self, message: &Recorded, received_unix_ns: u64) -> Result<(), RecordingError> {
+    pub fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
         let mut data = message.readable();
         data["bytes"] = hex::encode(message.to_bytes()).into();
+        let received_ns = self.tape.time_ns(received);
         let header = MessageHeader {
             channel_id: self.channels[message.topic()],
             // The file's field has 32 bits; the whole number is in the message.
             sequence: message.sequence() as u32,
-            log_time: received_unix_ns,
-            publish_time: received_unix_ns,
+            log_time: received_ns,
+            publish_time: received.unix_ns,
         };
         self.tape.write(&header, data.to_string().as_bytes())
     }
@@ -434,11 +436,12 @@ impl Recorder {
     /// # Errors
     ///
     /// [`RecordingError::Write`].
-    pub fn attach(&mut self, moment: &Moment, received_unix_ns: u64) -> Result<(), RecordingError> {
+    pub fn attach(&mut self, moment: &Moment, received: Received) -> Result<(), RecordingError> {
         let data = serde_json::to_vec(moment).unwrap_or_default();
+        let received_ns = self.tape.time_ns(received);
         self.tape.attach(&Attachment {
-            log_time: received_unix_ns,
-            create_time: received_unix_ns,
+            log_time: received_ns,
+            create_time: received_ns,
             name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
             media_type: "application/json".to_owned(),
             data: data.into(),
@@ -470,11 +473,13 @@ impl Recorder {
     }
 }
 
-/// A recording: every message with the time of its receipt in Unix nanoseconds, in the order of the file; and the moments in it.
+/// A recording: every message with the time of its receipt in nanoseconds, of the first in Unix time, in the order of the file; and the moments in it.
 #[derive(Debug, Default)]
 pub struct Recording {
     /// The messages.
     pub messages: Vec<(u64, Recorded)>,
+    /// What the wall clock said when each of them came: hours of the day go by it.
+    pub received_unix_ns: Vec<u64>,
     /// What the daemon told of itself when the recording began, and whenever it or its map was another one: the map in use,
     /// and the narration that came before the recording.
     pub moments: Vec<Moment>,
@@ -756,6 +761,7 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
                     let decoded = original(&data).and_then(|bytes| Recorded::decode(topic, &bytes));
                     let decoded = decoded.map_err(|reason| wrong(index, topic, reason))?;
                     recording.messages.push((header.log_time, decoded));
+                    recording.received_unix_ns.push(header.publish_time);
                     index += 1;
                 }
                 _ => {}
@@ -795,12 +801,7 @@ fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
 fn original(data: &[u8]) -> Result<Vec<u8>, String> {
     let value: Value = serde_json::from_slice(data).map_err(|error| error.to_string())?;
     let text = value.get("bytes").and_then(Value::as_str).ok_or("the field \"bytes\" is missing")?;
-    if !text.len().is_multiple_of(2) || !text.is_ascii() {
-        return Err("the field \"bytes\" is not hexadecimal".into());
-    }
-    let digits =
-        |at| u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| "the field \"bytes\" is not hexadecimal".to_owned());
-    (0..text.len()).step_by(2).map(digits).collect()
+    hex::decode(text).map_err(|_| "the field \"bytes\" is not hexadecimal".to_owned())
 }
 
 #[cfg(test)]
@@ -843,12 +844,17 @@ mod tests {
         ]
     }
 
+    /// A time when both clocks say the same.
+    fn at(ns: u64) -> Received {
+        Received { unix_ns: ns, monotonic_ns: ns }
+    }
+
     fn recorded(messages: &[(u64, Recorded)]) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("day.mcap");
         let mut recorder = Recorder::create(&path).unwrap();
         for (time, message) in messages {
-            recorder.write(message, *time).unwrap();
+            recorder.write(message, at(*time)).unwrap();
         }
         recorder.finish().unwrap();
         (folder, path)
@@ -1039,6 +1045,33 @@ mod tests {
         assert!(decode(&path, &damaged).map_or(true, |recording| !recording.is_torn));
     }
 
+    /// The wall clock is set ahead, as of a robot that starts in 1970 and finds the network, and back.
+    #[test]
+    fn a_clock_that_is_set_leaves_a_recording_its_times() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("day.mcap");
+        let mut recorder = Recorder::create(&path).unwrap();
+        let (hour_ns, now_ns) = (3_600_000_000_000, 1_800_000_000_000_000_000);
+        let wall = [hour_ns, hour_ns + 1_000, now_ns, now_ns + 1_000, now_ns - hour_ns, 0, now_ns];
+        for ((unix_ns, monotonic_ns), (_, message)) in wall.into_iter().zip((500..).step_by(1_000)).zip(messages()) {
+            recorder.write(&message, Received { unix_ns, monotonic_ns }).unwrap();
+        }
+        recorder.finish().unwrap();
+        let times: Vec<u64> = read(&path).unwrap().messages.into_iter().map(|(time, _)| time - hour_ns).collect();
+        assert_eq!(times, [0, 1_000, 2_000, 3_000, 4_000, 5_000, 6_000]);
+        assert_eq!(read(&path).unwrap().received_unix_ns, wall, "hours of the day are the wall clock's");
+    }
+
+    /// Signs are no digits, though numbers have them.
+    #[test]
+    fn bytes_are_pairs_of_digits_alone() {
+        let bytes = |text: &str| original(json!({"bytes": text}).to_string().as_bytes());
+        assert_eq!(bytes("00fF"), Ok(vec![0, 255]));
+        for text in ["+f", "f", "0g", "\u{e9}"] {
+            assert!(bytes(text).unwrap_err().contains("is not hexadecimal"), "{text}");
+        }
+    }
+
     #[test]
     fn a_message_of_another_program_is_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -1064,7 +1097,7 @@ mod tests {
         let mut recorder = Recorder::create(&path).unwrap();
         let message =
             NarrationV1 { source: 1, epoch: 1, sequence: 1, ..NarrationV1::new(1, "[Grab] <mug> (1)").unwrap() };
-        recorder.write(&Recorded::Narration(Box::new(message)), 7).unwrap();
+        recorder.write(&Recorded::Narration(Box::new(message)), at(7)).unwrap();
         recorder.finish().unwrap();
         let whole = std::fs::read(&path).unwrap();
         assert_eq!(decode(&path, &whole).unwrap().messages.len(), 1);

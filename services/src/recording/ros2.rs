@@ -12,7 +12,7 @@ use roomcast_ros2::types::{Classification, Header, MarkerArray, Message, Text, e
 use roomcast_ros2::{content, markers, schema, words};
 
 use super::tape::{Form, Tape};
-use super::{Recorded, RecordingError};
+use super::{Received, Recorded, RecordingError};
 use crate::message_text::said_of;
 use crate::moment::Moment;
 
@@ -46,15 +46,6 @@ impl Kept {
     }
 }
 
-/// When a message came.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Received {
-    /// By the wall clock.
-    pub unix_ns: u64,
-    /// By the monotonic clock, at the same time.
-    pub monotonic_ns: u64,
-}
-
 impl Received {
     /// The wall clock's time of something that the monotonic clock saw before.
     fn before(self, monotonic_ns: u64) -> u64 {
@@ -67,10 +58,10 @@ impl Received {
     }
 }
 
-/// When a message came and was made, by the wall clock, and its number.
+/// When a message came, by the file's time, when it was made, by the wall clock, and its number.
 #[derive(Debug, Clone, Copy)]
 struct Stamp {
-    received_unix_ns: u64,
+    received_ns: u64,
     made_unix_ns: u64,
     sequence: u64,
 }
@@ -150,7 +141,7 @@ impl Ros2Recorder {
             channel_id,
             // The file's field has 32 bits.
             sequence: stamp.sequence as u32,
-            log_time: stamp.received_unix_ns,
+            log_time: stamp.received_ns,
             publish_time: stamp.made_unix_ns,
         };
         let data = encode(message).map_err(|source| RecordingError::Cdr { topic: topic.to_owned(), source })?;
@@ -164,7 +155,8 @@ impl Ros2Recorder {
     /// [`RecordingError::Write`], [`RecordingError::Cdr`].
     pub fn write(&mut self, message: &Recorded, received: Received) -> Result<(), RecordingError> {
         let sequence = message.sequence();
-        let at = |made_unix_ns| Stamp { received_unix_ns: received.unix_ns, made_unix_ns, sequence };
+        let received_ns = self.tape.time_ns(received);
+        let at = |made_unix_ns| Stamp { received_ns, made_unix_ns, sequence };
         match message {
             Recorded::Narration(message) => {
                 let said = self.narrated(message);

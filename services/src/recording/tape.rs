@@ -24,11 +24,22 @@ pub(super) struct Form<'a> {
     pub metadata: BTreeMap<String, String>,
 }
 
+/// When a message came.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Received {
+    /// By the wall clock.
+    pub unix_ns: u64,
+    /// By the monotonic clock, at the same time.
+    pub monotonic_ns: u64,
+}
+
 /// The file.
 pub(super) struct Tape {
     writer: Writer<BufWriter<File>>,
     path: PathBuf,
     written: u64,
+    /// When the first message came.
+    begun: Option<Received>,
 }
 
 fn unwritten(path: &Path, error: McapError) -> RecordingError {
@@ -49,7 +60,7 @@ impl Tape {
         let library = concat!("roomcast ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().profile(profile).library(library).create(BufWriter::new(file));
         let writer = writer.map_err(|error| unwritten(path, error))?;
-        Ok(Self { writer, path: path.to_owned(), written: 0 })
+        Ok(Self { writer, path: path.to_owned(), written: 0, begun: None })
     }
 
     fn done<T>(&self, result: Result<T, McapError>) -> Result<T, RecordingError> {
@@ -62,6 +73,13 @@ impl Tape {
         let schema = self.done(schema)?;
         let channel = self.writer.add_channel(schema, topic, form.message_encoding, &form.metadata);
         self.done(channel)
+    }
+
+    /// The time of a receipt in the file. It starts by the wall clock and goes on by the monotonic one: a wall clock that is set meanwhile, as
+    /// of a robot that finds the network after its start, would tear the file apart or fold it.
+    pub(super) fn time_ns(&mut self, received: Received) -> u64 {
+        let begun = *self.begun.get_or_insert(received);
+        begun.unix_ns.saturating_add(received.monotonic_ns.saturating_sub(begun.monotonic_ns))
     }
 
     /// Appends a message.
