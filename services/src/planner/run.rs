@@ -35,8 +35,7 @@ const QUIET_NS: u64 = 5_000_000_000;
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     // The number is the one by which decisions name the robot.
     let number = sequence::source_of_name(&config.planner.robot);
-    let node = join(domain, &PLANNER.name(&config.planner.robot))?;
-    node.be_the_only_one()?;
+    let node = join(domain, &PLANNER.name(&config.planner.robot))?.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
     // The daemon makes them for whoever follows them.
