@@ -10,9 +10,9 @@
 //! All are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
 //!
-//! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
-//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is
-//! called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
+//! Shared memory is set aside for every answer that may be under way, each as long as the longest, before there is any: later there may be
+//! no more, and the system ends whoever touches what is not there. So an answer of more than [`ANSWER_BYTES_MAX`] bytes lies in a file of the
+//! domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
 //! for each answer: so nobody reads what somebody else was answered. Whoever has read the file removes it, since it may tell of persons. Of those that
 //! nobody has read the newest [`ANSWER_FILES_MAX`] stay. Where the file cannot be written, `{"answer":"none","reason":"..."}` comes.
 
@@ -51,7 +51,7 @@ pub const HABITS: &str = "roomcast/v1/habits";
 pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 
 /// Most bytes of an answer in shared memory.
-pub const ANSWER_BYTES_MAX: usize = 1 << 16;
+pub const ANSWER_BYTES_MAX: usize = 1 << 12;
 
 /// Most files of long answers of a service: each of its clients waits for one answer at a time. Whoever comes too late for theirs asks again.
 pub const ANSWER_FILES_MAX: usize = CLIENTS;
@@ -93,8 +93,7 @@ impl AnswerPort {
         let factory = open(node, service)?;
         let server = factory
             .server_builder()
-            .initial_max_slice_len(4096)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .initial_max_slice_len(ANSWER_BYTES_MAX)
             // Shared memory is set aside for as many answers as may be, each as long as the longest.
             .max_loaned_responses_per_request(1)
             .create();
