@@ -609,7 +609,11 @@ impl ItemScoresSubscriber {
     pub fn newest(&self) -> Result<Option<ItemScores>, IpcError> {
         let mut newest = None;
         while let Some(sample) = self.subscriber.receive().map_err(|error| port(ITEM_SCORES, "receive", &error))? {
-            newest = Some(ItemScores { header: *sample.user_header(), items: sample.payload().to_vec() });
+            let items = sample.payload();
+            // The length is the sender's word.
+            if items.len() <= MAX_ITEMS {
+                newest = Some(ItemScores { header: *sample.user_header(), items: items.to_vec() });
+            }
         }
         Ok(newest)
     }
