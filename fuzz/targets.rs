@@ -218,8 +218,10 @@ pub fn message(bytes: &[u8]) {
             if scores.check().is_ok() {
                 let config = PlannerConfig { room_time_s: 1.0, ..PlannerConfig::default() };
                 let mut planner = Planner::new(&config, 1);
-                planner.take(&scores);
-                planner.take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() });
+                planner.take(&scores, scores.published_ns.max(scores.computed_ns)).expect("its own time");
+                planner
+                    .take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() }, 0)
+                    .expect("long ago");
                 for now_ns in [0, scores.published_ns, scores.published_ns.saturating_add(1 << 40)] {
                     if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
                         decision.check().expect("the planner's decisions pass the check");
@@ -232,7 +234,7 @@ pub fn message(bytes: &[u8]) {
             if report.check().is_ok() {
                 let config = PlannerConfig { robot: "robot".to_owned(), ..PlannerConfig::default() };
                 let mut planner = Planner::new(&config, 1);
-                planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() });
+                planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() }, 0).expect("long ago");
                 let own = RobotReportV1 { robot: sequence::source_of_name("robot"), ..report };
                 // A room that the map lacks is a fault of the report alone.
                 let _placed = planner.take_report(&own, 5);

@@ -486,7 +486,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
 
     // A robot that pauses is told of no room, which is unknown there and not a text.
     let planner = node.publisher::<DecisionV1>().unwrap();
-    let told = DecisionV1 { robot: 7, sequence: 1, action: action::PAUSE, ..Default::default() };
+    let told = DecisionV1 { robot: 7, epoch: 1, sequence: 1, action: action::PAUSE, ..Default::default() };
     eventually("no room is unknown", || {
         planner.send(&told).unwrap();
         let robots = talk.ask(json!({"type": "get_states"}));

@@ -1761,7 +1761,10 @@ impl World {
         let clock_ns = if self.planted == Planted::ClockStopsInSleep { now_ns - self.asleep_ns } else { now_ns };
         let robot = &mut self.robot;
         while let Some(scores) = robot.scores.pop_front() {
-            robot.planner.take(&scores);
+            if let Err(error) = robot.planner.take(&scores, clock_ns) {
+                ensure(self.planted == Planted::ClockStopsInSleep, || format!("the daemon's scores are {error}"))?;
+                continue;
+            }
             robot.rooms = scores.rooms().iter().map(|room| room.id().to_owned()).collect();
             let name = (scores.epoch, scores.sequence);
             let heard = robot.heard.entry(name).or_default();
@@ -1780,7 +1783,7 @@ impl World {
                 forecast.id[room] = score.id;
                 forecast.probability[room][0] = [0.0, 0.5, 1.0][self.rng.random_range(0..3)];
             }
-            robot.planner.take_forecast(&forecast);
+            robot.planner.take_forecast(&forecast, clock_ns).unwrap();
             robot.forecast = forecast;
         }
         while robot.planner.knows_rooms()

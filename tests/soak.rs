@@ -97,7 +97,7 @@ fn memory_and_descriptors_stay_flat() {
         scores_out.send(scores).unwrap();
         let scores = scores_in.newest().unwrap().unwrap();
         account.confirm(&scores);
-        planner.take(&scores);
+        planner.take(&scores, clock::monotonic_ns()).unwrap();
         if let Some(decision) = planner.decide(clock::monotonic_ns(), clock::unix_ns()).unwrap() {
             decisions.send(&decision).unwrap();
             decided += 1;

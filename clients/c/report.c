@@ -27,7 +27,8 @@ static uint64_t now_ns(clockid_t clock) {
 
 /* What comes from another process is checked before it is believed. A probability that is no number fails both comparisons. */
 static int is_sound(const RoomcastDecisionV1 *decision) {
-    return decision->action <= ROOMCAST_ACTION_PAUSE && decision->probability >= 0.0 && decision->probability <= 1.0 &&
+    return decision->robot != 0 && decision->epoch != 0 && decision->sequence != 0 &&
+           decision->action <= ROOMCAST_ACTION_PAUSE && decision->probability >= 0.0 && decision->probability <= 1.0 &&
            is_text(decision->from, sizeof decision->from) && is_text(decision->to, sizeof decision->to) &&
            is_text(decision->policy, sizeof decision->policy) && is_text(decision->robot_name, sizeof decision->robot_name) &&
            is_text(decision->reason, sizeof decision->reason);

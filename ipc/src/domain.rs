@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::fs::TryLockError;
+use std::io::Write;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
@@ -25,7 +27,7 @@ use serde::Deserialize;
 use serde::de::value::{Error as ValueError, SeqDeserializer};
 
 use crate::unused::Unused;
-use crate::{IpcError, clock};
+use crate::{IpcError, clock, sequence};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
@@ -53,6 +55,8 @@ const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "no
 const COUNTER_FILE: &str = "global_mgmt";
 /// Endings of the files of ports.
 const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
+/// The ending of the files that participants lock who are to be the only ones of their name.
+const ONLY_FILE: &str = ".only";
 /// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
 /// the latter.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
@@ -187,6 +191,7 @@ impl Domain {
             unused: Mutex::default(),
             tell: None,
             _last: LastOut(self.clone()),
+            _only: None,
             _guardian: guardian,
         })
     }
@@ -250,6 +255,14 @@ impl Domain {
             let ours = entry.file_name().to_string_lossy().starts_with(&prefix);
             if ours && unfinished && age(&entry.path()).is_some_and(|age| age >= MADE_WITHIN) {
                 let _removed = fs::remove_file(entry.path());
+            }
+        }
+        for entry in fs::read_dir(&self.root).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if name.starts_with(&prefix) && name.ends_with(ONLY_FILE) {
+                let locked = fs::File::open(entry.path()).and_then(|file| Only::lock(file, entry.path()));
+                // Its holder was killed. What fails here is held by somebody, or gone.
+                drop(locked);
             }
         }
     }
@@ -622,6 +635,7 @@ pub struct Node {
     tell: Option<fn(&IpcError)>,
     /// After the node has left.
     _last: LastOut,
+    _only: Option<Only>,
     /// Last, since leaving may have to wait for memory too.
     _guardian: Guardian,
 }
@@ -642,6 +656,43 @@ impl Drop for LastOut {
                     let _removed = fs::remove_file(file);
                 }
             }
+        }
+    }
+}
+
+/// Held by the only participant of a name, for as long as its process runs: the kernel takes the lock back from one that was killed, too.
+///
+/// A list of participants cannot say who is alone: whoever is just joining is not in it.
+#[derive(Debug)]
+struct Only {
+    file: fs::File,
+    path: PathBuf,
+}
+
+impl Only {
+    /// Locks a file that was opened at `path`; none where somebody else has it.
+    fn lock(file: fs::File, path: PathBuf) -> io::Result<Option<Self>> {
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
+        let only = Self { file, path };
+        // Whoever had it may have removed it since it was opened. Then it keeps nobody else out.
+        Ok(Some(only).filter(Self::is_in_place))
+    }
+
+    fn is_in_place(&self) -> bool {
+        let (own, there) = (self.file.metadata(), fs::symlink_metadata(&self.path));
+        matches!((own, there), (Ok(own), Ok(there)) if (own.dev(), own.ino()) == (there.dev(), there.ino()))
+    }
+}
+
+impl Drop for Only {
+    fn drop(&mut self) {
+        // While it is locked: it is nobody else's.
+        if self.is_in_place() {
+            let _removed = fs::remove_file(&self.path);
         }
     }
 }
@@ -688,35 +739,39 @@ impl Node {
         Self { tell: Some(tell), ..self }
     }
 
-    /// Makes sure that nobody else of this participant's name is alive. Of several that join at once, the first stays.
+    /// Makes sure that nobody else of this participant's name is one who has done the same, for as long as this node lives. Of several
+    /// that try it at once, one stays.
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 8 s.
-    pub fn be_the_only_one(&self) -> Result<(), IpcError> {
-        // From the lowest bits up: seconds, nanoseconds, process, counter.
-        let age = |id: u128| [0, 32, 64, 96].map(|bit| (id >> bit) as u32);
-        self.retry(|| {
-            let mut holder = None;
-            let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
-                if let NodeState::Alive(other) = state
-                    && let Some(details) = other.details()
-                    && details.name() == self.node.name()
-                    && age(other.id().value()) < age(self.node.id().value())
-                {
-                    holder = Some(shown(details));
+    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be locked.
+    pub fn be_the_only_one(self) -> Result<Self, IpcError> {
+        let name = self.node.name().to_string();
+        let file = format!("{}{:016x}{ONLY_FILE}", self.domain.prefix(), sequence::source_of_name(&name));
+        let path = self.domain.root.join(file);
+        let failed = |error: io::Error| {
+            let cause = format!("{} cannot be locked: {error}", path.display());
+            OpenFailure::Passing(IpcError::Join { root: self.domain.root.clone(), cause })
+        };
+        let only = self.retry(|| {
+            // Whoever can open it can lock it, so it is its owner's alone.
+            let file =
+                fs::OpenOptions::new().read(true).write(true).create(true).truncate(false).mode(0o600).open(&path);
+            match Only::lock(file.map_err(failed)?, path.clone()).map_err(failed)? {
+                Some(mut only) => {
+                    // For the error of others. Where the disk is full, they are told the name alone.
+                    let shown = format!("{name} (process {})", std::process::id());
+                    let _said = only.file.set_len(0).and_then(|()| only.file.write_all(shown.as_bytes()));
+                    Ok(only)
                 }
-                CallbackProgression::Continue
-            });
-            match (listed, holder) {
-                (_, Some(holder)) => Err(OpenFailure::Passing(IpcError::NameTaken { holder })),
-                (Err(error), None) => Err(OpenFailure::Passing(IpcError::Join {
-                    root: self.domain.root.clone(),
-                    cause: format!("the participants cannot be listed: {error:?}"),
-                })),
-                (Ok(()), None) => Ok(()),
+                None => {
+                    let holder = fs::read_to_string(&path).ok().filter(|holder| !holder.is_empty());
+                    let holder = holder.unwrap_or_else(|| name.clone());
+                    Err(OpenFailure::Passing(IpcError::NameTaken { holder }))
+                }
             }
-        })
+        })?;
+        Ok(Self { _only: Some(only), ..self })
     }
 
     /// The names of the participants that are alive, this one's too.
@@ -927,6 +982,9 @@ pub(crate) enum OpenFailure {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Barrier;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::*;
 
     /// The Python client's test has the same environments.
@@ -998,6 +1056,53 @@ mod tests {
         for root in ["relative", "/tmp/a-path-that-is-much-too-long-for-a-socket"] {
             assert!(matches!(Domain::new(root, "x"), Err(IpcError::BadRoot { .. })), "{root}");
         }
+    }
+
+    /// Whoever joins is in no list at first: two planners that started together both stayed, and one vacuum had two drivers.
+    #[test]
+    fn of_those_that_come_at_once_one_is_the_only_one() {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path(), &format!("only-{}", std::process::id())).unwrap();
+        let lock = || {
+            let files = fs::read_dir(domain.root()).unwrap().map(|entry| entry.unwrap().path());
+            files.filter(|path| path.to_string_lossy().ends_with(ONLY_FILE)).collect::<Vec<_>>()
+        };
+        let watcher = domain.open("watcher").unwrap();
+        let (start, here) = (Barrier::new(4), AtomicUsize::new(0));
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    start.wait();
+                    for _ in 0..3 {
+                        let only = domain.open("one").unwrap().be_the_only_one().unwrap();
+                        assert_eq!(here.fetch_add(1, Ordering::SeqCst), 0, "another one is here");
+                        // Cleaning up takes it from nobody.
+                        watcher.clean_up_dead();
+                        let [file] = &lock()[..] else { panic!("{:?}", lock()) };
+                        let holder = fs::read_to_string(file).unwrap();
+                        assert_eq!(holder, format!("one (process {})", std::process::id()));
+                        assert_eq!(fs::metadata(file).unwrap().mode() & 0o777, 0o600);
+                        here.fetch_sub(1, Ordering::SeqCst);
+                        drop(only);
+                    }
+                });
+            }
+        });
+        assert_eq!(lock(), Vec::<PathBuf>::new(), "the last one has removed it");
+        // Of one that was killed it is removed, and keeps nobody out until then.
+        let left = domain.root().join(format!("{}0123456789abcdef{ONLY_FILE}", domain.prefix()));
+        fs::write(&left, "one (process 1)").unwrap();
+        watcher.clean_up_dead();
+        assert!(!left.exists());
+        let only = domain.open("one").unwrap().be_the_only_one().unwrap();
+        let other = domain.open("another").unwrap().be_the_only_one().unwrap();
+        let file = lock();
+        drop((only, other));
+        assert_eq!((file.len(), lock().len()), (2, 0));
+        file.iter().for_each(|file| fs::write(file, "one (process 1)").unwrap());
+        drop(domain.open("one").unwrap().be_the_only_one().unwrap());
+        drop(watcher);
+        domain.clean_up().unwrap();
     }
 
     #[test]

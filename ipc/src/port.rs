@@ -16,8 +16,8 @@ use iceoryx2::port::server::Server;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::{
-    AllocationStrategy, CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState,
-    PortFactory, Service, ServiceName, ZeroCopySend,
+    CallbackProgression, EventId, FileDescriptorBased, IceoryxSend, MessagingPattern, NodeState, PortFactory, Service,
+    ServiceName, ZeroCopySend,
 };
 use iceoryx2::service::builder::event::EventOpenOrCreateError;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
@@ -531,8 +531,8 @@ impl ItemScoresPublisher {
         let factory = open_item_scores(node)?;
         let publisher = factory
             .publisher_builder()
-            .initial_max_slice_len(512)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            // Memory that grows later may find none.
+            .initial_max_slice_len(MAX_ITEMS)
             .create()
             .map_err(|_| occupied(node, &factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
         Ok(Self { publisher, factory, known: Cell::new(0) })
@@ -609,7 +609,11 @@ impl ItemScoresSubscriber {
     pub fn newest(&self) -> Result<Option<ItemScores>, IpcError> {
         let mut newest = None;
         while let Some(sample) = self.subscriber.receive().map_err(|error| port(ITEM_SCORES, "receive", &error))? {
-            newest = Some(ItemScores { header: *sample.user_header(), items: sample.payload().to_vec() });
+            let items = sample.payload();
+            // The length is the sender's word.
+            if items.len() <= MAX_ITEMS {
+                newest = Some(ItemScores { header: *sample.user_header(), items: items.to_vec() });
+            }
         }
         Ok(newest)
     }

@@ -10,9 +10,9 @@
 //! All are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
 //! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
 //!
-//! Shared memory is set aside for every answer that may be under way, each as long as the longest. So an answer of more than
-//! [`ANSWER_BYTES_MAX`] bytes lies in a file of the domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is
-//! called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
+//! Shared memory is set aside for every answer that may be under way, each as long as the longest, before there is any: later there may be
+//! no more, and the system ends whoever touches what is not there. So an answer of more than [`ANSWER_BYTES_MAX`] bytes lies in a file of the
+//! domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
 //! for each answer: so nobody reads what somebody else was answered. Whoever has read the file removes it, since it may tell of persons. Of those that
 //! nobody has read the newest [`ANSWER_FILES_MAX`] stay. Where the file cannot be written, `{"answer":"none","reason":"..."}` comes.
 
@@ -51,7 +51,7 @@ pub const HABITS: &str = "roomcast/v1/habits";
 pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 
 /// Most bytes of an answer in shared memory.
-pub const ANSWER_BYTES_MAX: usize = 1 << 16;
+pub const ANSWER_BYTES_MAX: usize = 1 << 12;
 
 /// Most files of long answers of a service: each of its clients waits for one answer at a time. Whoever comes too late for theirs asks again.
 pub const ANSWER_FILES_MAX: usize = CLIENTS;
@@ -93,8 +93,7 @@ impl AnswerPort {
         let factory = open(node, service)?;
         let server = factory
             .server_builder()
-            .initial_max_slice_len(4096)
-            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .initial_max_slice_len(ANSWER_BYTES_MAX)
             // Shared memory is set aside for as many answers as may be, each as long as the longest.
             .max_loaned_responses_per_request(1)
             .create();
@@ -153,14 +152,11 @@ impl AnswerPort {
         let fail = |error: &dyn std::fmt::Debug| port(self.service, "receive", &error);
         let mut answered = 0;
         while let Some(request) = self.server.receive().map_err(|error| fail(&error))? {
-            // Its sender can still write to it: what is checked must be what is used.
-            let copy = request.payload().to_vec();
-            let question = if copy.len() > QUESTION_BYTES_MAX {
-                Err(MessageError::TextTooLong { field: "question", bytes: copy.len(), limit: QUESTION_BYTES_MAX })
-            } else {
-                std::str::from_utf8(&copy)
+            let copy = copied("question", request.payload());
+            let question = copy.as_ref().map_err(Clone::clone).and_then(|copy| {
+                std::str::from_utf8(copy)
                     .map_err(|error| MessageError::NotUtf8 { field: "question", at: error.valid_up_to() })
-            };
+            });
             let mut answer = respond(question);
             if answer.len() > ANSWER_BYTES_MAX {
                 answer = self.put_aside(&answer);
@@ -225,7 +221,7 @@ impl QuestionPort {
             let sent = Instant::now();
             while sent.elapsed() < ASK_AGAIN && start.elapsed() < timeout {
                 if let Some(answer) = pending.receive().map_err(|error| port(service, "receive", &error))? {
-                    let mut copy = answer.payload().to_vec();
+                    let mut copy = copied("answer", answer.payload()).map_err(refused)?;
                     if let Some(name) = name_of(&copy) {
                         let file = self.files.of(name);
                         copy = match fs::read(&file) {
@@ -251,6 +247,13 @@ impl QuestionPort {
         self.unanswered.set(true);
         Err(IpcError::NoAnswer { service, waited_ms: timeout.as_millis() })
     }
+}
+
+/// A copy of a text in shared memory, where its sender can still write to it: what is checked must be what is used. Its length is the sender's
+/// word, too, and looked at before so much is copied.
+fn copied(field: &'static str, text: &[u8]) -> Result<Vec<u8>, MessageError> {
+    let (bytes, limit) = (text.len(), QUESTION_BYTES_MAX);
+    if bytes > limit { Err(MessageError::TextTooLong { field, bytes, limit }) } else { Ok(text.to_vec()) }
 }
 
 fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
@@ -335,5 +338,39 @@ impl Node {
     /// As [`Node::publisher`].
     pub fn question_port(&self, service: &'static str) -> Result<QuestionPort, IpcError> {
         self.retry(|| QuestionPort::open(self, service))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Domain;
+
+    /// The number of bytes stands in memory that the asker can write to. A copy of so many ended the daemon.
+    #[test]
+    #[expect(unsafe_code, reason = "the asker writes to the header of its own question")]
+    fn a_question_that_is_said_to_be_endless_is_refused() {
+        const BYTES: u64 = 1234;
+        let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(root.path(), &format!("endless-{}", std::process::id())).unwrap();
+        let node = domain.open("both").unwrap();
+        let (server, port) = (node.answer_port(MOMENT).unwrap(), node.question_port(MOMENT).unwrap());
+        let client = port.client.borrow();
+        let question = client.loan_slice_uninit(BYTES as usize).unwrap().write_from_slice(&[b' '; BYTES as usize]);
+        let words = size_of_val(question.header()) / size_of::<u64>();
+        let header = std::ptr::from_ref(question.header()).cast_mut().cast::<u64>();
+        // SAFETY: the header is of so many words, and lies in the asker's own shared memory, which may be written to.
+        let numbers: Vec<_> = (0..words).map(|word| unsafe { header.add(word) }).collect();
+        // SAFETY: as above.
+        let number = numbers.into_iter().find(|number| unsafe { number.read_volatile() } == BYTES).unwrap();
+        // SAFETY: as above.
+        unsafe { number.write_volatile(1 << 40) };
+        let pending = question.send().unwrap();
+        let answer = |asked: Result<&str, MessageError>| asked.unwrap_err().to_string();
+        assert_eq!(server.answer(answer).unwrap(), 1);
+        let answer = String::from_utf8(pending.receive().unwrap().unwrap().payload().to_vec()).unwrap();
+        assert!(answer.contains("1099511627776"), "{answer}");
+        drop((pending, client, port, server, node));
+        domain.clean_up().unwrap();
     }
 }

@@ -267,6 +267,7 @@ fn a_c_robot_answers_its_decision() {
     assert_eq!((report.robot, report.decision_epoch, report.decision_sequence), (decision.robot, 7, 3));
     assert_eq!((report.kind, report.room(), report.battery()), (report_kind::FINISHED, "kitchen", Some(0.8)));
     assert!(report.reported_ns <= clock::monotonic_ns(), "the clock is the contract's");
+    assert!(!run(DecisionV1 { sequence: 0, ..decision }).status.success(), "no decision has this number");
     assert!(!run(DecisionV1 { action: action::PAUSE, ..decision }).status.success());
     assert!(!run(DecisionV1 { robot: 9, ..decision }).status.success(), "another robot's");
 }

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
 use roomcast_ipc::{
-    DecisionV1, Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, MessageError, NarrationV1,
-    RobotReportV1, RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
+    DecisionV1, Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, MessageError,
+    NarrationV1, RobotReportV1, RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
 };
 
 /// A domain that removes itself, also when the test fails.
@@ -301,7 +301,7 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     });
     let patience = Duration::from_secs(30);
     assert_eq!(client.ask("stressed", patience).unwrap(), "desserts");
-    // Longer than what the ports were made for: they grow.
+    // Longer than what the ports were made for: the asker's grows, and the answer lies in a file.
     let long = "ab".repeat(400_000);
     assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
     // What it says may tell of persons: it goes when it was read.
@@ -318,6 +318,31 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     assert!(matches!(client.ask(&too_long, patience), Err(IpcError::Refused { .. })));
     stop.send(()).unwrap();
     thread.join().unwrap();
+}
+
+/// A daemon's memory is all there from its start: another user who fills `/dev/shm` later ended it by a signal, at the next long answer.
+#[test]
+fn neither_a_long_answer_nor_many_items_take_more_shared_memory() {
+    let private = Private::new("no-more");
+    let (daemon, other) = (private.domain.open("daemon").unwrap(), private.domain.open("other").unwrap());
+    let server = daemon.answer_port(question::MOMENT).unwrap();
+    let client = other.question_port(question::MOMENT).unwrap();
+    let (items_out, items_in) = (daemon.item_scores_publisher().unwrap(), other.item_scores_subscriber().unwrap());
+    let talk = |bytes: usize, items: usize| {
+        std::thread::scope(|scope| {
+            scope.spawn(|| while server.answer(|_| "a".repeat(bytes)).unwrap() == 0 {});
+            assert_eq!(client.ask("{}", Duration::from_secs(30)).unwrap().len(), bytes);
+        });
+        items_out.tick().unwrap();
+        items_out.send(ItemScoresHeaderV1::default(), (0..items).map(|_| ItemScoreV1::default())).unwrap();
+        assert_eq!(items_in.newest().unwrap().unwrap().items.len(), items);
+    };
+    talk(10, 8);
+    let before = private.shared_memory_files();
+    talk(question::ANSWER_BYTES_MAX, 600);
+    talk(question::ANSWER_BYTES_MAX + 1, MAX_ITEMS);
+    talk(200_000, 8);
+    assert_eq!(private.shared_memory_files(), before);
 }
 
 /// The files of answers that nobody has read.

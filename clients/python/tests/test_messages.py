@@ -158,6 +158,9 @@ FAULTS: list[tuple[type[layouts.Message], str, Change, str]] = [
     (layouts.ForecastV1, "a room's name in no text", forecast_id(b"\xff"), "room id: not UTF-8 from byte 0 on"),
     (layouts.ForecastV1, "a probability above 1", probability(2.0), "probability: 2.0, allowed is 0 to 1"),
     (layouts.ForecastV1, "a probability of no number", probability(math.nan), "probability: nan, allowed is 0 to 1"),
+    (layouts.DecisionV1, "no robot", field("robot", 0), "robot: 0, allowed is not 0"),
+    (layouts.DecisionV1, "no epoch", field("epoch", 0), "epoch: 0, allowed is not 0"),
+    (layouts.DecisionV1, "no sequence", field("sequence", 0), "sequence: 0, allowed is not 0"),
     (layouts.DecisionV1, "an unknown action", field("action", 3), "action: 3, allowed is 0 to 2"),
     (layouts.DecisionV1, "a probability above 1", field("probability", 1.01), "probability: 1.01, allowed is 0 to 1"),
     (layouts.DecisionV1, "a probability of no number", field("probability", math.nan), "probability: nan, allowed is 0 to 1"),
@@ -183,7 +186,6 @@ ACCEPTED: list[tuple[type[layouts.Message], str, Change]] = [
     (layouts.PersonForecastsV1, "nobody", field("person_count", 0)),
     (layouts.PersonForecastsV1, "a set of rooms that there are not", lambda m: setattr(m.person[0], "set_elsewhere", 0xFFFFFFFF)),
     (layouts.RobotReportV1, "a position that does not count", lambda m: (field("flags", 0)(m), item("position_m", 0, math.nan)(m))),
-    (layouts.DecisionV1, "a decision of nobody", lambda message: ctypes.memset(ctypes.addressof(message), 0, ctypes.sizeof(message))),
 ]
 
 

@@ -158,6 +158,11 @@ impl Message for DecisionV1 {
         ServiceQuality { name: "roomcast/v1/decision", publishers: 8, subscribers: 16, buffer: 16, history: 1 };
 
     fn check(&self) -> Result<(), MessageError> {
+        for (field, value) in [("robot", self.robot), ("epoch", self.epoch), ("sequence", self.sequence)] {
+            if value == 0 {
+                return Err(MessageError::OutOfRange { field, value: 0.0, allowed: "not 0" });
+            }
+        }
         at_most("action", self.action, action::PAUSE as usize, "0 to 2")?;
         in_range("probability", self.probability, 0.0, 1.0, "0 to 1")?;
         for (field, bytes) in
@@ -182,11 +187,26 @@ mod tests {
         assert_eq!((action::word(99), action::of_word("dance")), ("stay", action::STAY));
     }
 
+    /// What answers or cancels it says 0 for no decision.
+    #[test]
+    fn a_decision_has_a_robot_an_epoch_and_a_sequence() {
+        let decision = DecisionV1 { robot: 1, epoch: 2, sequence: 3, ..Default::default() };
+        decision.check().unwrap();
+        for (field, without) in [
+            ("robot", DecisionV1 { robot: 0, ..decision }),
+            ("epoch", DecisionV1 { epoch: 0, ..decision }),
+            ("sequence", DecisionV1 { sequence: 0, ..decision }),
+        ] {
+            assert_eq!(without.check().unwrap_err().to_string(), format!("{field}: 0, allowed is not 0"));
+        }
+    }
+
     /// Whoever decides for one robot cannot take another one's name.
     #[test]
     fn a_name_counts_for_the_robot_whose_number_it_has() {
         let robot_name = text::encode("robot_name", "Staubi Ä").unwrap();
-        let named = DecisionV1 { robot: sequence::source_of_name("Staubi Ä"), robot_name, ..Default::default() };
+        let robot = sequence::source_of_name("Staubi Ä");
+        let named = DecisionV1 { robot, epoch: 2, sequence: 3, robot_name, ..Default::default() };
         named.check().unwrap();
         assert_eq!(named.robot_name(), "Staubi Ä");
         assert_eq!(DecisionV1 { robot: named.robot + 1, ..named }.robot_name(), "");

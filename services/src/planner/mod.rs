@@ -54,6 +54,8 @@ const TICK: Duration = Duration::from_millis(300);
 const LOOK_AGAIN_NS: u64 = 5_000_000_000;
 /// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
 const WORTH_MOVING: f64 = 0.005;
+/// What is dated further ahead of now than this was not sent on this boot's clock.
+const AHEAD_NS: u64 = 1_000_000_000;
 /// Decisions whose rooms stay known, for reports that come late.
 const DECISIONS: usize = 32;
 
@@ -114,6 +116,21 @@ enum Pause {
     NoRoom,
     /// Rooms of persons' sets are not entered, and the sets that belong to the scores have not come.
     NoSets,
+}
+
+/// A message that says that it was sent after now, as one of another boot does. It would never be too old, and the daemon's own would be
+/// older than it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("dated {ahead_s} s ahead of this machine's clock, so it is not of this boot's daemon")]
+pub struct DatedAhead {
+    ahead_s: u64,
+}
+
+impl DatedAhead {
+    fn refuse(dated_ns: u64, now_ns: u64) -> Result<(), Self> {
+        let ahead_ns = dated_ns.saturating_sub(now_ns);
+        if ahead_ns > AHEAD_NS { Err(Self { ahead_s: ahead_ns / 1_000_000_000 }) } else { Ok(()) }
+    }
 }
 
 /// What ended the work before a decision.
@@ -183,16 +200,21 @@ impl Planner {
 
     /// Takes a checked snapshot, unless it is older than the one known. When the daemon's map was changed, rooms that are still
     /// there keep what was done in them, and rooms that are new are to be done; another daemon's other map makes all rooms new.
-    pub fn take(&mut self, scores: &RoomScoresV1) {
+    ///
+    /// # Errors
+    ///
+    /// [`DatedAhead`]; nothing is taken then.
+    pub fn take(&mut self, scores: &RoomScoresV1, now_ns: u64) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(scores.published_ns.max(scores.computed_ns), now_ns)?;
         if let Some(known) = &self.scores {
             if known.epoch == scores.epoch
                 && (known.sequence, known.published_ns) > (scores.sequence, scores.published_ns)
             {
-                return;
+                return Ok(());
             }
             // A delayed snapshot of a former daemon.
             if known.epoch != scores.epoch && known.published_ns > scores.published_ns {
-                return;
+                return Ok(());
             }
         }
         let same_map = self.scores.as_ref().is_some_and(|known| {
@@ -210,6 +232,7 @@ impl Planner {
         if let Some(kept) = self.kept.take() {
             self.restore(&kept);
         }
+        Ok(())
     }
 
     /// The rooms are others than before: those of the same daemon's former map are followed, all else is forgotten.
@@ -226,8 +249,14 @@ impl Planner {
     }
 
     /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
-    pub fn take_forecast(&mut self, forecast: &ForecastV1) {
+    ///
+    /// # Errors
+    ///
+    /// As [`Planner::take`].
+    pub fn take_forecast(&mut self, forecast: &ForecastV1, now_ns: u64) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(forecast.published_ns.max(forecast.computed_ns), now_ns)?;
         self.forecast = Some(*forecast);
+        Ok(())
     }
 
     /// Whether the newest scores are of narration that the newest forecast does not know yet.
@@ -242,10 +271,16 @@ impl Planner {
     }
 
     /// Takes each person's checked forecast: rooms of their sets are not entered, where the configuration says so.
-    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1) {
+    ///
+    /// # Errors
+    ///
+    /// As [`Planner::take`].
+    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1, now_ns: u64) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(forecasts.published_ns.max(forecasts.computed_ns), now_ns)?;
         if self.avoid_sets {
             self.sets = Some(Box::new(*forecasts));
         }
+        Ok(())
     }
 
     /// Rooms that are not to be entered because somebody may be there, no room where sets are not looked at; none where that is not known.

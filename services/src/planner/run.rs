@@ -9,8 +9,8 @@ use roomcast_ipc::{
 };
 use sd_notify::NotifyState;
 
-use super::Planner;
 use super::state::RoundFile;
+use super::{DatedAhead, Planner};
 use crate::awake::Awake;
 use crate::config::Config;
 use crate::logging::Limiter;
@@ -35,8 +35,7 @@ const QUIET_NS: u64 = 5_000_000_000;
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
     // The number is the one by which decisions name the robot.
     let number = sequence::source_of_name(&config.planner.robot);
-    let node = join(domain, &PLANNER.name(&config.planner.robot))?;
-    node.be_the_only_one()?;
+    let node = join(domain, &PLANNER.name(&config.planner.robot))?.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
     // The daemon makes them for whoever follows them.
@@ -77,8 +76,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         awake.wait(planner.idle(clock::monotonic_ns()), |patience| roomcast_ipc::wait_for_any(&awaited, patience))?;
         let mut has_scores = false;
         while receive(&scores, &mut snapshot, &mut log)? {
-            planner.take(&snapshot);
-            has_scores = true;
+            has_scores |= is_taken::<RoomScoresV1>(planner.take(&snapshot, clock::monotonic_ns()), &mut log);
         }
         if has_scores {
             awake.heard();
@@ -86,11 +84,11 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         let waits_until = Instant::now() + FORECAST_PATIENCE;
         loop {
             while receive(&forecasts, &mut forecast, &mut log)? {
-                planner.take_forecast(&forecast);
+                is_taken::<ForecastV1>(planner.take_forecast(&forecast, clock::monotonic_ns()), &mut log);
             }
             if let Some(sets) = &sets {
                 while receive(sets, &mut each, &mut log)? {
-                    planner.take_sets(&each);
+                    is_taken::<PersonForecastsV1>(planner.take_sets(&each, clock::monotonic_ns()), &mut log);
                 }
             }
             let left = waits_until.saturating_duration_since(Instant::now());
@@ -143,6 +141,16 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     notify(&[NotifyState::Stopping]);
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Whether the planner has taken a message; that it has not is said.
+fn is_taken<M: Message>(taken: Result<(), DatedAhead>, log: &mut Limiter) -> bool {
+    if let Err(error) = taken
+        && let Some(not_told) = log.pass(clock::monotonic_ns())
+    {
+        tracing::warn!(%error, not_told, service = M::SERVICE.name, "a message is not used");
+    }
+    taken.is_ok()
 }
 
 fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter) {

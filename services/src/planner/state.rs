@@ -228,7 +228,7 @@ mod tests {
     fn how_often_a_room_failed_outlasts_a_restart() {
         let with_room = || {
             let mut planner = Planner::new(&PlannerConfig::default(), 1);
-            planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() });
+            planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, 0).unwrap();
             planner
         };
         let mut planner = with_room();
@@ -255,7 +255,7 @@ mod tests {
         let write = |kept: &KeptRound| std::fs::write(&path, serde_json::to_vec(kept).unwrap()).unwrap();
         file.keep(&planner);
         assert!(!path.exists(), "nothing is known before the first scores");
-        planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() });
+        planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, 0).unwrap();
         // A directory that is away for a moment costs nothing that does not change.
         std::fs::remove_dir(directory.path()).unwrap();
         file.keep(&planner);

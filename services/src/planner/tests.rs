@@ -23,6 +23,21 @@ fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
     scores
 }
 
+/// Messages that come as soon as they are sent.
+impl Planner {
+    fn hear(&mut self, scores: &RoomScoresV1) {
+        self.take(scores, scores.published_ns).unwrap();
+    }
+
+    fn hear_forecast(&mut self, forecast: &ForecastV1) {
+        self.take_forecast(forecast, forecast.published_ns).unwrap();
+    }
+
+    fn hear_sets(&mut self, sets: &PersonForecastsV1) {
+        self.take_sets(sets, sets.published_ns).unwrap();
+    }
+}
+
 fn planner(policy: PolicyName, repeat: bool) -> Planner {
     let config = PlannerConfig { policy, room_time_s: 10.0, repeat, ..Default::default() };
     Planner::new(&config, 1)
@@ -50,8 +65,8 @@ fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     let mut planner = planner(PolicyName::CoverageAware, true);
     // The scores alone would send the robot into room 0 first.
     let scores = scores(1, S, &[0.1, 0.9]);
-    planner.take(&scores);
-    planner.take_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
+    planner.hear(&scores);
+    planner.hear_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
     let decision = planner.decide(S, 0).unwrap().unwrap();
     assert_eq!(decision.to(), "room-1");
     assert!(decision.reason().contains("; the plan for "), "{}", decision.reason());
@@ -101,8 +116,8 @@ impl Sleeper {
                 forecast.probability[room][place] = p as f32;
             }
         }
-        planner.take(&scores);
-        planner.take_forecast(&forecast);
+        planner.hear(&scores);
+        planner.hear_forecast(&forecast);
     }
 }
 
@@ -147,11 +162,11 @@ fn a_round_ends_at_its_deadline_also_when_nobody_could_decide() {
             ..Default::default()
         };
         let mut planner = Planner::new(&config, 1);
-        planner.take(&scores(1, S, &[0.1, 0.2, 0.7]));
+        planner.hear(&scores(1, S, &[0.1, 0.2, 0.7]));
         assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-0");
         // The daemon is silent for two of the three stays.
         assert!(planner.decide(11 * S, 0).unwrap().unwrap().has(decision_flags::FALLBACK));
-        planner.take(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
+        planner.hear(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
         let decision = planner.decide(31 * S, 0).unwrap().unwrap();
         let said = format!("the round's deadline came with 2 of 3 rooms undone, {next}: ");
         assert!(decision.reason().starts_with(&said), "{}", decision.reason());
@@ -168,8 +183,8 @@ fn a_round_of_a_given_length_that_is_done_early_goes_on_without_work() {
     for stay in 0..5 {
         let now_ns = (1 + 10 * stay) * S;
         let scores = scores(stay + 1, now_ns, &[0.9, 0.1]);
-        planner.take(&scores);
-        planner.take_forecast(&forecast(&scores, &[[0.1, 0.1], [0.0, 0.0]]));
+        planner.hear(&scores);
+        planner.hear_forecast(&forecast(&scores, &[[0.1, 0.1], [0.0, 0.0]]));
         let decision = planner.decide(now_ns, 0).unwrap().unwrap();
         said.push((decision.to().to_owned(), decision.covered, decision.has(decision_flags::COVERED)));
     }
@@ -188,19 +203,19 @@ fn rooms_that_are_added_after_all_was_done_are_done_too() {
     let mut planner = planner(PolicyName::CoverageAware, false);
     for (visit, to) in ["room-1", "room-0"].into_iter().enumerate() {
         let now_ns = (1 + 10 * visit as u64) * S;
-        planner.take(&scores(visit as u64 + 1, now_ns, &[0.6, 0.4]));
+        planner.hear(&scores(visit as u64 + 1, now_ns, &[0.6, 0.4]));
         assert_eq!(planner.decide(now_ns, 0).unwrap().unwrap().to(), to);
     }
-    planner.take(&scores(3, 21 * S, &[0.6, 0.4]));
+    planner.hear(&scores(3, 21 * S, &[0.6, 0.4]));
     let finished = planner.decide(21 * S, 0).unwrap().unwrap();
     assert_eq!((finished.action, finished.reason()), (action::STAY, "every room is covered"));
     assert_eq!((planner.idle(21 * S), planner.decide(99 * S, 0).unwrap()), (TICK, None));
 
     let added = RoomScoresV1 { map_fingerprint: [1; 32], ..scores(4, 100 * S, &[0.3, 0.3, 0.4]) };
-    planner.take(&added);
+    planner.hear(&added);
     let decision = planner.decide(100 * S, 0).unwrap().unwrap();
     assert_eq!((decision.action, decision.to(), decision.covered), (action::GO, "room-2", 0b011));
-    planner.take(&RoomScoresV1 { published_ns: 110 * S, ..added });
+    planner.hear(&RoomScoresV1 { published_ns: 110 * S, ..added });
     assert_eq!(planner.decide(110 * S, 0).unwrap().unwrap().action, action::STAY);
 }
 
@@ -209,8 +224,8 @@ fn a_long_round_of_short_stays_is_planned_in_bounds() {
     let config = PlannerConfig { room_time_s: 0.001, round_s: Some(1e9), ..Default::default() };
     let mut planner = Planner::new(&config, 1);
     let scores = scores(1, S, &[1.0 / 64.0; 64]);
-    planner.take(&scores);
-    planner.take_forecast(&forecast(&scores, &[[0.5, 0.5]; 64]));
+    planner.hear(&scores);
+    planner.hear_forecast(&forecast(&scores, &[[0.5, 0.5]; 64]));
     let decision = planner.decide(S, 0).unwrap().unwrap();
     assert!(decision.reason().contains("plan for 256 stays"), "{}", decision.reason());
 }
@@ -218,9 +233,9 @@ fn a_long_round_of_short_stays_is_planned_in_bounds() {
 #[test]
 fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
     let mut planner = planner(PolicyName::UncoveredFirst, true);
-    planner.take(&scores(1, S, &[0.5, 0.5]));
+    planner.hear(&scores(1, S, &[0.5, 0.5]));
     let first = planner.decide(S, 0).unwrap().unwrap();
-    planner.take(&scores(2, 11 * S, &[0.5, 0.5]));
+    planner.hear(&scores(2, 11 * S, &[0.5, 0.5]));
     planner.decide(11 * S, 0).unwrap().unwrap();
     // A room is added in front; the two known ones move by a place.
     let mut changed = scores(3, 12 * S, &[0.2, 0.4, 0.4]);
@@ -228,27 +243,27 @@ fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
     for (room, id) in changed.room.iter_mut().zip(["garage", "room-0", "room-1"]) {
         room.id = text::encode("id", id).unwrap();
     }
-    planner.take(&changed);
+    planner.hear(&changed);
     assert!(planner.decide(12 * S, 0).unwrap().is_none(), "it goes on with its work");
-    planner.take(&RoomScoresV1 { published_ns: 21 * S, ..changed });
+    planner.hear(&RoomScoresV1 { published_ns: 21 * S, ..changed });
     let next = planner.decide(21 * S, 0).unwrap().unwrap();
     assert_eq!(next.to(), "garage", "the first room {} stays covered", first.to());
     // Another daemon with another map.
     let other = RoomScoresV1 { epoch: 6, map_fingerprint: [2; 32], ..scores(1, 22 * S, &[0.5, 0.5]) };
-    planner.take(&other);
+    planner.hear(&other);
     assert_eq!(planner.decide(22 * S, 0).unwrap().unwrap().covered, 0);
 }
 
 #[test]
 fn the_robot_goes_where_the_person_is_not_and_stays_for_its_time() {
     let mut planner = planner(PolicyName::GreedyAvoidance, true);
-    planner.take(&scores(1, S, &[0.7, 0.1, 0.2]));
+    planner.hear(&scores(1, S, &[0.7, 0.1, 0.2]));
     let decision = planner.decide(S, 0).unwrap().unwrap();
     assert_eq!((decision.action, decision.to(), decision.flags), (action::GO, "room-1", 0));
     assert_eq!((decision.scores_sequence, decision.stay_ns), (1, 10 * S));
-    planner.take(&scores(2, 2 * S, &[0.1, 0.7, 0.2]));
+    planner.hear(&scores(2, 2 * S, &[0.1, 0.7, 0.2]));
     assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "not free yet");
-    planner.take(&scores(3, 11 * S, &[0.1, 0.7, 0.2]));
+    planner.hear(&scores(3, 11 * S, &[0.1, 0.7, 0.2]));
     let decision = planner.decide(11 * S, 0).unwrap().unwrap();
     assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
 }
@@ -261,7 +276,7 @@ fn stale_scores_are_never_acted_upon() {
     assert_eq!((none.action, none.to()), (action::STAY, ""));
     assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "the fallback is said once");
 
-    planner.take(&scores(1, 3 * S, &[0.5, 0.5]));
+    planner.hear(&scores(1, 3 * S, &[0.5, 0.5]));
     let gone = planner.decide(3 * S, 0).unwrap().unwrap();
     assert_eq!(gone.action, action::GO);
     let silent = planner.decide(20 * S, 0).unwrap().unwrap();
@@ -269,15 +284,37 @@ fn stale_scores_are_never_acted_upon() {
     assert_eq!((silent.action, silent.to()), (action::STAY, gone.to()));
 
     // A heartbeat makes the same scores good again.
-    planner.take(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
+    planner.hear(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
     assert_eq!(planner.decide(21 * S, 0).unwrap().unwrap().action, action::GO);
+}
+
+/// One snapshot of a recording from a boot that had run for longer was acted upon for days, and the daemon was not heard.
+#[test]
+fn what_is_dated_ahead_is_refused_and_the_daemon_is_heard() {
+    let config = PlannerConfig { room_time_s: 10.0, avoid_sets: true, ..Default::default() };
+    let mut planner = Planner::new(&config, 1);
+    let ahead = RoomScoresV1 { epoch: 9, ..scores(9, 240 * 3600 * S, &[0.1, 0.9]) };
+    for far in [ahead, scores(9, u64::MAX, &[0.1, 0.9]), RoomScoresV1 { published_ns: S, ..ahead }] {
+        assert!(planner.take(&far, S).is_err());
+        assert_eq!(planner.stale(S), decision_flags::NO_SCORES);
+    }
+    let message = planner.take(&ahead, S).unwrap_err().to_string();
+    assert!(message.starts_with("dated 863999 s ahead"), "{message}");
+    assert!(planner.take_forecast(&forecast(&ahead, &[[0.0, 0.0]; 2]), S).is_err());
+    let sets = PersonForecastsV1 { published_ns: ahead.published_ns, ..Default::default() };
+    assert!(planner.take_sets(&sets, S).is_err());
+    assert!(planner.forecast.is_none() && planner.sets.is_none());
+    // What two clocks may differ by is no reason to refuse anything.
+    planner.take(&scores(1, 2 * S, &[0.9, 0.1]), S).unwrap();
+    assert_eq!(planner.stale(2 * S), 0);
+    assert_ne!(planner.stale(12 * S), 0, "it goes stale as ever");
 }
 
 #[test]
 fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
     let mut planner = planner(PolicyName::Naive, true);
     let failed = RoomScoresV1 { flags: score_flags::SCORER_FAILED, published_ns: 9 * S, ..scores(1, S, &[0.5, 0.5]) };
-    planner.take(&failed);
+    planner.hear(&failed);
     let decision = planner.decide(9 * S, 0).unwrap().unwrap();
     assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
 }
@@ -286,10 +323,10 @@ fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
 fn a_robot_that_is_always_free_decides_once_per_score() {
     let config = PlannerConfig { policy: PolicyName::GreedyAvoidance, room_time_s: 0.0, ..PlannerConfig::default() };
     let mut planner = Planner::new(&config, 1);
-    planner.take(&scores(1, S, &[0.7, 0.3]));
+    planner.hear(&scores(1, S, &[0.7, 0.3]));
     assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-1");
     assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
-    planner.take(&scores(2, S + 2, &[0.2, 0.8]));
+    planner.hear(&scores(2, S + 2, &[0.2, 0.8]));
     assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
 }
 
@@ -300,7 +337,7 @@ fn coverage_ends_or_begins_again() {
         let mut visited = Vec::new();
         for visit in 0..3 {
             let now_ns = (1 + 10 * visit) * S;
-            planner.take(&scores(visit + 1, now_ns, &[0.6, 0.4]));
+            planner.hear(&scores(visit + 1, now_ns, &[0.6, 0.4]));
             let decision = planner.decide(now_ns, 0).unwrap().unwrap();
             visited.push((decision.to().to_owned(), decision.has(decision_flags::COVERED), decision.action));
         }
@@ -315,12 +352,12 @@ fn coverage_ends_or_begins_again() {
 #[test]
 fn old_and_foreign_snapshots_do_not_replace_newer_ones() {
     let mut planner = planner(PolicyName::Naive, true);
-    planner.take(&scores(5, 5 * S, &[0.5, 0.5]));
-    planner.take(&scores(4, 6 * S, &[1.0, 0.0]));
-    planner.take(&RoomScoresV1 { epoch: 4, ..scores(9, 4 * S, &[1.0, 0.0]) });
+    planner.hear(&scores(5, 5 * S, &[0.5, 0.5]));
+    planner.hear(&scores(4, 6 * S, &[1.0, 0.0]));
+    planner.hear(&RoomScoresV1 { epoch: 4, ..scores(9, 4 * S, &[1.0, 0.0]) });
     assert_eq!(planner.decide(6 * S, 0).unwrap().unwrap().scores_sequence, 5);
     // A restarted daemon counts from 1 again.
-    planner.take(&RoomScoresV1 { epoch: 6, ..scores(1, 20 * S, &[0.5, 0.5]) });
+    planner.hear(&RoomScoresV1 { epoch: 6, ..scores(1, 20 * S, &[0.5, 0.5]) });
     assert_eq!(planner.decide(20 * S, 0).unwrap().unwrap().scores_epoch, 6);
 }
 
@@ -350,8 +387,8 @@ impl Home {
         self.sequence += 1;
         let scores = self.scores(at_s * S);
         let curves: Vec<_> = self.likely.iter().map(|p| [*p, *p]).collect();
-        self.planner.take(&scores);
-        self.planner.take_forecast(&ForecastV1 { flags: self.flags, ..forecast(&scores, &curves) });
+        self.planner.hear(&scores);
+        self.planner.hear_forecast(&ForecastV1 { flags: self.flags, ..forecast(&scores, &curves) });
         self.planner.decide(at_s * S, 0).unwrap()
     }
 
@@ -556,7 +593,7 @@ fn a_robot_that_is_started_by_hand_is_at_work_where_it_says() {
     let mut home = Home::new(3, &PlannerConfig { repeat: false, ..Default::default() });
     home.sequence += 1;
     let scores = home.scores(S);
-    home.planner.take(&scores);
+    home.planner.hear(&scores);
     home.report(1, report_kind::STARTED, |report| report.room = text::encode("room", "room-1").unwrap());
     assert_eq!(home.look(1), None, "it is busy");
     home.report(30, report_kind::FINISHED, |_| ());
@@ -680,7 +717,7 @@ fn a_restarted_planner_takes_no_report_of_work_twice() {
     let kept = home.planner.kept("boot").unwrap();
     let config = PlannerConfig { room_time_s: 100.0, ..PlannerConfig::default() };
     home.planner = Planner::new(&config, 2).with_kept(kept.clone());
-    home.planner.take(&home.scores(52 * S));
+    home.planner.hear(&home.scores(52 * S));
     for report in &said {
         home.planner.take_report(report, 52 * S).unwrap();
     }
@@ -801,7 +838,7 @@ fn a_home_without_knowledge_is_equally_free_everywhere() {
     for policy in PolicyName::ALL {
         let mut planner = planner(policy, true);
         let unknown = RoomScoresV1 { flags: score_flags::NO_NARRATION, ..scores(1, S, &[0.7, 0.2, 0.1]) };
-        planner.take(&unknown);
+        planner.hear(&unknown);
         let decision = planner.decide(S, 0).unwrap().unwrap();
         assert!(decision.has(decision_flags::NOT_KNOWN) && (decision.probability - 1.0 / 3.0).abs() < 1e-9, "{policy}");
     }
@@ -843,8 +880,8 @@ fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
         let mut last = None;
         for at_s in [1, 41] {
             let scores = scores(at_s, at_s * S, &[0.9, 0.0]);
-            planner.take(&scores);
-            planner.take_forecast(&forecast(&scores, &[[0.9, 0.9], [0.0, 0.0]]));
+            planner.hear(&scores);
+            planner.hear_forecast(&forecast(&scores, &[[0.9, 0.9], [0.0, 0.0]]));
             last = planner.decide(at_s * S, 0).unwrap();
         }
         let last = last.unwrap();
@@ -871,7 +908,7 @@ fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
         ..Default::default()
     };
     let mut planner = planner(PolicyName::CoverageAware, true).with_map(map.clone(), PartitionLevel::Room);
-    planner.take(&of_map(map.fingerprint()));
+    planner.hear(&of_map(map.fingerprint()));
     for (sequence, (x, room)) in (1..).zip([(5.0, Some(1)), (1.0, Some(0)), (9.0, None)]) {
         planner.take_report(&report(sequence, x), 9 * S).unwrap();
         assert_eq!(planner.room(), room, "{x}");
@@ -884,7 +921,7 @@ fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
     assert!(fault.contains("`attic`") && fault.contains("room-0, room-1"), "{fault}");
 
     let mut other = Planner::new(&PlannerConfig::default(), 1).with_map(map, PartitionLevel::Room);
-    other.take(&of_map([9; 32]));
+    other.hear(&of_map([9; 32]));
     assert_eq!(other.take_report(&report(1, 5.0), 9 * S), Err(ReportFault::OtherMap));
     assert_eq!(other.room(), None);
 }
@@ -1128,12 +1165,12 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
         for stay in 0..7 {
             let now_ns = (1 + 300 * stay) * S;
             let scores = scores(stay + 1, now_ns, &now.map(f64::from));
-            planner.take(&scores);
+            planner.hear(&scores);
             let mut curves = now.map(|p: f32| [p, p]);
             curves[7][1] = likely_later;
             let mut told = forecast(&scores, &curves);
             told.horizon_s[1] = 3600.0;
-            planner.take_forecast(&told);
+            planner.hear_forecast(&told);
             let decision = planner.decide(now_ns, 0).unwrap().unwrap();
             assert_eq!(decision.action == action::GO, works, "stay {stay}: {}", decision.reason());
             assert!(decision.to() != "room-0" && decision.covered.count_ones() as u64 == stay, "{}", decision.reason());
@@ -1257,7 +1294,7 @@ fn a_kept_round_of_another_map_is_left() {
     home.decision(101);
     let kept = home.planner.kept("boot").unwrap();
     let mut planner = planner(PolicyName::CoverageAware, true).with_kept(kept);
-    planner.take(&RoomScoresV1 { map_fingerprint: [1; 32], ..scores(1, 150 * S, &[0.0, 0.0]) });
+    planner.hear(&RoomScoresV1 { map_fingerprint: [1; 32], ..scores(1, 150 * S, &[0.0, 0.0]) });
     assert_eq!(planner.decide(150 * S, 0).unwrap().unwrap().covered, 0);
 }
 
@@ -1288,8 +1325,8 @@ fn rooms_of_the_sets_are_not_entered() {
     sets.person[0].room_set[1] = 0b011;
     let decide = |avoid_sets, sets: &PersonForecastsV1| {
         let mut planner = Planner::new(&of(avoid_sets), 1);
-        planner.take(&scores);
-        planner.take_sets(sets);
+        planner.hear(&scores);
+        planner.hear_sets(sets);
         planner.decide(S, 0).unwrap().unwrap()
     };
     assert_eq!(decide(false, &sets).to(), "room-0");
@@ -1326,27 +1363,27 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
         };
         // Without any sets no room is entered: that is said once.
         let first = scores(1, S, &[0.1, 0.5, 0.4]);
-        planner.take(&first);
+        planner.hear(&first);
         assert!(planner.lacks_sets(S));
         let without = planner.decide(S, 0).unwrap().unwrap();
         assert_eq!((without.action, without.to()), (action::PAUSE, ""));
         assert!(without.reason().contains("it is not known which rooms are in somebody's set"), "{}", without.reason());
         assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
         // They come, and it goes at once.
-        planner.take_sets(&sets(&first, 0b010));
+        planner.hear_sets(&sets(&first, 0b010));
         assert!(!planner.lacks_sets(S + 2));
         assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
         // Somebody moves, and the sets of that are still on their way.
         let second = scores(2, 12 * S, &[0.1, 0.5, 0.4]);
-        planner.take(&second);
-        planner.take_sets(&PersonForecastsV1 { published_ns: 12 * S, ..sets(&first, 0b010) });
+        planner.hear(&second);
+        planner.hear_sets(&PersonForecastsV1 { published_ns: 12 * S, ..sets(&first, 0b010) });
         assert!(planner.lacks_sets(12 * S));
         assert_eq!(planner.decide(12 * S, 0).unwrap().unwrap().action, action::PAUSE);
-        planner.take_sets(&sets(&second, 0b101));
+        planner.hear_sets(&sets(&second, 0b101));
         assert_eq!(planner.decide(12 * S + 1, 0).unwrap().unwrap().to(), "room-1");
         // Sets that nobody has renewed are none.
         let third = RoomScoresV1 { published_ns: 23 * S, ..scores(2, 12 * S, &[0.1, 0.5, 0.4]) };
-        planner.take(&third);
+        planner.hear(&third);
         assert!(planner.lacks_sets(23 * S));
         if let Some(decision) = planner.decide(23 * S, 0).unwrap() {
             assert_eq!(decision.action, action::PAUSE);
@@ -1380,7 +1417,7 @@ fn day_of_two(avoid: bool, delay_s: u64) -> (u64, u64, [usize; 2]) {
                 }
                 !arrives
             });
-            planners[robot].take(&scores(second, now_ns, &[0.7, 0.1, 0.1, 0.05, 0.05]));
+            planners[robot].hear(&scores(second, now_ns, &[0.7, 0.1, 0.1, 0.05, 0.05]));
             if let Some(decision) = planners[robot].decide(now_ns, 0).unwrap() {
                 last[robot] = Some(decision);
                 done[robot] += usize::from(decision.action == action::GO);

@@ -830,8 +830,8 @@ mod tests {
         forecasts.id[0] = text::encode("id", "kitchen").unwrap();
         forecasts.person[0].name = text::encode("name", "ada").unwrap();
         (forecasts.person[0].probability[0][1], forecasts.person[0].elsewhere[0]) = (0.5, 1.0);
-        let decision =
-            DecisionV1 { to: text::encode("to", "bathroom").unwrap(), probability: 0.25, ..Default::default() };
+        let to = text::encode("to", "bathroom").unwrap();
+        let decision = DecisionV1 { robot: 1, epoch: 2, sequence: 3, to, probability: 0.25, ..Default::default() };
         let report = RobotReportV1 { robot: 1, epoch: 2, sequence: 3, ..Default::default() };
         vec![
             (1_000, Recorded::Narration(Box::new(narration))),

@@ -122,8 +122,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     require_stays(config)?;
     let robot = &config.planner.robot;
     let number = sequence::source_of_name(robot);
-    let node = join(domain, &DRIVER.name(robot))?;
-    node.be_the_only_one()?;
+    let node = join(domain, &DRIVER.name(robot))?.be_the_only_one()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
     let dialect = Dialect::new(&config.robot, &config.bridge.topic, robot);

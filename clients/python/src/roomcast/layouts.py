@@ -435,6 +435,8 @@ class DecisionV1(Message):
     ]
 
     def check(self) -> None:
+        for field in ("robot", "epoch", "sequence"):
+            _not_zero(field, getattr(self, field))
         _in_range("action", self.action, 0, 2, "0 to 2")
         _in_range("probability", self.probability, 0, 1, "0 to 1")
         for field in ("from", "to", "policy", "robot_name", "reason"):

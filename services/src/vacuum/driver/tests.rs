@@ -343,8 +343,8 @@ fn a_docked_robot_that_follows_no_order_is_left_alone_for_longer_and_longer() {
             acts.extend(driver.sense(Sensed::Status(Status::Docked), S));
         }
         let (scores, forecast) = tell(&forecaster, second);
-        planner.take(&scores);
-        planner.take_forecast(&forecast);
+        planner.take(&scores, second * S).unwrap();
+        planner.take_forecast(&forecast, second * S).unwrap();
         if let Some(decision) = planner.decide(second * S, 0).unwrap() {
             acts.extend(driver.decide(&decision, second * S));
         }
@@ -590,8 +590,8 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
         acts.extend(driver.tick(now_ns));
         if second % EVERY_S == 0 {
             let (scores, forecast) = tell(&forecaster, second);
-            planner.take(&scores);
-            planner.take_forecast(&forecast);
+            planner.take(&scores, now_ns).unwrap();
+            planner.take_forecast(&forecast, now_ns).unwrap();
             driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
         }
         if let Some(decision) = planner.decide(now_ns, 0).unwrap() {
