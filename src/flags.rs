@@ -58,6 +58,7 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
             (decision_flags::NOBODY_HOME, "nobody-home"),
             (decision_flags::ROBOT_SILENT, "robot-silent"),
             (decision_flags::OWED, "owed"),
+            (decision_flags::ELSEWHERE, "elsewhere"),
         ],
     )
 }
@@ -72,7 +73,7 @@ mod tests {
     fn flags_have_names() {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
         assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
-        assert_eq!(decision_flag_names(u32::MAX).len(), 12);
+        assert_eq!(decision_flag_names(u32::MAX).len(), 13);
     }
 
     /// Who reads JSON finds every flag's meaning.

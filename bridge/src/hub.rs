@@ -496,7 +496,7 @@ impl Hub {
                         next,
                         last,
                         not_told,
-                        "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, remove it"
+                        "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, end this hub and empty the file narration in it"
                     );
                 }
             }

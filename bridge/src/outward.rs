@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, Message, Node, PersonForecastsV1, RoomScoresV1, StatusResponseV1,
-    Subscriber, clock, sequence,
+    Subscriber, clock, decision_flags, sequence,
 };
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
@@ -18,7 +18,6 @@ use crate::delay::clock_id;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
 use crate::link::Link;
-use crate::peers::Followed;
 use crate::stop::Stop;
 use crate::told::{self, Teller, Told};
 
@@ -214,7 +213,6 @@ pub fn run(
     config: &Config,
     domain: &Domain,
     (link, last): (Option<&Link>, &Last),
-    followed: &Followed,
     stop: &Stop,
     alive: &dyn Fn(),
 ) -> Result<(), IpcError> {
@@ -240,12 +238,11 @@ pub fn run(
         };
         if let Some(topic) = &mut decision
             && topic.take(&mut log, |decision| {
-                let is_own = decision.robot == robot;
-                // Those that this bridge follows decide elsewhere.
-                if is_own || !followed.has(decision.robot) {
+                let (is_own, is_here) = (decision.robot == robot, !decision.has(decision_flags::ELSEWHERE));
+                if is_here {
                     strangers.hear(is_own, clock::monotonic_ns());
                 }
-                is_own
+                is_own && is_here
             })?
         {
             let name = (topic.message.epoch, topic.message.sequence, topic.message.decided_ns);
@@ -370,8 +367,7 @@ mod tests {
         std::thread::scope(|scope| {
             let (link, config, domain, last, stop) = (&link, &config, &domain, &*last, &stop);
             let _ends = stop.at_end();
-            let followed = Followed::default();
-            scope.spawn(move || run(config, domain, (Some(link), last), &followed, stop, &|| ()).unwrap());
+            scope.spawn(move || run(config, domain, (Some(link), last), stop, &|| ()).unwrap());
             let node = domain.open("planner").unwrap();
             let planner = node.publisher().unwrap();
             let decide = |sequence: u64, room: &str| {

@@ -1,12 +1,17 @@
 //! What other robots of the site are told, as decisions in this robot's own domain: its planner, with `planner.avoid_robots`, enters no room of theirs.
 //! A robot that is not heard any more has no room: each goes on for itself.
+//!
+//! Such a decision says that it was decided elsewhere: no driver takes it for an order. And nothing is said of a robot whose planner decides in
+//! this domain. Planners hear that one themselves, and a bridge that hears it over the router alone would let them take its room when the router
+//! is away.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use roomcast_ipc::{DecisionV1, Domain, IpcError, Message, NAME_BYTES, action, clock, sequence, text};
+use roomcast_ipc::{
+    DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
+};
 use serde::Deserialize;
 use zenoh::query::Reply;
 use zenoh::sample::Sample;
@@ -27,6 +32,12 @@ const LEASE_NS: u64 = 3_500_000_000;
 /// Messages that wait; more are dropped, and follow within seconds.
 const WAITING_MAX: usize = 64;
 const TICK: Duration = Duration::from_millis(100);
+/// What this domain's planners decided before comes within two of their ticks, and is known before anything is heard.
+const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
+/// Robots of this domain that are known; of more, the one with the smallest number gives way.
+const HERE_MAX: usize = 64;
+const FULL: &str = "as many other robots are followed as can be: nobody keeps clear of it, nor of others like it";
+const LOST: &str = "other robots are not heard any more: their rooms are free for this one";
 
 /// The topics of a robot that are heard.
 pub const TOPICS: [&str; 2] = ["decision", "status"];
@@ -76,22 +87,6 @@ impl Ear {
     }
 }
 
-/// The numbers of the robots whose decisions are in this domain because they were heard here.
-#[derive(Debug, Default)]
-pub struct Followed(Mutex<BTreeSet<u64>>);
-
-impl Followed {
-    /// Whether a robot is one of them.
-    #[must_use]
-    pub fn has(&self, robot: u64) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).contains(&robot)
-    }
-
-    fn are(&self, robots: BTreeSet<u64>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = robots;
-    }
-}
-
 /// What both messages have.
 #[derive(Deserialize)]
 struct Stamp {
@@ -115,6 +110,7 @@ struct Decision {
 }
 
 struct Peer {
+    number: u64,
     delay: Delay,
     heard_ns: u64,
     last: Option<DecisionV1>,
@@ -122,17 +118,49 @@ struct Peer {
     silent: bool,
 }
 
+/// A planner of this domain: the random number of its start, and its port.
+struct Here {
+    epoch: u64,
+    sender: Sender,
+}
+
 /// The other robots, as far as they are heard. Pure: time comes in as a number.
 pub struct Peers {
-    own: String,
+    own: u64,
+    /// The robots whose planners decide in this domain.
+    here: BTreeMap<u64, Here>,
     peers: BTreeMap<String, Peer>,
+    /// It was said that there is no place for another one.
+    is_full: bool,
 }
 
 impl Peers {
     /// None heard yet; `own` is this robot's name in keys.
     #[must_use]
     pub fn new(own: &str) -> Self {
-        Self { own: own.to_owned(), peers: BTreeMap::new() }
+        Self { own: sequence::source_of_name(own), here: BTreeMap::new(), peers: BTreeMap::new(), is_full: false }
+    }
+
+    /// Takes a checked decision of this domain, and the port that it came by.
+    pub fn see(&mut self, decision: &DecisionV1, sender: Sender) {
+        let DecisionV1 { robot, epoch, .. } = *decision;
+        if decision.has(decision_flags::ELSEWHERE) {
+            return;
+        }
+        self.here.insert(robot, Here { epoch, sender });
+        if self.here.len() > HERE_MAX {
+            self.here.pop_first();
+        }
+        // It is heard here, so that nobody has to say when it is not heard there any more.
+        self.peers.retain(|_, peer| peer.number != robot && peer.last.is_none_or(|last| last.epoch != epoch));
+    }
+
+    /// Whether a robot of this number decides in this domain, or one whose planner has this start: its name in keys may be another. A planner that
+    /// has ended here may go on elsewhere.
+    fn is_here(&self, robot: u64, epoch: Option<u64>) -> bool {
+        let is =
+            |(number, here): (&u64, &Here)| (*number == robot || Some(here.epoch) == epoch) && here.sender.is_running();
+        robot == self.own || self.here.iter().any(is)
     }
 
     /// Takes a message; gives what the planner is to hear of it.
@@ -141,22 +169,29 @@ impl Peers {
     ///
     /// [`Fault`] for what is no message of a robot.
     pub fn hear(&mut self, heard: &Heard) -> Result<Option<DecisionV1>, Fault> {
-        if heard.robot == self.own {
+        // The message of a decision has the number alone, and two names can have one.
+        let number = sequence::source_of_name(&heard.robot);
+        if self.is_here(number, None) {
             return Ok(None);
         }
         let stamp: Stamp = wire::read(&heard.bytes)?;
-        if self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot) {
-            // One that has left gives its place.
-            let Some(left) = self.peers.iter().find(|(_, peer)| peer.silent).map(|(robot, _)| robot.clone()) else {
-                return Ok(None);
-            };
-            self.peers.remove(&left);
-        }
         let decision = match heard.topic.as_str() {
             "decision" => Some(wire::read::<Decision>(&heard.bytes)?),
             _ => None,
         };
-        let new = Peer { delay: Delay::default(), heard_ns: 0, last: None, silent: false };
+        if decision.as_ref().is_some_and(|decision| self.is_here(number, Some(decision.epoch.0))) {
+            return Ok(None);
+        }
+        if self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot) {
+            // One that has left gives its place.
+            let Some(left) = self.peers.iter().find(|(_, peer)| peer.silent).map(|(robot, _)| robot.clone()) else {
+                let is_told = std::mem::replace(&mut self.is_full, true);
+                return if is_told { Ok(None) } else { Err(Fault(FULL.to_owned())) };
+            };
+            self.peers.remove(&left);
+            self.is_full = false;
+        }
+        let new = Peer { number, delay: Delay::default(), heard_ns: 0, last: None, silent: false };
         let peer = self.peers.entry(heard.robot.clone()).or_insert(new);
         // What is not known yet counts as nothing: a room may be taken for longer than it is.
         let excess_ns = peer.delay.excess_ns(stamp.clock.0, stamp.sent_ns, heard.now_ns).unwrap_or(0);
@@ -174,7 +209,7 @@ impl Peers {
         let back = std::mem::replace(&mut peer.silent, false);
         let Some(decision) = decision else { return Ok(peer.last.filter(|_| back)) };
         let age_ns = stamp.age_ns.saturating_add(excess_ns);
-        let message = message(heard, &decision, age_ns)?;
+        let message = message(heard, number, &decision, age_ns)?;
         let old = |last: DecisionV1| last.epoch == message.epoch && last.sequence >= message.sequence;
         if peer.last.is_some_and(old) && !back {
             return Ok(None);
@@ -197,7 +232,7 @@ impl Peers {
                 policy: nowhere,
                 probability: 0.0,
                 stay_ns: 0,
-                flags: 0,
+                flags: decision_flags::ELSEWHERE,
                 reason,
                 ..last
             };
@@ -210,26 +245,21 @@ impl Peers {
     pub fn standing(&self) -> impl Iterator<Item = DecisionV1> {
         self.peers.values().filter(|peer| !peer.silent).filter_map(|peer| peer.last)
     }
-
-    /// Their numbers.
-    fn numbers(&self) -> BTreeSet<u64> {
-        self.peers.keys().map(|robot| sequence::source_of_name(robot)).collect()
-    }
 }
 
-fn message(heard: &Heard, decision: &Decision, age_ns: u64) -> Result<DecisionV1, Fault> {
+fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Result<DecisionV1, Fault> {
     let fault = |error: roomcast_ipc::MessageError| Fault(error.to_string());
     let message = DecisionV1 {
-        robot: sequence::source_of_name(&heard.robot),
+        robot,
         epoch: decision.epoch.0,
         sequence: decision.sequence,
         decided_ns: heard.now_ns.saturating_sub(age_ns),
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
         action: action::of_word(&decision.action),
-        flags: decision.flags,
+        flags: decision.flags | decision_flags::ELSEWHERE,
         probability: decision.probability,
-        minor: 2,
+        minor: 3,
         robot_name: text::encode_cut(&heard.robot),
         from: text::encode("from", &decision.from).map_err(fault)?,
         to: text::encode("to", &decision.to).map_err(fault)?,
@@ -251,13 +281,15 @@ pub fn run(
     domain: &Domain,
     link: Option<&Link>,
     (ear, heard): (&Ear, &Receiver<Heard>),
-    followed: &Followed,
     stop: &Stop,
 ) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-peers")?;
     let decisions = node.publisher::<DecisionV1>()?;
+    let here = node.subscriber::<DecisionV1>()?;
     let mut peers = Peers::new(config.robot.key());
-    let (mut log, mut connections) = (Limiter::default(), 0);
+    let (mut log, mut losses, mut connections) = (Limiter::default(), Limiter::default(), 0);
+    let (mut own, mut lost) = (DecisionV1::default(), Vec::new());
+    std::thread::sleep(HISTORY_PATIENCE);
     while !stop.requested() {
         let first = heard.recv_timeout(TICK).ok();
         if let Some(link) = link.filter(|link| link.connections() != connections)
@@ -266,25 +298,33 @@ pub fn run(
             connections = link.connections();
             ear.ask(&session, &config.site.name);
         }
+        // What comes over the router was decided before, and what was decided here is here by then.
+        while let Some((checked, sender)) = here.receive_from(&mut own)? {
+            if checked.is_ok() {
+                peers.see(&own, sender);
+            }
+        }
         for heard in first.into_iter().chain(heard.try_iter()) {
             match peers.hear(&heard) {
-                Ok(Some(decision)) => {
-                    followed.are(peers.numbers());
-                    decisions.send(&decision)?;
-                }
+                Ok(Some(decision)) => decisions.send(&decision)?,
                 Ok(None) => {}
                 Err(fault) => {
                     if let Some(not_told) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
-                        tracing::warn!(robot = heard.robot, %fault, not_told, "no message of a robot");
+                        tracing::warn!(robot = heard.robot, %fault, not_told, "what a robot says is not used");
                     }
                 }
             }
         }
         for (robot, gone) in peers.fallen_silent(clock::monotonic_ns()) {
-            tracing::warn!(robot, "another robot is not heard any more: its room is free for this one");
+            lost.push(robot);
             if let Some(gone) = gone {
                 decisions.send(&gone)?;
             }
+        }
+        // Whoever makes up names makes up as many robots that fall silent.
+        if !lost.is_empty() && losses.pass(LOST, clock::monotonic_ns()).is_some() {
+            tracing::warn!(robots = lost.join(", "), "{LOST}");
+            lost.clear();
         }
         // Whoever has heard them takes them for no news, and who comes as others go has not.
         if decisions.tick()? {
@@ -335,7 +375,8 @@ mod tests {
         let decision = Peers::new("robot-1").hear(&heard).unwrap().unwrap();
         let (robot, robot_name) = (sequence::source_of_name("robot-2"), text::encode_cut("robot-2"));
         let DecisionV1 { decided_ns, decided_unix_ns, minor, .. } = decision;
-        assert_eq!(decision, DecisionV1 { robot, robot_name, decided_ns, decided_unix_ns, minor, ..own });
+        let flags = own.flags | decision_flags::ELSEWHERE;
+        assert_eq!(decision, DecisionV1 { robot, robot_name, decided_ns, decided_unix_ns, flags, minor, ..own });
     }
 
     /// The service keeps one message: a planner that joined knew the room of one robot, and went into another's.
@@ -346,26 +387,35 @@ mod tests {
         let mut config = Config::default();
         "robot-1".clone_into(&mut config.robot.name);
         let (ear, heard_here) = ear();
-        let (followed, stop) = (Followed::default(), Stop::default());
+        let stop = Stop::default();
         let now_ns = clock::monotonic_ns();
-        for (robot, room) in [("robot-2", "kitchen"), ("robot-3", "bathroom"), ("robot-4", "hall")] {
+        for (robot, room) in
+            [("robot-2", "kitchen"), ("robot-3", "bathroom"), ("robot-4", "hall"), ("robot-5", "study")]
+        {
             ear.0.send(heard(robot, "decision", told(1, room), now_ns)).unwrap();
         }
         std::thread::scope(|scope| {
-            let (ear, config, domain, followed, stop) = (&ear, &config, &domain, &followed, &stop);
-            scope.spawn(move || run(config, domain, None, (ear, &heard_here), followed, stop).unwrap());
+            let (ear, config, domain, stop) = (&ear, &config, &domain, &stop);
+            scope.spawn(move || run(config, domain, None, (ear, &heard_here), stop).unwrap());
             let _ends = stop.at_end();
             let node = domain.open("planner").unwrap();
+            // This one's planner is in this domain.
+            let here = node.publisher().unwrap();
+            let robot_5 = sequence::source_of_name("robot-5");
+            here.send(&DecisionV1 { robot: robot_5, epoch: 8, ..decided(1, "study") }).unwrap();
             // The second one comes after all was said.
             for _ in 0..2 {
                 let planner = node.subscriber::<DecisionV1>().unwrap();
-                let mut rooms = BTreeSet::new();
+                let mut rooms = std::collections::BTreeSet::new();
                 while rooms.len() < 3 {
                     while let Some(decision) = planner.receive().unwrap() {
                         let decision = decision.unwrap();
-                        assert!(followed.has(decision.robot));
-                        rooms.insert(decision.to().to_owned());
+                        assert_eq!(decision.has(decision_flags::ELSEWHERE), decision.robot != robot_5);
+                        if decision.robot != robot_5 {
+                            rooms.insert(decision.to().to_owned());
+                        }
                     }
+                    here.tick().unwrap();
                     // Robots that are there say so.
                     for robot in ["robot-2", "robot-3", "robot-4"] {
                         let status = told::status(robot, None, None).bytes(Teller { start: 1, number: 1, clock: 1 });
@@ -402,6 +452,35 @@ mod tests {
         assert_eq!((back.to(), back.action), ("kitchen", action::GO));
     }
 
+    /// Two robots in one domain, each with a bridge: when the router was cut, each bridge said in the other robot's name that it pauses. Its vacuum
+    /// went home, and its room was taken.
+    #[test]
+    fn nothing_is_said_of_a_robot_whose_planner_is_in_this_domain() {
+        let now_ns = clock::monotonic_ns();
+        let runs = Sender::simulated(1);
+        let here = DecisionV1 { robot: sequence::source_of_name("robot-2"), ..decided(1, "kitchen") };
+        let other = |told: Vec<u8>| String::from_utf8(told).unwrap().replace(&"0".repeat(15), &"1".repeat(15));
+        let mut peers = Peers::new("robot-1");
+        // It was heard over the router before its planner was heard here.
+        assert!(peers.hear(&heard("robot-2", "decision", told(1, "kitchen"), now_ns)).unwrap().is_some());
+        assert!(peers.hear(&heard("key-of-2", "decision", told(1, "kitchen"), now_ns)).unwrap().is_some());
+        peers.see(&DecisionV1 { flags: decision_flags::ELSEWHERE, ..here }, runs);
+        assert_eq!(peers.standing().count(), 2, "another bridge has repeated it");
+        peers.see(&here, runs);
+        assert_eq!((peers.standing().count(), peers.fallen_silent(now_ns + 4 * S).len()), (0, 0));
+        for robot in ["robot-2", "key-of-2"] {
+            assert_eq!(peers.hear(&heard(robot, "decision", told(2, "hall"), now_ns)).unwrap(), None, "{robot}");
+        }
+        // Nor is anything taken of it for which somebody makes up another start.
+        let made_up = other(told(3, "hall")).into_bytes();
+        assert_eq!(peers.hear(&heard("robot-2", "decision", made_up, now_ns)).unwrap(), None);
+        // A planner that has ended here may have been started elsewhere.
+        let mut ended = std::process::Command::new("true").spawn().unwrap();
+        ended.wait().unwrap();
+        peers.see(&here, Sender::from_bytes((u128::from(ended.id()) << 64).to_le_bytes()));
+        assert!(peers.hear(&heard("robot-2", "decision", told(4, "hall"), now_ns)).unwrap().is_some());
+    }
+
     /// Who joins asks for what was told before: both clocks date it by its age.
     #[test]
     fn a_decision_of_before_is_dated_by_both_clocks() {
@@ -422,9 +501,9 @@ mod tests {
         }
         let hidden = String::from_utf8(told(1, "hall")).unwrap().replace("hall", "h\\u001bl");
         peers.hear(&heard("robot-2", "decision", hidden.into_bytes(), 1)).err().unwrap();
-        for robot in 0..1000 {
-            let _heard = peers.hear(&heard(&robot.to_string(), "decision", told(1, "hall"), 1)).unwrap();
-        }
+        let all = (0..1000).map(|robot: u64| peers.hear(&heard(&robot.to_string(), "decision", told(1, "hall"), 1)));
+        let faults: Vec<_> = all.filter_map(Result::err).collect();
+        assert!(matches!(&faults[..], [Fault(fault)] if fault == FULL), "{faults:?}");
         assert!(peers.peers.len() <= PEERS_MAX);
         // Those that have left give their places to others.
         assert_eq!(peers.fallen_silent(60 * S).len(), PEERS_MAX);

@@ -3,13 +3,13 @@
 //!
 //! A number is taken once, and after the one before it. Whatever else comes, the narrator sends again from the number that is expected, so
 //! that a link may lose and repeat what it likes. Each start of a narrator has numbers of its own: who speaks in its name, a second hub for
-//! instance, does not hold it up.
+//! instance, does not hold it up. Of many starts at once some wait until others are confirmed, since the daemon follows so many alone.
 //!
 //! The daemon says of a start up to which number it has dealt with it, and how many of these it has accepted. What it has not accepted counts as
 //! refused: a sentence that is too long for a window, say. What is above its rate it neither deals with nor takes anything behind it, of a narrator
 //! that it knows as relayed: that is given to it again, and more slowly from then on.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
 
@@ -21,6 +21,8 @@ use super::wire::{Confirmed, Hex};
 pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
 /// Narrations that wait for that.
 pub const WAITING_MAX: usize = 64;
+/// Starts with narrations under way: as many of one port as the daemon follows. What it follows no more it never confirms.
+pub const STARTS_UNDER_WAY_MAX: usize = 8;
 /// What the daemon has not confirmed for so long is given to it again: it may have been above a limit, or lost with a port.
 const AGAIN_NS: u64 = 5_000_000_000;
 /// A pace that was too fast for the daemon is half of it, and after so long without that the double.
@@ -196,7 +198,8 @@ impl Relay {
 
     /// The next message for the daemon, if one may go now.
     pub fn send(&mut self, now_ns: u64) -> Option<NarrationV1> {
-        if self.under_way.len() >= UNDER_WAY_MAX || self.waiting.is_empty() || !self.pace.take(now_ns) {
+        let epoch = self.waiting.front()?.epoch;
+        if self.under_way.len() >= UNDER_WAY_MAX || self.would_be_forgotten(epoch) || !self.pace.take(now_ns) {
             return None;
         }
         let message = self.waiting.pop_front()?;
@@ -205,6 +208,12 @@ impl Relay {
         }
         self.under_way.push_back(message);
         Some(message)
+    }
+
+    /// Whether the daemon would follow another start no more for this one, of which something is under way.
+    fn would_be_forgotten(&self, epoch: u64) -> bool {
+        let starts: BTreeSet<u64> = self.under_way.iter().map(|sent| sent.epoch).collect();
+        starts.len() >= STARTS_UNDER_WAY_MAX && !starts.contains(&epoch)
     }
 
     /// What is under way, where the daemon has been silent about it for long; `alive` is whether it says anything at all.

@@ -74,7 +74,6 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
     let site = !config.router.connect.is_empty();
-    let followed = peers::Followed::default();
     let declare = || declare(config, &last, ear, asking, peer_ear.clone());
     let link = site.then(|| Link::start(&config.router, declare())).transpose()?;
     let ros2 = match config.ros2.router() {
@@ -82,7 +81,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         None => None,
     };
     let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
-    let (peer_ear, followed) = (&peer_ear, &followed);
+    let peer_ear = &peer_ear;
     thread::scope(|scope| {
         let start = |name: &str| thread::Builder::new().name(name.to_owned());
         // Those that run already have to end, too.
@@ -109,7 +108,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         let listening = if config.peers.hear {
             let listen = move || {
                 let _ends = stopper.at_end();
-                peers::run(config, domain, link, (peer_ear, &peers_heard), followed, stopper)
+                peers::run(config, domain, link, (peer_ear, &peers_heard), stopper)
             };
             Some(start("peers").spawn_scoped(scope, listen).map_err(failed)?)
         } else {
@@ -144,7 +143,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         };
         let outward = {
             let _ends = stopper.at_end();
-            outward::run(config, domain, (link, &last), followed, stopper, &alive).map_err(BridgeError::Ipc)
+            outward::run(config, domain, (link, &last), stopper, &alive).map_err(BridgeError::Ipc)
         };
         notify(&[NotifyState::Stopping]);
         let threads = [Some(inward), answering, spoken, listening, sharing];

@@ -212,7 +212,7 @@ impl Spool {
                 let path = path.display();
                 tracing::error!(
                     %path,
-                    "nothing of the spool can be read: what was kept is given up, and a followed input is read from its end; is the disk failing?"
+                    "nothing of the spool can be read: what was kept is given up, and a followed input is read from its end; is the disk failing, or was it emptied?"
                 );
                 (new(None), VecDeque::new())
             }
@@ -278,10 +278,10 @@ impl Spool {
         self.kept.get(usize::try_from(place).ok()?)
     }
 
-    /// How long ago it was observed. After a restart of the machine that is the wall clock's word.
+    /// How long ago it was observed. Of before this start of the machine that is the wall clock's word: no monotonic time is before it, and 0 is none.
     #[must_use]
     pub fn age_ns(&self, kept: &Kept) -> u64 {
-        if kept.clock == self.clock {
+        if kept.clock == self.clock && kept.observed_ns > 0 {
             clock::monotonic_ns().saturating_sub(kept.observed_ns)
         } else {
             clock::unix_ns().saturating_sub(kept.observed_unix_ns)
@@ -651,6 +651,20 @@ mod tests {
         let last = spool.last();
         drop(spool);
         assert_eq!(Spool::open(folder.path(), 100_000).unwrap().last(), last);
+    }
+
+    /// What a hub reads behind a power cut was of the machine's start, however old it was.
+    #[test]
+    fn what_was_observed_before_the_machines_start_has_its_age() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), 100).unwrap();
+        let hour_ns = 3_600_000_000_000;
+        let ages = [0, 60_000_000_000, clock::monotonic_ns() + hour_ns, clock::monotonic_ns() + 72 * hour_ns];
+        spool.append(ages.map(|age_ns| Dated::new(observation("They sit."), age_ns, None)).into()).unwrap();
+        for (number, age_ns) in (1..).zip(ages) {
+            let since_ns = spool.age_ns(spool.get(number).unwrap()).saturating_sub(age_ns);
+            assert!(since_ns < 60_000_000_000, "{age_ns}: {since_ns}");
+        }
     }
 
     /// A followed file was read from its start at the start after, and all of it said again.

@@ -68,6 +68,31 @@ fn a_hub_with_a_fifo_starts_reads_its_first_writer_and_stops() {
     assert!(hub.said().contains(r#"{"last":2,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
 }
 
+/// A spool that was removed gave the hub a new start, from the first line of its input on: the robots had each of them twice.
+#[test]
+fn a_hub_whose_spool_was_emptied_says_nothing_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    std::fs::write(&input, "They sit down.\nThey stand up.\n").unwrap();
+    let mut hub = hub(folder.path(), &input);
+    let spool = folder.path().join("spool/narration");
+    let has = |text: &str| std::fs::read_to_string(&spool).unwrap().contains(text);
+    eventually("both lines are kept", || has("They stand up.").then_some(()));
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+    std::fs::write(&spool, "").unwrap();
+    hub.restart();
+    // It may not have found the end yet.
+    eventually("what comes now is kept", || {
+        let mut lines = std::fs::OpenOptions::new().append(true).open(&input).unwrap();
+        std::io::Write::write_all(&mut lines, b"They open the fridge.\n").unwrap();
+        has("They open the fridge.").then_some(())
+    });
+    assert!(!has("They sit down.") && !has("They stand up."), "{}", hub.said());
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+}
+
 /// `timeout` and terminals signal a process and then its group.
 #[test]
 fn a_doubled_signal_is_one_request() {

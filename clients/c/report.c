@@ -48,7 +48,9 @@ int main(int argc, char **argv) {
         fprintf(stderr, "report: this is no %s\n", ROOMCAST_TYPE_NAME_DECISIONV1);
         return 1;
     }
-    if (decision.robot != number_of(NAME) || decision.action != ROOMCAST_ACTION_GO) {
+    /* What was decided elsewhere is an order to no robot here. */
+    int is_order = decision.robot == number_of(NAME) && (decision.flags & ROOMCAST_DECISION_FLAGS_ELSEWHERE) == 0;
+    if (!is_order || decision.action != ROOMCAST_ACTION_GO) {
         fprintf(stderr, "report: this sends \"%s\" nowhere\n", NAME);
         return 1;
     }

@@ -169,6 +169,9 @@
 // The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
 #define ROOMCAST_DECISION_FLAGS_OWED (1 << 11)
 
+// Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
+#define ROOMCAST_DECISION_FLAGS_ELSEWHERE (1 << 12)
+
 // Most bytes of a report's note.
 #define ROOMCAST_NOTE_TEXT_BYTES 120
 
@@ -682,7 +685,8 @@ typedef struct RoomcastDecisionV1 {
   // Bits of decision_flags.
   // (Offset 100.)
   uint32_t flags;
-  // Minor version of the layout: 2, which has robot_name and decision_flags::OWED; 1 has action::PAUSE and cancels.
+  // Minor version of the layout: 3, which has decision_flags::ELSEWHERE; 2 has robot_name and decision_flags::OWED; 1 has
+  // action::PAUSE and cancels.
   // (Offset 104.)
   uint32_t minor;
   // Zero.

@@ -48,6 +48,8 @@ const FOLD_S: f64 = 3_600.0;
 const FOLD_UNTIL_S: f64 = 3.0 * 3_600.0;
 /// Most characters of a field that an error quotes.
 const QUOTED_MAX: usize = 80;
+/// Lines that say what separates a log's fields.
+const SAMPLE_LINES: usize = 1_000;
 
 /// Why a log cannot be narrated at all. Single lines that are malformed are [`SensorLog::faults`].
 #[derive(Debug, thiserror::Error)]
@@ -325,7 +327,24 @@ impl SensorRules {
 
     /// Every line with its number, one at a time; heading and underline are passed over.
     fn lines(&self, log: &[u8]) -> impl Iterator<Item = (u64, Result<Interval, String>)> {
-        let delimiter = [b'\t', b';', b','].into_iter().find(|byte| log.contains(byte)).unwrap_or(b'\t');
+        self.lines_by(self.delimiter(log), log)
+    }
+
+    /// What separates a log's fields. Of several that occur, as a semicolon in a name between commas, it is the one by which most lines can be read.
+    fn delimiter(&self, log: &[u8]) -> u8 {
+        let found: Vec<u8> = [b',', b';', b'\t'].into_iter().filter(|byte| log.contains(byte)).collect();
+        let read_by = |delimiter: &u8| {
+            let lines = self.lines_by(*delimiter, log).take(SAMPLE_LINES);
+            lines.filter(|(_, interval)| interval.is_ok()).count()
+        };
+        match found[..] {
+            [only] => only,
+            // Of those that are as good, the last.
+            _ => found.into_iter().max_by_key(read_by).unwrap_or(b'\t'),
+        }
+    }
+
+    fn lines_by(&self, delimiter: u8, log: &[u8]) -> impl Iterator<Item = (u64, Result<Interval, String>)> {
         let mut builder = ReaderBuilder::new();
         builder.delimiter(delimiter).has_headers(false).flexible(true).trim(Trim::All).buffer_capacity(LINE_BYTES);
         let mut reader = builder.from_reader(Line(&[]));
@@ -696,6 +715,20 @@ mod tests {
             assert!(error.starts_with(part), "{error}");
         }
         assert_eq!(said(&narrated).len(), 2);
+    }
+
+    /// One sensor "tv; upstairs" made a log of commas one of semicolons, of which no line could be read.
+    #[test]
+    fn a_separator_in_a_field_is_none_of_the_log() {
+        let rules = SensorRules::parse("[[rule]]\nsay = \"They use the {sensor}.\"").unwrap();
+        let fields = ["2024-03-01 08:00:00", "2024-03-01 08:00:05", "tv", "plug", "hall"];
+        for (separator, others) in [(",", ";\t"), (";", ","), ("\t", ";,")] {
+            for other in others.chars() {
+                let of = |sensor: &str| fields.join(separator).replace("tv", sensor);
+                let log = [of("tv"), of(&format!("\"tv{other} upstairs\"")), of("tv")].join("\n");
+                assert_eq!(rules.intervals(log.as_bytes()).len(), 3, "{log}");
+            }
+        }
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, forecast_flags,
-    person_flags, presence, sequence,
+    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags,
+    forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
@@ -57,9 +57,14 @@ impl Known {
         self.persons = Some(Box::new(*persons));
     }
 
-    /// Takes a decision; the configured robot, `own`, gives way to none.
+    /// Takes a decision; the configured robot, `own`, gives way to none. What is repeated of a robot whose planner is here says nothing new, and
+    /// may say of it that it is gone.
     pub(super) fn take_decision(&mut self, decision: &DecisionV1, own: &str) {
         let own = sequence::source_of_name(own);
+        let is_here = decision.robot == own || self.planners.contains(&decision.robot);
+        if is_here && decision.has(decision_flags::ELSEWHERE) {
+            return;
+        }
         let before = self.decisions.insert(decision.robot, *decision);
         self.new_robot |= before.is_none();
         if self.decisions.len() > ROBOTS_MAX

@@ -214,6 +214,12 @@ fn robots_have_their_planners_names_and_go_with_them() {
     let shown = robots(&mut known);
     assert!(shown[0] == "mop2" && shown[1] == "robot" && shown.len() == 4, "{shown:?}");
     assert!(shown[2].starts_with(&far) && shown[3] == roomcast_services::slug::slug("Staubi Ä"), "{shown:?}");
+    // Of those that are here nothing counts that a bridge says.
+    for robot in ["robot", "mop2"] {
+        let flags = roomcast_ipc::decision_flags::ELSEWHERE;
+        known.take_decision(&DecisionV1 { flags, sequence: 9, ..decision(robot) }, "robot");
+        assert_eq!(message(&draw(&mut known), &format!("roomcast/robots/{robot}"))["decision"], 0);
+    }
     // The configured robot keeps its place, and one that is elsewhere cannot be seen to go.
     known.take_planners(&[], "robot");
     assert_eq!(robots(&mut known), shown[1..3]);

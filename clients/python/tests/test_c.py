@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import samples
-from roomcast import Action, ReportKind, RobotReport, layouts, source_of_name
+from roomcast import Action, DecisionFlags, ReportKind, RobotReport, layouts, source_of_name
 from test_messages import FAULTS
 
 SOURCES = pathlib.Path(__file__).parents[2] / "c"
@@ -158,7 +158,12 @@ def test_a_robot_in_c_follows_no_malformed_decision(
 
 
 def test_a_robot_in_c_follows_its_own_decisions_alone(report: pathlib.Path, tmp_path: pathlib.Path) -> None:
-    for field, value in [("robot", source_of_name("another")), ("action", Action.STAY), ("action", Action.PAUSE)]:
+    for field, value in [
+        ("robot", source_of_name("another")),
+        ("action", Action.STAY),
+        ("action", Action.PAUSE),
+        ("flags", DecisionFlags.ELSEWHERE),
+    ]:
         message = samples.decision()
         setattr(message, field, value)
         ended = answered(report, tmp_path, message)

@@ -17,6 +17,7 @@ import samples
 from roomcast import (
     Action,
     Decision,
+    DecisionFlags,
     Domain,
     Forecast,
     ItemScores,
@@ -89,6 +90,15 @@ def test_a_decision_pauses_and_names_what_it_cancels(domain: Domain) -> None:
 def test_a_name_may_be_in_any_letters(domain: Domain) -> None:
     with Planner("Кухонный помощник нашей бабушки", domain) as planner:
         planner.decide("kitchen", "nobody is there")
+
+
+def test_what_a_bridge_repeats_is_an_order_to_no_robot(domain: Domain) -> None:
+    publisher = ports.Publisher(domain.open("bridge"), ports.DECISION)
+    with Robot("robot", domain) as robot:
+        for sequence, flags in [(1, DecisionFlags(0)), (2, DecisionFlags.ELSEWHERE), (3, DecisionFlags(0))]:
+            publisher.send(layouts.DecisionV1(robot=robot.robot, epoch=1, sequence=sequence, action=Action.GO, flags=flags))
+        told = [robot.next(timeout_s=5) for _ in range(2)]
+    assert [decision.sequence for decision in told if decision is not None] == [1, 3]
 
 
 def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:

@@ -58,6 +58,8 @@ pub mod decision_flags {
     pub const ROBOT_SILENT: u32 = 1 << 10;
     /// The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
     pub const OWED: u32 = 1 << 11;
+    /// Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
+    pub const ELSEWHERE: u32 = 1 << 12;
 }
 
 layout! {
@@ -93,7 +95,8 @@ layout! {
         96 => action: u32,
         /// Bits of [`decision_flags`].
         100 => flags: u32,
-        /// Minor version of the layout: 2, which has `robot_name` and [`decision_flags::OWED`]; 1 has [`action::PAUSE`] and `cancels`.
+        /// Minor version of the layout: 3, which has [`decision_flags::ELSEWHERE`]; 2 has `robot_name` and [`decision_flags::OWED`]; 1 has
+        /// [`action::PAUSE`] and `cancels`.
         104 => minor: u32,
         /// Zero.
         108 => reserved_a: [u8; 4],

@@ -528,7 +528,7 @@ mod wire {
 mod tests {
     use roomcast_ipc::{IncludedV1, RoomScoresV1, narration_kind};
 
-    use super::relay::{Offered, Relay};
+    use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
     use super::*;
 
     const PORT: Sender = Sender::simulated(1);
@@ -685,6 +685,37 @@ mod tests {
             // Of what the rate lets through nearly all has come.
             assert!(newest >= said.min(120) && refused > 0, "a line each {gap_ms} ms: {newest} of {said}");
         }
+    }
+
+    /// A hub without a spool that lasts had started fourteen times while the daemon was away. What the daemon followed no more it never named, and
+    /// the bridge gave it again for ever.
+    #[test]
+    fn of_many_starts_that_a_bridge_relays_each_is_confirmed() {
+        const S: u64 = 1_000_000_000;
+        assert_eq!(STARTS_UNDER_WAY_MAX, SOURCES_OF_A_PORT);
+        let (hall, starts) = (source_of_name("hall"), 40);
+        let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: None, relayed: true };
+        let mut intake = Intake::new(IntakeLimits { rate_per_s: 1000.0, burst: 100.0 }).with_narrators(&[known]);
+        intake.note_alive([PORT]);
+        let mut relay = Relay::new("hall", 100.0);
+        for epoch in 1..=starts {
+            assert_eq!(relay.offer(epoch, 1, 1, Some(message(hall, epoch, 1, "They sit."))), Offered::Taken);
+        }
+        for now_ns in (10..40).map(|tenth| tenth * S / 10) {
+            for given in std::iter::from_fn(|| relay.send(now_ns)) {
+                accepted(intake.take(&given, PORT, now_ns));
+            }
+            let mut scores = RoomScoresV1 { epoch: 1, source_count: intake.sources() as u32, ..Default::default() };
+            for (included, ((source, epoch), known)) in scores.included.iter_mut().zip(&intake.sources) {
+                let sequence = known.follower.sequence();
+                *included = IncludedV1 { source: *source, epoch: *epoch, sequence, accepted: 1, ..Default::default() };
+            }
+            assert_eq!(relay.confirm(&scores, now_ns), 0);
+        }
+        assert_eq!(intake.counters().accepted, starts);
+        let confirmed = relay.confirmed();
+        assert_eq!((confirmed.epoch.0, confirmed.confirmed), (starts, 1));
+        assert!(relay.again(1_000 * S, true).is_empty(), "nothing is left under way");
     }
 
     /// Row "an honest narrator's source and epoch with sequence 2^64 - 1" of the attacks.

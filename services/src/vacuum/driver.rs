@@ -178,7 +178,8 @@ impl Driver {
     #[must_use]
     pub fn decide(&mut self, decision: &DecisionV1, now_ns: u64) -> Vec<Act> {
         let own = (decision.epoch, decision.sequence);
-        if decision.robot != self.number || self.decided == Some(own) {
+        let is_order = decision.robot == self.number && !decision.has(decision_flags::ELSEWHERE);
+        if !is_order || self.decided == Some(own) {
             return Vec::new();
         }
         self.decided = Some(own);

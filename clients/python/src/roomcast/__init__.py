@@ -590,7 +590,8 @@ class Robot(_Open):
                 while (decision := self._decisions.receive()) is not None:
                     known = self.decision
                     again = known is not None and (decision.epoch, decision.sequence) == (known.epoch, known.sequence)
-                    if decision.robot == self.robot and not again:
+                    is_order = decision.robot == self.robot and DecisionFlags.ELSEWHERE not in decision.flags
+                    if is_order and not again:
                         self.decision = decision
                         return decision
             left = deadline - time.monotonic()

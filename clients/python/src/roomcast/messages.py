@@ -115,6 +115,8 @@ class DecisionFlags(enum.IntFlag):
     ROBOT_SILENT = 1024
     #: The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
     OWED = 2048
+    #: Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
+    ELSEWHERE = 4096
 
 
 class ReportKind(enum.IntEnum):

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label};
 use crate::names::{Names, plain_words};
-use crate::narration::{Presence, PresenceStatement};
+use crate::narration::{Presence, PresenceStatement, check_name};
 use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION, check_count, check_id};
 use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
 use crate::text::is_hidden;
@@ -382,11 +382,9 @@ fn is_object(text: &str) -> bool {
     !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
 }
 
-/// Whether a rule can name a person so: not too long, and braces are placeholders.
+/// Whether a rule can name a person so: as narration can, and braces are placeholders.
 fn is_person(name: &str) -> bool {
-    name.len() <= crate::narration::PERSON_NAME_BYTES_MAX
-        && name.chars().any(char::is_alphabetic)
-        && !name.contains(['{', '}'])
+    check_name(name).is_ok() && name.contains(char::is_alphabetic) && !name.contains(['{', '}'])
 }
 
 /// Whether a rule can name a room so.
@@ -571,7 +569,8 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         let name = comment(name).trim().to_owned();
         people.push((object, name));
     }
-    people.retain(|(object, name)| is_object(object) && is_person(name));
+    people.retain(|(object, _)| is_object(object));
+    let (people, nameless): (Vec<_>, Vec<_>) = people.into_iter().partition(|(_, name)| is_person(name));
     for (object, name) in &people {
         rules.person(object, name);
     }
@@ -591,6 +590,13 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         notes.push(format!(
             "Not known to be English: {}. Where it is none, write English into the map and into the rules, for the model reads that.",
             quoted(&unknown)
+        ));
+    }
+    if !nameless.is_empty() {
+        let names: Vec<&str> = nameless.iter().map(|(_, name)| &**name).collect();
+        notes.push(format!(
+            "Left out the persons {}, whom no sentence can name so: give them other names in Home Assistant and import again.",
+            quoted(&names)
         ));
     }
     if homeless > 0 {
@@ -668,6 +674,27 @@ mod tests {
             devices: Some(DEVICES),
             entities: Some(ENTITIES),
             persons: Some(PERSONS),
+        }
+    }
+
+    /// The rules named a person "Me" and could not be read, so that there was no home at all.
+    #[test]
+    fn a_person_whom_no_sentence_can_name_is_left_out_and_told_of() {
+        let long = "a".repeat(100);
+        for name in ["Me", "nobody", "Who", "We", "They", "You", "Everyone", "12", "!", "{value}", &long] {
+            let persons = format!(
+                r#"{{"data": {{"items": [{{"id": "p-1", "name": "Ada"}}, {{"id": "p-2", "name": "{name}"}}, {{"id": "p-3", "name": "Me Too"}}]}}}}"#
+            );
+            let registries = Registries { entities: None, persons: Some(&persons), ..registries() };
+            let home = home_assistant(&registries, "home").unwrap();
+            assert_eq!(home.persons, ["Ada", "Me Too"], "{name}");
+            let rules: toml::Table = toml::from_str(&home.rules.unwrap()).unwrap();
+            for rule in rules["rule"].as_array().unwrap() {
+                check_name(rule["person"].as_str().unwrap()).unwrap();
+            }
+            let says =
+                |note: &String| note.starts_with("Left out the persons") && note.contains(&format!("\"{name}\""));
+            assert!(name == "!" || home.imported.notes.iter().any(says), "{name}: {:?}", home.imported.notes);
         }
     }
 

@@ -103,7 +103,7 @@ impl Layer {
         let single = self.pixels.chunks_exact(2).map(|pixel| ([pixel[0], pixel[1]], 1));
         let runs = single.chain(self.runs.chunks_exact(3).map(|run| ([run[0], run[1]], run[2])));
         runs.map(|(at, count)| {
-            let near = at.iter().all(|place| place.abs() <= FARTHEST);
+            let near = at.iter().all(|place| (-FARTHEST..=FARTHEST).contains(place));
             let count = usize::try_from(count).ok().filter(|count| near && *count <= MAX_PIXELS);
             let rest = count.and_then(|count| left.checked_sub(count).map(|rest| (rest, count)));
             let Some((rest, count)) = rest else {
@@ -791,6 +791,20 @@ mod tests {
         let error = valetudo(&map, "x", &HashMap::new()).unwrap_err().to_string();
         assert!(error.len() < 2_000, "{} bytes", error.len());
         assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
+    }
+
+    /// The least number has no absolute value: whoever may publish at a broker ended `init` by it.
+    #[test]
+    fn pixels_at_the_ends_of_the_numbers_are_refused() {
+        for far in [i64::MIN, i64::MAX] {
+            for (key, run) in
+                [("pixels", vec![far, 0, 1, 1]), ("pixels", vec![0, far]), ("compressedPixels", vec![far, far, far])]
+            {
+                let map = serde_json::json!({"pixelSize": 5, "layers": [{"type": "segment", "metaData": {"segmentId": "1"}, key: run}]});
+                let error = valetudo(&map.to_string(), "home", &none()).unwrap_err().to_string();
+                assert!(error.contains("lies too far out"), "{error}");
+            }
+        }
     }
 
     /// Segments that lie around one another, each as large as the whole map: no home, and much to trace.

@@ -454,6 +454,8 @@ fn rooms_without_a_segment_are_blocked_and_another_robots_decisions_are_no_order
     pair.decide(&decision(1, action::GO, "garage"));
     assert_eq!(pair.of_work(), [(Kind::Blocked, Some(1))]);
     pair.decide(&DecisionV1 { robot: 8, ..decision(3, action::GO, "hall-2") });
+    // A bridge repeats what it hears of a robot of this name.
+    pair.decide(&DecisionV1 { flags: decision_flags::ELSEWHERE, ..decision(4, action::GO, "hall-2") });
     pair.pass(100);
     assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty());
     // Whoever sends it to a room that is done means it.
