@@ -370,7 +370,8 @@ mod tests {
         assert_eq!(server.answer(answer).unwrap(), 1);
         let answer = String::from_utf8(pending.receive().unwrap().unwrap().payload().to_vec()).unwrap();
         assert!(answer.contains("1099511627776"), "{answer}");
-        drop((pending, client, port, server, node));
+        drop((pending, client));
+        drop((port, server, node));
         domain.clean_up().unwrap();
     }
 }
