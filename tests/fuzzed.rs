@@ -20,7 +20,7 @@ use roomcast_ipc::{ByteImage, NarrationV1, PersonForecastsV1, PersonScoresV1, Ro
 use roomcast_llama::{LlamaModel, LlamaOptions};
 use roomcast_services::daemon::journal;
 use roomcast_services::embedded;
-use roomcast_services::recording::{Recorded, Recorder};
+use roomcast_services::recording::{Received, Recorded, Recorder};
 
 #[path = "../fuzz/targets.rs"]
 mod targets;
@@ -98,7 +98,8 @@ fn recording() -> Vec<u8> {
     for sequence in 1..4 {
         let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
         let message = NarrationV1 { source: 7, epoch: 1, sequence, ..message };
-        recorder.write(&Recorded::Narration(Box::new(message)), sequence).unwrap();
+        let received = Received { unix_ns: sequence, monotonic_ns: sequence };
+        recorder.write(&Recorded::Narration(Box::new(message)), received).unwrap();
     }
     recorder.finish().unwrap();
     std::fs::read(path).unwrap()
