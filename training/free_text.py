@@ -42,7 +42,10 @@ class Product:
         self.labels = sorted(self.scores(["They walk to the kitchen."]))
 
     def run(self, *arguments: str) -> str:
-        ended = subprocess.run([self.program, *arguments], capture_output=True, text=True)
+        try:
+            ended = subprocess.run([self.program, *arguments], capture_output=True, text=True)
+        except OSError as error:
+            raise SystemExit(f"{self.program} cannot be run: {error.strerror}; give the program with --roomcast") from None
         if ended.returncode:
             raise SystemExit(f"{self.program} {' '.join(arguments)}: {ended.stderr.strip()}")
         return ended.stdout
@@ -116,10 +119,10 @@ def compare(product: Product, chain: Chain, cases: list) -> None:
             kept = np.array([name != in_hand for name in index])
             return forecast * kept / (forecast * kept).sum()
 
-        words_of_chain = another(chain.forecast(turned))
+        chained = another(chain.forecast(turned))
         rows["model"].append(another(product.forecast(told)))
-        rows["Kneser-Ney"].append(words_of_chain)
-        rows["Kneser-Ney, cache"].append(chain.with_cache(words_of_chain, turned))
+        rows["Kneser-Ney"].append(chained)
+        rows["Kneser-Ney, cache"].append(chain.with_cache(chained, turned))
         group.append(number)
         truth.append(index[label])
     units, right = np.array(group), np.array(truth)
@@ -140,8 +143,9 @@ def main() -> None:
     arguments.add_argument("--shared", type=Path, required=True, help="folder with virtualhome/")
     arguments.add_argument("--roomcast", type=Path, required=True, help="the program")
     given = arguments.parse_args()
-    programs = data.virtualhome(given.shared)
-    graph = given.shared / "virtualhome/scenes/TestScene1_graph.json"
+    programs, graph = data.virtualhome(given.shared), given.shared / "virtualhome/scenes/TestScene1_graph.json"
+    if not programs or not graph.is_file():
+        raise SystemExit(f"no activity programs and scenes below {given.shared}/virtualhome: pass the folder that holds virtualhome with --shared")
     scene, statistics = Scene(graph), json.loads((ROOT / "models/household-statistics.json").read_text())
     with tempfile.TemporaryDirectory() as folder:
         product = Product(given.roomcast, graph, Path(folder))

@@ -25,6 +25,7 @@ import data
 import descriptions
 import evaluate
 import export
+import free_text
 import routines
 import run
 import things
@@ -250,6 +251,17 @@ def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch,
     assert not [*(tmp_path / "cut").glob("resume-*")]
     # Whoever watches changes nothing.
     assert torch.equal(weights("watched", watch=lambda step, model: None), whole)
+
+
+def test_the_chain_of_free_text_is_a_forecast_of_a_maps_labels():
+    statistics = {"kneser_ney": {"discounts": [0.5] * 4, "cache_weight": 0.5, "cache_decay": 0.5}, "markov3": {"^>cup>sink": {"cup": 3, "bed": 1, "ship": 2}, "cup>sink>cup": {"bed": 1}}}
+    chain = free_text.Chain(statistics, ["bed", "cup", "sink"])
+    after_sink = chain.forecast(["cup", "sink"])
+    assert abs(after_sink.sum() - 1) < 1e-9 and after_sink.argmax() == 1
+    cached = chain.with_cache(after_sink, ["bed", "cup", "sink"])
+    assert abs(cached.sum() - 1) < 1e-9 and cached[0] > after_sink[0] and cached[2] < after_sink[2]
+    assert (chain.with_cache(after_sink, ["sink"]) == after_sink).all(), "what is in hand is not next"
+    assert chain.with_cache(after_sink, ["cup", "ship"])[1] > after_sink[1], "a thing that the map lacks hides nothing"
 
 
 def test_no_worker_waits_long_for_the_other_to_orthogonalise():

@@ -2,8 +2,8 @@
 //!
 //! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
 //! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
-//! whose object the map lacks are left out. Another object is asked for than the one in hand, so that one is taken out of every forecast of objects. The *next room* is that of the item which the object is bound to
-//! ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
+//! whose object the map lacks are left out. Another object is asked for than the one in hand, so that one is taken out of
+//! every forecast of objects. The *next room* is that of the item which the object is bound to ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
 //! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -341,9 +341,11 @@ fn evaluate<M: LanguageModel>(
     let mut grounded = GroundedScores::default();
     let blind = source.score([], &options.binding.clone().without_narration())?;
     let blind = probabilities(&blind);
+    let blind_rooms = rooms_of(&blind, grounding, &mut grounded)?;
     let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
     let even_labels = vec![1.0 / labels as f64; labels];
     let even_rooms = vec![1.0 / rooms as f64; rooms];
+    let frequency_rooms = rooms_of(baselines.frequency(), grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
     let mut mentions = Mentions::new(map, grounding);
 
@@ -372,13 +374,13 @@ fn evaluate<M: LanguageModel>(
                 (baselines::MODEL_CACHE.mixed(&model, visited, in_hand), None),
                 (baselines::mixture(&model, &chain, visited, in_hand), None),
                 (even_labels.clone(), Some(&even_rooms)),
-                (baselines.frequency().to_vec(), None),
+                (baselines.frequency().to_vec(), Some(&frequency_rooms)),
                 (baselines.markov1(last), None),
                 (baselines.markov2(before, last), None),
                 (chain.clone(), None),
                 (baselines.with_cache(&chain, visited, in_hand), None),
                 (labels_in(&stay_rooms, grounding), Some(&stay_rooms)),
-                (blind.clone(), None),
+                (blind.clone(), Some(&blind_rooms)),
             ];
             for (predictor, (of_labels, of_rooms)) in forecasts.iter().enumerate() {
                 let row = predictor * TARGETS.len();

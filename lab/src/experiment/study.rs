@@ -150,15 +150,13 @@ impl<'a> Home<'a> {
 
     /// Room probabilities at a time: that anybody is there, 1 - prod(1 - p) over the persons, as the daemon gives them.
     fn probability(&self, at_s: f64) -> Vec<f64> {
-        if let [track] = self.tracks.as_slice() {
-            return normalised(track.scores[track.timeline.done_by(at_s)].clone());
-        }
-        let mut nobody = vec![1.0; self.cost.rooms()];
+        // In logarithms it is exact for small p, too.
+        let mut ln_nobody = vec![0.0_f64; self.cost.rooms()];
         for track in &self.tracks {
             let own = normalised(track.scores[track.timeline.done_by(at_s)].clone());
-            nobody.iter_mut().zip(own).for_each(|(nobody, p)| *nobody *= 1.0 - p);
+            ln_nobody.iter_mut().zip(own).for_each(|(sum, p)| *sum += (-p).ln_1p());
         }
-        normalised(nobody.into_iter().map(|nobody| 1.0 - nobody).collect())
+        normalised(ln_nobody.into_iter().map(|sum| -sum.exp_m1()).collect())
     }
 
     /// The forecaster of a person at a time: all that was observed until then.
