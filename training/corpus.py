@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+import data
 from data import Program
 from descriptions import Clause, Reader, next_things
 from things import HOME, WORKPLACES, Things
@@ -67,10 +68,8 @@ class Sequence:
 def scene_labels(shared: Path, own: Path) -> dict[str, dict[str, str]]:
     """The labels of the VirtualHome graphs and of the project's own maps, by scene: label words, and other words that a map has for them, to labels."""
     scenes = {}
-    for path in sorted((shared / "virtualhome/scenes").glob("*_graph.json")):
-        nodes = json.loads(path.read_text())["nodes"]
-        labels = sorted({words(n["class_name"]) for n in nodes} - {"character", "floor", "wall", "ceiling"})
-        scenes[path.stem.removesuffix("_graph")] = {label: label for label in labels}
+    for path in data.scene_graphs(shared):
+        scenes[path.stem.removesuffix("_graph")] = {label: label for label in data.graph_labels(path)}
     for path in sorted(own.glob("*.json")):
         scene = json.loads(path.read_text())
         labels = sorted({words(thing["label"]) for key in ("rooms", "items") for thing in scene.get(key, ())})

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
+import json
 import re
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from narration import Step, parse_step
+from narration import Step, parse_step, words
 
 HERE = Path(__file__).resolve().parent
 SPLITS = tomllib.loads((HERE / "splits.toml").read_text())
@@ -37,6 +39,7 @@ def cluster_of(title: str) -> str:
 
 
 FOLDS = len(SPLITS["folds"])
+FOLD_HELP = f"hold out fold 1 to {FOLDS} of splits.toml and the sealed clusters; or `sealed`: hold out these alone"
 
 
 def fold_of(cluster: str) -> int:
@@ -45,6 +48,15 @@ def fold_of(cluster: str) -> int:
         if cluster in clusters:
             return number
     return 1 + int(hashlib.sha256(cluster.encode()).hexdigest(), 16) % FOLDS
+
+
+def fold_named(text: str) -> int | str:
+    """What `--fold` takes."""
+    if text == "sealed":
+        return text
+    if text.isdigit() and 1 <= int(text) <= FOLDS:
+        return int(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is neither 1 to {FOLDS} nor `sealed`")
 
 
 def split_of(cluster: str, dev: bool, fold: int | str | None = None) -> str:
@@ -105,6 +117,17 @@ def homer(shared: Path, fold: int | str | None = None) -> list[list[Program]]:
         if day:
             days.append(day)
     return days
+
+
+def scene_graphs(shared: Path) -> list[Path]:
+    """VirtualHome's scenes."""
+    return sorted((shared / "virtualhome/scenes").glob("*_graph.json"))
+
+
+def graph_labels(graph: Path) -> list[str]:
+    """What a scene has, without the person and what bounds the rooms."""
+    nodes = json.loads(graph.read_text())["nodes"]
+    return sorted({words(node["class_name"]) for node in nodes} - {"character", "floor", "wall", "ceiling"})
 
 
 def sha256(path: Path) -> str:

@@ -12,7 +12,6 @@ import argparse
 import json
 import subprocess
 import tempfile
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ import data
 from descriptions import Reader
 from evaluate import Scene, cases_of, cases_of_descriptions, summarise
 from narration import PRODUCT, Style, bind
-from statistics_file import KneserNey, recency
+from statistics_file import KneserNey, bound, recency
 
 ROOT = Path(__file__).resolve().parent.parent
 STYLES = {
@@ -65,22 +64,14 @@ class Chain:
 
     def __init__(self, statistics: dict, labels: list[str]):
         self.fit, self.index = statistics["kneser_ney"], {label: k for k, label in enumerate(labels)}
-        third: dict[str, Counter] = {}
-        for context, following in statistics["markov3"].items():
-            before = [self.key(word) for word in context.split(">")]
-            counts = third.setdefault(">".join(before), Counter())
-            for word, number in following.items():
-                label = bind(word, self.index)
-                if label and label != before[-1]:
-                    counts[label] += number
-        self.model = KneserNey({context: counts for context, counts in third.items() if counts}, labels)
+        self.model = KneserNey(bound(statistics["markov3"], self.index), labels)
 
     def key(self, word: str) -> str:
         return bind(word, self.index) or word
 
     def forecast(self, visited: list[str]) -> np.ndarray:
         context = tuple(["^", "^", "^", *map(self.key, visited)][-3:])
-        return np.array([self.model.probability(context, label, self.fit["discounts"]) for label in self.index])
+        return np.array([self.model.probability(self.model.counts(context, label), self.fit["discounts"]) for label in self.index])
 
     def with_cache(self, chain: np.ndarray, visited: list[str]) -> np.ndarray:
         turned = [self.key(word) for word in visited]

@@ -70,7 +70,7 @@ def main() -> None:
     arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
     arguments.add_argument("--small", action="store_true", help="train a small model in a short time, to compare")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
-    arguments.add_argument("--fold", type=fold_named, metavar="N", help=f"hold out fold 1 to {data.FOLDS} of splits.toml and the sealed clusters; or `sealed`: hold out these alone")
+    arguments.add_argument("--fold", type=data.fold_named, metavar="N", help=data.FOLD_HELP)
     arguments.add_argument("--folds", type=Path, metavar="DIR", help="one model per fold, in place of --fold, --out and --work; folds that are done are left as they are")
     given = arguments.parse_args()
 
@@ -87,21 +87,13 @@ def main() -> None:
             make(argparse.Namespace(**{**vars(given), "fold": fold, "out": out, "work": out / "work"}))
 
 
-def fold_named(text: str) -> int | str:
-    if text == "sealed":
-        return text
-    if text.isdigit() and 1 <= int(text) <= data.FOLDS:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is neither 1 to {data.FOLDS} nor `sealed`")
-
-
 def make(given: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     given.work.mkdir(parents=True, exist_ok=True)
     given.out.mkdir(parents=True, exist_ok=True)
     corpus, programs = corpus_of(given.shared, given.dev, given.fold)
     trained, last = given.work / "trained.pt", given.work / "checkpoint.pt"
-    graphs = sorted((given.shared / "virtualhome/scenes").glob("*_graph.json"))
+    graphs = data.scene_graphs(given.shared)
     if given.export_only:
         pieces = vocabulary.load(given.work / "vocabulary.model")
     else:
@@ -127,7 +119,7 @@ def make(given: argparse.Namespace) -> None:
     export.write(model, pieces, reference, "f32", DESCRIPTION, fit.prior)
     export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
-    statistics_file.write(programs, given.out / "household-statistics.json")
+    statistics_file.write(programs, graphs, given.out / "household-statistics.json")
     write_manifest(given, corpus, programs, model, trained, shipped)
     print(f"wrote {shipped}: {shipped.stat().st_size / 1e6:.2f} MB, {model.parameter_count() / 1e6:.2f} M parameters")
 

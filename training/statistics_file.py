@@ -11,20 +11,27 @@ import itertools
 import json
 import math
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import data
 from data import Program
+from narration import bind, next_targets
 
 ROOT = Path(__file__).resolve().parent.parent
 # Stands in a context for what lies before the first object.
 START = "^"
-# What the fit chooses among.
-DISCOUNTS = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 0.99]
+# What the fit chooses among: the part of a count of one, of two, and of three from each greater one.
+DISCOUNTED = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 0.99]
 WEIGHTS = [0.0, 0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
 DECAYS = [0.5, 0.7, 0.8, 0.9, 0.95, 1.0]
 
+# Lengths of contexts, 0 to 3 objects, and kinds of counts, one, two, and more, that have discounts of their own.
+ORDERS, KINDS = 4, 3
+
 Table = dict[str, Counter]
+Counted = tuple[int, int, int, list[int]]
+Discounts = list[list[float]]
 
 
 def walk(program: Program) -> list[str]:
@@ -59,7 +66,8 @@ def contexts(visited: list[str]) -> list[tuple[tuple[str, ...], str]]:
 
 
 class KneserNey:
-    """Third-order interpolated Kneser-Ney: shorter contexts count the distinct longer ones that an object followed."""
+    """Modified Kneser-Ney, interpolated, of third order (Chen and Goodman 1999): shorter contexts count the distinct longer ones that an object followed,
+    and counts of one, two and more have discounts of their own."""
 
     def __init__(self, third: Table, objects: list[str]) -> None:
         self.tables: list[dict[tuple[str, ...], Counter]] = [{tuple(key.split(">")): Counter(counts) for key, counts in third.items()}]
@@ -70,14 +78,29 @@ class KneserNey:
             self.tables.append(shorter)
         self.objects = objects
 
-    def probability(self, context: tuple[str, ...], following: str, discounts: list[float]) -> float:
-        p = 1 / len(self.objects)
-        for order in range(4):
+    def counts(self, context: tuple[str, ...], following: str) -> list[Counted]:
+        """Per length of context, the empty one first: how often the object followed, how often any did, and how many followed once, twice and more often.
+        Lengths at which nothing followed are left out."""
+        out = []
+        for order in range(ORDERS):
             counts = self.tables[3 - order].get(context[3 - order :])
             if counts:
-                total, discount = sum(counts.values()), discounts[order]
-                p = max(counts[following] - discount, 0) / total + discount * len(counts) / total * p
-        return p
+                kinds = Counter(min(count, KINDS) for count in counts.values())
+                out.append((order, counts[following], sum(counts.values()), [kinds[kind] for kind in range(1, KINDS + 1)]))
+        return out
+
+    def probability(self, counted: list[Counted], discounts: Discounts) -> float:
+        return probability(counted, 1 / len(self.objects), discounts)
+
+
+def probability(counted: list[Counted], even: float, discounts: Discounts) -> float:
+    """Of an object, from its counts; `even` is what all objects have before anything is counted."""
+    p = even
+    for order, count, total, kinds in counted:
+        taken = sum(number * discount for number, discount in zip(kinds, discounts[order]))
+        left = count - discounts[order][min(count, KINDS) - 1] if count else 0
+        p = left / total + taken / total * p
+    return p
 
 
 def recency(before: list[str], following: str, decay: float) -> float:
@@ -91,30 +114,59 @@ def recency(before: list[str], following: str, decay: float) -> float:
     return mass / all_mass if all_mass else 0.0
 
 
-def fit(third: Table, frequency: Counter, calibration: list[Program]) -> dict[str, object]:
-    """Discounts by order, and the weight and decay of the recency cache, that make the calibration split likeliest. The first object of
-    a program has nothing before it and is no case. Objects that the training split does not know are cases, as a map has such things too:
-    how much is kept for them is fitted by them alone."""
-    walks = [walk(program) for program in calibration]
-    model = KneserNey(third, sorted({*frequency, *itertools.chain(*walks)}))
+def bound(third: Table, labels: Iterable[str]) -> Table:
+    """The counts over a map's labels. What the map lacks is no object and stays a context; two words of one label are no turn to another thing."""
+    out: Table = {}
+    for context, counts in third.items():
+        before = [bind(word, labels) or word for word in context.split(">")]
+        own = out.setdefault(">".join(before), Counter())
+        for word, number in counts.items():
+            label = bind(word, labels)
+            if label and label != before[-1]:
+                own[label] += number
+    return {context: counts for context, counts in out.items() if counts}
+
+
+def fit(third: Table, calibration: list[Program], maps: list[set[str]]) -> dict[str, object]:
+    """Discounts by order and count, and the weight and decay of the recency cache, that make the calibration split likeliest over the labels of `maps`, as
+    the model's temperature does: what is next at every step, given that it is another thing than the one in hand."""
     cases = []
-    for visited in walks:
-        for at, (context, following) in enumerate(contexts(visited)):
-            if at:
-                cases.append((context, following, visited[:at]))
-    loss = lambda discounts: -sum(math.log(model.probability(context, following, discounts)) for context, following, _ in cases)
-    discounts = [0.75] * 4
-    for _ in range(3):
-        for order in range(4):
-            discounts = min(([*discounts[:order], tried, *discounts[order + 1 :]] for tried in DISCOUNTS), key=loss)
-    chained = [(model.probability(context, following, discounts), following, before) for context, following, before in cases]
+    for labels in maps:
+        model = KneserNey(bound(third, labels), sorted(labels))
+        for program in calibration:
+            turned: list[str] = []
+            for step, target in zip(program.steps, next_targets(program.steps)):
+                thing = bind(step.target, labels) or step.target if step.target else None
+                if thing and (not turned or turned[-1] != thing):
+                    turned.append(thing)
+                label = bind(target, labels) if target else None
+                if turned and label and label != turned[-1]:
+                    context = tuple([START] * 3 + turned)[-3:]
+                    in_hand = model.counts(context, turned[-1]) if turned[-1] in labels else None
+                    cases.append((model.counts(context, label), in_hand, 1 / len(labels), label, [t for t in turned[:-1] if t in labels] + turned[-1:]))
+
+    def chances(discounts: Discounts) -> list[tuple[float, float]]:
+        """Of what is next, and of what is in hand."""
+        p = lambda counted, even: probability(counted, even, discounts) if counted is not None else 0.0
+        return [(p(counted, even), p(in_hand, even)) for counted, in_hand, even, *_ in cases]
+
+    loss = lambda discounts: -sum(math.log(p / (1 - hidden)) for p, hidden in chances(discounts))
+    discounts = [[0.75 * kind for kind in range(1, KINDS + 1)] for _ in range(ORDERS)]
+    best, before = loss(discounts), math.inf
+    while best < before:
+        before = best
+        for order, kind in itertools.product(range(ORDERS), range(KINDS)):
+            changed = lambda part: [[part * (kind + 1) if (o, k) == (order, kind) else d for k, d in enumerate(row)] for o, row in enumerate(discounts)]
+            discounts = min([discounts, *map(changed, DISCOUNTED)], key=loss)
+        best = loss(discounts)
+    discounts = [[round(discount, 2) for discount in row] for row in discounts]
+    chained = chances(discounts)
 
     def mixed(weight: float, decay: float) -> float:
         total = 0.0
-        for p, following, before in chained:
-            cached = recency(before, following, decay)
-            has_cache = any(thing != before[-1] for thing in before)
-            total -= math.log((1 - weight) * p + weight * cached if has_cache else p)
+        for (p, hidden), (*_, label, visited) in zip(chained, cases):
+            share = weight if any(thing != visited[-1] for thing in visited) else 0.0
+            total -= math.log(((1 - share) * p + share * recency(visited, label, decay)) / (1 - (1 - share) * hidden))
         return total
 
     weight, decay = min(itertools.product(WEIGHTS, DECAYS), key=lambda tried: mixed(*tried))
@@ -122,19 +174,19 @@ def fit(third: Table, frequency: Counter, calibration: list[Program]) -> dict[st
     return {"discounts": discounts, "cache_weight": weight, "cache_decay": decay}
 
 
-def write(programs: dict[str, list[Program]], path: Path) -> None:
+def write(programs: dict[str, list[Program]], graphs: list[Path], path: Path) -> None:
     frequency, first, second, third = count(programs["train"])
     table = lambda counts: {key: dict(sorted(value.items())) for key, value in sorted(counts.items())}
     path.write_text(json.dumps({
         "about": "Objects that activity programs of the training split turn to, immediate repeats dropped: how often each is turned to, "
                  "how often next after `last` (markov1), after `before>last` (markov2), and after three, where ^ is before the first (markov3). "
-                 "kneser_ney is fitted on the calibration split. Words as in names.toml, not bound to any map.",
+                 "kneser_ney is fitted on the calibration split, over the labels of VirtualHome's scenes. Words as in names.toml, not bound to any map.",
         "programs": len(programs["train"]),
         "frequency": dict(sorted(frequency.items())),
         "markov1": table(first),
         "markov2": table(second),
         "markov3": table(third),
-        "kneser_ney": fit(third, frequency, programs["calibration"]),
+        "kneser_ney": fit(third, programs["calibration"], [set(data.graph_labels(graph)) for graph in graphs]),
     }, ensure_ascii=False, separators=(",", ":")) + "\n")
 
 
@@ -142,13 +194,14 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--shared", type=Path, required=True, help="folder with virtualhome/")
     arguments.add_argument("--out", type=Path, default=ROOT / "models/household-statistics.json")
+    arguments.add_argument("--fold", type=data.fold_named, metavar="N", help=data.FOLD_HELP)
     given = arguments.parse_args()
-    programs: dict[str, list[Program]] = {"train": [], "calibration": [], "test": []}
+    programs: dict[str, list[Program]] = {"train": [], "calibration": [], "test": [], "sealed": []}
     for program in data.virtualhome(given.shared):
-        programs[data.split_of(program.cluster, False)].append(program)
+        programs[data.split_of(program.cluster, False, given.fold)].append(program)
     if not programs["train"]:
         raise SystemExit(f"no activity programs below {given.shared}/virtualhome/programs: pass the folder that holds virtualhome with --shared")
-    write(programs, given.out)
+    write(programs, data.scene_graphs(given.shared), given.out)
 
 
 if __name__ == "__main__":

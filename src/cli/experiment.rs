@@ -230,7 +230,7 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
         }
         None => (programs, Vec::new()),
     };
-    let statistics = fitted(&args.fit, &embedded_statistics()?)?;
+    let statistics = fitted(&[], &args.fit, &embedded_statistics()?)?;
     let maps = maps(&args.scene)?;
     let options = prediction::Options {
         history: args.model.limits(),
@@ -255,12 +255,12 @@ fn embedded_statistics() -> Result<Statistics, Failure> {
     Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
-/// Counts of other programs, smoothed as `statistics` are, which are taken where none are given.
-fn fitted(folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
+/// Counts of `own` programs and those of folders, smoothed as `statistics` are, which are taken where no folder is given.
+fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
     if folders.is_empty() {
         return Ok(statistics.clone());
     }
-    let mut programs = Vec::new();
+    let mut programs = own.to_vec();
     for folder in folders {
         let (more, faults) = prediction::load_programs(folder)?;
         report_faults(&faults);

@@ -105,8 +105,18 @@ def test_routines_that_are_none_are_refused():
 def test_kneser_ney_keeps_for_the_unknown_what_the_calibration_split_has_of_it():
     program = lambda *objects: data.Program("", "", "", tuple(narration.parse_step(f"[Walk] <{name}> (1)") for name in objects))
     known = ["fridge", "sofa", "bed", "table"]
-    frequency, _, _, third = statistics_file.count([program(*known)] * 20)
-    kept = lambda calibration: statistics_file.fit(third, frequency, calibration)["discounts"][0]
-    # Every second object that is turned to is one that the training split does not know, as a map's own things are.
-    assert kept([program("fridge", "harp", "sofa", "loom"), program("bed", "kiln", "table", "anvil")]) > 0.9
-    assert kept([program(*known), program("sofa", "fridge", "table", "bed")]) < 0.5
+    unknown = ["harp", "loom", "kiln", "anvil"]
+    *_, third = statistics_file.count([program(*known)] * 20)
+    kept = lambda *calibration: statistics_file.fit(third, list(calibration), [{*known, *unknown}])["discounts"][0][0]
+    # Every second object that is turned to is one of the map that the training split does not know.
+    assert kept(program("fridge", "harp", "sofa", "loom"), program("bed", "kiln", "table", "anvil")) > 0.9
+    assert kept(program(*known), program("sofa", "fridge", "table", "bed")) < 0.5
+
+
+def test_kneser_ney_shares_out_all_that_it_takes_from_counts_of_one_of_two_and_of_more():
+    third = {"^>^>cup": {"sink": 5, "bed": 2, "sofa": 1}, "^>bed>cup": {"sink": 1}, "cup>sink>cup": {"bed": 9}}
+    model = statistics_file.KneserNey(third, ["bed", "cup", "sink", "sofa", "lamp"])
+    discounts = [[0.9, 1.1, 0.3], [0.2, 0.1, 2.9], [0.5, 2.0, 3.0], [1.0, 0.4, 1.5]]
+    for context in (("^", "^", "cup"), ("x", "y", "cup"), ("x", "y", "z")):
+        chances = [model.probability(model.counts(context, label), discounts) for label in model.objects]
+        assert abs(sum(chances) - 1) < 1e-9 and min(chances) > 0

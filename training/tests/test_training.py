@@ -254,7 +254,7 @@ def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch,
 
 
 def test_the_chain_of_free_text_is_a_forecast_of_a_maps_labels():
-    statistics = {"kneser_ney": {"discounts": [0.5] * 4, "cache_weight": 0.5, "cache_decay": 0.5}, "markov3": {"^>cup>sink": {"cup": 3, "bed": 1, "ship": 2}, "cup>sink>cup": {"bed": 1}}}
+    statistics = {"kneser_ney": {"discounts": [[0.5] * 3] * 4, "cache_weight": 0.5, "cache_decay": 0.5}, "markov3": {"^>cup>sink": {"cup": 3, "bed": 1, "ship": 2}, "cup>sink>cup": {"bed": 1}}}
     chain = free_text.Chain(statistics, ["bed", "cup", "sink"])
     after_sink = chain.forecast(["cup", "sink"])
     assert abs(after_sink.sum() - 1) < 1e-9 and after_sink.argmax() == 1

@@ -36,13 +36,15 @@ pub struct Statistics {
 const START: &str = "^";
 /// The longest context of Kneser-Ney smoothing.
 const ORDER: usize = 3;
+/// Counts that have discounts of their own: one, two, and more.
+const KINDS: usize = 3;
 
 /// What Kneser-Ney smoothing and its recency cache are fitted to.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KneserNeyFit {
-    /// What is taken from each count after 0 to 3 objects.
-    pub discounts: [f64; ORDER + 1],
+    /// What is taken from each count after 0 to 3 objects: from one, from two, and from each greater one.
+    pub discounts: [[f64; KINDS]; ORDER + 1],
     /// The share of what was turned to in this activity.
     pub cache_weight: f64,
     /// How much less each earlier object of it counts.
@@ -52,7 +54,7 @@ pub struct KneserNeyFit {
 impl Default for KneserNeyFit {
     /// Without a split to fit them on.
     fn default() -> Self {
-        Self { discounts: [0.75; ORDER + 1], cache_weight: 0.15, cache_decay: 0.9 }
+        Self { discounts: [[0.75; KINDS]; ORDER + 1], cache_weight: 0.15, cache_decay: 0.9 }
     }
 }
 
@@ -186,7 +188,7 @@ impl Baselines {
         Self { frequency, first, first_strength, second, second_strength, kneser_ney, stay }
     }
 
-    /// Third-order interpolated Kneser-Ney, after the last three objects, the latest last.
+    /// Modified Kneser-Ney, after the last three objects, the latest last.
     #[must_use]
     pub(crate) fn kneser_ney(&self, context: [Option<&str>; ORDER]) -> Vec<f64> {
         self.kneser_ney.after(context)
@@ -232,8 +234,8 @@ impl Baselines {
     }
 }
 
-/// Interpolated Kneser-Ney smoothing (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the distinct longer ones that a
-/// label followed.
+/// Modified Kneser-Ney smoothing, interpolated and of third order (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the distinct longer
+/// ones that a label followed, and counts of one, two and more have discounts of their own.
 #[derive(Debug, Clone)]
 struct KneserNey {
     /// By the length of their contexts.
@@ -264,11 +266,13 @@ impl KneserNey {
             let Some(counts) = table.get(&words[ORDER - order..].join(">")).filter(|counts| counts.total > 0.0) else {
                 continue;
             };
-            let discount = self.fit.discounts[order];
-            let taken: f64 = counts.of_label.values().map(|count| count.min(discount)).sum();
-            p.iter_mut().for_each(|p| *p *= taken / counts.total);
+            let discounts = &self.fit.discounts[order];
+            // Counts are whole numbers from one on.
+            let taken = |count: f64| discounts[(count as usize).clamp(1, KINDS) - 1].min(count);
+            let all: f64 = counts.of_label.values().copied().map(taken).sum();
+            p.iter_mut().for_each(|p| *p *= all / counts.total);
             for (label, count) in &counts.of_label {
-                p[*label] += (count - count.min(discount)) / counts.total;
+                p[*label] += (count - taken(*count)) / counts.total;
             }
         }
         p

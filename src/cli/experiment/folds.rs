@@ -69,8 +69,8 @@ pub(super) struct SealedArgs {
     /// Places that nobody has measured yet, opened together with the split: a folder for each, with map.json and programs/.
     #[arg(long, value_name = "DIR", default_value = "training/sealed")]
     places: PathBuf,
-    /// Programs that the baselines of these places are counted on, may be repeated; those that the model's folder has when left out. Without what is
-    /// sealed: `training/routines.py --fold sealed` writes such.
+    /// Programs that the baselines of these places count beside those that the model was trained on; may be repeated. Without what is sealed:
+    /// `training/routines.py --fold sealed` writes such.
     #[arg(long, value_name = "DIR")]
     fit: Vec<PathBuf>,
     #[command(flatten)]
@@ -243,7 +243,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     // All that may fail comes before the split is opened.
     let part = trained[0].part(&args.asked.load()?, SEALED)?;
     let mut opened = vec![(maps(&args.asked.scene)?, part.clone())];
-    let statistics = fitted(&args.fit, &part.statistics)?;
+    let statistics = fitted(&part.trained, &args.fit, &part.statistics)?;
     for place in folders(&args.places, "map.json")? {
         let (programs, faults) = prediction::load_programs(&place.join("programs"))?;
         report_faults(&faults);
