@@ -255,6 +255,11 @@ fn embedded_statistics() -> Result<Statistics, Failure> {
     Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
+/// How scores were corrected, by each of the models.
+fn corrections(report: &Report) -> String {
+    report.corrections.iter().map(ToString::to_string).collect::<Vec<_>>().join(", or ")
+}
+
 /// Counts of `own` programs and those of folders, smoothed as `statistics` are, which are taken where no folder is given.
 fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
     if folders.is_empty() {
@@ -487,7 +492,7 @@ fn forecast_text(report: &Report) -> String {
         left_out(report),
         100.0 * report.bound_share,
         report.same_label,
-        report.correction,
+        corrections(report),
         if report.programs > 1 {
             "95 % intervals by bootstrap over programs"
         } else {
@@ -647,7 +652,7 @@ fn forecast_markdown(report: &Report) -> String {
         if m == 1 { "1 activity".to_owned() } else { format!("{m} activities") },
         100.0 * report.bound_share,
         report.same_label,
-        report.correction
+        corrections(report)
     );
     text
 }

@@ -108,8 +108,8 @@ pub struct Report {
     pub bound_share: f64,
     /// Scores that the model computed and the cache did not have.
     pub computed: usize,
-    /// How scores were corrected.
-    pub correction: Correction,
+    /// How scores were corrected; models of different folds may recommend different ways.
+    pub corrections: Vec<Correction>,
     /// The table.
     pub rows: Vec<Row>,
 }
@@ -487,7 +487,9 @@ pub fn run<M: LanguageModel>(
                 }
             }
             report.computed += source.computed();
-            report.correction = source.correction();
+            if !report.corrections.contains(&source.correction()) {
+                report.corrections.push(source.correction());
+            }
         }
         let cases: usize = of_scene.first().map_or(0, |groups| groups[0].iter().map(Sums::len).sum());
         if cases == 0 {
