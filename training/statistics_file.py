@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import data
@@ -127,23 +127,27 @@ def bound(third: Table, labels: Iterable[str]) -> Table:
     return {context: counts for context, counts in out.items() if counts}
 
 
+def cases_in(programs: list[Program], labels: set[str], model: KneserNey) -> Iterator[tuple[list[Counted], list[Counted] | None, float, str, list[str]]]:
+    """Of every step whose next thing is in a map: the counts of that thing and of the one in hand, an even chance, the thing, and what was turned to of the map;
+    the last of these is in hand, in the map or not."""
+    for program in programs:
+        turned: list[str] = []
+        for step, target in zip(program.steps, next_targets(program.steps)):
+            thing = bind(step.target, labels) or step.target if step.target else None
+            if thing and (not turned or turned[-1] != thing):
+                turned.append(thing)
+            label = bind(target, labels) if target else None
+            if turned and label and label != turned[-1]:
+                context = tuple([START] * 3 + turned)[-3:]
+                in_hand = model.counts(context, turned[-1]) if turned[-1] in labels else None
+                visited = [thing for thing in turned[:-1] if thing in labels] + turned[-1:]
+                yield model.counts(context, label), in_hand, 1 / len(labels), label, visited
+
+
 def fit(third: Table, calibration: list[Program], maps: list[set[str]]) -> dict[str, object]:
     """Discounts by order and count, and the weight and decay of the recency cache, that make the calibration split likeliest over the labels of `maps`, as
     the model's temperature does: what is next at every step, given that it is another thing than the one in hand."""
-    cases = []
-    for labels in maps:
-        model = KneserNey(bound(third, labels), sorted(labels))
-        for program in calibration:
-            turned: list[str] = []
-            for step, target in zip(program.steps, next_targets(program.steps)):
-                thing = bind(step.target, labels) or step.target if step.target else None
-                if thing and (not turned or turned[-1] != thing):
-                    turned.append(thing)
-                label = bind(target, labels) if target else None
-                if turned and label and label != turned[-1]:
-                    context = tuple([START] * 3 + turned)[-3:]
-                    in_hand = model.counts(context, turned[-1]) if turned[-1] in labels else None
-                    cases.append((model.counts(context, label), in_hand, 1 / len(labels), label, [t for t in turned[:-1] if t in labels] + turned[-1:]))
+    cases = [case for labels in maps for case in cases_in(calibration, labels, KneserNey(bound(third, labels), sorted(labels)))]
 
     def chances(discounts: Discounts) -> list[tuple[float, float]]:
         """Of what is next, and of what is in hand."""
@@ -201,7 +205,10 @@ def main() -> None:
         programs[data.split_of(program.cluster, False, given.fold)].append(program)
     if not programs["train"]:
         raise SystemExit(f"no activity programs below {given.shared}/virtualhome/programs: pass the folder that holds virtualhome with --shared")
-    write(programs, data.scene_graphs(given.shared), given.out)
+    graphs = data.scene_graphs(given.shared)
+    if not graphs:
+        raise SystemExit(f"no scenes below {given.shared}/virtualhome/scenes: the smoothing is fitted over their labels")
+    write(programs, graphs, given.out)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 //! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
 //! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
 //! whose object the map lacks are left out. Another object is asked for than the one in hand, so that one is taken out of
-//! every forecast of objects. The *next room* is that of the item which the object is bound to ([`ItemChoice`]); *room-change* cases are those in which it is not the room of the last object that was bound. In these,
+//! every forecast of objects. The *next room* is that of the item which the object is bound to ([`ItemChoice`]);
+//! *room-change* cases are those in which it is not the room of the last object that was bound. In these,
 //! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
 
 use std::collections::{BTreeMap, BTreeSet};
