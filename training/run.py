@@ -67,7 +67,7 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
     arguments.add_argument("--watch", action="store_true", help="print the calibration split's nats as training goes on")
-    arguments.add_argument("--short", type=int, metavar="STEPS", help="end training after so many steps, to try the pipeline out")
+    arguments.add_argument("--short", type=int, metavar="STEPS", help="train so many steps, with the whole schedule shortened alike")
     arguments.add_argument("--small", action="store_true", help="train a small model in a short time, to compare")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
     arguments.add_argument("--fold", type=data.fold_named, metavar="N", help=data.FOLD_HELP)
@@ -104,7 +104,7 @@ def make(given: argparse.Namespace) -> None:
         model = restore(trained)
     else:
         shape, schedule = (SMALL_SHAPE, SMALL_SCHEDULE) if given.small else (Shape(), Schedule())
-        schedule = replace(schedule, until=given.short or schedule.until)
+        schedule = schedule.within(given.short) if given.short else schedule
         # What a checkpoint must agree in to be gone on from: the data, through the vocabulary that was made of them, and what is held out.
         recipe = {"seed": given.seed, "dev": given.dev, "fold": given.fold, "vocabulary": data.sha256(given.work / "vocabulary.model")}
         shape = replace(shape, vocab=-(-pieces.vocab_size() // 32) * 32)

@@ -9,7 +9,7 @@ import random
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -47,6 +47,11 @@ class Schedule:
     average: float = 0.999  # decay of the moving average of the weights
     averages: int = 3  # of which so many are taken, the last at the end, and their mean is kept
     apart: int = 700  # steps between two of them
+
+    def within(self, until: int) -> Schedule:
+        """The same in another number of steps: the rate falls as far, and the averages are as far apart for the length. The warm-up stays."""
+        part = until / self.until
+        return replace(self, steps=max(1, round(self.steps * part)), until=until, apart=max(1, round(self.apart * part)))
 
 
 def rate_at(step: int, schedule: Schedule) -> float:

@@ -333,6 +333,7 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let written = std::fs::read_to_string(&record).unwrap();
     let entries: serde_json::Value = serde_json::from_str(&written).unwrap();
     assert_eq!((entries.as_array().unwrap().len(), &entries[0]["reports"]), (1, &shown));
+    assert_eq!(entries[0]["model"]["trained_by"], "run.py --fold sealed");
     let (code, shown, said) = run("sealed", &sealed);
     assert!(code == input && shown.is_none() && said.contains("opened already"), "{said}");
     assert_eq!(std::fs::read_to_string(&record).unwrap(), written);

@@ -224,6 +224,17 @@ def test_a_fold_trains_on_nothing_that_it_holds_out():
         assert not trained & held
 
 
+def test_a_shorter_training_falls_as_far_and_averages_as_near_its_end():
+    whole = train.Schedule()
+    assert whole.within(whole.until) == whole
+    short = whole.within(whole.until // 3)
+    assert abs(train.rate_at(short.until, short) - train.rate_at(whole.until, whole)) < 0.02 * whole.rate
+    assert short.averages * short.apart <= short.until
+    assert abs(short.apart / short.until - whole.apart / whole.until) < 0.001
+    # A try of the pipeline, in a few steps.
+    assert train.Schedule().within(2).until == 2 and train.Schedule().within(2).apart == 1
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch, workers):
     monkeypatch.setattr(train, "CHECKPOINT_STEPS", 2)

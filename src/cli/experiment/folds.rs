@@ -225,7 +225,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
         ));
     }
     let write = |entries: &[Value]| {
-        let text = serde_json::to_string_pretty(entries).map_err(|e| failed(e.to_string()))?;
+        let text = serde_json::to_string(entries).map_err(|e| failed(e.to_string()))?;
         let no_record =
             |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
         state_file::write_out(record, (text + "\n").as_bytes()).map_err(no_record)
@@ -255,8 +255,8 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     }
     let sha256 = roomcast_llama::file_sha256(&trained[0].model()).map_err(|e| failed(e.to_string()))?;
     let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let entry =
-        |reports: &[Report]| json!({ "opened_unix_s": now_s, "model_sha256": hex::encode(sha256), "reports": reports });
+    let model = json!({ "sha256": hex::encode(sha256), "trained_by": trained[0].manifest.command });
+    let entry = |reports: &[Report]| json!({ "opened_unix_s": now_s, "model": model, "reports": reports });
     // Whoever ends this command from here on has opened the split, too.
     write(&[entry(&[])])?;
     let reports = opened
