@@ -111,7 +111,7 @@ def homer(shared: Path, fold: int | str | None = None) -> list[list[Program]]:
             if line.startswith("### "):
                 if steps and (fold is None or split_of(cluster_of(title), False, fold) == "train"):
                     day.append(Program(f"{path.relative_to(shared)}#{title}", title, "homer " + title, tuple(steps)))
-                title, steps = re.sub(r"(-\d+)?\.txt.*", "", line[4:]).strip().replace("_", " "), []
+                title, steps = re.sub(r"(-\d+[a-z]?)?\.txt.*", "", line[4:]).strip().replace("_", " "), []
             elif step := parse_step(line):
                 steps.append(step)
         if day:

@@ -214,6 +214,12 @@ def test_export_keeps_every_weight(tmp_path):
 
 
 @needs_data
+def test_variants_of_a_script_are_one_activity():
+    titles = {program.title for day in data.homer(SHARED) for program in day}
+    assert "socializing" in titles and not [title for title in titles if any(c.isdigit() for c in title)]
+
+
+@needs_data
 def test_a_fold_trains_on_nothing_that_it_holds_out():
     for fold in (2, "sealed"):
         corpus, programs = run.corpus_of(SHARED, False, fold)
