@@ -48,6 +48,12 @@ DESCRIPTION = (
 )
 
 
+def number_of_steps(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of steps, from 1 on")
+    return int(text)
+
+
 def corpus_of(shared: Path, dev: bool, fold: int | str | None = None) -> tuple[Corpus, dict[str, list[data.Program]]]:
     programs = {"train": [], "dev": [], "calibration": [], "test": [], "sealed": []}
     for program in data.virtualhome(shared):
@@ -67,7 +73,7 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--dev", action="store_true", help="hold the development clusters out too")
     arguments.add_argument("--watch", action="store_true", help="print the calibration split's nats as training goes on")
-    arguments.add_argument("--short", type=int, metavar="STEPS", help="train so many steps, with the whole schedule shortened alike")
+    arguments.add_argument("--short", type=number_of_steps, metavar="STEPS", help="train so many steps, with the whole schedule shortened alike")
     arguments.add_argument("--small", action="store_true", help="train a small model in a short time, to compare")
     arguments.add_argument("--export-only", action="store_true", help="take the vocabulary and the trained weights from --work instead of training")
     arguments.add_argument("--fold", type=data.fold_named, metavar="N", help=data.FOLD_HELP)

@@ -49,7 +49,8 @@ class Schedule:
     apart: int = 700  # steps between two of them
 
     def within(self, until: int) -> Schedule:
-        """The same in another number of steps: the rate falls as far, and the averages are as far apart for the length. The warm-up stays."""
+        """The same in another number of steps, with the rate's fall and the averages in proportion. The warm-up stays as long, so that below some 600 steps
+        the rate falls less."""
         part = until / self.until
         return replace(self, steps=max(1, round(self.steps * part)), until=until, apart=max(1, round(self.apart * part)))
 

@@ -4,6 +4,7 @@ Those that need the data folders take them from SHARED, by default ../shared bes
 skip where the training's own requirements (PyTorch and gigabytes behind it) are not installed: using Roomcast needs none.
 """
 
+import argparse
 import os
 import random
 import sys
@@ -230,7 +231,7 @@ def test_a_fold_trains_on_nothing_that_it_holds_out():
         assert not trained & held
 
 
-def test_a_shorter_training_falls_as_far_and_averages_as_near_its_end():
+def test_a_shorter_training_is_the_whole_one_in_proportion():
     whole = train.Schedule()
     assert whole.within(whole.until) == whole
     short = whole.within(whole.until // 3)
@@ -238,6 +239,10 @@ def test_a_shorter_training_falls_as_far_and_averages_as_near_its_end():
     assert short.averages * short.apart <= short.until
     assert abs(short.apart / short.until - whole.apart / whole.until) < 0.001
     # A try of the pipeline, in a few steps.
+    assert run.number_of_steps("2") == 2
+    for text in ("0", "-3", "2.5", "many", ""):
+        with pytest.raises(argparse.ArgumentTypeError):
+            run.number_of_steps(text)
     assert train.Schedule().within(2).until == 2 and train.Schedule().within(2).apart == 1
 
 

@@ -66,7 +66,7 @@ pub(super) struct SealedArgs {
     /// Where it is written down that the split was opened; a file that holds an entry ends the command before it looks.
     #[arg(long, value_name = "FILE", default_value = "models/sealed.json")]
     record: PathBuf,
-    /// Places that nobody has measured yet, opened together with the split: a folder for each, with map.json and programs/.
+    /// Places that are opened together with the split: a folder for each, with map.json and programs/.
     #[arg(long, value_name = "DIR", default_value = "training/sealed")]
     places: PathBuf,
     /// Programs that the baselines of these places count beside those that the model was trained on; may be repeated. Without what is sealed:
