@@ -239,11 +239,14 @@ def test_a_shorter_training_is_the_whole_one_in_proportion():
     assert short.averages * short.apart <= short.until
     assert abs(short.apart / short.until - whole.apart / whole.until) < 0.001
     # A try of the pipeline, in a few steps.
+    assert whole.within(2).until == 2 and whole.within(2).apart == 1
+
+
+def test_a_number_of_steps_is_a_whole_one_from_one_on():
     assert run.number_of_steps("2") == 2
     for text in ("0", "-3", "2.5", "many", ""):
         with pytest.raises(argparse.ArgumentTypeError):
             run.number_of_steps(text)
-    assert train.Schedule().within(2).until == 2 and train.Schedule().within(2).apart == 1
 
 
 @pytest.mark.parametrize("workers", [1, 2])
