@@ -165,7 +165,7 @@ struct Parts {
 }
 
 impl Parts {
-    /// Mentions, history, the new sentence's tokens (in the first round; later it is known), forecasts' update, snapshot.
+    /// PlaceMatcher, history, the new sentence's tokens (in the first round; later it is known), forecasts' update, snapshot.
     fn rest(&self) -> u64 {
         let scored = self.decoder + self.prompt + self.cache + self.trie + self.ground;
         let sent = self.forecast + self.publish_forecast + self.publish_scores;

@@ -11,7 +11,8 @@ use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::label_trie::LabelTrie;
 use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::narration::{Observation, Program, Said, Sentence};
+use roomcast_core::narration::{Observation, Program, Sentence, forms};
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::Correction;
@@ -194,16 +195,17 @@ fn scoring(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// What a sentence is asked before it is known whom it is of and where that leaves them.
+/// The reading of an event: presence form, count, and place.
 fn reading(criterion: &mut Criterion) {
-    let sentences: Vec<Sentence> = sentences().iter().map(|text| Sentence::new(text).expect("it ships")).collect();
+    let sentences = sentences();
+    let map = SemanticMap::from_json(include_str!("../scenes/flat.json")).expect("it ships");
+    let grounding = Grounding::new(&map, &GroundingOptions::default()).expect("it has items");
+    let mut places = PlaceMatcher::new(&map, &grounding);
     let mut next = sentences.iter().cycle();
     criterion.bench_function("reading of a sentence", |bencher| {
         bencher.iter(|| {
-            let said = Said::of(next.next().expect("there are some").clone());
-            let is_ada = |name: &str| name == "ada";
-            let tells = said.moves_nobody() || said.is_from_afar() || said.goes_home() || said.is_visit();
-            black_box((said.clauses(is_ada, |_| false), said.about(is_ada), said.known_names(is_ada), tells))
+            let text = next.next().expect("there are some");
+            black_box((forms::read(text, |_| false, |_| true), forms::count_of_persons(text), places.last(text)))
         });
     });
 }

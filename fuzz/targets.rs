@@ -204,7 +204,7 @@ pub fn message(bytes: &[u8]) {
             match intake.receive(checked.map(|()| &message), Sender::simulated(1), 5) {
                 Taken::Accepted { observation, .. } => {
                     assert!(passed && observation.observed_ns <= 5);
-                    assert!(!observation.said.to_string().contains(char::is_control));
+                    assert!(!observation.event.to_string().contains(char::is_control));
                     assert_eq!(intake.take(&message, Sender::simulated(1), 6), Taken::Duplicate);
                 }
                 Taken::Malformed(why) => assert!(!why.is_empty()),

@@ -18,7 +18,7 @@ use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
-use roomcast_services::message_text::said_of;
+use roomcast_services::message_text::event_of;
 
 /// Points of a room's line over time that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
@@ -109,7 +109,7 @@ impl View {
             self.narration.pop_front();
         }
         // As the model reads it; what is no observation is shown as it came.
-        let said = said_of(narration.kind, narration.text());
+        let said = event_of(narration.kind, narration.text());
         let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
         let source = match narration.person_name() {
             "" => narration.source_name().to_owned(),
@@ -712,7 +712,7 @@ mod tests {
         ] {
             let mut view = View::default();
             view.narration(&NarrationV1::new(kind, text).unwrap());
-            assert_eq!(view.narration[0].1, said_of(kind, text).unwrap().to_string(), "{kind} {text}");
+            assert_eq!(view.narration[0].1, event_of(kind, text).unwrap().to_string(), "{kind} {text}");
         }
     }
 

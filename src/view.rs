@@ -17,7 +17,7 @@ use roomcast_ipc::{
     presence, question, sequence,
 };
 use roomcast_services::daemon::{flag_words, presence_word};
-use roomcast_services::message_text::said_of;
+use roomcast_services::message_text::event_of;
 use roomcast_services::moment::{Moment, MomentError};
 use roomcast_services::recording::{Recorded, Recording};
 use roomcast_services::stop::Stop;
@@ -536,8 +536,8 @@ impl Picture {
     fn narration(&mut self, narration: &NarrationV1, taken_ns: u64) {
         self.narration.truncate(NARRATIONS - 1);
         // As the model reads it; what is no observation is shown as it came.
-        let said = said_of(narration.kind, narration.text());
-        let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
+        let event = event_of(narration.kind, narration.text());
+        let text = event.map_or_else(|_| narration.text().to_owned(), |event| event.to_string());
         let source = match narration.person_name() {
             "" => narration.source_name().to_owned(),
             name => format!("{name} \u{b7} {}", narration.source_name()),

@@ -906,7 +906,7 @@ fn survives(household: bool) {
             let later = world.seen[index + 1..].iter().take_while(|later| later.epoch == seen.epoch).count();
             let same_claim = index > 0 && !first_of_daemon && world.seen[index - 1].claim == seen.claim;
             let around = &history[end.saturating_sub(3)..(end + 6).min(history.len())];
-            let around: Vec<_> = around.iter().map(|o| (o.epoch, o.sequence, &o.said)).collect();
+            let around: Vec<_> = around.iter().map(|o| (o.epoch, o.sequence, &o.event)).collect();
             println!(
                 "scores {}/{} are {nearest:.3} nats from what they claim, record {end} of {}: {seen:?}; \
                  {later} later ones of the same daemon, same claim as those before: {same_claim}; around it: {around:?}",

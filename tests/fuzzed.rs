@@ -12,7 +12,7 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
+use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
@@ -68,11 +68,10 @@ fn observation(sequence: u64) -> Observation {
 
 /// Records of every kind.
 fn journal_bytes() -> Vec<u8> {
-    let away = Said::Presence(PresenceStatement::parse("away").unwrap());
     let told = [
         observation(1),
         Observation { name: Some("ada".into()), ..observation(2) },
-        Observation { said: away, person: SOMEBODY, ..observation(3) },
+        Observation { event: Event::Away, person: SOMEBODY, ..observation(3) },
         Observation { by_fit: true, ..observation(4) },
     ];
     let outcome = |by_fit: bool, probability: &'static [f64]| {

@@ -41,7 +41,7 @@ use rayon::prelude::*;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::habits::HabitsOptions;
 use roomcast_core::label_trie::TokenTree;
-use roomcast_core::narration::{HistoryLimits, Observation, Presence, SOMEBODY, Said, Sentence, person_number};
+use roomcast_core::narration::{Event, HistoryLimits, Observation, Presence, SOMEBODY, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::policy::PolicyName;
 use roomcast_core::prepared::{Answer, Preparer};
@@ -760,8 +760,8 @@ impl World {
         })?;
         match taken {
             Taken::Accepted { observation, missed, voice, leaves, binds } => {
-                ensure(!observation.said.to_string().contains(FORGED), || {
-                    format!("a stranger is heard: {}", observation.said)
+                ensure(!observation.event.to_string().contains(FORGED), || {
+                    format!("a stranger is heard: {}", observation.event)
                 })?;
                 if binds {
                     let record = journal::encode_port((observation.source, observation.epoch), port);
@@ -1184,7 +1184,7 @@ impl World {
                 continue;
             };
             self.tally.outdated += u64::from(own.len() < all);
-            let last = own.last().map_or(Presence::Unknown, |o| o.said.presence());
+            let last = own.last().map_or(Presence::Unknown, |o| o.event.person_presence());
             let expired = person.presence == presence::GONE && last != Presence::Gone;
             self.tally.visitors_gone += u64::from(expired);
             let as_told = [presence::UNKNOWN, presence::PRESENT, presence::AWAY, presence::GONE];
@@ -1192,7 +1192,7 @@ impl World {
                 format!("person {number} was last said to be {last:?}, and has the presence {}", person.presence)
             })?;
             let sentences: Vec<_> = own.iter().copied().filter(|o| o.sentence().is_some()).collect();
-            let since = own.iter().rposition(|o| o.said.presence() != Presence::Present).map_or(0, |place| place + 1);
+            let since = own.iter().rposition(|o| o.event.person_presence() != Presence::Present).map_or(0, |place| place + 1);
             let window = usize::try_from(person.window).unwrap_or(usize::MAX);
             let most = own[since..].iter().filter(|o| o.sentence().is_some()).count();
             ensure(window <= most.min(limits.observations + limits.slack), || {
@@ -1454,8 +1454,8 @@ impl World {
             recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = 1);
         }
         if self.planted == Planted::NoPresenceAfterRestart {
-            let stays = || Said::Sentence(Sentence::new("They stay.").unwrap());
-            recovered.observations.iter_mut().filter(|o| o.sentence().is_none()).for_each(|o| o.said = stays());
+            let stays = || Event::Did(Sentence::new("They stay.").unwrap());
+            recovered.observations.iter_mut().filter(|o| o.sentence().is_none()).for_each(|o| o.event = stays());
         }
         let (entered, scored) = (self.accepted.len(), self.accepted.len());
         let mut forgetful = Intake::new(IntakeLimits::default());
@@ -1909,7 +1909,7 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
         if is_late && (is_visitor || was_gone) {
             return None;
         }
-        let said = observation.said.presence();
+        let said = observation.event.person_presence();
         if is_late && presence != said {
             continue;
         }

@@ -12,8 +12,8 @@ use crate::wire::{Fault, Observation};
 /// [`Fault`] for what is no narration.
 pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, u64), Fault> {
     let read = Line::read(text, &Who::Somebody).and_then(|line| line.observed_by(now_unix_ns));
-    let Line { kind, text, person, observed_unix_ns } = read.map_err(|error| Fault(error.to_string()))?;
-    let observation = Observation { text, kind, person };
+    let Line { kind, text, person, observed_unix_ns, count } = read.map_err(|error| Fault(error.to_string()))?;
+    let observation = Observation { text, kind, person, count };
     observation.message()?;
     Ok((observation, observed_unix_ns.map_or(0, |observed_ns| now_unix_ns.saturating_sub(observed_ns))))
 }

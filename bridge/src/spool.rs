@@ -301,7 +301,7 @@ impl Spool {
             return Ok(None);
         }
         if count > 0 {
-            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody };
+            let nothing = Observation { text: String::new(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
             let nothing = Dated::new(nothing, 0, self.input());
             self.append((0..count).map(|_| nothing.clone()).collect())?;
             self.taken += count;
@@ -515,7 +515,7 @@ mod tests {
     use super::*;
 
     fn observation(text: &str) -> Observation {
-        Observation { text: text.to_owned(), kind: Kind::Sentence, person: Who::Somebody }
+        Observation { text: text.to_owned(), kind: Kind::Sentence, person: Who::Somebody, count: 0 }
     }
 
     fn append(spool: &mut Spool, count: u64) {

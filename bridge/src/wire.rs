@@ -38,6 +38,13 @@ pub struct Observation {
     /// Whom it is of; where that is somebody, the daemon makes out who.
     #[serde(default, skip_serializing_if = "Who::is_somebody")]
     pub person: Who,
+    /// The number of persons that the narrator counted; 0 if it counted none.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub count: u8,
+}
+
+fn is_none(count: &u8) -> bool {
+    *count == 0
 }
 
 fn is_sentence(kind: &Kind) -> bool {
@@ -60,8 +67,8 @@ impl Observation {
         let content = self.text.trim();
         let message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
         let person_name = text::encode("person", self.person.name()).map_err(|error| fault(&error))?;
-        self.kind.said(content).map_err(|error| fault(&error))?;
-        Ok(NarrationV1 { person: self.person.number(), person_name, ..message })
+        self.kind.event(content).map_err(|error| fault(&error))?;
+        Ok(NarrationV1 { person: self.person.number(), person_name, count: self.count.into(), ..message })
     }
 }
 
@@ -225,7 +232,7 @@ mod tests {
         fn any_bytes_are_taken_without_a_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..300), text in ".{0,40}") {
             let _read = read::<Narrated>(&bytes);
             for kind in [Kind::Sentence, Kind::Action, Kind::Device, Kind::Presence] {
-                let _message = Observation { text: text.clone(), kind, person: Who::Name(text.clone()) }.message();
+                let _message = Observation { text: text.clone(), kind, person: Who::Name(text.clone()), count: 0 }.message();
             }
         }
     }

@@ -53,7 +53,7 @@ fn observation(kind: u8) -> Observation {
         2 => (Kind::Device, "the oven is on"),
         _ => (Kind::Presence, "present in the kitchen"),
     };
-    Observation { text: text.to_owned(), kind, person: Who::Name("Ada".to_owned()) }
+    Observation { text: text.to_owned(), kind, person: Who::Name("Ada".to_owned()), count: 0 }
 }
 
 proptest! {

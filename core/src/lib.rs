@@ -88,6 +88,8 @@ mod like_things;
 
 pub mod grounding;
 
+pub mod places;
+
 pub mod forecast;
 
 pub mod habits;

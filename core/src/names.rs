@@ -225,11 +225,6 @@ impl Names {
         self.words.keys().chain(self.aliases.keys()).map(String::as_str)
     }
 
-    /// Whether these words, in lower case, name a thing of the table.
-    pub(crate) fn knows(&self, words: &str) -> bool {
-        self.words.contains_key(words) || self.aliases.contains_key(words)
-    }
-
     /// All words of English that the table has.
     pub(crate) fn english(&self) -> BTreeSet<&str> {
         let texts = (self.words.values().chain(self.aliases.keys()).chain(self.aliases.values().flatten()))

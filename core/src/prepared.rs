@@ -10,7 +10,7 @@ use std::hash::BuildHasher;
 use std::sync::Arc;
 
 use crate::narration::history::{Histories, History};
-use crate::narration::{Said, Sentence};
+use crate::narration::{Event, Sentence};
 use crate::prompt::write_prompt;
 use crate::scorer::{LabelScores, LanguageModel, Method, PreparedLabels, ScoreError, Scorer, Tokenisation};
 
@@ -89,7 +89,7 @@ impl<M: LanguageModel> Preparer<M> {
         }
         let tokens = self.scorer.cost_of(sentence.as_str());
         let (mut next, voice) = own.history.newest()?;
-        next.said = Said::Sentence(sentence.clone());
+        next.event = Event::Did(sentence.clone());
         let mut history = own.history.clone();
         history.hear(next, voice, tokens);
         let labels = Arc::clone(&outlook.labels);

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 
 use roomcast_core::habits::{Habits, HabitsOptions, StoredError};
-use roomcast_core::narration::{Observation, SOMEBODY, Said};
+use roomcast_core::narration::{Event, Observation, SOMEBODY};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::LlamaModel;
@@ -13,7 +13,7 @@ use roomcast_llama::LlamaModel;
 use crate::config::Config;
 use crate::daemon::{Board, BoardError, Entry, HomeHabits, Memory, Persons, PersonsFile, Zone};
 use crate::line::{AHEAD_NS, Faults, Item, Who, line_item};
-use crate::message_text::said_of;
+use crate::message_text::event_of;
 #[cfg(feature = "recording")]
 use crate::recording::{Recorded, Recording};
 use crate::sensor_log::{Said as Narrated, SensorLog};
@@ -48,7 +48,8 @@ pub struct Lesson {
     at_ns: u64,
     person: u32,
     name: Option<Box<str>>,
-    said: Said,
+    count: u8,
+    event: Event,
 }
 
 /// Why nothing is learned from something that was narrated.
@@ -110,17 +111,17 @@ impl Lessons {
             Who::Number(number) => (*number, None),
             Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
         };
-        let said = said_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
-        self.admit(place, at_ns, said.map(|said| (person, name, said)));
+        let event = event_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
+        self.admit(place, at_ns, event.map(|event| (person, name, item.count, event)));
     }
 
     /// Takes it if it may be learned.
-    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, told: Result<(u32, Option<Box<str>>, Said), Unfit>) {
-        let lesson = told.and_then(|(person, name, said)| {
+    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, told: Result<(u32, Option<Box<str>>, u8, Event), Unfit>) {
+        let lesson = told.and_then(|(person, name, count, event)| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
             match at_ns.saturating_sub(self.now_ns) {
                 ahead_ns if ahead_ns > AHEAD_NS => Err(Unfit::Ahead(ahead_ns)),
-                _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), person, name, said }),
+                _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), person, name, count, event }),
             }
         });
         match lesson {
@@ -172,9 +173,9 @@ impl Lessons {
                 observed_unix_ns => observed_unix_ns.min(received_unix_ns),
             };
             // What the daemon refused says nothing.
-            let Ok(said) = said_of(narration.kind, narration.text()) else { continue };
+            let Ok(event) = event_of(narration.kind, narration.text()) else { continue };
             if names.insert((narration.source, narration.epoch, narration.sequence)) {
-                let told = (narration.person, name.map(Into::into), said);
+                let told = (narration.person, name.map(Into::into), narration.counted(), event);
                 self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(told));
             }
         }
@@ -227,7 +228,7 @@ pub fn teach<M: LanguageModel>(
     // The monotonic clock of the board stands still while nobody watched.
     let mut skipped_ns = 0;
     for (sequence, lesson) in (1..).zip(lessons) {
-        let Lesson { at_ns, person, name, said } = lesson;
+        let Lesson { at_ns, person, name, count, event } = lesson;
         if at_ns - now_ns > GAP_NS {
             skipped_ns += at_ns - now_ns - MINUTE_NS;
             now_ns = at_ns;
@@ -247,7 +248,8 @@ pub fn teach<M: LanguageModel>(
             sequence,
             observed_ns,
             observed_unix_ns: now_ns,
-            said,
+            count,
+            event,
         };
         board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
         board.tell_outcomes(|_| {});

@@ -54,6 +54,8 @@ mod rule;
 
 pub mod narrator;
 
+pub mod dry_run;
+
 pub mod sensor_log;
 
 #[cfg(feature = "mqtt")]

@@ -22,6 +22,8 @@ pub struct Item {
     pub person: Who,
     /// When it was observed, in Unix nanoseconds; none for now.
     pub observed_unix_ns: Option<u64>,
+    /// The number of persons that the narrator counted; 0 if it counted none.
+    pub count: u8,
     /// How long it takes in reality, in seconds: time that passes before it is observed.
     pub duration_s: f64,
 }
@@ -30,13 +32,13 @@ impl Item {
     /// An observation of now.
     #[must_use]
     pub fn new(kind: u32, text: impl Into<String>, person: Who) -> Self {
-        Self { kind, text: text.into(), person, observed_unix_ns: None, duration_s: 0.0 }
+        Self { kind, text: text.into(), person, observed_unix_ns: None, count: 0, duration_s: 0.0 }
     }
 
     /// What a line says, as far as it can be a message.
     fn of_line(line: Line) -> Result<Self, LineError> {
-        let Line { kind, text, person, observed_unix_ns } = line;
-        let item = Self { observed_unix_ns, ..Self::new(kind.number(), text, person) };
+        let Line { kind, text, person, observed_unix_ns, count } = line;
+        let item = Self { observed_unix_ns, count, ..Self::new(kind.number(), text, person) };
         item.message()?;
         Ok(item)
     }
@@ -48,7 +50,8 @@ impl Item {
     /// [`MessageError`] when text or name cannot be in a message.
     pub(crate) fn message(&self) -> Result<NarrationV1, MessageError> {
         let person_name = text::encode("person_name", self.person.name())?;
-        Ok(NarrationV1 { person: self.person.number(), person_name, ..NarrationV1::new(self.kind, &self.text)? })
+        let count = self.count.into();
+        Ok(NarrationV1 { person: self.person.number(), person_name, count, ..NarrationV1::new(self.kind, &self.text)? })
     }
 }
 

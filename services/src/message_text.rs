@@ -1,14 +1,14 @@
-//! What a narration message says: its text, read as its kind.
+//! From a narration message to its event.
 
 use roomcast_core::narration::line::Kind;
-use roomcast_core::narration::{ObservedError, Said};
+use roomcast_core::narration::{Event, ObservedError};
 
-/// What a message's text says, read as its kind says ([`roomcast_ipc::narration_kind`]): presence, or a sentence.
+/// The event of a message's text, read as its kind ([`roomcast_ipc::narration_kind`]): a presence or an action.
 ///
 /// # Errors
 /// The text's fault, as that kind.
-pub fn said_of(kind: u32, text: &str) -> Result<Said, ObservedError> {
-    Kind::of_number(kind).unwrap_or_default().said(text)
+pub fn event_of(kind: u32, text: &str) -> Result<Event, ObservedError> {
+    Kind::of_number(kind).unwrap_or_default().event(text)
 }
 
 #[cfg(test)]
@@ -20,10 +20,10 @@ mod tests {
 
     #[test]
     fn the_kind_says_how_a_text_is_read() {
-        let said = |kind: u32, text: &str| said_of(kind, text).map(|said| said.to_string());
+        let said = |kind: u32, text: &str| event_of(kind, text).map(|event| event.to_string());
         assert_eq!(said(narration_kind::PRESENCE, "present in the kitchen").unwrap(), "present in the kitchen");
         assert_eq!(said(narration_kind::SENTENCE, "present in the kitchen").unwrap(), "Present in the kitchen.");
-        assert_eq!(said(narration_kind::SENTENCE, "Ada leaves the house.").unwrap(), "away");
+        assert_eq!(said(narration_kind::SENTENCE, "Ada leaves the house.").unwrap(), "Ada leaves the house.");
         assert_eq!(said(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap(), "They grab the mug.");
         let error = said(narration_kind::PRESENCE, "in the kitchen").unwrap_err().to_string();
         assert!(error.contains("say `present`"), "{error}");

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::habits_reason::PersonHabits;
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
-use roomcast_core::narration::{Said, same_name};
+use roomcast_core::narration::{ReadName, same_name};
 use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
 use roomcast_core::scorer::correction::Correction;
@@ -313,7 +313,7 @@ impl Moment {
         if let Some(number) = of(&|name| same_name(name, who)).first() {
             return Ok(*number);
         }
-        match of(&|name| Said::may_be_one(name, who))[..] {
+        match of(&|name| ReadName::new(name).may_be_one(&ReadName::new(who)))[..] {
             [number] => Ok(number),
             _ => Err(MomentError::NoName { who: who.to_owned(), known: self.whose_scores() }),
         }
@@ -392,7 +392,7 @@ impl Moment {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_core::narration::{Observation, Presence, PresenceStatement, Sentence};
+    use roomcast_core::narration::{Event, Observation, RoomName, Sentence};
     use roomcast_core::pipeline::PipelineOptions;
     use roomcast_core::scorer::table::TableModel;
 
@@ -457,8 +457,8 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
         let present = |person: u32| {
-            let statement = PresenceStatement::new(Presence::Present, Some("kitchen")).unwrap();
-            Observation { person, ..Observation::saying(u64::from(person), Said::Presence(statement)) }
+            let event = Event::Present(Some(RoomName::new("kitchen").unwrap()));
+            Observation { person, ..Observation::saying(u64::from(person), event) }
         };
         let habits = |person: u32| PersonHabits { person, observations: 247.0, ..PersonHabits::default() };
         for persons in [&[4][..], &[4, 7]] {

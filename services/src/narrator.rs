@@ -126,6 +126,25 @@ impl Input {
     }
 }
 
+impl Input {
+    /// Gives each item, and each fault in words, to `take`, until that gives false. Nothing is published.
+    pub fn each(self, mut take: impl FnMut(Result<Item, String>) -> bool) {
+        let (items, faults) = match self {
+            Self::Items(items) => (items, Faults::default()),
+            Self::Log { items, faults } => (items, faults),
+            Self::Lines { name, stream, person, .. } => {
+                let (sender, items) = bounded(1);
+                // The reader may wait for a line for ever; it ends with its stream or with the program.
+                let _reader = std::thread::spawn(move || read_lines(&name, stream, &person, &sender));
+                let _all = items.iter().all(|(_, item)| take(item.map_err(|error| error.to_string())));
+                return;
+            }
+        };
+        let told: Vec<_> = faults.told().iter().map(|fault| Err(fault.clone())).collect();
+        let _all = told.into_iter().chain(items.into_iter().map(Ok)).all(take);
+    }
+}
+
 /// How fast.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
@@ -164,6 +183,9 @@ pub struct Outcome {
     /// The input was read to its end, and what was sent is settled or was waited for: nobody has stopped it before.
     #[serde(skip)]
     pub is_whole: bool,
+    /// The source and the epoch of this start.
+    #[serde(skip)]
+    pub start: (u64, u64),
 }
 
 /// Numbers narrations and keeps account of which are confirmed. Pure: time comes in as a number.
@@ -185,7 +207,7 @@ impl Account {
             source: sequence::source_of_name(name),
             source_name: text::encode_cut(name),
             epoch,
-            outcome: Outcome::default(),
+            outcome: Outcome { start: (sequence::source_of_name(name), epoch), ..Outcome::default() },
             named: None,
         }
     }

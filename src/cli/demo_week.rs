@@ -16,7 +16,7 @@ use crate::columns::{columns, prose};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
-use roomcast_core::narration::{Observation, Presence, PresenceStatement, Program, Said};
+use roomcast_core::narration::{Event, Observation, Program};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::experiment::habits::Trace;
@@ -163,10 +163,9 @@ impl Life {
     }
 
     /// What is observed, in the order of time.
-    fn said(&self) -> Vec<(f64, Said)> {
-        let sentences = self.trace.steps.iter().map(|step| (step.at_s, Said::Sentence(step.sentence.clone())));
-        let away = PresenceStatement::new(Presence::Away, None).ok();
-        let leaves = self.out.iter().filter_map(|(from_s, _)| Some((*from_s, Said::Presence(away.clone()?))));
+    fn said(&self) -> Vec<(f64, Event)> {
+        let sentences = self.trace.steps.iter().map(|step| (step.at_s, Event::Did(step.sentence.clone())));
+        let leaves = self.out.iter().map(|(from_s, _)| (*from_s, Event::Away));
         let mut said: Vec<_> = sentences.chain(leaves).collect();
         said.sort_by(|a, b| a.0.total_cmp(&b.0));
         said
@@ -177,7 +176,7 @@ impl Life {
 struct Watcher<M>(Board<M>);
 
 impl<M: LanguageModel> Watcher<M> {
-    fn hears(&mut self, sequence: u64, (at_s, said): &(f64, Said)) -> Result<(), Failure> {
+    fn hears(&mut self, sequence: u64, (at_s, event): &(f64, Event)) -> Result<(), Failure> {
         let at_ns = (at_s * 1e9) as u64;
         let observation = Observation {
             person: PERSON,
@@ -185,7 +184,7 @@ impl<M: LanguageModel> Watcher<M> {
             observed_unix_ns: at_ns,
             source: 1,
             epoch: 1,
-            ..Observation::saying(sequence, said.clone())
+            ..Observation::saying(sequence, event.clone())
         };
         self.0.step([Entry::new(observation, at_ns)], at_ns, at_ns).map_err(failed)?;
         self.0.tell_outcomes(|_| {});

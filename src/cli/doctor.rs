@@ -15,7 +15,7 @@ mod home_mqtt;
 
 use finding::{Finding, Place, Verdict};
 #[cfg(feature = "mqtt")]
-pub(super) use home_mqtt::{no_person, no_resident, remark};
+pub(super) use home_mqtt::{no_person, no_resident, not_quite_a_form, remark};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::exit_code;

@@ -12,7 +12,7 @@ use crate::exit_code;
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::narration::{Observation, Presence, PresenceError, PresenceStatement, Said};
+use roomcast_core::narration::{Event, Observation};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
@@ -235,17 +235,13 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let failed = |error| Failure::new(exit_code::MODEL, error);
     let mut pipeline = Pipeline::new(model, grounded, options).map_err(failed)?;
     let window = narration.len() as u64;
-    let presence = |is_here: bool| if is_here { Presence::Present } else { Presence::Away };
-    let silent = silent
-        .iter()
-        .map(|&(person, is_here)| Ok((person, Said::Presence(PresenceStatement::new(presence(is_here), None)?))));
-    let said = silent.chain(narration.into_iter().map(|(person, sentence)| Ok((person, Said::Sentence(sentence)))));
-    let observations = (1..).zip(said).map(|(sequence, said)| {
-        let (person, said) = said?;
-        Ok(Observation { person, source: 1, epoch: 1, observed_ns: sequence, ..Observation::saying(sequence, said) })
+    let presence = |is_here: bool| if is_here { Event::Present(None) } else { Event::Away };
+    let silent = silent.iter().map(|&(person, is_here)| (person, presence(is_here)));
+    let events = silent.chain(narration.into_iter().map(|(person, sentence)| (person, Event::Did(sentence))));
+    let observations = (1..).zip(events).map(|(sequence, (person, event))| {
+        Observation { person, source: 1, epoch: 1, observed_ns: sequence, ..Observation::saying(sequence, event) }
     });
-    let observations: Result<Vec<_>, PresenceError> = observations.collect();
-    pipeline.step(observations.map_err(|error| Failure::new(exit_code::FAILURE, error))?).map_err(failed)?;
+    pipeline.step(observations).map_err(failed)?;
     let again = &pipeline.scores().grounded.partition_probability;
     let difference = (scores.rooms().iter().zip(again))
         .map(|(room, probability)| (room.probability - probability).abs())

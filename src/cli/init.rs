@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::{Said, check_name};
+use roomcast_core::narration::{ReadName, check_name};
 use roomcast_core::semantic_map::import::{self, Home, Imported};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
 use roomcast_services::config::Config;
@@ -746,7 +746,11 @@ fn name_of_robot(robot: &str, residents: &[String]) -> Option<String> {
     let words = robot.rsplit('/').next()?.replace(['_', '-'], " ");
     let mut letters = words.trim().chars();
     let name = letters.next()?.to_uppercase().chain(letters).collect::<String>();
-    let is_taken = |name: &String| residents.iter().any(|resident| Said::may_mean(resident, name));
+    let is_taken = |name: &String| {
+        let name = ReadName::new(name);
+        let is_of = |resident: ReadName| resident.may_be_one(&name) || resident.first() == Some(name.letters());
+        residents.iter().map(|resident| ReadName::new(resident)).any(is_of)
+    };
     Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))
 }
 

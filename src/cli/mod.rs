@@ -187,6 +187,12 @@ pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
     print(&format!("{text}\n"))
 }
 
+/// Prints a value as one line of JSON.
+pub fn print_json_line(value: &impl serde::Serialize) -> CommandResult {
+    let text = serde_json::to_string(value).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    print(&format!("{text}\n"))
+}
+
 const CODES_AND_LOGS: &str = "\
 Exit codes: 0 all went well; 1 anything else failed; 2 usage; 3 input (scene, program, narration, recording); 4 configuration; 5 model; \
 6 shared memory, a service or another daemon; 7 a check found faults; 130 interrupted before the work was done. A service that a signal \

@@ -6,8 +6,10 @@ use super::{CommandResult, Failure, print_json, ranges, service};
 #[cfg(feature = "mqtt")]
 use super::{broker, narrate_mqtt};
 use roomcast_core::text::count;
-use roomcast_ipc::Domain;
+use roomcast_ipc::{Domain, clock, question};
 use roomcast_services::config::Config;
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UNDERSTOOD_MAX, UnderstoodLine};
+use roomcast_services::dry_run::DryRun;
 use roomcast_services::logging;
 use roomcast_services::narrator::{self, Input, Outcome, Pace, Who};
 use roomcast_services::sensor_log::SensorRules;
@@ -50,9 +52,9 @@ pub struct Args {
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_ca: Option<PathBuf>,
-    /// Connect to the broker, print each message with the rule that fits and what it would say, and publish nothing. Ends with Ctrl-C.
-    #[cfg(feature = "mqtt")]
-    #[arg(long, requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
+    /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt, print each message
+    /// with its rule and sentence instead.
+    #[arg(long, conflicts_with = "fifo")]
     dry_run: bool,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
@@ -126,6 +128,9 @@ pub fn run(args: &Args) -> CommandResult {
         Some(log) => read_sensors(log, args.rules.as_deref().unwrap_or(Path::new("rules.toml")), &person)?,
         None => Input::open(args.fifo.as_ref().unwrap_or(&args.input), person).map_err(input)?,
     };
+    if args.dry_run {
+        return dry_run(args, &config, source, &stop);
+    }
     let has_end = args.sensors.is_some() || args.fifo.is_none() && service::has_end(&args.input);
     let outcome = publish(&config, &domain, source, pace, &stop)?;
     let stopped = match stop.requested() {
@@ -134,6 +139,48 @@ pub fn run(args: &Args) -> CommandResult {
         _ => None,
     };
     report(args, &outcome, &domain, stopped)
+}
+
+/// How the daemon understood the newest events; none if it does not answer.
+fn understood(outcome: &Outcome, domain: &Domain) -> Vec<UnderstoodLine> {
+    const PATIENCE_S: u64 = 2;
+    if outcome.confirmed == 0 {
+        return Vec::new();
+    }
+    let (source, epoch) = outcome.start;
+    let from = (outcome.sent + 1).saturating_sub(UNDERSTOOD_MAX as u64).max(1);
+    let asker = service::Asker::new(domain, "roomcast-understood", question::PERSON, PATIENCE_S);
+    let answer = asker.and_then(|asker| asker.ask::<PersonAnswer>(&PersonQuestion::Understood { source, epoch, from }));
+    answer.map(|answer| answer.understood).unwrap_or_default()
+}
+
+/// Prints how the daemon would understand each event.
+fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandResult {
+    let failed = |error| Failure::new(exit_code::CONFIG, error);
+    let mut dry_run = DryRun::new(config, clock::unix_ns()).map_err(failed)?;
+    let (mut refused, mut fault) = (0_usize, None);
+    source.each(|item| {
+        let line = match item {
+            Ok(item) => dry_run.take(&item).map_err(failed),
+            Err(reason) => {
+                refused += 1;
+                super::tell(format_args!("roomcast: {reason}"));
+                Ok(None)
+            }
+        };
+        let shown = line.and_then(|line| match line {
+            Some(line) if args.json => super::print_json_line(&line),
+            Some(line) => super::print(&line.shown()),
+            None => Ok(()),
+        });
+        fault = shown.err();
+        fault.is_none() && !stop.requested()
+    });
+    match (fault, refused) {
+        (Some(fault), _) => Err(fault),
+        (None, 0) => Ok(()),
+        (None, _) => Err(Failure::new(exit_code::INPUT, format!("{} no narration", count(refused, "line")))),
+    }
 }
 
 /// What somebody has asked to stop.
@@ -152,7 +199,9 @@ fn publish(config: &Config, domain: &Domain, source: Input, pace: Pace, stop: &S
 
 fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopped>) -> CommandResult {
     if args.json {
-        print_json(outcome)?;
+        let mut printed = serde_json::to_value(outcome).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+        printed["understood"] = serde_json::to_value(understood(outcome, domain)).unwrap_or_default();
+        print_json(&printed)?;
     }
     match stopped {
         // What was refused or not confirmed is in the log, and no fault of who stops it.

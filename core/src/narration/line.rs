@@ -9,9 +9,10 @@ use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
+use super::forms::COUNT_MAX;
 use super::{
-    Action, DeviceState, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, Presence, PresenceError,
-    PresenceStatement, SOMEBODY, Said, Sentence,
+    Action, DeviceState, Event, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, PresenceError, RoomName,
+    SOMEBODY, Sentence,
 };
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
@@ -61,15 +62,14 @@ impl Kind {
         })
     }
 
-    /// What a text says, read as this: presence, or a sentence, which may say in plain words that its person leaves. The kind is the
-    /// narrator's word, so a sentence that looks like an action stays a sentence; a device's state may be told in any words. Narrators ask
-    /// this before they send, so that they send nothing that the daemon refuses.
+    /// The event of a text of this kind. A sentence may still be a presence form; the daemon decides that, since it knows names and
+    /// rooms. Narrators ask this before they send, so that they send nothing that the daemon refuses.
     ///
     /// # Errors
     /// The text's fault, as this kind.
-    pub fn said(self, text: &str) -> Result<Said, ObservedError> {
+    pub fn event(self, text: &str) -> Result<Event, ObservedError> {
         let sentence = match self {
-            Self::Presence => return Ok(Said::Presence(PresenceStatement::parse(text)?)),
+            Self::Presence => return Ok(Event::presence(text)?),
             Self::Action => Observed::Action(Action::parse(text)?).sentence()?,
             Self::Device => match DeviceState::parse(text) {
                 Some(device) => device.sentence()?,
@@ -77,7 +77,7 @@ impl Kind {
             },
             Self::Sentence => Sentence::new(text)?,
         };
-        Ok(Said::of(sentence))
+        Ok(Event::Did(sentence))
     }
 }
 
@@ -220,6 +220,8 @@ pub struct Line {
     pub person: Who,
     /// When it was observed, in Unix nanoseconds; none for now.
     pub observed_unix_ns: Option<u64>,
+    /// The number of persons that the narrator counted; 0 if it counted none.
+    pub count: u8,
 }
 
 /// Why a line is no narration.
@@ -265,6 +267,7 @@ struct JsonLine {
     presence: Option<Value>,
     room: Option<Value>,
     person: Option<Value>,
+    count: Option<Value>,
     observed_unix_s: Option<Value>,
 }
 
@@ -285,8 +288,8 @@ impl Line {
             ));
         }
         let kind = Kind::of(line)?;
-        kind.said(line)?;
-        Ok(Self { kind, text: line.to_owned(), person: person.clone(), observed_unix_ns: None })
+        kind.event(line)?;
+        Ok(Self { kind, text: line.to_owned(), person: person.clone(), observed_unix_ns: None, count: 0 })
     }
 
     fn of_json(line: &str, person: &Who) -> Result<Self, LineError> {
@@ -312,23 +315,24 @@ impl Line {
             (None, Some(_)) => return Err(reason("\"kind\" goes with \"text\", and not with \"presence\"")),
         };
         let own = json.person.as_ref().filter(|person| !person.is_null());
-        // That nobody is in a room is of everybody.
-        let is_empty = match kind.said(&text)? {
-            Said::Presence(statement) => kind == Kind::Presence && statement.empty_room().is_some(),
-            Said::Sentence(_) => false,
-        };
+        let has_person = kind.event(&text)?.has_person();
         let person = match own {
-            Some(_) if is_empty => {
-                return Err(reason("that nobody is in a room is of everybody; leave \"person\" out"));
+            Some(_) if !has_person => {
+                return Err(reason("an empty room or house has no person; leave \"person\" out"));
             }
             Some(own) => {
                 Who::deserialize(own).map_err(|error| reason(&format!("\"person\": {}", json_says(&error))))?
             }
-            None if is_empty => Who::Somebody,
-            None => person.clone(),
+            None if has_person => person.clone(),
+            None => Who::Somebody,
         };
+        let count = json.count.as_ref().map_or(Ok(0), count_of)?;
+        let person = if count > 1 && own.is_none() { Who::Somebody } else { person };
+        if count > 1 && (own.is_some() || !has_person) {
+            return Err(reason("\"count\" counts unknown persons; leave \"person\" out, or \"count\""));
+        }
         let observed_unix_ns = json.observed_unix_s.as_ref().map(unix_ns).transpose()?;
-        Ok(Self { kind, text, person, observed_unix_ns })
+        Ok(Self { kind, text, person, observed_unix_ns, count })
     }
 
     /// The line, unless it was observed later than now.
@@ -351,17 +355,25 @@ fn kind_of(value: &Value) -> Result<Kind, LineError> {
     Kind::deserialize(value).map_err(|_| key_error("kind", value, ALLOWED))
 }
 
-/// Who is where, in the words of a line's keys.
-fn statement(presence: &str, room: Option<&str>) -> Result<PresenceStatement, LineError> {
-    let room = room.map(|room| room.trim().strip_prefix("the ").unwrap_or(room));
-    let presence = match presence {
-        "present" => return Ok(PresenceStatement::new(Presence::Present, room)?),
+/// A number of persons.
+fn count_of(value: &Value) -> Result<u8, LineError> {
+    let count = value.as_u64().and_then(|count| u8::try_from(count).ok());
+    count
+        .filter(|count| (1..=COUNT_MAX).contains(count))
+        .ok_or_else(|| key_error("count", value, &format!("a number of persons from 1 to {COUNT_MAX}")))
+}
+
+/// The presence that the keys of a line state.
+fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
+    let room = room.map(RoomName::new).transpose()?;
+    let event = match presence {
+        "present" => return Ok(Event::Present(room)),
         "empty" => {
             let room = room.ok_or_else(|| reason("\"presence\": \"empty\" needs a \"room\""))?;
-            return Ok(PresenceStatement::empty(room)?);
+            return Ok(Event::Empty(room));
         }
-        "away" => Presence::Away,
-        "gone" => Presence::Gone,
+        "away" => Event::Away,
+        "gone" => Event::Gone,
         _ => {
             let allowed = "\"present\", \"away\", \"gone\" or \"empty\"";
             return Err(key_error("presence", &presence.into(), allowed));
@@ -371,7 +383,7 @@ fn statement(presence: &str, room: Option<&str>) -> Result<PresenceStatement, Li
         Some(_) => {
             Err(reason("\"room\" goes with \"presence\": \"present\" or \"empty\" alone; leave one of them out"))
         }
-        None => Ok(PresenceStatement::new(presence, None)?),
+        None => Ok(event),
     }
 }
 
@@ -433,7 +445,7 @@ mod tests {
     }
 
     fn said(kind: Kind, text: &str, person: Who) -> Line {
-        Line { kind, text: text.to_owned(), person, observed_unix_ns: None }
+        Line { kind, text: text.to_owned(), person, observed_unix_ns: None, count: 0 }
     }
 
     #[test]
@@ -444,7 +456,7 @@ mod tests {
         assert_eq!(item("[Grab] <mug> (1)").unwrap(), action);
         let device = said(Kind::Device, "the oven is on", Who::Number(3));
         assert_eq!(item("the oven is on").unwrap(), device);
-        // Who leaves is said in a sentence, too, which the daemon understands.
+        // The daemon reads a presence form; the line keeps its text.
         assert_eq!(item("Ada leaves the house.").unwrap(), sentence("Ada leaves the house.", Who::Number(3)));
         for (json, person) in [
             (r#"{"text": "They sit down.", "person": 9}"#, Who::Number(9)),
@@ -496,9 +508,13 @@ mod tests {
                 "\"presence\" is \"asleep\"; give \"present\", \"away\", \"gone\" or \"empty\"",
             ),
             (r#"{"presence": "empty"}"#, "\"presence\": \"empty\" needs a \"room\""),
-            (r#"{"presence": "empty", "room": "hall", "person": "ada"}"#, "is of everybody; leave \"person\" out"),
+            (r#"{"presence": "empty", "room": "hall", "person": "ada"}"#, "has no person; leave \"person\" out"),
             (r#"{"text": "nobody in the hall", "kind": "presence", "person": 3}"#, "leave \"person\" out"),
             (r#"{"presence": "unknown"}"#, "\"presence\" is \"unknown\""),
+            (r#"{"text": "They sit.", "count": 0}"#, "\"count\" is 0; give a number of persons from 1 to 8"),
+            (r#"{"text": "They sit.", "count": 10000}"#, "\"count\" is 10000; give a number of persons"),
+            (r#"{"text": "They sit.", "count": "two"}"#, "\"count\" is \"two\"; give a number of persons"),
+            (r#"{"text": "They sit.", "count": 2, "person": "ada"}"#, "\"count\" counts unknown persons"),
             (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
             (r#"{"text": "They sit.", "person": -1}"#, "\"person\": the number `-1`, expected a person's"),
             (r#"{"text": "They sit.", "person": 4294967295}"#, "number from 0 to 4294967294, or name"),
@@ -535,7 +551,7 @@ mod tests {
         for line in &examples {
             item(line).unwrap_or_else(|error| panic!("{line}: {error}"));
         }
-        for key in ["text", "kind", "presence", "room", "person", "observed_unix_s"] {
+        for key in ["text", "kind", "presence", "room", "person", "count", "observed_unix_s"] {
             assert!(examples.iter().any(|line| line.contains(&format!("\"{key}\":"))), "{key}");
         }
         // Reports are another command's, which refuses narration as this one refuses them.

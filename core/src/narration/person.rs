@@ -1,6 +1,5 @@
-//! Who is who: the number of a person who is known by name, and what a person may be called.
+//! Names of persons: how two names compare, and the number of a name.
 
-use super::clause;
 use crate::names::Names;
 use crate::text::is_hidden;
 
@@ -10,16 +9,7 @@ pub const PERSON_NAME_BYTES_MAX: usize = 48;
 /// The number of an observation that names nobody.
 pub const SOMEBODY: u32 = u32::MAX;
 
-/// What somebody is called by who is not named.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Pronoun {
-    /// "He".
-    He,
-    /// "She".
-    She,
-}
-
-/// A name without what does not count: case, more space than one between its words, and "the" before it.
+/// A name in lower case, with single spaces, without "the" before it.
 fn bare(name: &str) -> String {
     let name = name.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();
     let without = name.strip_prefix("the ").map(str::trim_start).filter(|name| !name.is_empty());
@@ -33,37 +23,16 @@ fn spaced(name: &str) -> String {
     owner.map_or_else(|| Names::bare(name), |owner| format!("{}'s", Names::bare(owner)))
 }
 
-/// A word of a text that may be part of a name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NameWord {
-    /// As it is written, in lower case.
-    pub said: String,
-    /// By its letters and digits alone, without accents. Empty where a name ends: behind what is somebody's, and behind a comma or a full stop.
-    pub bare: String,
-}
-
-/// The words of a text as names are compared: "ben", "hugs", "zoe" and "" of "Ben hugs Zoë's", and "lena", "o", "neill" of "lena_o_neill".
+/// The words of a text as names are compared: "ben", "hugs" and "zoe" of "Ben hugs Zoë's".
 #[must_use]
-pub fn name_words(text: &str) -> Vec<NameWord> {
-    /// A full stop behind so few letters is that of a short form: "Dr. Grey".
-    const SHORT_FORM: usize = 3;
-    let mut words = Vec::new();
-    for said in text.to_lowercase().split_whitespace() {
+pub fn name_words(text: &str) -> Vec<String> {
+    let word = |said: &str| {
         let word = said.trim_matches(|c: char| !c.is_alphanumeric());
         let owner = word.strip_suffix("'s").or_else(|| word.strip_suffix("’s"));
-        let word = owner.unwrap_or(word);
-        let bare = Names::bare(word);
-        for part in bare.split(' ').filter(|part| !part.is_empty()) {
-            let is_whole = part.len() == bare.len();
-            words.push(NameWord { said: if is_whole { word } else { part }.to_owned(), bare: part.to_owned() });
-        }
-        let ends =
-            said.ends_with([',', ';', ':', '!', '?']) || said.ends_with('.') && word.chars().count() > SHORT_FORM;
-        if owner.is_some() || ends {
-            words.push(NameWord { said: String::new(), bare: String::new() });
-        }
-    }
-    words
+        Names::bare(owner.unwrap_or(word))
+    };
+    let bare = text.split_whitespace().map(word).collect::<Vec<_>>().join(" ");
+    bare.split(' ').filter(|word| !word.is_empty()).map(str::to_owned).collect()
 }
 
 /// Whether two names are one: without regard to case, to space more than needed, and to "the" before them.
@@ -72,79 +41,57 @@ pub fn same_name(a: &str, b: &str) -> bool {
     bare(a) == bare(b)
 }
 
-/// A name as it is compared with others, read once: who is known is looked up for every word of a sentence.
+/// A name as the daemon compares it with others; it reads each name once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ReadName {
-    /// The whole of it, as [`same_name`] compares, and its number.
     whole: String,
     number: u32,
-    /// Without its title: the same, and by its letters and digits alone, without accents.
-    plain: String,
     bare: String,
-    title: Option<String>,
-    /// What somebody of this name may be called for short.
-    first: Option<Box<ReadName>>,
+    first: Option<String>,
 }
 
 impl ReadName {
     /// Reads a name.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        let (title, rest) = clause::titled(name);
-        let title = title.map(|title| {
-            let title = title.trim_end_matches('.').to_lowercase();
-            if ["ms", "miss"].contains(&title.as_str()) { "mrs".to_owned() } else { title }
-        });
-        Self {
-            whole: bare(name),
-            number: person_number(name),
-            plain: bare(rest),
-            bare: spaced(rest),
-            title,
-            first: clause::first_name(name).map(|first| Box::new(Self::new(first))),
-        }
+        const TITLES: [&str; 7] = ["dr", "mr", "mrs", "ms", "miss", "prof", "sir"];
+        let bare_name = spaced(name);
+        let first = bare_name.split_once(' ').map(|(first, _)| first).filter(|first| !TITLES.contains(first));
+        Self { whole: bare(name), number: person_number(name), first: first.map(str::to_owned), bare: bare_name }
     }
 
-    /// The whole name as it is compared: names are one where this is.
+    /// The name in lower case. Two names with the same one are one name.
     #[must_use]
     pub fn whole(&self) -> &str {
         &self.whole
     }
 
-    /// The number that follows from the name ([`person_number`]).
+    /// The number of the name ([`person_number`]).
     #[must_use]
     pub fn number(&self) -> u32 {
         self.number
     }
 
-    /// What two names share that may be one person's: one of these is the same in both.
+    /// Its letters and digits, without accents.
     #[must_use]
-    pub fn shared(&self) -> [&str; 2] {
-        [&self.plain, &self.bare]
+    pub fn letters(&self) -> &str {
+        &self.bare
     }
 
-    /// The same of what somebody of this name may be called for short.
+    /// The first of several words: "ada" of "Ada Lovelace". `None` for a name of one word and for a title.
     #[must_use]
-    pub fn shared_for_short(&self) -> Option<[&str; 2]> {
-        self.first.as_deref().map(Self::shared)
+    pub fn first(&self) -> Option<&str> {
+        self.first.as_deref()
     }
 
-    /// Whether two names may be one person's: they are the same by their letters and digits, without accents, and their titles are, or one of them has
-    /// none: "Zoe" is Zoë, "anne marie" is Anne-Marie, "Mrs. Novak" is Ms Novak and Novak, "Grandma Edith" is Edith.
+    /// Whether both names have the same letters and digits without accents: "Zoe" and "Zoë", "anne marie" and "Anne-Marie".
     #[must_use]
     pub fn may_be_one(&self, other: &Self) -> bool {
-        let has_title_of = self.title.as_ref().zip(other.title.as_ref()).is_none_or(|(own, other)| own == other);
-        has_title_of && (self.plain == other.plain || self.bare == other.bare)
-    }
-
-    /// Whether a sentence that says `name` may mean somebody of this name: also by the first of several.
-    #[must_use]
-    pub fn may_be_called(&self, name: &Self) -> bool {
-        self.may_be_one(name) || self.first.as_ref().is_some_and(|first| first.may_be_one(name))
+        self.bare == other.bare
     }
 }
 
-/// Whether two names are one, also without regard to accents and to what is no letter: "Zoë" and "Zoe", "O'Neill" and "o_neill". Titles count: "Grandma Edith" may live with her namesake.
+/// Whether two names are one, also without regard to accents and to what is no letter: "Zoë" and "Zoe", "O'Neill" and "o_neill".
 #[must_use]
 pub fn same_but_for_accents(a: &str, b: &str) -> bool {
     same_name(a, b) || spaced(a) == spaced(b)
@@ -200,6 +147,12 @@ impl<'a> Named<'a> {
     }
 }
 
+/// Words that stand for any person.
+const NO_NAMES: [&str; 25] = [
+    "nobody", "me", "who", "i", "you", "he", "she", "it", "we", "they", "him", "her", "us", "them", "somebody", "someone",
+    "anybody", "anyone", "everybody", "everyone", "all", "both", "no one", "none", "everybody else",
+];
+
 /// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.
 ///
 /// # Errors
@@ -216,7 +169,7 @@ pub fn check_name(name: &str) -> Result<(), String> {
     if is_number(name) {
         return Err(format!("{shown:?} is a number: give a name with a letter"));
     }
-    if ["nobody", "me", "who"].contains(&name.to_lowercase().as_str()) || super::Said::is_pronoun(name) {
+    if NO_NAMES.contains(&name.to_lowercase().as_str()) {
         return Err(format!("{shown:?} is no name of one person: give a name, or none where nobody is named"));
     }
     if name.contains(is_hidden) || name.len() > PERSON_NAME_BYTES_MAX || !name.contains(char::is_alphanumeric) {
@@ -252,7 +205,7 @@ mod tests {
 
     /// Home Assistant calls "Lena O'Neill" `person.lena_o_neill`.
     #[test]
-    fn a_name_is_the_same_by_its_letters() {
+    fn names_with_the_same_letters_are_one() {
         let is_one = |one: &str, other: &str| ReadName::new(one).may_be_one(&ReadName::new(other));
         for (name, said) in [
             ("Lena O'Neill", "lena o neill"),
@@ -260,27 +213,25 @@ mod tests {
             ("Anne-Marie", "anne marie"),
             ("Jean Luc", "jean_luc"),
             ("Jörg Müßig", "jorg_mussig"),
-            ("Dr. Anne-Marie Weiß", "anne marie weiss"),
         ] {
-            assert!(is_one(name, said) && same_but_for_accents(name.trim_start_matches("Dr. "), said), "{name} {said}");
+            assert!(is_one(name, said) && same_but_for_accents(name, said), "{name} {said}");
         }
         for (name, other) in [("Ada S.", "ada's"), ("Anne-Marie", "annemarie"), ("Anne-Marie", "anne"), ("Li", "Lia")] {
             assert!(!is_one(name, other) && !same_but_for_accents(name, other), "{name} {other}");
         }
+        assert_eq!(ReadName::new("Ada Lovelace").first(), Some("ada"));
+        assert_eq!((ReadName::new("Mrs. Novak").first(), ReadName::new("Ada").first()), (None, None));
     }
 
     #[test]
-    fn names_in_a_text_are_found_by_their_letters() {
-        let bare = |text: &str| name_words(text).into_iter().map(|word| word.bare).collect::<Vec<_>>().join(" ");
+    fn words_of_a_text_compare_as_names_do() {
         for (text, words) in [
-            ("Ben takes Zoë's cup", "ben takes zoe  cup"),
-            ("hugs lena_o_neill.", "hugs lena o neill "),
-            ("Lena O’Neill, Ana-Maria", "lena o neill  ana maria"),
-            ("Dr. Grey sits. Ada S. too", "dr grey sits  ada s too"),
+            ("Ben takes Zoë's cup", "ben takes zoe cup"),
+            ("hugs lena_o_neill.", "hugs lena o neill"),
+            ("Lena O’Neill, Ana-Maria", "lena o neill ana maria"),
         ] {
-            assert_eq!(bare(text), words, "{text}");
+            assert_eq!(name_words(text).join(" "), words, "{text}");
         }
-        assert_eq!(name_words("Zoë")[0].said, "zoë");
     }
 
     /// Journals and narrators rely on it.

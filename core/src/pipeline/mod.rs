@@ -358,7 +358,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     fn enter_of(&mut self, voice: Voice, observation: Observation, tokens: Option<usize>) {
-        let (person, presence) = (observation.person, observation.said.presence());
+        let (person, presence) = (observation.person, observation.event.person_presence());
         let Observation { source, epoch, sequence, .. } = observation;
         if presence == Presence::Gone {
             self.forget_person(person);

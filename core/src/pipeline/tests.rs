@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::label_trie::TokenTree;
-use crate::narration::{PresenceStatement, Said, Sentence};
+use crate::narration::{Event, Sentence};
 use crate::scorer::correction::Continuation;
 use crate::scorer::table::TableModel;
 use crate::scorer::{ModelError, Token};
@@ -379,7 +379,7 @@ fn persons_do_not_hide_each_other() {
 }
 
 fn presence(sequence: u64, person: u32, text: &str) -> Observation {
-    Observation { said: Said::Presence(PresenceStatement::parse(text).unwrap()), ..observation(sequence, person) }
+    Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
 }
 
 /// Who is out of the house is in no room and hides nobody; what they did before does not say what they do when they are back.

@@ -6,6 +6,9 @@ use crate::{MessageError, text};
 /// Most bytes of a narration's text.
 pub const NARRATION_TEXT_BYTES: usize = 1024;
 
+/// Most persons that one narration may count.
+pub const COUNT_MAX: usize = 8;
+
 /// Values of [`NarrationV1::kind`].
 pub mod narration_kind {
     /// A plain sentence from any captioning source: "They grab the mug."
@@ -41,14 +44,16 @@ layout! {
         44 => kind: u32,
         /// Bytes of text that follow in `text`, 1 to 1 024.
         48 => text_bytes: u32,
-        /// Minor version of the layout: 1, which has `person_name`, [`narration_kind::PRESENCE`] and somebody.
+        /// Minor version of the layout: 1, which has `person_name`, [`narration_kind::PRESENCE`] and somebody; `count` is 0 in older ones.
         52 => minor: u32,
         /// The narrator's name, for people.
         56 => source_name: [u8; NAME_BYTES],
         /// The person's name, UTF-8, zero padded; empty where `person` says who it is.
         104 => person_name: [u8; NAME_BYTES],
+        /// The number of persons that the narrator counted, at most 8; 0 if it counted none.
+        152 => count: u32,
         /// Zero.
-        152 => reserved: [u8; 40],
+        156 => reserved: [u8; 36],
         /// The text, UTF-8, the rest zero.
         192 => text: [u8; NARRATION_TEXT_BYTES],
     }
@@ -91,6 +96,12 @@ impl NarrationV1 {
         text::checked(&self.person_name)
     }
 
+    /// The number of persons of a checked message.
+    #[must_use]
+    pub fn counted(&self) -> u8 {
+        self.count.try_into().unwrap_or_default()
+    }
+
     /// The narrator's name of a checked message.
     #[must_use]
     pub fn source_name(&self) -> &str {
@@ -109,6 +120,7 @@ impl Message for NarrationV1 {
             }
         }
         super::at_most("kind", self.kind, narration_kind::PRESENCE as usize, "0 to 3")?;
+        super::at_most("count", self.count, COUNT_MAX, "0 to 8")?;
         super::at_most("text_bytes", self.text_bytes, NARRATION_TEXT_BYTES, "1 to 1024")?;
         let content = text::decode("text", &self.text)?;
         if content.is_empty() {
@@ -146,6 +158,7 @@ mod tests {
             NarrationV1 { source: 0, ..good() },
             NarrationV1 { sequence: 0, ..good() },
             NarrationV1 { kind: 9, ..good() },
+            NarrationV1 { count: 9, ..good() },
             NarrationV1 { text_bytes: 5000, ..good() },
             NarrationV1 { text_bytes: 3, ..good() },
             NarrationV1 { text: [0xff; NARRATION_TEXT_BYTES], text_bytes: 1024, ..good() },

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_core::forecast::Mentions;
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::{Counts, Guesser, Thread};
 use roomcast_core::narration::history::HistoryLimits;
@@ -72,7 +72,7 @@ pub fn run<M: LanguageModel>(
     let most = k.iter().copied().max().unwrap_or_default();
     let none = || Hits::new(k);
     let mut report = Report { k: k.to_vec(), seed: none(), learning: none(), learning_by_action: BTreeMap::new() };
-    let mut mentions = Mentions::new(map, grounding);
+    let mut mentions = PlaceMatcher::new(map, grounding);
     let mut mentioned = false;
     for NamedProgram { program, .. } in programs {
         let told = sentences(&program.steps)?;

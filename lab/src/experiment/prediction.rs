@@ -17,7 +17,8 @@ use super::losses::{Summary, Sums, difference, macro_average, macro_difference, 
 use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
 use crate::simulation::binding::{Binder, ItemChoice};
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Action, Program, Sentence};
@@ -314,7 +315,7 @@ impl Listener {
         said: &[Sentence],
         rows: &[Vec<f64>],
         done: usize,
-        (mentions, grounding): (&mut Mentions, &Grounding),
+        (mentions, grounding): (&mut PlaceMatcher, &Grounding),
     ) {
         for at in self.heard..done {
             self.at_s += program.steps[at].entry().duration_s;
@@ -348,7 +349,7 @@ fn evaluate<M: LanguageModel>(
     let even_rooms = vec![1.0 / rooms as f64; rooms];
     let frequency_rooms = rooms_of(baselines.frequency(), grounding, &mut grounded)?;
     let mut sums = vec![vec![Sums::default(); part.programs.len()]; PREDICTORS.len() * TARGETS.len()];
-    let mut mentions = Mentions::new(map, grounding);
+    let mut mentions = PlaceMatcher::new(map, grounding);
 
     for (index, NamedProgram { path, program, .. }) in part.programs.iter().enumerate() {
         binder.begin(options.seed, &path.file_stem().unwrap_or_default().to_string_lossy());

@@ -12,7 +12,8 @@ use crate::simulation::homer::Day;
 use crate::simulation::mixed_integer;
 use crate::simulation::timeline::{PersonOptions, Timeline};
 use crate::simulation::world::{self, Cost, Disturbance, Knowledge, Run, WorldError, check_room_time, restart_rng};
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::places::{Mention, PlaceMatcher};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Program, Sentence};
@@ -102,7 +103,7 @@ impl<'a> Home<'a> {
         options: &Options,
     ) -> Result<Self, ExperimentError> {
         let mut binder = Binder::new(map, grounding, options.items);
-        let mut mentions = Mentions::new(map, grounding);
+        let mut mentions = PlaceMatcher::new(map, grounding);
         let mut grounded = GroundedScores::default();
         let mut tracks = Vec::with_capacity(activities.len());
         for (name, activity) in activities {

@@ -29,7 +29,7 @@ use crate::embedded;
 mod sections;
 
 pub use sections::{
-    BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, MetricsConfig, MqttConfig,
+    BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, May, MetricsConfig, MqttConfig,
     NarratorConfig, OnPause, PersonsConfig, PlannerConfig, Reports, RobotConfig, RobotKind,
 };
 

@@ -75,6 +75,54 @@ impl Default for IntakeLimits {
     }
 }
 
+/// The events that a narrator may send.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "Vec<Report>", into = "Vec<Report>")]
+pub struct May {
+    /// Actions.
+    pub did: bool,
+    /// Presence: events of the kind presence, and texts that are presence forms.
+    pub presence: bool,
+}
+
+/// A word of `may`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Report {
+    Did,
+    Presence,
+}
+
+impl May {
+    /// All events.
+    pub const ALL: Self = Self { did: true, presence: true };
+    /// Actions only: a narrator that the configuration does not name, if it names any.
+    pub const DID: Self = Self { did: true, presence: false };
+}
+
+impl Default for May {
+    fn default() -> Self {
+        Self::ALL
+    }
+}
+
+impl TryFrom<Vec<Report>> for May {
+    type Error = &'static str;
+
+    fn try_from(reports: Vec<Report>) -> Result<Self, Self::Error> {
+        let has = |report| reports.contains(&report);
+        let may = Self { did: has(Report::Did), presence: has(Report::Presence) };
+        if reports.is_empty() { Err("give \"did\", \"presence\" or both") } else { Ok(may) }
+    }
+}
+
+impl From<May> for Vec<Report> {
+    fn from(may: May) -> Self {
+        let reports = [(may.did, Report::Did), (may.presence, Report::Presence)];
+        reports.into_iter().filter(|(may, _)| *may).map(|(_, report)| report).collect()
+    }
+}
+
 /// An entry of `[[daemon.narrator]]`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -87,6 +135,9 @@ pub struct KnownNarrator {
     /// Places in a person's window that it keeps for each one of a narrator of share 1, 1 to 100.
     #[serde(default = "one")]
     pub share: u32,
+    /// The events that it may send: `did`, `presence`, or both. A narrator that is not named may send `did` only, if any narrator is named.
+    #[serde(default)]
+    pub may: May,
     /// In place of `daemon.intake.rate_per_s`.
     pub rate_per_s: Option<f64>,
     /// Its narration comes through `roomcast-bridge`: when that starts again, its port goes on where the closed one was.

@@ -1,10 +1,9 @@
 //! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
 
-use std::cell::LazyCell;
 use std::io;
 use std::time::{Duration, Instant};
 
-use roomcast_core::narration::{Named, Observation, SOMEBODY, Said};
+use roomcast_core::narration::{Named, Observation, SOMEBODY};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_ipc::clock;
@@ -81,9 +80,13 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
         })
     };
-    let mut failed = false;
+    let (mut failed, mut understood) = (false, Vec::new());
     let result = asked.and_then(|question| match question {
         PersonQuestion::List => Ok(None),
+        PersonQuestion::Understood { source, epoch, from } => {
+            understood = board.understood_lines(source, epoch, from);
+            Ok(None)
+        }
         PersonQuestion::Rename { who, name, .. } => {
             let person = find(board, &who)?;
             let renamed = board.rename(person, &name);
@@ -106,7 +109,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
     let is_kept = board.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
     let kept = done && left.is_none() && is_kept;
-    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns) }
+    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns), understood }
 }
 
 /// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs. Of one who is
@@ -120,26 +123,16 @@ fn forget<M: LanguageModel>(
 ) -> (Option<String>, usize) {
     let called = Called::new(board.persons(), person, who);
     let is_theirs = move |observation: &Observation, found: Option<u32>| {
-        // All words are read at most once: a journal has many.
-        let names_them = LazyCell::new(|| match &observation.said {
-            Said::Sentence(sentence) => called.is_in(sentence.as_str()),
-            Said::Presence(statement) => {
-                called.is_in(&format!("{statement}, {}", statement.subject().unwrap_or_default()))
-            }
-        });
-        let is_about_them = || match &observation.said {
-            Said::Presence(statement) => statement.names().any(|name| called.is(name)),
-            said @ Said::Sentence(_) => found.is_none() && *names_them && said.may_name(|name| called.is(name)),
-        };
+        let names_them = || called.is_in(&observation.event.to_string());
         let own = match (&observation.name, found) {
-            (Some(name), _) if called.is_key(name) => true,
+            (Some(name), _) if called.is_in(name) => true,
             (_, Some(found)) if found == person => true,
             (Some(_), _) => false,
-            (None, None) if observation.person == SOMEBODY => is_about_them(),
+            (None, None) if observation.person == SOMEBODY => names_them(),
             (None, _) => observation.person == person,
         };
-        // What others did to them, and rooms that are called after them, tell of them, too.
-        own || is_somebody && (*names_them || is_about_them())
+        // Events of others that mention the person go, too.
+        own || is_somebody && names_them()
     };
     // Whose an observation in a window is was found.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));

@@ -1,7 +1,7 @@
 //! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
 //! no port: the daemon's loop, the simulation and the tests drive it alike.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use roomcast_ipc::{
     ForecastV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ROOMS, MessageError, NAME_BYTES, PersonForecastsV1, PersonScoresV1,
@@ -12,23 +12,27 @@ use super::ahead::Now;
 use super::habits::{HomeHabits, Name, PlaceSet};
 use super::intake::OTHERS;
 use super::journal::{Believed, Move, Moved, Outcome, Recovered};
-use super::persons::{NotRenamed, Persons, is_bed, may_be_done_lying, sleeps};
+use super::persons::{NotRenamed, Persons};
+use super::sleep::{deeds, is_bed, may_be_done_lying, sleeps};
+use super::understood::UnderstoodEvents;
+use crate::config::May;
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mention, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::places::{Mention, PlaceMatcher};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::narration::{Observation, Presence, Pronoun, SOMEBODY, Voice};
+use roomcast_core::narration::{Event, Observation, Presence, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
 use roomcast_core::semantic_map::SemanticMap;
 
 use messages::{NamedRooms, named_rooms};
-use whose::ways_out;
+use attribution::{Reporter, ways_out};
 
+mod attribution;
 mod messages;
-mod whose;
 
 /// A map that messages cannot carry.
 #[derive(Debug, thiserror::Error)]
@@ -102,26 +106,19 @@ fn observed_at_ns(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> O
     }
 }
 
-/// Whether an observation is its person's and no other's, whoever is known.
-fn is_read_alone(observation: &Observation) -> bool {
-    let is_keyed = observation.person != SOMEBODY && !observation.by_fit || observation.name.is_some();
-    is_keyed && observation.said.is_read_alone()
-}
-
 fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
 
-/// An observation that the forecasts do not know yet.
+/// An event of a person that the forecasts do not have yet.
 #[derive(Debug)]
 struct Seen {
     name: Name,
     person: u32,
     at_ns: i64,
-    presence: Presence,
-    /// What was said, where it has to be understood by the map: a sentence, or a room's name.
-    words: String,
-    is_sentence: bool,
+    event: Event,
+    /// A device was found off, and no key says that its person did it.
+    is_off: bool,
 }
 
 /// An observation that named nobody, and whom it fitted.
@@ -141,7 +138,7 @@ pub struct Board<M> {
     grounding: GroundingOptions,
     /// What a forecast assumes before it has watched its person.
     options: ForecastOptions,
-    mentions: Mentions,
+    mentions: PlaceMatcher,
     snapshot: RoomScoresV1,
     /// The rooms of a changed map, until a step has scored them; the snapshot and the forecasts are of the map before it.
     next_rooms: Option<Box<NamedRooms>>,
@@ -153,8 +150,10 @@ pub struct Board<M> {
     person_forecasts: Box<PersonForecastsV1>,
     /// Who is who, and who is in the house.
     persons: Persons,
-    /// Narrators that the configuration names, by the number of their source; where there are any, the others are strangers.
-    named: BTreeSet<u64>,
+    /// Narrators that the configuration names, by the number of their source, and the events that each may send.
+    named: BTreeMap<u64, May>,
+    /// How the newest events were understood.
+    understood: UnderstoodEvents,
     /// Working memory of a step: when each person was observed last, and their number.
     newest_persons: Vec<(i64, u32)>,
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
@@ -167,9 +166,8 @@ pub struct Board<M> {
     /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
     believed: Vec<Believed>,
     gone: Vec<u32>,
-    /// What the forecasts do not know yet are the first `unwatched` of them; the others are memory to be used again.
-    seen: Vec<Seen>,
-    unwatched: usize,
+    /// Events that the forecasts do not have yet.
+    seen: VecDeque<Seen>,
     /// Of the narration that no step has scored yet: when its first was received, of each person and of nobody, and whether some was lost before it.
     unscored: BTreeMap<u32, u64>,
     unscored_ns: Option<u64>,
@@ -245,7 +243,7 @@ impl<M: LanguageModel> Board<M> {
             ..Default::default()
         };
         Ok(Self {
-            mentions: Mentions::new(&map, pipeline.grounding()),
+            mentions: PlaceMatcher::new(&map, pipeline.grounding()),
             pipeline,
             map,
             grounding,
@@ -256,7 +254,8 @@ impl<M: LanguageModel> Board<M> {
             person_scores: Box::default(),
             person_forecasts: Box::default(),
             persons: Persons::default(),
-            named: BTreeSet::new(),
+            named: BTreeMap::new(),
+            understood: UnderstoodEvents::default(),
             newest_persons: Vec::new(),
             attributed: Vec::new(),
             moved: Vec::new(),
@@ -264,8 +263,7 @@ impl<M: LanguageModel> Board<M> {
             rescored: Vec::new(),
             believed: Vec::new(),
             gone: Vec::new(),
-            seen: Vec::new(),
-            unwatched: 0,
+            seen: VecDeque::new(),
             unscored: BTreeMap::new(),
             unscored_ns: None,
             unscored_gap: false,
@@ -293,7 +291,7 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// [`PersonsConfig::guard_s`]: crate::config::PersonsConfig::guard_s
     #[must_use]
-    pub(crate) fn with_named(self, named: impl IntoIterator<Item = u64>) -> Self {
+    pub(crate) fn with_named(self, named: impl IntoIterator<Item = (u64, May)>) -> Self {
         Self { named: named.into_iter().collect(), ..self }
     }
 
@@ -308,6 +306,12 @@ impl<M: LanguageModel> Board<M> {
     pub fn with_habits(self, mut home: HomeHabits) -> Self {
         home.bind(self.pipeline.grounding());
         Self { home, ..self }
+    }
+
+    /// The narrator of an event. If the configuration names narrators, any other one may only send actions.
+    fn reporter(&self, source: u64, is_unknown: bool) -> Reporter {
+        let may = if self.named.is_empty() { Some(May::ALL) } else { self.named.get(&source).copied() };
+        Reporter { is_unknown, may: may.filter(|_| !is_unknown).unwrap_or(May::DID) }
     }
 
     /// Has `moved` called after each call of the model's decoder.
@@ -368,7 +372,7 @@ impl<M: LanguageModel> Board<M> {
         self.strange_rooms.clear();
         self.rescored.clear();
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
-        self.mentions = Mentions::new(&map, self.pipeline.grounding());
+        self.mentions = PlaceMatcher::new(&map, self.pipeline.grounding());
         self.map = map;
         self.note_beliefs();
         Ok(prepared)
@@ -559,9 +563,6 @@ impl<M: LanguageModel> Board<M> {
             if observation.by_fit {
                 // The home may have given the person another number since.
                 observation.person = self.persons.file().current(observation.person);
-                if self.persons.is_number_of_none(observation.person) {
-                    (observation.person, observation.by_fit) = (SOMEBODY, false);
-                }
             }
             if index == learned {
                 self.home.end_recall();
@@ -587,28 +588,15 @@ impl<M: LanguageModel> Board<M> {
                 at_ns = Some(at_ns.unwrap_or(0).min(0));
             }
             let voice = Voice::of_source(observation.source);
-            let is_strange = !self.named.is_empty() && !self.named.contains(&observation.source);
+            let is_unknown = !self.named.is_empty() && !self.named.contains_key(&observation.source);
+            let reporter = self.reporter(observation.source, is_unknown);
             self.pipeline.include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
-                // What a clause says of somebody may be kept without how they were called: "away" of "she goes to the office".
-                let is_by_fit = moves.iter().any(|own| own.by_fit);
-                let clauses = is_by_fit.then(|| self.clauses(observation.clone())).into_iter().flatten();
-                let mut spoken: Vec<Pronoun> = clauses.filter_map(|clause| clause.said.pronoun()).collect();
-                spoken.dedup();
-                let spoken = if let [spoken] = spoken[..] { Some(spoken) } else { None };
-                if moves.is_empty() {
-                    self.hear_of(&observation, is_strange, at_ns);
-                }
                 for own in moves {
                     let person = self.persons.file().current(own.person);
-                    // Whom JSON names is a person all the same.
-                    if observation.name.is_none() && self.persons.is_number_of_none(person) {
-                        continue;
-                    }
                     let own = Move { person, ..own }.apply(&observation);
-                    let pronoun = own.said.pronoun().or(spoken);
-                    if let Some(own) = self.retake(own, pronoun, is_strange, at_ns) {
+                    if let Some(own) = self.retake(own, reporter, at_ns) {
                         persons.push(own.person);
                         self.enter_restored(voice, own);
                     }
@@ -619,7 +607,7 @@ impl<M: LanguageModel> Board<M> {
                     persons.push(own.person);
                     board.enter_restored(voice, own);
                 };
-                let (is_read_alone, moves) = self.moves(observation, Voice::EARLIER, is_strange, at_ns, enter);
+                let (is_read_alone, moves) = self.attribute(observation, Voice::EARLIER, reporter, at_ns, enter);
                 // It stays so, whoever is known at the next start. Whose one of one person is was told already.
                 if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.moved.push(Moved { observation: name, moves });
@@ -658,32 +646,6 @@ impl<M: LanguageModel> Board<M> {
         self.home.end_restore();
         self.pipeline.forget_voices();
         costly
-    }
-
-    /// Takes in an observation, read with those who are known now, and gives each person's part to `enter`. Gives whether it reads the same whoever is known, and where it
-    /// does not, whom it moved.
-    fn moves(
-        &mut self,
-        observation: Observation,
-        voice: Voice,
-        is_strange: bool,
-        at_ns: Option<i64>,
-        mut enter: impl FnMut(&mut Self, Observation),
-    ) -> (bool, Vec<Move>) {
-        let observed = (!is_read_alone(&observation)).then(|| observation.said.clone());
-        let mut moves = self.no_moves.pop().unwrap_or_default();
-        for clause in self.clauses(observation) {
-            if self.exclude(&clause, is_strange, at_ns) {
-                moves.extend(observed.as_ref().map(|observed| Move::of_a_room(&clause, observed)));
-            }
-            for own in self.of_persons(clause, is_strange) {
-                if let Some(own) = self.take(own, voice, is_strange, at_ns) {
-                    moves.extend(observed.as_ref().map(|observed| Move::of(&own, observed)));
-                    enter(self, own);
-                }
-            }
-        }
-        (observed.is_none(), moves)
     }
 
     /// Enters an observation of a former run that is a person's.
@@ -737,6 +699,7 @@ impl<M: LanguageModel> Board<M> {
         self.persons.remove(person);
         self.attributed.retain(|attributed| attributed.person != person);
         self.moved.iter_mut().for_each(|moved| moved.moves.retain(|own| own.person != person));
+        self.understood.forget(person);
         self.drop_person(person);
     }
 
@@ -805,45 +768,40 @@ impl<M: LanguageModel> Board<M> {
             let rooms = expected.unwrap_or(&own.grounded.partition_probability);
             self.home.look_ahead(person, known.heard_ns, own.label_log_prob_nats, rooms);
         }
-        self.seen.truncate(SEEN_KEPT);
+        self.seen.shrink_to(SEEN_KEPT);
     }
 
-    /// Whether habits of a person are learned: not of visitors, nor, where narrators are named, of whom only others have told.
     fn is_learned_of(&self, person: u32) -> bool {
-        !self.persons.is_visitor(person) && (self.named.is_empty() || self.persons.is_trusted(person))
+        is_learned_of(&self.persons, &self.named, person)
     }
 
-    /// Takes what was observed into the forecasts.
+    /// Takes the new events into the forecasts.
     fn follow(&mut self) {
         let grounding = self.pipeline.grounding();
-        for seen in &self.seen[..std::mem::take(&mut self.unwatched)] {
+        for seen in self.seen.drain(..) {
             let at_s = seconds(seen.at_ns);
-            self.home.next_is(seen.name, seen.person, self.is_learned_of(seen.person));
-            if seen.presence == Presence::Gone {
+            self.home.next_is(seen.name, seen.person, is_learned_of(&self.persons, &self.named, seen.person));
+            if seen.event == Event::Gone {
                 self.followed.remove(&seen.person);
                 self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere));
                 continue;
             }
             let own = self.followed.entry(seen.person).or_insert_with(|| follower(grounding, self.options, seen.at_ns));
-            if seen.presence == Presence::Away {
-                own.leave(at_s);
-                self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere));
-            } else if seen.is_sentence && seen.words.is_empty() {
-                // What has ended by itself, or by anybody, says nothing of where they are.
-            } else if seen.is_sentence {
-                // What the model says after all of them is for what comes then, not for what lies between them.
-                let mention = self.mentions.last(&seen.words);
-                // Where they were before this, and on what.
-                let was_on_bed = self.persons.get(seen.person).is_some_and(|known| known.on_bed);
-                let (mut near, mut rooms) = ([0.0; MAX_ROOMS], 0);
-                if was_on_bed {
-                    rooms = fill(&mut near, own.at(at_s, 0.0));
-                }
-                own.observe(at_s, mention, grounding, &[]);
-                self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
-                if let Some(known) = self.persons.get_mut(seen.person) {
-                    // One deed after the other: "lies down in bed and turns off the lamp".
-                    for deed in deeds(&seen.words) {
+            match &seen.event {
+                Event::Did(_) if seen.is_off => {}
+                Event::Did(text) => {
+                    let mention = self.mentions.last(text.as_str());
+                    // The room and the bed before this deed.
+                    let was_on_bed = self.persons.get(seen.person).is_some_and(|known| known.on_bed);
+                    let (mut near, mut rooms) = ([0.0; MAX_ROOMS], 0);
+                    if was_on_bed {
+                        rooms = fill(&mut near, own.at(at_s, 0.0));
+                    }
+                    // The model's scores after all events are for the time after them.
+                    own.observe(at_s, mention, grounding, &[]);
+                    self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
+                    let Some(known) = self.persons.get_mut(seen.person) else { continue };
+                    for deed in deeds(text.as_str()) {
                         let found = self.mentions.last(deed);
                         let row = |found: &Mention| grounding.weights().row(found.label);
                         let stays = |found: &Mention| {
@@ -859,12 +817,18 @@ impl<M: LanguageModel> Board<M> {
                         }
                     }
                 }
-            } else {
-                let room = room_named(&seen.words, &self.map, grounding);
-                let alike = |other| room.is_none() && rooms_alike(&seen.words, grounding).any(|one| one == other);
-                // A word that is older than what is known is news to neither.
-                if own.enter_any(at_s, |other| Some(other) == room || alike(other)) {
-                    self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room));
+                Event::Present(name) => {
+                    let name = name.as_ref().map_or("", |name| name.as_str());
+                    let room = room_named(name, &self.map, grounding);
+                    let alike = |other| room.is_none() && rooms_alike(name, grounding).any(|one| one == other);
+                    // An event that is older than the belief changes neither belief nor habits.
+                    if own.enter_any(at_s, |other| Some(other) == room || alike(other)) {
+                        self.home.is_in(seen.person, seen.at_ns, room.map(Whereabouts::Room));
+                    }
+                }
+                _ => {
+                    own.leave(at_s);
+                    self.home.is_in(seen.person, seen.at_ns, Some(Whereabouts::Elsewhere));
                 }
             }
         }
@@ -872,11 +836,10 @@ impl<M: LanguageModel> Board<M> {
         self.followed.retain(|person, _| histories.get(*person).is_some());
     }
 
-    /// Keeps the newest `most` of what the forecasts do not know yet.
+    /// Keeps the newest `most` events that the forecasts do not have yet.
     fn drop_unwatched(&mut self, most: usize) {
-        let excess = self.unwatched.saturating_sub(most);
-        self.seen[..self.unwatched].rotate_left(excess);
-        self.unwatched -= excess;
+        let excess = self.seen.len().saturating_sub(most);
+        self.seen.drain(..excess);
     }
 
     /// Takes all entries as one step: every one goes into its history, then the rooms are scored once. Gives when the first narration that
@@ -930,7 +893,8 @@ impl<M: LanguageModel> Board<M> {
                 continue;
             }
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
-            let is_strange = !self.named.is_empty() && voice.number == OTHERS;
+            let is_unknown = !self.named.is_empty() && voice.number == OTHERS;
+            let reporter = self.reporter(observation.source, is_unknown);
             self.pipeline.include(&observation, voice);
             let name = (observation.source, observation.epoch, observation.sequence);
             let mut is_taken = false;
@@ -939,7 +903,7 @@ impl<M: LanguageModel> Board<M> {
                 board.unscored.entry(own.person).or_insert(received_ns);
                 board.pipeline.enter(voice, own);
             };
-            let (is_read_alone, moves) = self.moves(observation, voice, is_strange, at_ns, enter);
+            let (is_read_alone, moves) = self.attribute(observation, voice, reporter, at_ns, enter);
             // What moves nobody may be of one who is away, and calls.
             if !is_read_alone || !is_taken {
                 self.moved.push(Moved { observation: name, moves });
@@ -1085,17 +1049,16 @@ impl<M: LanguageModel> Board<M> {
         &self.map
     }
 
-    /// Per room how probably a person was there when they were observed last.
-    #[cfg(test)]
-    pub(super) fn belief_of(&self, person: u32) -> Option<&[f64]> {
-        self.followed.get(&person).map(Forecaster::belief)
-    }
-
     /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.watch();
         self.pipeline.tidy()
     }
+}
+
+/// Whether the daemon learns habits of a person: not of a visitor, nor of a person that only unknown narrators report.
+fn is_learned_of(persons: &Persons, named: &BTreeMap<u64, May>, person: u32) -> bool {
+    !persons.is_visitor(person) && (named.is_empty() || persons.is_trusted(person))
 }
 
 /// A smaller share of a thing than this is in the room that somebody is believed in: it is in another one.
@@ -1111,11 +1074,6 @@ fn fill(row: &mut [f64], values: impl Iterator<Item = f64>) -> usize {
 fn are_alike(said: &[f64], now: &[f64]) -> bool {
     const ROUNDING: f64 = 1e-6;
     said.len() == now.len() && said.iter().zip(now).all(|(said, now)| (said - now).abs() < ROUNDING)
-}
-
-/// What somebody does one after the other in a sentence.
-fn deeds(words: &str) -> impl Iterator<Item = &str> {
-    words.split(" and ").flat_map(|part| part.split([',', ';'])).map(str::trim).filter(|deed| !deed.is_empty())
 }
 
 /// The label that is turned to, and not left.

@@ -19,7 +19,7 @@ use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
 use crate::config::{IntakeLimits, KnownNarrator};
-use crate::message_text::said_of;
+use crate::message_text::event_of;
 use crate::token_bucket::TokenBucket;
 
 /// Most starts of sources of one port that are followed: the longest silent gives way to another of the same port.
@@ -291,8 +291,8 @@ impl Intake {
     }
 
     fn judge(&mut self, message: &NarrationV1, sender: Sender, now_ns: u64) -> Taken {
-        let said = match said_of(message.kind, message.text()) {
-            Ok(said) => said,
+        let event = match event_of(message.kind, message.text()) {
+            Ok(event) => event,
             Err(error) => return Taken::Malformed(error.to_string()),
         };
         let name = Some(message.person_name().trim()).filter(|name| !name.is_empty());
@@ -336,7 +336,7 @@ impl Intake {
         }
         let leaves = self.claim(start, sender, turn);
         let excess =
-            self.cost.as_ref().zip(said.sentence()).and_then(|(cost, sentence)| cost.excess(sentence.as_str()));
+            self.cost.as_ref().zip(event.sentence()).and_then(|(cost, sentence)| cost.excess(sentence.as_str()));
         let Some(source) = self.sources.get_mut(&start) else { return Taken::Limited };
         let missed = match source.follower.take(message.epoch, message.sequence) {
             Arrival::AfterGap { missed } => missed,
@@ -371,7 +371,8 @@ impl Intake {
                 (observed_ns, _) => observed_ns.min(now_ns),
             },
             observed_unix_ns: message.observed_unix_ns,
-            said,
+            count: message.counted(),
+            event,
         };
         Taken::Accepted { observation, missed, voice, leaves, binds }
     }
@@ -526,6 +527,7 @@ mod wire {
 
 #[cfg(test)]
 mod tests {
+    use crate::config::May;
     use roomcast_ipc::{IncludedV1, RoomScoresV1, narration_kind};
 
     use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
@@ -569,7 +571,7 @@ mod tests {
         };
         let Taken::Accepted { observation, .. } = intake.take(&named, PORT, 10) else { panic!() };
         assert_eq!((observation.name.as_deref(), observation.sentence()), (Some("Ada"), None));
-        assert_eq!(observation.said.to_string(), "present in the kitchen");
+        assert_eq!(observation.event.to_string(), "present in the kitchen");
         let nonsense = NarrationV1 { kind: narration_kind::PRESENCE, ..message(7, 1, 2, "perhaps") };
         assert!(matches!(intake.take(&nonsense, PORT, 10), Taken::Malformed(why) if why.contains("perhaps")));
     }
@@ -607,7 +609,7 @@ mod tests {
     fn nothing_that_a_relayed_narrator_says_too_fast_is_lost() {
         const S: u64 = 1_000_000_000;
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: Some(1.0), relayed };
+        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: Some(1.0), relayed };
         for relayed in [false, true] {
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 2.0 };
             let mut intake = Intake::new(limits).with_narrators(&[known(relayed)]);
@@ -649,7 +651,7 @@ mod tests {
         const S: u64 = 1_000_000_000;
         let hall = source_of_name("hall");
         for gap_ms in [300, 700, 1_000, 1_100, 1_300, 2_000, 3_000, 4_500, 6_000] {
-            let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: Some(1.0), relayed: true };
+            let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: Some(1.0), relayed: true };
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 5.0 };
             let mut intake = Intake::new(limits).with_narrators(&[known]);
             intake.note_alive([PORT]);
@@ -694,7 +696,7 @@ mod tests {
         const S: u64 = 1_000_000_000;
         assert_eq!(STARTS_UNDER_WAY_MAX, SOURCES_OF_A_PORT);
         let (hall, starts) = (source_of_name("hall"), 40);
-        let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: None, relayed: true };
+        let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed: true };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1000.0, burst: 100.0 }).with_narrators(&[known]);
         intake.note_alive([PORT]);
         let mut relay = Relay::new("hall", 100.0);
@@ -793,7 +795,7 @@ mod tests {
     /// A name is no password, but who uses one that is in use has none of its places.
     #[test]
     fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: None, relayed: false };
+        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: None, relayed: false };
         let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let mut voice = |epoch, port, alive: &[Sender]| {
@@ -846,7 +848,7 @@ mod tests {
     #[test]
     fn a_bridge_that_starts_again_goes_on_for_the_narrator_elsewhere() {
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, rate_per_s: None, relayed };
+        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed };
         let third = Sender::simulated(3);
         for relayed in [false, true] {
             let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(relayed)]);
@@ -910,7 +912,7 @@ mod tests {
     /// Whoever is not named counts as one voice with all others, so that more processes have no more of a window.
     #[test]
     fn narrators_that_are_named_have_voices_of_their_own() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, rate_per_s: Some(0.0), relayed: false };
+        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: Some(0.0), relayed: false };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let voice = |taken| accepted(taken).1;

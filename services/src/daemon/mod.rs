@@ -58,6 +58,8 @@ mod person_question;
 mod persons;
 mod persons_file;
 mod scoring;
+mod sleep;
+mod understood;
 
 pub use ahead::{Ahead, Now};
 pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
@@ -69,7 +71,8 @@ pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
-pub use person_question::{PersonAnswer, PersonLine, PersonQuestion};
+pub use person_question::{PersonAnswer, PersonLine, PersonQuestion, UnderstoodLine, UnderstoodPerson};
+pub use understood::{By, UNDERSTOOD_MAX};
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
 pub use roomcast_ipc::presence::word as presence_word;
@@ -267,7 +270,7 @@ fn load<M: LanguageModel + Send + 'static>(
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
-        .with_named(named.map(|known| sequence::source_of_name(&known.name)))
+        .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
         .with_habits(HomeHabits::new(memory, Zone::local()));
     Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
 }

@@ -4,6 +4,7 @@ use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
 
 use super::asked::{Answer, Question};
+use super::understood::By;
 
 /// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -11,6 +12,15 @@ use super::asked::{Answer, Question};
 pub enum PersonQuestion {
     /// Who is known.
     List,
+    /// How the events of one narrator were understood; the daemon remembers the newest 512 events of all narrators.
+    Understood {
+        /// The narrator's source, as in its messages.
+        source: u64,
+        /// The epoch of its start.
+        epoch: u64,
+        /// The first sequence.
+        from: u64,
+    },
     /// Forget a person: their history, their forecast, their name, and what the journal has of them.
     Forget {
         /// The question's name.
@@ -32,7 +42,7 @@ pub enum PersonQuestion {
 impl Question for PersonQuestion {
     fn id(&self) -> Option<&str> {
         match self {
-            Self::List => None,
+            Self::List | Self::Understood { .. } => None,
             Self::Forget { id, .. } | Self::Rename { id, .. } => Some(id),
         }
     }
@@ -73,6 +83,46 @@ pub struct PersonAnswer {
     pub kept: bool,
     /// Everybody who is known now.
     pub persons: Vec<PersonLine>,
+    /// The events that [`PersonQuestion::Understood`] asks for, the oldest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub understood: Vec<UnderstoodLine>,
+}
+
+/// A person of an event.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnderstoodPerson {
+    /// The number.
+    pub person: u32,
+    /// The name, if the person has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+}
+
+/// One event as the daemon understood it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UnderstoodLine {
+    /// The event's number in its narrator's epoch.
+    pub sequence: u64,
+    /// `did`, `present`, `away`, `gone`, `empty` or `everybody-away`.
+    pub event: String,
+    /// Its persons.
+    pub persons: Vec<UnderstoodPerson>,
+    /// How they were found.
+    pub by: By,
+    /// The thing or room that the event names, as the map calls it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<String>,
+    /// The persons leave that room.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub left: bool,
+    /// The presence of its persons afterwards.
+    pub presence: Presence,
+    /// Why the event changed no belief, or moved nobody to a place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+    /// The nearest presence form, if the text resembles one and is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nearest_form: Option<String>,
 }
 
 impl Answer for PersonAnswer {

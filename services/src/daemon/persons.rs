@@ -1,14 +1,12 @@
-//! Who is who, and who is in the house: names and numbers, presence, residents and visitors. No clock: times come in as nanoseconds of
+//! The persons that the daemon knows: names and numbers, presence, residents and visitors. No clock: times come in as nanoseconds of
 //! the monotonic clock, negative before the machine's start.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::narration::{
-    About, Observation, PERSONS_MAX, Presence, PresenceStatement, Pronoun, ReadName, SOMEBODY, Said, Voice, check_name,
-    is_number, same_name,
+    Event, Observation, PERSONS_MAX, Presence, ReadName, Voice, check_name, is_number, name_words, same_name,
 };
-use roomcast_core::text::has_words;
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
 use super::person_question::PersonLine;
@@ -23,29 +21,6 @@ const LATE_NS: i64 = 60_000_000_000;
 
 /// Times of one source that are out of its order by no more are the errors of its clock, or of the way that they came.
 const ORDER_NS: i64 = 100_000_000;
-
-/// So long "he" and "she" mean whom their source told of last by name.
-const PRONOUN_NS: i64 = 60_000_000_000;
-/// So long whoever was last at the front door is taken for who leaves.
-const DOOR_NS: i64 = 900_000_000_000;
-/// Of so many sources it is known whom they told of last.
-const TOLD_OF_MAX: usize = 64;
-
-/// Words of things that people sleep on.
-const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
-
-/// Whether people sleep on a thing of this label.
-pub(super) fn is_bed(label: &str) -> bool {
-    label.split(' ').next_back().is_some_and(|word| BEDS.contains(&word))
-}
-
-/// Whether a sentence says that somebody sleeps, or that they no longer do; none where it says neither.
-pub(super) fn sleeps(sentence: &str) -> Option<bool> {
-    const SLEEPS: [&str; 8] = ["sleep", "sleeps", "asleep", "nap", "naps", "doze", "dozes", "slept"];
-    const WAKES: [&str; 8] = ["wake", "wakes", "woke", "awake", "get up", "gets up", "stand up", "stands up"];
-    let says = |words: &[&str]| words.iter().any(|words| has_words(sentence, words));
-    if says(&WAKES) { Some(false) } else { says(&SLEEPS).then_some(true) }
-}
 
 /// A person's name, and how it is compared with others.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,10 +59,6 @@ pub(super) struct Known {
     voice: u64,
     /// When one told of them whose word is guarded; the least number where none did.
     guarded_ns: i64,
-    /// When they were last observed at a door of the house; the least number where they never were.
-    door_ns: i64,
-    /// How often they were called "she" more than "he"; below zero where it is the other way round.
-    she: i8,
     /// It named nobody.
     by_fit: bool,
     /// The last thing mentioned is one to sleep on, or they were said to sleep.
@@ -104,55 +75,9 @@ impl Known {
         self.guarded_ns > i64::MIN
     }
 
-    /// Whether they are called by a pronoun, as far as is known; none where nothing is.
-    fn is_called_by(&self, pronoun: Pronoun) -> Option<bool> {
-        (self.she != 0).then_some((self.she > 0) == (pronoun == Pronoun::She))
-    }
-
     fn is_asleep(&self, asleep_ns: i64, now_ns: i64) -> bool {
         self.presence == Presence::Present && self.on_bed && now_ns - self.heard_ns > asleep_ns
     }
-}
-
-/// Whether somebody can do without getting up what a sentence says.
-pub(super) fn may_be_done_lying(sentence: &str) -> bool {
-    const UPRIGHT: [&str; 44] = [
-        "walk", "walks", "go", "goes", "run", "runs", "stand", "stands", "sit", "sits", "open", "opens", "close",
-        "closes", "cook", "cooks", "wash", "washes", "wipe", "wipes", "clean", "cleans", "sweep", "sweeps", "mop",
-        "mops", "dress", "dresses", "put on", "puts on", "shower", "showers", "enter", "enters", "leave", "leaves",
-        "climb", "climbs", "fold", "folds", "make", "makes", "pour", "pours",
-    ];
-    !UPRIGHT.iter().any(|words| has_words(sentence, words))
-}
-
-/// Whether a sentence is about the door of the house.
-pub(super) fn is_at_front_door(sentence: &str) -> bool {
-    const DOORS: [&str; 6] = ["front door", "entrance door", "main door", "house door", "apartment door", "doorbell"];
-    DOORS.iter().any(|words| has_words(sentence, words))
-}
-
-/// Whether a sentence may be about it: also about a door, and not that of a thing.
-fn is_at_a_door(sentence: &str) -> bool {
-    const HOW: [&str; 5] = ["opens the door", "closes the door", "open the door", "close the door", "the door is"];
-    let is_of_a_thing = || ["door of", "door to"].iter().any(|words| has_words(sentence, words));
-    is_at_front_door(sentence) || (HOW.iter().any(|words| has_words(sentence, words)) && !is_of_a_thing())
-}
-
-/// Who told of somebody by name: whether that was a stranger, and the source, which goes on with what it said before it was started again. What
-/// strangers say is kept apart.
-pub(super) type Teller = (bool, u64);
-
-/// Whom a source told of by name.
-#[derive(Debug, Clone, PartialEq)]
-struct ToldOf {
-    teller: Teller,
-    /// Who did something, or the last of several.
-    person: u32,
-    /// Who else was told of in the same narration: "Ada hugs Ben."
-    beside: Vec<u32>,
-    /// Its epoch and sequence.
-    told: (u64, u64),
-    at_ns: i64,
 }
 
 /// Why somebody has no other name.
@@ -175,8 +100,6 @@ pub struct Persons {
     not_persons: Vec<ReadName>,
     file: PersonsFile,
     known: BTreeMap<u32, Known>,
-    /// Whom sources told of by name last; newest last.
-    told_of: VecDeque<ToldOf>,
 }
 
 impl Persons {
@@ -185,7 +108,7 @@ impl Persons {
     pub fn new(config: PersonsConfig, file: PersonsFile) -> Self {
         let read = |names: &[String]| names.iter().map(|name| ReadName::new(name)).collect();
         let (residents, not_persons) = (read(&config.residents), read(&config.not_persons));
-        Self { config, residents, not_persons, file, known: BTreeMap::new(), told_of: VecDeque::new() }
+        Self { config, residents, not_persons, file, known: BTreeMap::new() }
     }
 
     /// Persons by number, who are gone too, until they were told.
@@ -242,48 +165,42 @@ impl Persons {
         all.filter(|(_, read)| is_such(read)).map(|(own, read)| number(read, own)).collect()
     }
 
-    /// Whose first name it is, of those who go by a longer one.
-    fn first_named(&self, name: &ReadName) -> BTreeSet<u32> {
-        let is_short = !name.whole().contains(' ');
-        self.numbers_where(name, |known| is_short && known.whole().contains(' ') && known.may_be_called(name))
-    }
-
-    /// The number of whom a sentence calls by a name: also of the one person whose first name it is. None where it may be several.
-    fn called(&self, name: &str) -> Option<u32> {
+    /// The number of a name that the home knows: a resident, a given name, a name from a keyed event, or the first name of one person only.
+    pub(super) fn called(&self, name: &str) -> Option<u32> {
         let read = ReadName::new(name);
         if self.is_read_known(&read) {
             return Some(self.number_of_read(&read));
         }
-        let guests = if Said::is_guest(name) { self.guests() } else { BTreeSet::new() };
-        let mut numbers = self.alike(&read).into_iter().chain(self.first_named(&read)).chain(guests);
-        let number = numbers.next().unwrap_or_else(|| self.number_of_read(&read));
-        numbers.next().is_none().then_some(number)
+        let mut numbers = self.numbers_where(&read, |known| known.first() == Some(read.letters())).into_iter();
+        numbers.next().filter(|_| numbers.next().is_none())
     }
 
-    /// By which name the one person is known of whose longer one nobody has told: "jonas" where a sentence says "jonas müller".
-    fn known_for_short<'a>(&self, name: &'a str) -> Option<&'a str> {
-        let is_whole_of = |first: &ReadName, known: &ReadName| !known.whole().contains(' ') && known.may_be_one(first);
-        let is_of_one = |first: &&str| {
-            let first = ReadName::new(first);
-            self.numbers_where(&first, |known| is_whole_of(&first, known)).len() == 1
-        };
-        Said::first_name(name).filter(|_| !self.is_called(name)).filter(is_of_one)
+    /// Whether the home knows a name.
+    #[must_use]
+    pub fn is_name(&self, name: &str) -> bool {
+        self.called(name).is_some()
     }
 
-    /// Those who are known, do not live here and have a name: "the guest" is one of them.
-    fn guests(&self) -> BTreeSet<u32> {
-        let is_guest = |(number, known): &(u32, &Known)| known.presence != Presence::Gone && self.is_visitor(*number);
-        let named = self.iter().filter(|(_, known)| known.name.is_some());
-        named.filter(is_guest).map(|(number, _)| number).collect()
+    /// The known person whose name a text begins with, in whole words; the longest name counts.
+    pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(u32, &'a str)> {
+        const WORDS_MAX: usize = 4;
+        let is_end = |c: char| c.is_whitespace() || matches!(c, ',' | ':');
+        let ends: Vec<usize> = text.match_indices(is_end).map(|(at, _)| at).take(WORDS_MAX).collect();
+        ends.iter().rev().find_map(|end| {
+            let name = text[..*end].trim_end_matches([',', ':']);
+            Some((self.called(name)?, name)).filter(|_| !name.is_empty())
+        })
     }
 
-    /// Whether a sentence may call somebody so who is known, has the name here, or lives here.
-    pub(super) fn is_called(&self, name: &str) -> bool {
-        let read = ReadName::new(name);
-        self.is_read_known(&read)
-            || !self.alike(&read).is_empty()
-            || !self.first_named(&read).is_empty()
-            || Said::is_guest(name) && !self.guests().is_empty()
+    /// Whether a text begins with a name from `persons.not_persons`, as of a robot or a pet.
+    #[must_use]
+    pub fn begins_with_no_person(&self, text: &str) -> bool {
+        let words = name_words(text);
+        self.not_persons.iter().any(|name| {
+            let name: Vec<&str> = name.letters().split(' ').collect();
+            let skips_the = usize::from(words.first().is_some_and(|word| word == "the"));
+            !name.is_empty() && words[skips_the..].iter().take(name.len()).eq(name.iter())
+        })
     }
 
     /// A person's name; none where only a number is known.
@@ -310,123 +227,6 @@ impl Persons {
         kept.map_or_else(by_list, |resident| !resident)
     }
 
-    /// The observations of persons that one stands for: itself; where it is of everybody, one of each who lives here or is in the house; where
-    /// it names several, one of each; none where it says that nobody is in a room.
-    pub(super) fn each(&self, observation: Observation, is_strange: bool) -> impl Iterator<Item = Observation> + use<> {
-        let is_open = observation.person == SOMEBODY && observation.name.is_none();
-        let names = if is_open { self.named(&observation.said) } else { Vec::new() };
-        let statement = match &observation.said {
-            Said::Presence(statement) => Some(statement),
-            Said::Sentence(_) => None,
-        };
-        let of_nobody = statement.is_some_and(|statement| statement.empty_room().is_some());
-        let of_group = statement.filter(|statement| is_open && statement.is_of_everybody() && !of_nobody);
-        let (mut others, mut of_named) = (Vec::new(), None);
-        // "Both Ada and Ben go to bed" has names.
-        let so_many = observation.said.is_of_so_many().filter(|_| names.len() < 2);
-        if is_open && (so_many.is_some() || observation.said.is_of_guests()) {
-            let said = match statement.and_then(PresenceStatement::of_others) {
-                Some(said) => Said::Presence(said),
-                None => observation.said.clone(),
-            };
-            let meant = match so_many {
-                Some(count) => self.so_many(count, &observation.said, is_strange),
-                None => self.guests_meant(&said, is_strange),
-            };
-            let each =
-                meant.into_iter().map(|person| Observation { person, said: said.clone(), ..observation.clone() });
-            others.extend(each);
-            return None.into_iter().chain(others);
-        }
-        if is_open && observation.said.is_of_all() {
-            let candidates = self.candidates(is_strange).into_iter();
-            let here = candidates.filter(|(_, known)| known.presence == Presence::Present);
-            others.extend(here.map(|(person, _)| Observation { person, ..observation.clone() }));
-            return None.into_iter().chain(others);
-        }
-        // Who is not understood may be anybody.
-        let is_understood = |statement: &PresenceStatement| {
-            statement
-                .names()
-                .chain(statement.excepted())
-                .all(|name| self.is_no_person(name) || self.is_called(name) && self.called(name).is_some())
-        };
-        if of_group.is_some_and(|statement| !is_understood(statement)) {
-            return None.into_iter().chain(others);
-        }
-        if let Some(statement) = of_group {
-            let not_meant: Vec<u32> = names
-                .iter()
-                .map(String::as_str)
-                .chain(statement.excepted())
-                .filter_map(|name| self.called(name))
-                .collect();
-            of_named = statement.of_named().map(Said::Presence);
-            if let Some(said) = statement.of_others() {
-                let whose = self.meant_by_everybody(&said).into_iter().filter(|number| !not_meant.contains(number));
-                let said = Said::Presence(said);
-                others.extend(whose.map(|person| Observation { person, said: said.clone(), ..observation.clone() }));
-            }
-        }
-        // Where nobody is known, it is of the one whom it fits.
-        let is_group = of_group.is_some_and(|statement| !others.is_empty() || statement.subject().is_some());
-        let of_name = |name: &String| {
-            let said = of_named.clone().unwrap_or_else(|| observation.said.clone());
-            Observation { name: Some(name.as_str().into()), said, ..observation.clone() }
-        };
-        let is_several = is_group || names.len() > 1;
-        others.extend(names.iter().filter(|_| is_several).map(of_name));
-        (!is_several && !of_nobody).then_some(observation).into_iter().chain(others)
-    }
-
-    /// A visitor who goes home leaves this house.
-    pub(super) fn see_off(&self, observation: &mut Observation) {
-        if self.is_visitor(observation.person)
-            && observation.said.goes_home()
-            && let Ok(away) = PresenceStatement::new(Presence::Away, None)
-        {
-            observation.said = Said::Presence(away);
-        }
-    }
-
-    /// Those whom a number means, as "both" does: who is in the house, or, of who comes home, who is away; nobody where these are not so many. For a
-    /// named narrator of those alone of whom one has told.
-    fn so_many(&self, count: usize, said: &Said, is_strange: bool) -> Vec<u32> {
-        let is_arrival = |sentence: &str| {
-            PresenceStatement::of_sentence(sentence)
-                .is_some_and(|statement| statement.is_of_so_many().is_some() && statement.room().is_none())
-        };
-        let comes = match said {
-            Said::Sentence(sentence) => is_arrival(sentence.as_str()),
-            Said::Presence(statement) => statement.presence() == Presence::Present && statement.room().is_none(),
-        };
-        let candidates = self.candidates(is_strange);
-        let of = |is_meant: &dyn Fn(Presence) -> bool| {
-            let meant = candidates.iter().filter(|(_, known)| is_meant(known.presence));
-            let found: Vec<u32> = meant.map(|(number, _)| *number).collect();
-            Some(found).filter(|found| found.len() == count)
-        };
-        let found = match comes {
-            true => of(&|presence| presence == Presence::Away).or_else(|| of(&|presence| presence != Presence::Gone)),
-            false => of(&|presence| presence == Presence::Present),
-        };
-        found.unwrap_or_default()
-    }
-
-    /// Those whom "the guests" means: who does not live here and is in the house, or, of who comes, was.
-    fn guests_meant(&self, said: &Said, is_strange: bool) -> Vec<u32> {
-        let comes = matches!(said, Said::Presence(statement)
-            if statement.presence() == Presence::Present && statement.room().is_none());
-        let is_meant = |presence: Presence| match presence {
-            Presence::Present => true,
-            Presence::Away => comes,
-            Presence::Gone | Presence::Unknown => false,
-        };
-        let candidates = self.candidates(is_strange).into_iter();
-        let meant = candidates.filter(|(number, known)| is_meant(known.presence) && self.is_visitor(*number));
-        meant.map(|(number, _)| number).collect()
-    }
-
     /// Whom an observation that names nobody may be of: for a named narrator, who does not follow what strangers invent, only those of whom one
     /// has told, if there are any.
     fn candidates(&self, is_strange: bool) -> Vec<(u32, &Known)> {
@@ -435,31 +235,16 @@ impl Persons {
         self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
     }
 
-    /// Whether more than one whom an observation may be of is away: whose arrival nobody names, is not known then.
-    pub(super) fn are_several_away(&self, is_strange: bool) -> bool {
-        self.candidates(is_strange).iter().filter(|(_, known)| known.presence == Presence::Away).nth(1).is_some()
-    }
-
-    /// Whether anybody whom an observation may be of is in the house.
-    pub(super) fn is_anybody_here(&self, is_strange: bool) -> bool {
-        self.candidates(is_strange).iter().any(|(_, known)| known.presence == Presence::Present)
-    }
-
-    /// Whom a statement of everybody is about, other than those whom it names: of who is somewhere in the house those who are in it, and who lives
-    /// here and was never observed; else who lives here, and who is away where it says that they are back.
-    fn meant_by_everybody(&self, statement: &PresenceStatement) -> BTreeSet<u32> {
-        let has_room = statement.room().is_some();
-        let comes = statement.presence() == Presence::Present && !has_room;
-        let meant = |known: &Known| known.presence == Presence::Present || comes && known.presence == Presence::Away;
-        let here = self.iter().filter(|(_, known)| meant(known)).map(|(number, _)| number);
-        let live_here = self.residents().filter(|number| !has_room || !self.known.contains_key(number));
-        here.chain(live_here).collect()
+    /// Each person in the house, and each resident: the persons that leave when everybody does.
+    pub(super) fn everybody(&self) -> BTreeSet<u32> {
+        let here = self.iter().filter(|(_, known)| known.presence == Presence::Present).map(|(number, _)| number);
+        here.chain(self.residents()).collect()
     }
 
     /// Whether an observation that was made at `at_ns` arrives so late that it says nothing any more: after a later one that says otherwise of
     /// whether its person is in the house, or a minute after what is known of them. Who is gone may be back.
     pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
-        let differs = |known: &Known| ![Presence::Gone, observation.said.presence()].contains(&known.presence);
+        let differs = |known: &Known| ![Presence::Gone, observation.event.person_presence()].contains(&known.presence);
         let is_old = |known: &Known| at_ns.saturating_add(LATE_NS) < known.heard_ns && known.presence != Presence::Gone;
         self.known
             .get(&observation.person)
@@ -504,7 +289,7 @@ impl Persons {
         let number = observation.person;
         // Who comes back is known afresh, whether or not it was told meanwhile that they were gone.
         let is_back =
-            |known: &&Known| known.presence == Presence::Gone && observation.said.presence() != Presence::Gone;
+            |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
         if self.known.get(&number).filter(is_back).is_some() {
             self.known.remove(&number);
         }
@@ -524,8 +309,6 @@ impl Persons {
             last_ns: at_ns,
             voice: voice.number,
             guarded_ns: i64::MIN,
-            door_ns: i64::MIN,
-            she: 0,
             by_fit: false,
             on_bed: false,
             restored: false,
@@ -534,16 +317,13 @@ impl Persons {
         if name.is_some() {
             known.name = name;
         }
-        if let Said::Sentence(sentence) = &observation.said {
+        if observation.event.sentence().is_some() {
             known.did_ns = at_ns.max(known.did_ns);
-            if is_at_a_door(sentence.as_str()) {
-                known.door_ns = at_ns.max(known.door_ns);
-            }
         }
         known.last_ns = at_ns;
         // What arrives late does not turn back time.
         let at_ns = at_ns.max(known.heard_ns);
-        let presence = observation.said.presence();
+        let presence = observation.event.person_presence();
         (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
         known.last = (observation.source, observation.epoch, observation.sequence);
         if known.presence != presence {
@@ -586,8 +366,6 @@ impl Persons {
 
     /// Forgets a person; gives whether they were known.
     pub(super) fn remove(&mut self, number: u32) -> bool {
-        self.told_of.retain(|told| told.person != number);
-        self.told_of.iter_mut().for_each(|told| told.beside.retain(|other| *other != number));
         self.known.remove(&number).is_some()
     }
 
@@ -651,244 +429,42 @@ impl Persons {
         (self.known.len() - of(Presence::Gone), of(Presence::Present))
     }
 
-    /// Whom an observation that names nobody fits best: of those in the house, for whom `fit` is greatest; where that does not tell, who
-    /// was observed last. Who leaves, or is at the door, is awake and not in bed, if anybody is, and was at the door last, or is nearest to it. With
-    /// nobody in the house, whoever is away for longest is back; where nobody is known at all it is the first of the residents, or person 0.
-    pub(super) fn fitting(&self, said: &Said, now_ns: i64, is_strange: bool, mut fit: impl FnMut(u32) -> f64) -> u32 {
-        /// What having been at the door last counts beside being near it.
-        const AT_THE_DOOR: f64 = 1.0;
-        let leaves = said.presence() != Presence::Present;
-        let is_out = leaves || said.sentence().is_some_and(|sentence| is_at_front_door(sentence.as_str()));
-        // Who comes home is none of those who are there.
-        let comes = said.sentence().is_some_and(|sentence| PresenceStatement::is_arrival(sentence.as_str()));
-        let mut candidates = self.candidates(is_strange);
-        // Who is called "she" is not "he", if anybody else is there.
-        if let Some(pronoun) = said.pronoun() {
-            let rank = |known: &Known| known.is_called_by(pronoun).map_or(1, |is_so| if is_so { 2 } else { 0 });
-            let here = candidates.iter().filter(|(_, known)| known.presence == Presence::Present);
-            let best = here.map(|(_, known)| rank(known)).max().unwrap_or_default();
-            candidates.retain(|(_, known)| known.presence != Presence::Present || rank(known) == best);
-        }
-        let present = candidates.iter().filter(|(_, known)| known.presence == Presence::Present);
-        let at_door =
-            |known: &Known| known.door_ns > i64::MIN && (0..=DOOR_NS).contains(&now_ns.saturating_sub(known.door_ns));
-        let last_door = present.clone().filter(|(_, known)| at_door(known)).map(|(_, known)| known.door_ns).max();
-        let ranked = present.map(|(number, known)| {
-            let is_last = last_door.is_some_and(|last_ns| last_ns == known.door_ns);
-            let own = fit(*number) + if leaves && is_last { AT_THE_DOOR } else { 0.0 };
-            let awake = !(is_out && known.is_asleep(self.asleep_ns(), now_ns));
-            (own, (awake, !(is_out && known.on_bed)), known.heard_ns, Reverse(*number))
-        });
-        let best =
-            ranked.max_by(|a, b| a.1.cmp(&b.1).then(a.0.total_cmp(&b.0)).then_with(|| (a.2, a.3).cmp(&(b.2, b.3))));
-        let away = || candidates.iter().filter(|(_, known)| known.presence == Presence::Away);
-        let longest_away = || away().min_by_key(|(_, known)| known.since_ns).map(|(number, _)| *number);
-        // Who sleeps does not leave: one who is away already has been told of twice. Whoever opens the door of a house of sleepers is one of them.
-        let awake = best.filter(|(_, (awake, _), ..)| *awake || !leaves).map(|(.., Reverse(number))| number);
-        let sleeper = best.map(|(.., Reverse(number))| number);
-        let back = longest_away().filter(|_| comes);
-        back.or(awake).or_else(longest_away).or(sleeper).or_else(|| self.residents().next()).unwrap_or_default()
-    }
-
-    /// The names of those whom an observation is about that was given no name: of persons who are known by them, have them here, or live here; of
-    /// who is called by what they are ("the plumber"); or of strangers, unless one alone comes where nobody goes by a name.
-    pub(super) fn named(&self, said: &Said) -> Vec<String> {
-        self.names_in(self.about(said), said.is_of_a_new_guest())
-    }
-
-    /// Whether the home says that a name is no person's.
-    fn is_no_person(&self, name: &str) -> bool {
-        let name = ReadName::new(name);
-        self.not_persons.iter().any(|other| other.whole() == name.whole())
-    }
-
-    /// Whether a number is of somebody whom the home says since then to be no person.
-    pub(super) fn is_number_of_none(&self, person: u32) -> bool {
-        self.not_persons.iter().any(|name| name.number() == person)
-    }
-
-    /// Whom an observation is about: of what the home says is no person, nothing.
-    fn about(&self, said: &Said) -> About {
-        let is_none = |name: &str| self.is_no_person(name);
-        match said.about(|name| is_none(name) || self.is_called(name)) {
-            About::Named(names) if names.iter().any(|name| is_none(name)) => {
-                let names: Vec<_> = names.into_iter().filter(|name| !is_none(name)).collect();
-                if names.is_empty() { About::Nobody } else { About::Named(names) }
-            }
-            // "Fire goes out."
-            About::Named(names)
-                if matches!(said, Said::Presence(_))
-                    && names.iter().any(|name| Said::is_stuff(name) && !self.is_called(name)) =>
-            {
-                About::Nobody
-            }
-            about => about,
-        }
-    }
-
-    /// The names in that; where a guest is new, "guest" is none of those who are known.
-    fn names_in(&self, about: About, is_new_guest: bool) -> Vec<String> {
-        let names = match about {
-            About::Named(names) => names,
-            About::Stranger(name) => vec![name],
-            About::Somebody | About::Nobody => return Vec::new(),
+    /// The persons that an event without a name may be about, the best first. `fit` says how well a person in the house fits. Of equal ones,
+    /// the person with the newest event comes first. An arrival is first about the person that was away for longest; a departure is about
+    /// a person that is awake. An unknown house has its residents, or person 0.
+    pub(super) fn fitting(&self, event: &Event, now_ns: i64, is_strange: bool, mut fit: impl FnMut(u32) -> f64) -> Vec<u32> {
+        let leaves = event.person_presence() != Presence::Present;
+        let candidates = self.candidates(is_strange);
+        let of = |presence: Presence| candidates.iter().filter(move |(_, known)| known.presence == presence);
+        let mut here: Vec<_> = of(Presence::Present)
+            .map(|(number, known)| {
+                let is_awake = !(leaves && known.is_asleep(self.asleep_ns(), now_ns));
+                ((is_awake, !(leaves && known.on_bed)), fit(*number), known.heard_ns, Reverse(*number))
+            })
+            .collect();
+        here.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)).then_with(|| (b.2, b.3).cmp(&(a.2, a.3))));
+        let (awake, asleep): (Vec<_>, Vec<_>) = here.into_iter().partition(|((is_awake, _), ..)| *is_awake);
+        let mut away: Vec<_> = of(Presence::Away).map(|(number, known)| (known.since_ns, *number)).collect();
+        away.sort_unstable();
+        let of_here = |here: Vec<(_, _, _, Reverse<u32>)>| here.into_iter().map(|(.., Reverse(number))| number);
+        let away = away.into_iter().map(|(_, number)| number);
+        let mut fitting: Vec<u32> = match event {
+            Event::Present(None) => away.chain(of_here(awake)).chain(of_here(asleep)).collect(),
+            _ => of_here(awake).chain(away).chain(of_here(asleep)).collect(),
         };
-        // One person whom nobody has given a name may be meant by any.
-        let is_alone = self.known.len() == 1 && !self.has_names();
-        let may_be_new = !is_alone || names.len() > 1;
-        let begins_with_known = |name: &str| name.split_once(' ').is_some_and(|(first, _)| self.is_name_known(first));
-        let is_new = |name: &String| {
-            may_be_new && Said::may_be_new(name) && !begins_with_known(name) && check_name(name).is_ok()
+        let is_open = |number: &u32| !self.known.contains_key(number);
+        let unknown: Vec<u32> = if self.config.residents.is_empty() {
+            (0..).filter(is_open).take(PERSONS_MAX).collect()
+        } else {
+            self.residents().filter(is_open).collect()
         };
-        let whose = |name: String| {
-            if is_new_guest && Said::is_guest(&name) {
-                return Some(name);
-            }
-            let name = self.known_for_short(&name).map_or(name.clone(), str::to_owned);
-            // Who goes by a longer name is told of by that.
-            let number = self.called(&name)?;
-            let known = self.is_called(&name).then(|| self.name_of(number)).flatten();
-            known.map(str::to_owned).or_else(|| (self.is_name_known(&name) || is_new(&name)).then_some(name))
-        };
-        names.into_iter().map(whose).collect::<Option<_>>().unwrap_or_default()
-    }
-
-    /// Whether an observation that was given no name moves nobody: it is about things, also by their names, or about others than one person whom it
-    /// names.
-    pub(super) fn is_of_nobody(&self, said: &Said, is_thing: impl Fn(&str) -> bool) -> bool {
-        match self.about(said) {
-            // "Only Rocky is home" is of all the others.
-            About::Nobody => {
-                !said.is_of_all()
-                    && !said.is_of_guests()
-                    && said.is_of_so_many().is_none()
-                    && !matches!(said, Said::Presence(statement) if statement.is_of_everybody())
-            }
-            named @ About::Named(_) => self.has_names() && self.names_in(named, said.is_of_a_new_guest()).is_empty(),
-            About::Stranger(name) => is_thing(&name),
-            About::Somebody => false,
-        }
-    }
-
-    /// Whether a statement of a person names others, and not that person.
-    pub(super) fn is_of_others(&self, observation: &Observation, statement: &PresenceStatement) -> bool {
-        let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
-        // A person by number alone may go by any name.
-        let has_name = observation.name.is_some() || self.name_of(number).is_some();
-        let mut names = statement.names().peekable();
-        names.peek().is_some()
-            && names.all(|name| (has_name || self.is_called(name)) && self.called(name) != Some(number))
-    }
-
-    /// Whether a sentence is about others whom it names, who are all known, and not about the person that it was said of.
-    pub(super) fn tells_of_others(&self, observation: &Observation) -> bool {
-        if !self.has_names() || observation.said.is_of_a_pronoun() {
-            return false;
-        }
-        let number = observation.name.as_deref().map_or(observation.person, |name| self.number_of(name));
-        // A person by number alone may be any of them.
-        let has_name = observation.name.is_some() || self.name_of(number).is_some();
-        match self.about(&observation.said) {
-            About::Named(names) => {
-                let is_known = |name: &String| self.is_called(name);
-                let is_other = |name: &String| self.called(name).is_some_and(|named| named != number);
-                names.iter().any(is_known)
-                    && names.iter().all(|name| if is_known(name) { is_other(name) } else { has_name && is_other(name) })
-            }
-            About::Stranger(_) | About::Somebody | About::Nobody => false,
-        }
-    }
-
-    /// Takes note of whom a source told of by name in a narration of an epoch and sequence, where `is_beside` as one whom somebody else does something
-    /// with. Strangers push out what strangers said.
-    pub(super) fn remember(&mut self, teller: Teller, number: u32, is_beside: bool, told: (u64, u64), at_ns: i64) {
-        let last = self.told_of.iter().position(|own| own.teller == teller).and_then(|at| self.told_of.remove(at));
-        let last = last.filter(|last| last.told == told || is_beside && at_ns - last.at_ns <= PRONOUN_NS);
-        let (person, mut beside) = match last {
-            Some(last) if last.told != told => (last.person, vec![number]),
-            Some(mut last) => {
-                last.beside.push(if is_beside { number } else { last.person });
-                (if is_beside { last.person } else { number }, last.beside)
-            }
-            None => (number, Vec::new()),
-        };
-        beside.retain(|other| *other != person);
-        beside.truncate(PERSONS_MAX);
-        if self.told_of.len() == TOLD_OF_MAX {
-            let oldest = self.told_of.iter().position(|own| own.teller.0);
-            if oldest.is_none() && teller.0 {
-                return;
-            }
-            self.told_of.remove(oldest.unwrap_or_default());
-        }
-        self.told_of.push_back(ToldOf { teller, person, beside, told, at_ns });
-    }
-
-    /// Whom a source means by "he" or "she" that has told of somebody by name shortly before, and whether nobody else may be meant. That is who did
-    /// something; whom they did it with only where that one alone fits. None where they are not in the house, or are called by the other one, or where
-    /// others are called by this one and of them it is not known. Who has just left, and `leaves` again, is the same.
-    pub(super) fn antecedent(&self, teller: Teller, pronoun: Pronoun, leaves: bool, at_ns: i64) -> Option<(u32, bool)> {
-        let told = self.told_of.iter().find(|own| own.teller == teller)?;
-        if !(0..=PRONOUN_NS).contains(&(at_ns - told.at_ns)) {
-            return None;
-        }
-        // Whether it is theirs, as far as is known; none of who is not there.
-        let fits = |person: u32| {
-            let known = self.known.get(&person)?;
-            let is_there = known.presence == Presence::Present || leaves && known.presence == Presence::Away;
-            is_there.then(|| known.is_called_by(pronoun))
-        };
-        let beside = || told.beside.iter().copied();
-        if fits(told.person) == Some(Some(true)) {
-            return Some((told.person, true));
-        }
-        if let Some(other) = beside().find(|other| fits(*other) == Some(Some(true))) {
-            return Some((other, true));
-        }
-        let mut known = self.known.values().filter(|known| known.presence == Presence::Present);
-        if known.any(|known| known.is_called_by(pronoun) == Some(true)) {
-            return None;
-        }
-        let mut open = [told.person].into_iter().chain(beside()).filter(|person| fits(*person) == Some(None));
-        let (first, other) = (open.next()?, open.next());
-        let is_first = first == told.person || fits(told.person) == Some(Some(false));
-        is_first.then_some((first, other.is_none()))
-    }
-
-    /// Takes note that somebody was called by a pronoun.
-    pub(super) fn call(&mut self, number: u32, pronoun: Pronoun) {
-        const MOST: i8 = 8;
-        if let Some(known) = self.known.get_mut(&number) {
-            let step = if pronoun == Pronoun::She { 1 } else { -1 };
-            known.she = (known.she + step).clamp(-MOST, MOST);
-        }
-    }
-
-    /// Whether somebody who is known goes by a name, has it here, or lives here.
-    pub(super) fn is_name_known(&self, name: &str) -> bool {
-        self.is_read_known(&ReadName::new(name))
+        fitting.extend(unknown);
+        fitting
     }
 
     fn is_read_known(&self, name: &ReadName) -> bool {
         let number = self.file.given_number(name).unwrap_or_else(|| name.number());
         self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
-    }
-
-    /// Whether an observation says of somebody who is not known to be in the house what they may do elsewhere.
-    pub(super) fn is_heard_from_afar(&self, observation: &Observation) -> bool {
-        let is_here = |known: &Known| known.presence == Presence::Present;
-        let by_name = observation.name.is_some() || self.known.contains_key(&observation.person);
-        let is_guest = || self.is_visitor(observation.person) && observation.said.is_visit();
-        by_name
-            && !self.known.get(&observation.person).is_some_and(is_here)
-            && observation.said.is_from_afar()
-            && !is_guest()
-    }
-
-    /// Whether anybody goes by a name here.
-    fn has_names(&self) -> bool {
-        let named = self.known.values().any(|known| known.name.is_some());
-        named || !self.file.persons().is_empty() || self.config.residents.iter().any(|who| who.parse::<u32>().is_err())
     }
 
     /// The number that a name or a number means, whether or not anybody is known by it.
@@ -897,7 +473,14 @@ impl Persons {
         who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
     }
 
-    /// All that a person is called, in lower case.
+    /// All names of all persons.
+    fn all_names(&self) -> impl Iterator<Item = &str> {
+        let kept = self.file.persons().iter().flat_map(KeptPerson::names);
+        let known = self.known.values().filter_map(|known| Some(&*known.name.as_ref()?.said));
+        kept.chain(known).chain(self.config.residents.iter().map(String::as_str))
+    }
+
+    /// All names of a person, in lower case.
     pub(super) fn names_of(&self, number: u32) -> Vec<String> {
         let kept = self.file.of_number(number).into_iter().flat_map(KeptPerson::names);
         kept.chain(self.name_of(number)).map(str::to_lowercase).collect()

@@ -83,7 +83,7 @@ impl Index {
                 index.by_named_number.entry(name.number()).or_insert(at);
             }
             let name = &index.names[at];
-            for shared in name.shared().into_iter().chain(name.shared_for_short().into_iter().flatten()) {
+            for shared in std::iter::once(name.letters()).chain(name.first()) {
                 let sharing = index.sharing.entry(shared.to_owned()).or_default();
                 if sharing.last() != Some(&at) {
                     sharing.push(at);
@@ -148,10 +148,8 @@ impl PersonsFile {
 
     /// Those whose name may be this one, or whose first name; each with theirs.
     pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (u32, &ReadName)> {
-        let [one, other] = name.shared();
-        let of = |shared: &str| self.index.sharing.get(shared).into_iter().flatten();
-        let others = of(other).filter(move |_| one != other);
-        of(one).chain(others).map(|at| (self.persons[*at].number, &self.index.names[*at]))
+        let sharing = self.index.sharing.get(name.letters()).into_iter().flatten();
+        sharing.map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
 
     /// Whether a change outlives the daemon: there is a state directory, and nobody has removed it meanwhile.

@@ -1,4 +1,5 @@
-use roomcast_core::forecast::{ForecastOptions, Forecaster, Mentions};
+use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
 
@@ -96,7 +97,7 @@ impl Sleeper {
         );
         let map = SemanticMap::from_json(&scene).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
-        let bed = Mentions::new(&map, &grounding).last("They lie on the bed.");
+        let bed = PlaceMatcher::new(&map, &grounding).last("They lie on the bed.");
         let mut forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
         forecaster.observe(0.0, bed, &grounding, &[0.4, 0.1, 0.4, 0.1]);
         Self { forecaster }

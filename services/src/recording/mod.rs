@@ -29,7 +29,7 @@ use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::narration::{Observation, Presence, SOMEBODY, Said, Sentence, person_number, same_name};
+use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
 /// Largest recording that is read back, also of its records unpacked: it is held in memory.
@@ -571,7 +571,7 @@ impl Recording {
             });
             // Of several, nobody is said to have done what the recording does not say that they did.
             let person = self.person_of(&observation, scores.epoch);
-            let person = person.or_else(|| self.subject(&observation.said, scores.epoch)).or(likely);
+            let person = person.or_else(|| self.at_start(&observation, scores.epoch)).or(likely);
             let Some(person) = person else { continue };
             let of_person = narration.iter().filter(|(of, _)| *of == person).count();
             let is_contained = match told_of(person) {
@@ -581,26 +581,12 @@ impl Recording {
             if !is_claimed && !is_contained {
                 continue;
             }
-            let clauses = observation.said.clauses(|name| self.named(name, scores.epoch).is_some(), |_| false);
-            let whole = clauses.is_empty().then_some(observation.said);
-            for said in whole.into_iter().chain(clauses) {
-                let person = self.subject(&said, scores.epoch).unwrap_or(person);
-                match said {
-                    Said::Sentence(sentence) => narration.push((person, sentence)),
-                    Said::Presence(statement) if statement.empty_room().is_some() => {}
-                    Said::Presence(statement) if statement.is_of_everybody() => {
-                        let named = statement.names().chain(statement.excepted());
-                        let stay: Vec<u32> = named.filter_map(|name| self.named(name, scores.epoch)).collect();
-                        // Who a guest is, only the daemon knows.
-                        let others = statement.of_others().filter(|_| !statement.is_of_guests());
-                        if others.is_some_and(|others| others.presence() != Presence::Present) {
-                            narration.retain(|(of, _)| stay.contains(of));
-                        }
-                    }
-                    // Who leaves begins a new window.
-                    said if said.presence() != Presence::Present => narration.retain(|(of, _)| *of != person),
-                    Said::Presence(_) => {}
-                }
+            match observation.event {
+                Event::Did(sentence) => narration.push((person, sentence)),
+                Event::AllAway => narration.clear(),
+                // A person who leaves begins a new window.
+                Event::Away | Event::Gone => narration.retain(|(of, _)| *of != person),
+                Event::Present(_) | Event::Empty(_) => {}
             }
         }
         // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.
@@ -651,27 +637,19 @@ impl Recording {
         })
     }
 
-    /// Whom a daemon called by a name, or by one that means the same person in a sentence.
-    fn named(&self, name: &str, epoch: u64) -> Option<u32> {
-        let told = |is_theirs: &dyn Fn(&str) -> bool| {
-            self.messages.iter().find_map(|(_, told)| match told {
-                Recorded::PersonScores(told) if told.epoch == epoch => {
-                    told.persons().iter().find(|person| is_theirs(person.name())).map(|person| person.person)
-                }
-                _ => None,
-            })
-        };
-        told(&|known| same_name(known, name)).or_else(|| told(&|known| Said::may_mean(known, name)))
-    }
-
-    /// The first person whom a clause names.
-    fn subject(&self, said: &Said, epoch: u64) -> Option<u32> {
-        let known = said.known_names(|name| self.named(name, epoch).is_some());
-        let stated = match said {
-            Said::Presence(statement) => statement.names().next().map(str::to_owned),
-            Said::Sentence(_) => None,
-        };
-        known.into_iter().next().or(stated).and_then(|name| self.named(&name, epoch))
+    /// The person whose name, as the daemon publishes it, a text begins with.
+    fn at_start(&self, observation: &Observation, epoch: u64) -> Option<u32> {
+        let text = observation.sentence()?.to_lowercase();
+        self.messages.iter().find_map(|(_, message)| match message {
+            Recorded::PersonScores(scores) if scores.epoch == epoch => {
+                let is_at_start = |person: &&PersonV1| {
+                    let name = person.name().to_lowercase();
+                    !name.is_empty() && text.strip_prefix(&name).is_some_and(|rest| rest.starts_with([' ', ',', ':']))
+                };
+                scores.persons().iter().find(is_at_start).map(|person| person.person)
+            }
+            _ => None,
+        })
     }
 
     /// Whose an observation is, by the daemon's word, which tells of the newest one of each person in a step, or by its own. None where

@@ -13,7 +13,7 @@ use roomcast_ros2::{content, markers, schema, words};
 
 use super::tape::{Form, Tape};
 use super::{Received, Recorded, RecordingError};
-use crate::message_text::said_of;
+use crate::message_text::event_of;
 use crate::moment::Moment;
 
 /// The profile in the file's header.
@@ -183,7 +183,7 @@ impl Ros2Recorder {
 
     /// The sentence as the daemon reads it, with the person's name where it is known.
     fn narrated(&self, message: &NarrationV1) -> Text {
-        let said = said_of(message.kind, message.text()).map(|said| said.to_string());
+        let said = event_of(message.kind, message.text()).map(|said| said.to_string());
         let own = Some(message.person_name()).filter(|name| !name.is_empty());
         let name = own.or_else(|| self.persons.get(&message.person).map(String::as_str));
         words::narration(said.as_deref().unwrap_or(message.text()), name)

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::Said;
+use roomcast_core::narration::same_but_for_accents;
 use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_ipc::{Domain, sequence};
 use roomcast_services::config::{Config, NoFolder, no_folder};
@@ -147,7 +147,7 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let named = home_mqtt::persons_of_rules(config);
     #[cfg(not(feature = "mqtt"))]
     let named: Vec<String> = Vec::new();
-    let is_resident = |name: &str| residents.iter().any(|resident| Said::may_be_one(resident, name));
+    let is_resident = |name: &str| residents.iter().any(|resident| same_but_for_accents(resident, name));
     let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
     let shown = place.shown();
     match (residents.is_empty(), named.is_empty()) {

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use roomcast_core::forecast::Mentions;
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::names::Names;
-use roomcast_core::narration::{About, PresenceStatement, Said, Sentence, same_name};
+use roomcast_core::narration::forms::{self, near_miss};
+use roomcast_core::narration::Sentence;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::daemon::Persons;
@@ -144,7 +145,7 @@ fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Findi
 
 /// Rules whose sentence speaks of a thing or a room that the map does not have.
 fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Grounding) -> Option<Finding> {
-    let mut mentions = Mentions::new(map, grounding);
+    let mut mentions = PlaceMatcher::new(map, grounding);
     let said = rules.about().filter_map(|rule| Some((rule.number, rule.sentence?)));
     let missing: Vec<(usize, String, String)> = said
         .filter_map(|(number, said)| {
@@ -170,14 +171,23 @@ fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Gr
     Some(Finding::limited("things of rules", found, remedy))
 }
 
-/// Whom a line of narration is about and who is no person, for people.
-pub(in crate::cli) fn no_person(line: &str, not_persons: &[String]) -> Option<String> {
+/// A line whose text begins with a name of no person, for people.
+pub(in crate::cli) fn no_person(line: &str, persons: &Persons) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
-    let said = Said::of(Sentence::new(line.get("text")?.as_str()?).ok()?);
-    let is_none = |name: &str| not_persons.iter().any(|other| same_name(other, name));
-    let About::Named(names) = said.about(is_none) else { return None };
-    let name = names.iter().find(|name| is_none(name))?;
-    Some(format!("{name:?} is no person (persons.not_persons), so this is said of nobody"))
+    let text = line.get("text")?.as_str()?;
+    persons
+        .begins_with_no_person(text)
+        .then(|| "the text begins with a name from persons.not_persons, so it moves no person".to_owned())
+}
+
+/// A line whose text resembles a presence form and is none, for people.
+pub(in crate::cli) fn not_quite_a_form(line: &str, persons: &Persons, map: Option<&SemanticMap>) -> Option<String> {
+    let line: serde_json::Value = serde_json::from_str(line).ok()?;
+    let text = line.get("text")?.as_str()?;
+    let is_room = |room: &str| map.is_none_or(|map| map.find_room(room).is_some());
+    let is_form = forms::read(text, |name| persons.is_name(name), is_room).is_some();
+    let form = near_miss(text).filter(|_| !is_form)?;
+    Some(format!("this sets no presence; the nearest form is {:?} (docs/persons.md)", form.sentence))
 }
 
 /// Whom a line of narration names who does not live here, for people, where the home lists who does.
@@ -195,7 +205,7 @@ fn is_of_statestream(topic: &str) -> bool {
 }
 
 /// What a line of narration speaks of and the map does not have, for people.
-pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
+pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
     if let Some(room) = of("room").filter(|room| map.find_one_room(room).is_none()) {
@@ -209,13 +219,13 @@ pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Menti
 
 /// The thing that a sentence is about, where neither it nor anything else in the sentence is on the map. None where the sentence names no thing,
 /// says only who is in the house or out of it, or has a placeholder, whose value nobody knows yet.
-fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut Mentions) -> Option<String> {
+fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let sentence = Sentence::new(said).ok().filter(|_| !said.contains('{'))?;
     if mentions.last(said).is_some() {
         return None;
     }
-    if let Some(statement) = PresenceStatement::of_sentence(sentence.as_str()) {
-        let room = statement.room().or(statement.empty_room())?;
+    if let Some((_, event)) = forms::read(sentence.as_str(), |_| true, |_| true) {
+        let room = event.room()?;
         return map.find_room(room).is_none().then(|| room.to_owned());
     }
     let words: Vec<String> = said
@@ -779,7 +789,7 @@ mod tests {
     fn a_rule_whose_thing_is_not_on_the_map_is_told_from_one_that_says_it_otherwise() {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
-        let mut mentions = Mentions::new(&map, &grounding);
+        let mut mentions = PlaceMatcher::new(&map, &grounding);
         let mut missing = |said: &str| missing_thing(said, &map, &mut mentions);
         for (said, thing) in [
             ("They open the fridge.", "fridge"),
@@ -800,9 +810,15 @@ mod tests {
         {
             assert_eq!(beside(line), None, "{line}");
         }
-        let nobody = |line: &str| no_person(line, &["Rex".to_owned()]);
-        let rex = "\"rex\" is no person (persons.not_persons), so this is said of nobody";
-        assert_eq!(nobody(r#"{"text":"Rex lies on the sofa."}"#).as_deref(), Some(rex));
+        let config = PersonsConfig { not_persons: vec!["Rex".to_owned()], ..PersonsConfig::default() };
+        let with_rex = Persons::new(config, PersonsFile::default());
+        let nobody = |line: &str| no_person(line, &with_rex);
+        assert!(nobody(r#"{"text":"Rex lies on the sofa."}"#).is_some());
+        let near = |line: &str| not_quite_a_form(line, &with_rex, Some(&map));
+        assert!(near(r#"{"text":"Ada leaves."}"#).is_some_and(|near| near.contains("NAME leaves the house")));
+        for line in [r#"{"text":"They leave the house."}"#, r#"{"text":"They sit."}"#, r#"{"presence":"away"}"#] {
+            assert_eq!(near(line), None, "{line}");
+        }
         for line in [r#"{"text":"Ada lies on the sofa."}"#, r#"{"text":"They feed Rex."}"#, r#"{"presence":"away"}"#] {
             assert_eq!(nobody(line), None, "{line}");
         }

@@ -8,10 +8,10 @@ use crate::cli::choice::choice;
 use crate::cli::habits::tell_unfit;
 use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use crate::exit_code;
-use roomcast_core::forecast::Mentions;
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
-use roomcast_core::narration::Said;
+use roomcast_core::narration::Event;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::narration_kind;
@@ -24,7 +24,7 @@ use roomcast_lab::experiment::habits::{
 use roomcast_lab::experiment::report::{Report as Page, Table};
 use roomcast_lab::simulation::binding::ItemChoice;
 use roomcast_lab::simulation::homer::{DAY_BYTES_MAX, Day};
-use roomcast_services::message_text::said_of;
+use roomcast_services::message_text::event_of;
 use roomcast_services::narrator::{Item, Who};
 use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
 
@@ -220,11 +220,11 @@ fn sensors(
             "no interval is in a room of the scene: name the column of places in the rules, and the rooms in the scene";
         return Err(fault(log, fault_text.to_owned()));
     }
-    let mut mentions = Mentions::new(map, grounding);
+    let mut mentions = PlaceMatcher::new(map, grounding);
     let weights = grounding.weights();
     let mut steps = Vec::new();
     for Narrated { item, at_s, interval, .. } in &narrated.said {
-        let Ok(Said::Sentence(sentence)) = said_of(item.kind, &item.text) else { continue };
+        let Ok(Event::Did(sentence)) = event_of(item.kind, &item.text) else { continue };
         let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);
         let own = intervals.get(*interval).and_then(|interval| interval.room);
         let of_interval = own.filter(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));

@@ -361,9 +361,11 @@ class Narrator(_Participant):
         #: The newest scores that contain something of what was said, and up to which number.
         self._included: tuple[int, RoomScores] | None = None
 
-    def say(self, sentence: str, person: Who = None) -> None:
-        """A plain sentence: "They grab the mug." """
-        self._send(SENTENCE, sentence, self._who(person))
+    def say(self, sentence: str, person: Who = None, count: int = 0) -> None:
+        """A plain sentence: "They grab the mug." `count` is the number of unknown persons that it is about, at most 8."""
+        if count and (person is not None or self.person is not None):
+            raise ValueError("count counts unknown persons: leave person out, or count")
+        self._send(SENTENCE, sentence, self._who(person), count)
 
     def act(self, action: str, person: Who = None) -> None:
         """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon knows the verbs, and drops one that it does not know."""
@@ -395,12 +397,12 @@ class Narrator(_Participant):
     def _who(self, person: Who) -> tuple[int, str]:
         return _person(self.person if person is None else person)
 
-    def _send(self, kind: int, text: str, who: tuple[int, str]) -> None:
+    def _send(self, kind: int, text: str, who: tuple[int, str], count: int = 0) -> None:
         person, person_name = who
         # The daemon drops what has neither.
         if not any(character.isalnum() for character in text):
             raise MessageError("text: no letter and no digit; say something")
-        message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1)
+        message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1, count=count)
         layouts.write_text("person_name", message.person_name, person_name)
         message.text_bytes = layouts.write_text("text", message.text, text)
         layouts.write_cut("source_name", message.source_name, self.name)
@@ -414,6 +416,12 @@ class Narrator(_Participant):
                     self.sequence += 1
                     return
             self._wait_for_room()
+
+    def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
+        """How the daemon understood the events from the number `first` on, the oldest first: `sequence`, `event`, `persons`, `by`, `place`,
+        `presence`, and `why` if an event changed no belief. The daemon remembers its newest 512 events."""
+        question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
+        return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 
     @property
     def under_way(self) -> int:

@@ -132,7 +132,8 @@ class NarrationV1(Message):
         ("minor", ctypes.c_uint32),
         ("source_name", _Name),
         ("person_name", _Name),
-        ("reserved", ctypes.c_uint8 * 40),
+        ("count", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint8 * 36),
         ("text", ctypes.c_uint8 * TEXT_BYTES),
     ]
 
@@ -140,6 +141,7 @@ class NarrationV1(Message):
         for field in ("source", "epoch", "sequence"):
             _not_zero(field, getattr(self, field))
         _in_range("kind", self.kind, 0, 3, "0 to 3")
+        _in_range("count", self.count, 0, 8, "0 to 8")
         _in_range("text_bytes", self.text_bytes, 0, TEXT_BYTES, "1 to 1024")
         text = read_text("text", self.text)
         if not text:

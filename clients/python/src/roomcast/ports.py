@@ -71,6 +71,7 @@ ITEM_SCORES = "roomcast/v1/item-scores"
 STATUS = "roomcast/v1/status"
 MAP_CHANGE = "roomcast/v1/map-change"
 MOMENT = "roomcast/v1/moment"
+PERSON = "roomcast/v1/person"
 
 
 class RoomcastError(Exception):

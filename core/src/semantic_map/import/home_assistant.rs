@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::{Ids, ImportError, Imported, parse, room_aliases, room_label};
 use crate::names::{Names, plain_words};
-use crate::narration::{Presence, PresenceStatement, check_name};
+use crate::narration::{RoomName, check_name};
 use crate::semantic_map::schema::{DoorEntry, FORMAT, ItemEntry, RoomEntry, SceneFile, VERSION, check_count, check_id};
 use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
 use crate::text::is_hidden;
@@ -389,7 +389,7 @@ fn is_person(name: &str) -> bool {
 
 /// Whether a rule can name a room so.
 fn is_room(id: &str) -> bool {
-    PresenceStatement::new(Presence::Present, Some(id)).is_ok() && !id.contains(['{', '}'])
+    RoomName::new(id).is_ok() && !id.contains(['{', '}'])
 }
 
 /// Whether a registry says so: `disabled_by` and its like are null where they do not.

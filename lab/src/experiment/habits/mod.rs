@@ -877,7 +877,7 @@ mod tests {
     fn who_stays_is_told_what_the_others_are_told() {
         let home = flat();
         let (map, grounding) = &home;
-        let mut mentions = roomcast_core::forecast::Mentions::new(map, grounding);
+        let mut mentions = roomcast_core::places::PlaceMatcher::new(map, grounding);
         let room_of = |name: &str| {
             let room = map.find_room(name).unwrap();
             grounding.partitions().iter().position(|p| p.rooms.contains(&room)).unwrap()

@@ -20,7 +20,7 @@ use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
 use crate::daemon::ahead::Ahead;
 use crate::daemon::journal::Expectation;
-use crate::message_text::said_of;
+use crate::message_text::event_of;
 
 const S: u64 = 1_000_000_000;
 const TWO_ROOMS: &str = include_str!("../../../../tests/data/two_rooms.json");
@@ -51,13 +51,13 @@ proptest! {
     ) {
         const NAMED: u64 = 7;
         let config = || PersonsConfig { residents: vec!["0".to_owned(), "1".to_owned()], guard_s: 600.0, ..PersonsConfig::default() };
-        let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([NAMED]);
+        let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
         let own = Voice { number: NAMED, share: 1 };
         let strange = Voice { number: OTHERS, share: 1 };
         let entry = |source: u64, voice: Voice, person: u32, at_ns: u64, text: &str| {
             let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
-            let said = said_of(kind, text).unwrap();
-            let observation = Observation { source, person, said, ..observation(person, at_ns, "They sit.") };
+            let event = event_of(kind, text).unwrap();
+            let observation = Observation { source, person, event, ..observation(person, at_ns, "They sit.") };
             Entry { voice, ..Entry::new(observation, at_ns) }
         };
         let (mut with, mut without) = (home(), home());
@@ -131,11 +131,11 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
         guard_s: 600.0,
         ..PersonsConfig::default()
     };
-    let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([NAMED]);
+    let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
     let strange_voice = Voice { number: OTHERS, share: 1 };
     let told = |voice: Voice, source: u64, epoch: u64, at_s: u64, sentence: &str| {
-        let said = said_of(narration_kind::SENTENCE, sentence).unwrap();
-        let whole = Observation { source, epoch, said, ..observation(SOMEBODY, at_s * S, "They sit.") };
+        let event = event_of(narration_kind::SENTENCE, sentence).unwrap();
+        let whole = Observation { source, epoch, event, ..observation(SOMEBODY, at_s * S, "They sit.") };
         Entry { voice, ..Entry::new(whole, at_s * S) }
     };
     let own = |at_s: u64, sentence: &str| told(Voice { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
@@ -179,7 +179,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
                     let entry = match said {
                         "away" => Entry {
                             observation: Observation {
-                                said: said_of(narration_kind::PRESENCE, said).unwrap(),
+                                event: event_of(narration_kind::PRESENCE, said).unwrap(),
                                 ..own(1025, "They sit.").observation
                             },
                             ..own(1025, "They sit.")
@@ -199,7 +199,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
 fn a_guard_ends() {
     let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
     for (guard_s, later_s, is_heard) in [(0.0, 1, true), (600.0, 599, false), (600.0, 602, true)] {
-        let mut board = board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([1]);
+        let mut board = board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
         let at_ns = 1000 * S;
         let later_ns = at_ns + later_s * S;
         let own = Entry::new(observation(0, at_ns, "They open the fridge."), at_ns);
@@ -576,7 +576,7 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
 #[test]
 fn strangers_take_no_place_of_a_guarded_person() {
     const NAMED: u64 = 7;
-    let mut board = board().with_named([NAMED]);
+    let mut board = board().with_named([(NAMED, May::ALL)]);
     let told = Observation {
         name: Some("Ada".into()),
         person: SOMEBODY,
@@ -607,7 +607,7 @@ fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let mut board = failing_board(&failures);
     board.step([entry(0, 10 * S, "They open the fridge.")], 10 * S, 10 * S).unwrap();
     let present = Observation {
-        said: said_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
+        event: event_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
         ..observation(0, 20 * S, "They wait.")
     };
     board.step([Entry::new(present, 20 * S)], 20 * S, 20 * S).unwrap();

@@ -1,5 +1,5 @@
 use roomcast_core::grounding::GroundingOptions;
-use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence, Voice};
+use roomcast_core::narration::{Event, SOMEBODY, Sentence, Voice};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -70,15 +70,14 @@ impl House {
 
     fn say(&mut self, person: u32, at_s: u64, text: &str) {
         self.until(at_s);
-        let statement = PresenceStatement::parse(text).map(Said::Presence);
-        let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
+        let event = Event::presence(text).unwrap_or_else(|_| Event::Did(Sentence::new(text).unwrap()));
         let observation = Observation {
             person,
             source: 7,
             epoch: 1,
             observed_ns: self.now_ns,
             observed_unix_ns: self.now_ns + self.unix_ns,
-            said,
+            event,
             ..Observation::of(self.journal.len() as u64 + 1, Sentence::new("They wait.").unwrap())
         };
         self.journal.push(observation.clone());
@@ -171,26 +170,6 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
         // As much as a week without the daemon.
         assert!(after > 0.9 * before, "{after} of {before} with a clock of {wrong_ns}");
     }
-}
-
-/// Two clauses of one person in one narration are two things that happened.
-#[test]
-fn a_deed_and_a_departure_in_one_line_are_both_learned() {
-    let visits = |lines: &[&str]| {
-        let mut house = House::new(true);
-        for hour in 0..5 {
-            for (minute, line) in (0..).zip(lines) {
-                house.say(SOMEBODY, hour * H + minute * 60, line);
-            }
-            house.say(SOMEBODY, hour * H + 1_800, "Cara comes home.");
-        }
-        house.board.habits().visits()[KITCHEN].iter().sum::<f64>()
-    };
-    let apart = visits(&["Cara grabs the coffee maker.", "Cara leaves the house."]);
-    assert!(
-        (visits(&["Cara grabs the coffee maker. Cara leaves the house."]) - apart).abs() < 0.1 && apart > 4.9,
-        "{apart}"
-    );
 }
 
 /// What a sensor said before the last deed is no news, to the habits neither.
@@ -593,9 +572,9 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
     house.journal.clear();
     house.restart(memory);
     for (number, text) in (1..).zip(["They open the fridge.", "They grab the coffee maker.", "They sit on the sofa."]) {
-        let said = Said::of(Sentence::new(text).unwrap());
+        let event = Event::Did(Sentence::new(text).unwrap());
         let (sequence, observed_unix_ns) = (number, 1_000 * S);
-        let observation = Observation { source: 9, sequence, observed_ns: 0, observed_unix_ns, said, ..last.clone() };
+        let observation = Observation { source: 9, sequence, observed_ns: 0, observed_unix_ns, event, ..last.clone() };
         house.board.step([Entry::new(observation, house.now_ns)], house.now_ns, house.now_ns + house.unix_ns).unwrap();
         house.board.tell_outcomes(|_| {});
     }
@@ -735,7 +714,7 @@ fn whoever_is_not_learned_pushes_nobody_out() {
 #[test]
 fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
     let mut house = House::new(true);
-    house.board = house.board.with_named([7]);
+    house.board = house.board.with_named([(7, crate::config::May::ALL)]);
     house.say(3, 7 * H, "They sit on the sofa.");
     let at_ns = house.now_ns + S;
     let strange =

@@ -5,7 +5,7 @@ use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::{Observation, PresenceStatement, SOMEBODY, Said, Sentence};
+use roomcast_core::narration::{Event, Observation, Presence, SOMEBODY, Sentence};
 
 use super::disk::{Disk, Half};
 use super::record::{
@@ -84,7 +84,7 @@ struct Forgets<'a> {
     /// Whom all observations moved.
     moved: BTreeMap<Name, Vec<Move>>,
     /// The observations that were theirs, and what they said.
-    taken: RefCell<BTreeMap<Name, Said>>,
+    taken: RefCell<BTreeMap<Name, Event>>,
 }
 
 /// An observation by its source, epoch and sequence.
@@ -101,20 +101,19 @@ impl Forgets<'_> {
         };
         if is_theirs {
             self.records.set(self.records.get() + 1);
-            self.taken.borrow_mut().insert(name, observation.said.clone());
+            self.taken.borrow_mut().insert(name, observation.event.clone());
         }
         is_theirs
     }
 
     /// Whom else an observation moved, which was theirs: whether these are in the house, and nothing else of it.
-    fn others_of(&self, moves: &[Move], observed: &Said) -> Vec<Move> {
+    fn others_of(&self, moves: &[Move], observed: &Event) -> Vec<Move> {
         let others = moves.iter().filter(|own| ![self.person, SOMEBODY].contains(&own.person));
         let other = |own: &Move| {
-            let presence = own.said.as_ref().unwrap_or(observed).presence();
-            let said = Said::Presence(PresenceStatement::new(presence, None).ok()?);
-            Some(Move { said: Some(said), ..own.clone() })
+            let event = bare_presence(own.event.as_ref().unwrap_or(observed));
+            Move { event: Some(event), ..own.clone() }
         };
-        others.filter_map(other).collect()
+        others.map(other).collect()
     }
 
     /// A record of theirs without what is of them: where others are whom it moved stays so. None where it moved nobody else.
@@ -122,16 +121,16 @@ impl Forgets<'_> {
         let name = (observation.source, observation.epoch, observation.sequence);
         let mut bare = observation.clone();
         if let Some(moves) = self.moved.get(&name) {
-            if self.others_of(moves, &observation.said).is_empty() {
+            if self.others_of(moves, &observation.event).is_empty() {
                 return None;
             }
             (bare.person, bare.name, bare.by_fit) = (SOMEBODY, None, false);
-            bare.said = Said::Sentence(Sentence::new(BLANK).ok()?);
+            bare.event = Event::Did(Sentence::new(BLANK).ok()?);
         } else {
             // By whose key it is, or whom it was found to be of, it is somebody else's.
             let found = self.attributed.get(&name).into_iter().flatten().next().copied();
             let found = found.or(observation.by_fit.then_some(observation.person));
-            bare.said = Said::Presence(PresenceStatement::new(observation.said.presence(), None).ok()?);
+            bare.event = bare_presence(&observation.event);
             let is_somebodys = bare.person != SOMEBODY || bare.name.is_some() || found.is_some();
             if !is_somebodys || (self.is_theirs)(&bare, found) {
                 return None;
@@ -147,8 +146,8 @@ impl Forgets<'_> {
             return Some(self.others_of(&moved.moves, observed)).filter(|others| !others.is_empty());
         }
         let names_them = |own: &&Move| {
-            let Some(said) = own.said.clone() else { return false };
-            let observation = Observation { source, epoch, ..Observation::saying(sequence, said) };
+            let Some(event) = own.event.clone() else { return false };
+            let observation = Observation { source, epoch, ..Observation::saying(sequence, event) };
             (self.is_theirs)(
                 &Observation { person: own.person, name: own.name.clone(), ..observation },
                 Some(own.person),
@@ -196,6 +195,15 @@ fn encode_again(observation: &Observation, raw: &[u8]) -> Vec<u8> {
         record[..MAGIC_KEPT.len()].copy_from_slice(if is_named { &MAGIC_NAMED_KEPT } else { &MAGIC_KEPT });
     }
     record
+}
+
+/// The presence of an event, without text and room.
+fn bare_presence(event: &Event) -> Event {
+    match event.person_presence() {
+        Presence::Away => Event::Away,
+        Presence::Gone => Event::Gone,
+        Presence::Present | Presence::Unknown => Event::Present(None),
+    }
 }
 
 /// A record that only says that an observation was taken.

@@ -6,7 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::{SOMEBODY, Said, person_number};
+use roomcast_core::narration::{SOMEBODY, person_number};
 
 use super::disk::{Disk, Half};
 use super::record::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, each_record, encode_forgotten};
@@ -85,8 +85,6 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
 fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
     let mut newest = BTreeMap::<u32, Vec<Name>>::new();
     let (mut keyed, mut of_themselves) = (BTreeMap::new(), BTreeMap::<u32, Name>::new());
-    // Sentences that a narrator gave no name to, and those that were found to be of each person.
-    let (mut plain, mut found) = (BTreeMap::<Name, &Said>::new(), BTreeMap::<u32, Vec<(Name, &Said)>>::new());
     // By the number that they were named with, which may be another one to the home.
     let mut untold = BTreeMap::<u32, Vec<Name>>::new();
     for record in records {
@@ -104,13 +102,6 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
                 let untold = untold.entry(number).or_default();
                 untold.push(name);
                 untold.drain(..untold.len().saturating_sub(words));
-            }
-            Record::Observation(own) | Record::Kept(own) => {
-                plain.insert((own.source, own.epoch, own.sequence), &own.said);
-            }
-            Record::Outcome { name, person, by_fit: true, .. } => {
-                let said = plain.get(name).map(|said| (*name, *said));
-                found.entry(*person).or_default().extend(said);
             }
             Record::Moved(Moved { observation, moves }) => {
                 let named = moves.iter().filter(|own| own.name.is_some());
@@ -133,15 +124,12 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
                 newest.remove(person);
                 of_themselves.remove(person);
                 untold.remove(person);
-                found.remove(person);
             }
             _ => {}
         }
     }
     for (person, own) in &mut newest {
-        let is_named = |(_, said): &&(Name, &Said)| said.may_name(|name| person_number(name) == *person);
-        let in_words = || found.get(person)?.iter().rev().find(is_named).map(|(name, _)| *name);
-        if let Some(name) = of_themselves.get(person).copied().or_else(in_words).filter(|name| !own.contains(name)) {
+        if let Some(name) = of_themselves.get(person).copied().filter(|name| !own.contains(name)) {
             own.insert(0, name);
         }
     }

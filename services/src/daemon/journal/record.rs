@@ -6,7 +6,7 @@
 //! | letters | payload |
 //! | --- | --- |
 //! | `RCJ1` | a sentence: source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes), the sentence |
-//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes). Behind a presence may stand a line with its subject, which is empty before a third line with the pronoun that it was said by, and `\n\nbeside` where its sentence is about somebody else |
+//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes). Former versions wrote more behind a presence and before it, which is not read |
 //! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
@@ -18,7 +18,7 @@
 use std::borrow::Cow;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{Observation, PresenceStatement, Pronoun, SOMEBODY, Said, Sentence};
+use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence};
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
 pub(super) const MAGIC: [u8; 4] = *b"RCJ1";
@@ -110,29 +110,29 @@ pub struct Move {
     pub name: Option<Box<str>>,
     /// Whether they were found by fit.
     pub by_fit: bool,
-    /// What it says of them; none where it is what was observed.
-    pub said: Option<Said>,
+    /// The event of the person; `None` if it is the event as it came.
+    pub event: Option<Event>,
 }
 
 impl Move {
-    /// Of an observation that was found to be of a person, what is not as it was `observed`.
+    /// The part of a person in an event that came as `observed`.
     #[must_use]
-    pub fn of(own: &Observation, observed: &Said) -> Self {
-        let said = Some(&own.said).filter(|said| *said != observed).cloned();
-        Self { person: own.person, name: own.name.clone(), by_fit: own.by_fit, said }
+    pub fn of(own: &Observation, observed: &Event) -> Self {
+        let event = Some(&own.event).filter(|event| *event != observed).cloned();
+        Self { person: own.person, name: own.name.clone(), by_fit: own.by_fit, event }
     }
 
     /// The same of one that says that a room is empty.
     #[must_use]
-    pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Said) -> Self {
+    pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Event) -> Self {
         Self { person: SOMEBODY, name: None, by_fit: false, ..Self::of(own, observed) }
     }
 
     /// The observation of the person, made of the one that moved them.
     #[must_use]
     pub fn apply(self, observed: &Observation) -> Observation {
-        let said = self.said.unwrap_or_else(|| observed.said.clone());
-        Observation { person: self.person, name: self.name, by_fit: self.by_fit, said, ..*observed }
+        let event = self.event.unwrap_or_else(|| observed.event.clone());
+        Observation { person: self.person, name: self.name, by_fit: self.by_fit, event, ..*observed }
     }
 }
 
@@ -168,7 +168,7 @@ pub struct Outcome<'a> {
 #[must_use]
 pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     let name = observation.name.as_deref().unwrap_or_default().as_bytes();
-    let (is_presence, text) = text_of(&observation.said);
+    let (is_presence, text) = text_of(&observation.event);
     let kind = is_presence | if observation.by_fit { IS_BY_FIT } else { 0 };
     let text = text.as_bytes();
     let named = kind != 0 || !name.is_empty();
@@ -194,52 +194,27 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     sealed(if named { MAGIC_NAMED } else { MAGIC }, payload)
 }
 
-/// What is said as a record has it, and whether it is a presence.
-fn text_of(said: &Said) -> (u8, Cow<'_, str>) {
-    match said {
-        Said::Sentence(sentence) => (0, Cow::Borrowed(sentence.as_str())),
-        Said::Presence(statement) => {
-            let mut text = match statement.subject() {
-                Some(subject) => format!("{statement}\n{subject}"),
-                // An empty subject, and by which pronoun it was said.
-                None => match statement.pronoun() {
-                    Some(Pronoun::He) => format!("{statement}{HE}"),
-                    Some(Pronoun::She) => format!("{statement}{SHE}"),
-                    None => statement.to_string(),
-                },
-            };
-            if statement.is_beside() {
-                text.push_str(BESIDE);
-            }
-            (IS_PRESENCE, Cow::Owned(text))
-        }
+/// The text of an event in a record, and whether it is a presence.
+fn text_of(event: &Event) -> (u8, Cow<'_, str>) {
+    match event {
+        Event::Did(sentence) => (0, Cow::Borrowed(sentence.as_str())),
+        presence => (IS_PRESENCE, Cow::Owned(presence.to_string())),
     }
 }
 
-/// What such a text says.
-fn said_of(text: &str, kind: u8) -> Option<Said> {
-    Some(match kind & IS_PRESENCE {
-        0 => Said::Sentence(Sentence::new(text).ok()?),
-        _ => {
-            let (text, is_beside) = text.strip_suffix(BESIDE).map_or((text, false), |text| (text, true));
-            let by = [(HE, Pronoun::He), (SHE, Pronoun::She)]
-                .into_iter()
-                .find_map(|(end, pronoun)| Some((text.strip_suffix(end)?, pronoun)));
-            let statement = match (by, text.split_once('\n')) {
-                (Some((text, pronoun)), _) => PresenceStatement::parse(text).ok()?.with_pronoun(Some(pronoun)),
-                (None, Some((text, subject))) => PresenceStatement::parse_of(text, subject).ok()?,
-                (None, None) => PresenceStatement::parse(text).ok()?,
-            };
-            Said::Presence(if is_beside { statement.beside() } else { statement })
-        }
-    })
+/// The event of such a text.
+fn event_of(text: &str, kind: u8) -> Option<Event> {
+    if kind & IS_PRESENCE == 0 {
+        return Some(Event::Did(Sentence::new(text).ok()?));
+    }
+    // Former versions wrote the subject behind the presence, and groups of persons before it; RCJB has the persons.
+    let text = text.split('\n').next().unwrap_or_default();
+    let groups = ["everybody else ", "everybody ", "alone ", "both ", "guests "];
+    let of_group = || groups.iter().find_map(|group| text.strip_prefix(group));
+    let of_all = || text.strip_prefix("all ").and_then(|rest| rest.split_once(' ')).map(|(_, rest)| rest);
+    let event = Event::presence(text);
+    event.or_else(|error| of_group().or_else(of_all).map_or(Err(error), Event::presence)).ok()
 }
-
-/// What stands behind a presence that was said by a pronoun.
-const HE: &str = "\n\nhe";
-const SHE: &str = "\n\nshe";
-/// What stands behind one of somebody whom its sentence is not about.
-const BESIDE: &str = "\n\nbeside";
 
 /// Whom an observation moved, as a record.
 #[must_use]
@@ -250,13 +225,13 @@ pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
         payload.extend_from_slice(&number.to_le_bytes());
     }
     let mut before = None;
-    for Move { person, name, by_fit, said } in &moved.moves {
+    for Move { person, name, by_fit, event } in &moved.moves {
         let name = name.as_deref().unwrap_or_default().as_bytes();
-        let (kind, text) = match said {
+        let (kind, text) = match event {
             None => (IS_AS_OBSERVED, None),
-            Some(said) if before == Some(said) => (IS_AS_BEFORE, None),
-            Some(said) => {
-                let (kind, text) = text_of(said);
+            Some(event) if before == Some(event) => (IS_AS_BEFORE, None),
+            Some(event) => {
+                let (kind, text) = text_of(event);
                 (kind, Some(text))
             }
         };
@@ -268,7 +243,7 @@ pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
             payload.extend_from_slice(&(text.len() as u16).to_le_bytes());
             payload.extend_from_slice(text.as_bytes());
         }
-        before = said.as_ref();
+        before = event.as_ref();
     }
     sealed(MAGIC_MOVED, payload)
 }
@@ -410,10 +385,10 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
     if named {
         (kind, name) = take_kind_and_name(&mut text)?;
     }
-    let said = said_of(std::str::from_utf8(text).ok()?, kind)?;
+    let event = event_of(std::str::from_utf8(text).ok()?, kind)?;
     let observed_ns = if boot == boot_id { observed_ns } else { 0 };
     let by_fit = kind & IS_BY_FIT != 0;
-    Some(Observation { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, said })
+    Some(Observation { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, count: 0, event })
 }
 
 /// What somebody's part of a record is, and their name, if they have one there.
@@ -431,17 +406,17 @@ fn decode_moved(mut payload: &[u8]) -> Option<Moved> {
     while !payload.is_empty() {
         let person = take_u32(&mut payload)?;
         let (kind, name) = take_kind_and_name(&mut payload)?;
-        let said = if kind & IS_AS_OBSERVED != 0 {
+        let event = if kind & IS_AS_OBSERVED != 0 {
             None
         } else if kind & IS_AS_BEFORE != 0 {
-            moves.last()?.said.clone()
+            moves.last()?.event.clone()
         } else {
             let (length, rest) = payload.split_first_chunk()?;
             let (text, rest) = rest.split_at_checked(u16::from_le_bytes(*length).into())?;
             payload = rest;
-            Some(said_of(std::str::from_utf8(text).ok()?, kind)?)
+            Some(event_of(std::str::from_utf8(text).ok()?, kind)?)
         };
-        moves.push(Move { person, name, by_fit: kind & IS_BY_FIT != 0, said });
+        moves.push(Move { person, name, by_fit: kind & IS_BY_FIT != 0, event });
     }
     Some(Moved { observation, moves })
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{PresenceStatement, SOMEBODY, Said, Sentence, person_number};
+use roomcast_core::narration::{Event, SOMEBODY, Sentence, person_number};
 
 use super::record::*;
 use super::writer::{SyncDue, UNREAD_MAX};
@@ -330,8 +330,8 @@ fn words_about_all_push_no_own_word_out() {
     let options = options(directory.path(), 16_384);
     let own = Observation { source: 99, name: Some("ada".into()), ..observation(1) };
     let of_all = |sequence: u64| {
-        let said = Said::Presence(PresenceStatement::parse("everybody present in the kitchen").unwrap());
-        Observation { source: 98, person: u32::MAX, said, ..observation(sequence) }
+        let event = Event::presence("everybody away").unwrap();
+        Observation { source: 98, person: u32::MAX, event, ..observation(sequence) }
     };
     let told = |journal: &Journal, o: &Observation| {
         let Observation { source, epoch, sequence, .. } = *o;
@@ -365,12 +365,12 @@ fn words_about_all_push_no_own_word_out() {
 fn of_whom_nothing_was_told_is_kept_too() {
     let directory = tempfile::tempdir().unwrap();
     let options = options(directory.path(), 16_384);
-    let away = Said::Presence(PresenceStatement::parse("away").unwrap());
-    let of = |sequence: u64, name: &str, said: Said| Observation {
+    let away = Event::Away;
+    let of = |sequence: u64, name: &str, event: Event| Observation {
         source: 99,
         person: u32::MAX,
         name: Some(name.into()),
-        said,
+        event,
         ..observation(sequence)
     };
     let mut sequence = 0;
@@ -378,7 +378,7 @@ fn of_whom_nothing_was_told_is_kept_too() {
         let (mut journal, recovered) = Journal::open(&options).unwrap();
         let recovered = recovered.join();
         if run == 0 {
-            let told = of(1, "ada", observation(1).said);
+            let told = of(1, "ada", observation(1).event);
             journal.append(&told);
             let (source, epoch, person) = (99, 1, person_number("ada"));
             let probability = &[0.5, 0.5];
@@ -416,9 +416,9 @@ fn who_says_much_pushes_nobody_out() {
     let options = options(directory.path(), 16_384);
     let boot = boot_id();
     let quiet = |sequence: u64, name: &str, said: &str| {
-        let said = PresenceStatement::parse(said).map(Said::Presence);
-        let said = said.unwrap_or_else(|_| Said::Sentence(Sentence::new("They lie on the bed.").unwrap()));
-        Observation { source: 99, name: Some(name.into()), said, ..observation(sequence) }
+        let event = Event::presence(said);
+        let event = event.unwrap_or_else(|_| Event::Did(Sentence::new("They lie on the bed.").unwrap()));
+        Observation { source: 99, name: Some(name.into()), event, ..observation(sequence) }
     };
     let told = |journal: &Journal, o: &Observation, person: u32, probability: &[f64]| {
         let Observation { source, epoch, sequence, .. } = *o;
@@ -476,8 +476,8 @@ fn a_name_outlives_the_half_that_had_it() {
     let mut sequence = 0;
     let mut say = |journal: &mut Journal, text: &str, persons: &[u32], moves: Vec<Move>| {
         sequence += 1;
-        let said = Said::Sentence(Sentence::new(text).unwrap());
-        let said = Observation { person: SOMEBODY, name: None, said, ..observation(sequence) };
+        let event = Event::Did(Sentence::new(text).unwrap());
+        let said = Observation { person: SOMEBODY, name: None, event, ..observation(sequence) };
         let mut number = journal.append(&said);
         let Observation { source, epoch, .. } = said;
         if !moves.is_empty() {
@@ -494,10 +494,10 @@ fn a_name_outlives_the_half_that_had_it() {
         assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
     };
     let [anna, tom] = ["anna", "tom"].map(person_number);
-    say(&mut journal, "Anna opens the fridge.", &[anna], vec![]);
-    let said = Said::Sentence(Sentence::new("Tom sits on the sofa.").unwrap());
-    let of_tom = Move { person: tom, name: Some("Tom".into()), by_fit: false, said: Some(said) };
-    say(&mut journal, "Tom sits on the sofa and yawns.", &[tom], vec![of_tom]);
+    for (person, name, text) in [(anna, "Anna", "Anna opens the fridge."), (tom, "Tom", "Tom sits on the sofa and yawns.")] {
+        let of_them = Move { person, name: Some(name.into()), by_fit: false, event: None };
+        say(&mut journal, text, &[person], vec![of_them]);
+    }
     for _ in 0..20 {
         say(&mut journal, "She opens the fridge.", &[anna], vec![]);
         say(&mut journal, "He sits on the sofa.", &[tom], vec![]);
@@ -651,11 +651,11 @@ fn who_is_forgotten_leaves_no_trace() {
 fn who_was_where_comes_back() {
     let boot = [3; 16];
     let named = |sequence: u64, name: &str| Observation { name: Some(name.into()), ..observation(sequence) };
-    let away = Said::Presence(PresenceStatement::parse("away").unwrap());
+    let away = Event::Away;
     let told = [
         observation(1),
         named(2, "Ada"),
-        Observation { said: away, ..named(3, "Éva") },
+        Observation { event: away, ..named(3, "Éva") },
         Observation { person: u32::MAX, ..observation(4) },
     ];
     let mut bytes: Vec<u8> = told.iter().flat_map(|observation| encode(observation, &boot)).collect();
@@ -677,11 +677,11 @@ fn who_was_where_comes_back() {
     assert_eq!(recovered.expectations, [(1, 9, next), (1, 9, was)]);
     assert_eq!(recovered.damaged_bytes, 0);
     // Whom an observation moved comes back in its order, nobody included.
-    let said = |text: &str| PresenceStatement::parse(text).ok().map(Said::Presence);
-    let sentence = Sentence::new("Mia cooks.").ok().map(Said::Sentence);
-    let by = |person: u32, name: &str, said: Option<Said>| {
+    let said = |text: &str| Event::presence(text).ok();
+    let sentence = Sentence::new("Mia cooks.").ok().map(Event::Did);
+    let by = |person: u32, name: &str, event: Option<Event>| {
         let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
-        Move { person, name, by_fit: person == 3, said }
+        Move { person, name, by_fit: person == 3, event }
     };
     let moved = [
         Moved { observation: (7, 1, 1), moves: Vec::new() },

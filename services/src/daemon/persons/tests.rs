@@ -1,5 +1,5 @@
 use roomcast_core::grounding::{Grounding, GroundingOptions};
-use roomcast_core::narration::{PresenceStatement, SOMEBODY, Sentence, person_number};
+use roomcast_core::narration::{SOMEBODY, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -7,14 +7,13 @@ use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
 
 use super::super::answers::answer_about_person;
 use super::super::journal::{
-    Journal, JournalOptions, Outcome, Recovered, each_record, encode, encode_believed, encode_forgotten, encode_moved,
+    Journal, JournalOptions, Outcome, Recovered, encode, encode_believed, encode_forgotten, encode_moved,
     encode_outcome, read_records,
 };
-use super::super::person_question::{PersonAnswer, PersonQuestion};
+use super::super::person_question::{PersonAnswer, PersonQuestion, UnderstoodLine};
 use super::super::{Board, Entry};
 use super::*;
-
-mod sentences;
+use crate::config::May;
 
 const S: u64 = 1_000_000_000;
 const BOOT: [u8; 16] = [5; 16];
@@ -54,8 +53,7 @@ impl House {
     }
 
     fn observation(&mut self, who: &str, text: &str) -> Observation {
-        let statement = PresenceStatement::parse(text).map(Said::Presence);
-        let said = statement.unwrap_or_else(|_| Said::of(Sentence::new(text).unwrap()));
+        let event = Event::presence(text).unwrap_or_else(|_| Event::Did(Sentence::new(text).unwrap()));
         self.said += 1;
         Observation {
             person: who.parse().unwrap_or(SOMEBODY),
@@ -64,7 +62,7 @@ impl House {
             epoch: 1,
             observed_ns: self.now_ns,
             observed_unix_ns: 1_000_000 * S + self.now_ns,
-            said,
+            event,
             ..Observation::of(self.said, Sentence::new("They wait.").unwrap())
         }
     }
@@ -289,33 +287,6 @@ fn silence_ends_a_window_once() {
 
 /// A dog or a robot that has a name is no visitor.
 #[test]
-fn what_is_said_of_no_person_moves_nobody() {
-    let mut house = House::new(&["ada"]);
-    house.config.not_persons = vec!["Rocky".to_owned()];
-    house.restart();
-    house.after(1, "ada", "They sit on the sofa.");
-    for sentence in
-        ["Rocky cleans the kitchen.", "Rocky leaves the house.", "Rocky comes home.", "Rocky is in the kitchen."]
-    {
-        house.after(60, "somebody", sentence);
-        assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::PRESENT)), "{sentence}");
-        assert_eq!(house.person("ada").unwrap().window, 1, "{sentence}");
-    }
-    house.after(60, "somebody", "Ada and Rocky go to the kitchen.");
-    assert_eq!((house.known(), house.person("ada").unwrap().window), (1, 2));
-    for sentence in ["Only Rocky is home.", "Nobody is home but Rocky.", "Everybody has left except Rocky."] {
-        house.after(60, "ada", "They come home.");
-        house.after(60, "somebody", sentence);
-        assert_eq!((house.known(), house.presence("ada")), (1, Some(presence::AWAY)), "{sentence}");
-    }
-    // Whom JSON names is somebody, also for who starts again.
-    house.after(60, "Rocky", "Rocky opens the fridge.");
-    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
-    house.restart();
-    assert_eq!(house.presence("Rocky"), Some(presence::PRESENT));
-}
-
-#[test]
 fn a_resident_with_another_name_is_still_one() {
     let config = PersonsConfig { residents: vec!["ben".to_owned()], ..PersonsConfig::default() };
     let mut persons = Persons::new(config, PersonsFile::default());
@@ -365,38 +336,6 @@ fn who_sleeps_does_not_leave() {
 }
 
 /// Whoever was at the door leaves, not whoever was silent for longest.
-#[test]
-fn who_was_at_the_door_leaves() {
-    for away in ["away", "They leave the house.", "Somebody leaves the house."] {
-        let mut house = House::new(&["ada", "ben"]);
-        for (who, what) in [
-            ("ben", "They sit on the sofa."),
-            ("ben", "They turn on the television."),
-            ("ada", "They open the fridge."),
-            ("somebody", "They open the front door."),
-            ("somebody", "Front door closes."),
-        ] {
-            house.after(30, who, what);
-        }
-        house.after(600, "somebody", away);
-        let of = |house: &mut House| ["ada", "ben"].map(|who| house.presence(who));
-        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
-        house.restart();
-        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
-        // Also where somebody else was observed since.
-        house.after(5, "ada", "They come home.");
-        house.after(60, "ada", "Ada opens the front door.");
-        house.after(60, "ben", "They stand up.");
-        house.after(60, "somebody", away);
-        assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)], "{away}");
-        // Where nothing tells, who was observed last.
-        house.after(5, "ada", "They come home.");
-        house.after(3000, "ben", "They open the fridge.");
-        house.after(60, "somebody", away);
-        assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::AWAY)], "{away}");
-    }
-}
-
 /// A sleeper stays in bed when somebody else leaves in the morning.
 #[test]
 fn who_slept_for_a_night_does_not_leave() {
@@ -439,124 +378,9 @@ fn who_turns_off_a_lamp_in_bed_lies_on() {
 }
 
 /// People tell several things at once, and of others than those who are known.
-#[test]
-fn what_people_write_moves_whom_it_is_about() {
-    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
-    for (said, who, expected, known) in [
-        ("Ada gets up, showers and leaves for work.", ["ada", "ben", "igor"], [away, here, None], 2),
-        ("Ben eats, dresses and goes to work.", ["ada", "ben", "igor"], [here, away, None], 2),
-        ("Ada wakes up, stretches and is in the kitchen.", ["ada", "ben", "igor"], [here, here, None], 2),
-        ("Ada leaves.", ["ada", "ben", "igor"], [away, here, None], 2),
-        ("Ada leaves now.", ["ada", "ben", "igor"], [away, here, None], 2),
-        ("Ada is leaving the house.", ["ada", "ben", "igor"], [away, here, None], 2),
-        ("Ada goes out the door.", ["ada", "ben", "igor"], [away, here, None], 2),
-        ("The plumber leaves.", ["ada", "ben", "plumber"], [here, here, away], 3),
-        ("Igor leaves.", ["ada", "ben", "igor"], [here, here, away], 3),
-        ("Ada and Ben put on their coats and leave for work.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("Ada leaves the house, and so does Ben.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("Ada leaves the house and Ben too.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("Ada and her friend Igor leave the house.", ["ada", "ben", "igor"], [away, here, away], 3),
-        ("Both leave.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("They both go out.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("Both of them leave the house.", ["ada", "ben", "igor"], [away, away, None], 2),
-        ("Ben opens the front door and Igor comes in.", ["ada", "ben", "igor"], [here, here, here], 3),
-        ("Ben lets Igor in.", ["ada", "ben", "igor"], [here, here, here], 3),
-        ("Ada and Igor sit on the sofa.", ["ada", "ben", "igor"], [here, here, here], 3),
-    ] {
-        let mut house = House::new(&["ada", "ben"]);
-        house.after(1, "ada", "They open the fridge.");
-        house.after(1, "ben", "They sit on the sofa.");
-        house.after(5, "somebody", said);
-        for _ in 0..2 {
-            assert_eq!((who.map(|who| house.presence(who)), house.known()), (expected, known), "{said}");
-            house.restart();
-        }
-    }
-}
-
 /// Both are two: who are here, or are away and come home. Of three nobody knows which.
-#[test]
-fn both_are_the_two_who_are_meant() {
-    let mut house = House::new(&["ada", "ben"]);
-    let of = |house: &mut House| ["ada", "ben"].map(|who| house.presence(who));
-    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
-    house.after(1, "ada", "They open the fridge.");
-    house.after(1, "somebody", "They both leave the house.");
-    assert_eq!(of(&mut house), [here, None], "one is not both");
-    house.after(1, "ben", "They sit on the sofa.");
-    house.after(1, "somebody", "They both leave the house.");
-    assert_eq!(of(&mut house), [away, away]);
-    house.after(1, "somebody", "Both come home.");
-    assert_eq!(of(&mut house), [here, here]);
-    house.after(1, "somebody", "They both go to bed.");
-    let told = house.now_ns;
-    assert_eq!(["ada", "ben"].map(|who| house.person(who).unwrap().observed_ns), [told; 2]);
-    house.after(1, "plumber", "They open the fridge.");
-    house.after(1, "somebody", "Both leave.");
-    assert_eq!(of(&mut house), [here, here]);
-    // Who comes home from work is home, whatever they do then.
-    house.after(1, "ada", "away");
-    house.after(1, "ben", "away");
-    house.after(60, "somebody", "Ada comes home from work and puts the groceries into the fridge.");
-    assert_eq!(of(&mut house), [here, away]);
-}
-
 /// A narrator of plain sentences gives no names, but the sentences do.
-#[test]
-fn a_sentences_subject_is_its_person() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ada", "They open the fridge.");
-    house.after(1, "ben", "They sit on the sofa.");
-    house.after(1, "somebody", "Ben leaves the house.");
-    let known = |house: &House, who: &str| {
-        let persons = house.board.persons();
-        persons.get(persons.number_of(who)).map(|known| known.presence)
-    };
-    assert_eq!((known(&house, "ada"), known(&house, "ben")), (Some(Presence::Present), Some(Presence::Away)));
-    // Somebody of whom nothing is known is not one of those who are.
-    house.after(1, "somebody", "Cleo leaves the house.");
-    assert_eq!((known(&house, "ada"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
-    for nobody in ["Nobody leaves the house.", "12 leaves the house."] {
-        let before = house.board.persons().iter().count();
-        house.after(1, "somebody", nobody);
-        assert_eq!(house.board.persons().iter().count(), before, "{nobody}");
-    }
-    house.after(1, "ada", "present");
-    assert_eq!(known(&house, "ada"), Some(Presence::Present));
-    house.after(1, "somebody", "Ben opens the fridge.");
-    assert_eq!(known(&house, "ben"), Some(Presence::Present));
-    house.restart();
-    assert_eq!((known(&house, "ben"), known(&house, "cleo")), (Some(Presence::Present), Some(Presence::Away)));
-}
-
 /// A sentence is of all whom it names, also after a restart; who is named is not guessed.
-#[test]
-fn a_sentence_of_several_is_of_each() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ada", "They open the fridge.");
-    house.after(1, "ben", "They lie on the bed.");
-    house.after(1, "somebody", "Ada and Ben sit on the sofa.");
-    let newest = |house: &House, who: &str| {
-        let number = house.board.persons().number_of(who);
-        let history = house.board.pipeline().histories().get(number).unwrap();
-        history.observations().last().and_then(|last| last.sentence().map(str::to_owned))
-    };
-    for who in ["ada", "ben"] {
-        assert_eq!(newest(&house, who).as_deref(), Some("Ada and Ben sit on the sofa."), "{who}");
-    }
-    house.after(1, "somebody", "Ada and the plumber leave the house.");
-    let presences = |house: &mut House| ["ada", "ben", "plumber"].map(|who| house.presence(who));
-    let expected = [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::AWAY)];
-    assert_eq!(presences(&mut house), expected);
-    let flags = house.person("plumber").unwrap().flags;
-    assert_eq!(flags, person_flags::VISITOR, "a name is no guess");
-    house.restart();
-    assert_eq!(presences(&mut house), expected);
-    house.after(1, "somebody", "The plumber walks to the kitchen.");
-    assert_eq!(house.presence("plumber"), Some(presence::PRESENT));
-    assert_eq!(house.presence("ada"), Some(presence::AWAY));
-}
-
 /// What was said of everybody before somebody was forgotten says nothing of them after a restart.
 #[test]
 fn who_is_forgotten_stays_so() {
@@ -577,378 +401,11 @@ fn who_is_forgotten_stays_so() {
 }
 
 /// Each clause of a text is of its own persons, also after a restart.
-#[test]
-fn two_clauses_are_of_two_persons() {
-    let mut house = House::new(&["mia", "tom"]);
-    house.after(1, "mia", "They open the fridge.");
-    house.after(1, "tom", "They sit on the sofa.");
-    let newest = |house: &House, who: &str| {
-        let number = house.board.persons().number_of(who);
-        let history = house.board.pipeline().histories().get(number);
-        history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
-    };
-    house.after(1, "somebody", "Mia lies on the bed and Tom goes to the kitchen.");
-    assert_eq!(
-        (newest(&house, "mia"), newest(&house, "tom")),
-        ("Mia lies on the bed.".into(), "Tom goes to the kitchen.".into())
-    );
-    house.after(1, "somebody", "Tom leaves the house. He takes the car. Mia opens the fridge.");
-    for _ in 0..2 {
-        assert_eq!((house.presence("mia"), house.presence("tom")), (Some(presence::PRESENT), Some(presence::AWAY)));
-        assert_eq!(newest(&house, "mia"), "Mia opens the fridge.");
-        house.restart();
-    }
-    house.after(1, "mia", "They leave the house and lock the door.");
-    assert_eq!(house.presence("mia"), Some(presence::AWAY));
-    house.after(1, "somebody", "Tom and the plumber come home.");
-    let presences = |house: &mut House| ["mia", "tom", "plumber"].map(|who| house.presence(who));
-    assert_eq!(presences(&mut house), [Some(presence::AWAY), Some(presence::PRESENT), Some(presence::PRESENT)]);
-    house.after(1, "somebody", "Mia is home. Nobody is in the kitchen.");
-    assert_eq!(presences(&mut house)[0], Some(presence::PRESENT));
-    assert!(house.now().0[0] < 0.9);
-}
-
 /// A family, and what is narrated of it by people and by machines: one wrong answer is one too many.
-#[test]
-fn what_is_said_moves_whom_it_is_about() {
-    let mut house = House::new(&["sophie", "david", "lily"]);
-    let begin = |house: &mut House| {
-        for (who, what) in
-            [("sophie", "They open the fridge."), ("david", "They sit on the sofa."), ("lily", "They lie on the bed.")]
-        {
-            house.after(2, who, what);
-        }
-    };
-    let newest = |house: &House, who: &str| {
-        let number = house.board.persons().number_of(who);
-        let history = house.board.pipeline().histories().get(number);
-        history.and_then(|own| own.observations().last()?.sentence().map(str::to_owned)).unwrap_or_default()
-    };
-    for (said, who) in [
-        ("In the bathroom, Sophie brushes her teeth.", "sophie"),
-        ("At eight David opens the door.", "david"),
-        ("While she cooks, David sets the table.", "david"),
-        ("But Lily opens the fridge.", "lily"),
-    ] {
-        begin(&mut house);
-        house.after(2, "somebody", said);
-        let told = said.strip_prefix("While she cooks, ").unwrap_or(said);
-        let moved: Vec<&str> =
-            ["sophie", "david", "lily"].into_iter().filter(|who| newest(&house, who) == told).collect();
-        assert_eq!(moved, [who], "{said}");
-    }
-    house.after(2, "somebody", "While Sophie cooks, David sets the table.");
-    assert_eq!(
-        ["sophie", "david"].map(|who| newest(&house, who)),
-        ["Sophie cooks.", "David sets the table."],
-        "each clause is of its own person"
-    );
-    for said in [
-        "The robot vacuum drives into the bathroom.",
-        "The washing machine beeps.",
-        "Music is playing in the bathroom.",
-        "The cat jumps onto the table.",
-        "It is raining.",
-        "The kids are in the bathroom.",
-        "The parents leave the house.",
-        "Sophie's guitar is in the bathroom.",
-        "Sophie was in the bathroom.",
-        "If Sophie cooks and David leaves the house, lock the door.",
-    ] {
-        begin(&mut house);
-        let (known, before) = (house.known(), house.now().0);
-        house.after(0, "somebody", said);
-        assert_eq!((house.known(), house.now().0), (known, before), "{said}");
-    }
-    // Who is not there is brought home by nobody's doing.
-    house.after(1, "somebody", "Everybody leaves the house.");
-    for said in
-        ["The cat jumps onto the table.", "It is raining.", "David waits for the bus.", "Sophie eats at a restaurant."]
-    {
-        house.after(1, "somebody", said);
-        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME), "{said}");
-    }
-    begin(&mut house);
-    for (said, who, expected) in [
-        ("Sophie grabs her keys and leaves.", "sophie", presence::AWAY),
-        ("Sophie leaves the house. Then she comes home.", "sophie", presence::PRESENT),
-        ("The cleaner says goodbye and leaves.", "cleaner", presence::AWAY),
-        ("David cooks and Cleo leaves the house.", "david", presence::PRESENT),
-        ("David cooks and Cleo leaves the house.", "cleo", presence::AWAY),
-        ("David cooks and the children leave the house.", "david", presence::PRESENT),
-    ] {
-        house.after(2, "somebody", said);
-        assert_eq!(house.presence(who), Some(expected), "{said}");
-    }
-    // Of whom it is where somebody is named and meant on by a pronoun.
-    begin(&mut house);
-    house.after(2, "somebody", "David goes to the kitchen.");
-    house.after(2, "somebody", "He lies on the bed.");
-    assert_eq!(newest(&house, "david"), "He lies on the bed.");
-    let known = house.known();
-    house.after(2, "somebody", "A woman sits on the sofa.");
-    assert_eq!(house.known(), known, "she is one of those who are here");
-    house.after(2, "somebody", "Igor sits on the sofa.");
-    assert_eq!((house.known(), newest(&house, "igor")), (known + 1, "Igor sits on the sofa.".to_owned()));
-    // A sentence about somebody else than its key.
-    house.after(2, "david", "away");
-    house.after(2, "sophie", "David comes home.");
-    house.after(2, "sophie", "Wilhelmina leaves the house.");
-    let of = |house: &mut House| ["david", "sophie", "wilhelmina"].map(|who| house.presence(who));
-    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
-    house.restart();
-    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::PRESENT), Some(presence::AWAY)]);
-}
-
 /// What is said of all, of all but a few, of a few alone, and of who goes along, holds after a restart, too.
-#[test]
-fn a_sentence_about_a_group_moves_the_group() {
-    let mut house = House::new(&["sophie", "david", "lily"]);
-    let family = ["sophie", "david", "lily"];
-    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
-    for (said, expected) in [
-        ("Everybody except David leaves.", [away, here, away]),
-        ("Everybody leaves the house, but Lily.", [away, away, here]),
-        ("Only Lily is home.", [away, away, here]),
-        ("Nobody but Sophie and David is at home.", [here, here, away]),
-        ("Only Lily leaves the house.", [here, here, away]),
-        ("Everybody but Lily is in the kitchen.", [here, here, here]),
-        ("Sophie takes Lily to school.", [away, here, away]),
-        ("David goes shopping with Lily.", [here, away, away]),
-        ("David leaves the house with a suitcase.", [here, away, here]),
-        ("Everybody except the plumber leaves the house.", [here, here, here]),
-        ("Everybody except Mum leaves the house.", [here, here, here]),
-        ("Everybody except little Lily leaves the house.", [away, away, here]),
-        ("Only Lily's mother is home.", [here, here, here]),
-        ("Sophie leaves the house with Lily still asleep.", [away, here, here]),
-        ("Sophie leaves the house after a quarrel with David.", [away, here, here]),
-        ("SOPHIE LEAVES THE HOUSE WITH LILY.", [away, here, away]),
-        ("The house is empty except for Lily.", [away, away, here]),
-        ("Everybody except Sophie and David leaves.", [here, here, away]),
-        ("Sophie, David and Lily leave the house.", [away, away, away]),
-        ("All but Sophie, David and Lily are away.", [here, here, here]),
-        ("Sophie is away with David.", [away, away, here]),
-    ] {
-        for keyed in ["somebody", "lily"] {
-            for who in family {
-                house.after(2, who, "They open the fridge.");
-            }
-            house.after(2, keyed, said);
-            let found = family.map(|who| house.presence(who));
-            assert_eq!(found, expected, "{said} by {keyed}");
-            house.restart();
-            assert_eq!(family.map(|who| house.presence(who)), expected, "{said} by {keyed}, restarted");
-        }
-    }
-    house.after(2, "somebody", "Everybody leaves.");
-    house.after(2, "somebody", "Sophie comes home with Lily.");
-    assert_eq!(family.map(|who| house.presence(who)), [here, away, here]);
-    let room = house.board.snapshot().rooms().iter().position(|room| room.id() == "bathroom").unwrap();
-    house.after(2, "somebody", "Everybody is in the bathroom.");
-    assert_eq!(house.presence("david"), away, "who is away is not in the house");
-    for who in ["sophie", "lily"] {
-        let number = house.board.persons().number_of(who);
-        let told = *house.board.person_forecasts(house.now_ns);
-        let own = told.persons().iter().find(|own| own.person == number).unwrap();
-        assert!(own.probability[room][0] > 0.9, "{who} {:?}", own.probability[room][0]);
-    }
-}
-
 /// A sentence, and who is where after it, of two who live here and a visitor.
-#[test]
-fn people_come_and_go_in_many_words() {
-    let mut house = House::new(&["Mia", "Jon"]);
-    house.config.not_persons = vec!["Rocky".to_owned()];
-    house.board = board(&house.config);
-    let all = ["Mia", "Jon", "Anna"];
-    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
-    for (said, expected) in [
-        ("While Jon takes a shower, Mia leaves.", [away, here, here]),
-        ("Before Jon leaves, he goes to the kitchen.", [here, here, here]),
-        ("After Mia leaves, Jon goes to the kitchen.", [away, here, here]),
-        ("Jon goes to the kitchen after Mia leaves.", [away, here, here]),
-        ("Mia goes to the kitchen before Jon leaves.", [here, here, here]),
-        ("When Mia leaves, Jon goes to the kitchen.", [here, here, here]),
-        ("Mia leaves. Jon leaves. Anna leaves.", [away, away, away]),
-        ("The guest leaves.", [here, here, away]),
-        ("The visitor leaves the house.", [here, here, away]),
-        ("Anna goes home.", [here, here, away]),
-        ("Mia goes home.", [here, here, here]),
-        ("Jon takes Anna home.", [here, away, away]),
-        ("Mia and the dog go out.", [away, here, here]),
-        ("Mia and Rocky go out.", [away, here, here]),
-        ("Mia leaves with Jon and Anna.", [away, away, away]),
-        ("Mia/Jon leave.", [away, away, here]),
-        ("Mia has just left.", [away, here, here]),
-        ("Mia has already left.", [away, here, here]),
-        ("Mia is finally home.", [here, here, here]),
-        ("Everybody leaves the living room.", [here, here, here]),
-        ("Everybody goes to bed.", [here, here, here]),
-        ("Mia sees Jon in the bathroom.", [here, here, here]),
-        ("Spotify starts playing.", [here, here, here]),
-        ("Alexa plays music.", [here, here, here]),
-    ] {
-        for who in all {
-            house.after(2, who, "They open the fridge.");
-        }
-        house.after(2, "somebody", said);
-        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}");
-        assert_eq!(house.known(), 3, "{said}");
-        house.restart();
-        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}, restarted");
-    }
-    for who in all {
-        house.after(2, who, "away");
-    }
-    for said in [
-        "Jon works late.",
-        "Mia sleeps at his parents' house.",
-        "Mia eats out.",
-        "Jon has lunch with a colleague.",
-        "Jon sits in the train.",
-        "Jon stays at the office.",
-        "Jon left the light on in the kitchen.",
-        "Hello!",
-        "Good morning!",
-    ] {
-        house.after(2, "somebody", said);
-        assert_eq!(all.map(|who| house.presence(who)), [away; 3], "{said}");
-        assert_eq!(house.known(), 3, "{said}");
-    }
-    house.after(2, "somebody", "A visitor arrives.");
-    assert_eq!((house.presence("anna"), house.presence("visitor")), (away, here));
-    house.after(2, "somebody", "The visitor leaves.");
-    assert_eq!(house.presence("visitor"), away);
-    house.after(2, "somebody", "Jon's mother arrives.");
-    assert_eq!((house.presence("jon's mother"), house.presence("jon")), (here, away));
-}
-
 /// A sentence, and who is where after it, of two who live here, are there or not, and two visitors.
-#[test]
-fn groups_plans_and_shows_are_told_from_persons() {
-    let mut house = House::new(&["Lena", "Paul"]);
-    let all = ["Lena", "Paul", "Igor", "Vera"];
-    let [here, away] = [presence::PRESENT, presence::AWAY].map(Some);
-    for (said, expected) in [
-        ("The visitors leave.", [here, here, away, away]),
-        ("The guests are gone.", [here, here, away, away]),
-        ("All the guests have left.", [here, here, away, away]),
-        ("The guests go to the bathroom.", [here; 4]),
-        ("All four leave.", [away; 4]),
-        ("All three leave.", [here; 4]),
-        ("Neither Lena nor Paul is home.", [away, away, here, here]),
-        ("Lena is neither in the kitchen nor in the bathroom.", [here; 4]),
-        ("Both are out of milk.", [here; 4]),
-        ("Paul walks the dog.", [here, away, here, here]),
-        ("Paul moved out.", [here, away, here, here]),
-        ("Lena goes on vacation.", [away, here, here, here]),
-        ("Paul closes the door behind him and drives away.", [here, away, here, here]),
-        ("Although Lena is out, the fridge is open.", [away, here, here, here]),
-        ("Lena is leaving.", [here; 4]),
-        ("We leave after dinner.", [here; 4]),
-        ("Lena, leave the house!", [here; 4]),
-        ("Bayern plays against Dortmund on TV.", [here; 4]),
-        ("Tatort starts on TV.", [here; 4]),
-        ("Schalke wins.", [here; 4]),
-        ("All three of them leave.", [here; 4]),
-        ("Lena leaves and takes Rocky with her.", [away, here, here, here]),
-    ] {
-        for who in all {
-            house.after(2, who, "They open the fridge.");
-        }
-        house.after(2, "somebody", said);
-        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}");
-        assert_eq!(house.known(), 4, "{said}");
-        house.restart();
-        assert_eq!(all.map(|who| house.presence(who)), expected, "{said}, restarted");
-    }
-    house.after(2, "igor", "away");
-    house.after(2, "lena", "They sit on the sofa.");
-    house.after(2, "vera", "They sit on the sofa.");
-    house.after(2, "paul", "They sit on the sofa.");
-    house.after(2, "somebody", "The three of them lie on the bed.");
-    for who in ["Lena", "Paul", "Vera"] {
-        assert_eq!(house.person(who).map(|own| own.observed_ns), Some(house.now_ns), "{who}");
-    }
-    house.after(2, "somebody", "The guests come back.");
-    assert_eq!(["Igor", "Vera"].map(|who| house.presence(who)), [here; 2]);
-    for who in all {
-        house.after(2, who, "away");
-    }
-    for said in [
-        "Lena forgot her umbrella.",
-        "Lena takes the bus home.",
-        "Lena lands in Berlin.",
-        "Lena buys milk.",
-        "Lena sees Paul.",
-        "Lena is leaving.",
-        "Lena visits Zoe.",
-        "The visitors leave.",
-    ] {
-        house.after(2, "somebody", said);
-        assert_eq!(all.map(|who| house.presence(who)), [away; 4], "{said}");
-    }
-    for said in ["Lena takes the bus home and opens the fridge.", "Lena rings and comes in."] {
-        house.after(2, "lena", "away");
-        house.after(2, "somebody", said);
-        assert_eq!(house.presence("lena"), here, "{said}");
-    }
-    house.after(2, "somebody", "Zoe comes to visit Lena.");
-    assert_eq!((house.presence("zoe"), house.known()), (here, 5));
-    house.after(2, "somebody", "Kim visits Lena.");
-    assert_eq!((house.presence("kim"), house.known()), (here, 6));
-}
-
 /// Where somebody is by what another one does, and by what all do.
-#[test]
-fn a_room_is_that_of_whom_it_is_told() {
-    let mut house = House::new(&["Mia", "Jon"]);
-    let rooms: Vec<String> = house.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
-    let room_of = |house: &mut House, who: &str| {
-        let number = house.board.persons().number_of(who);
-        let told = *house.board.person_forecasts(house.now_ns);
-        let own = told.persons().iter().find(|own| own.person == number).unwrap();
-        let best = (0..rooms.len()).max_by(|a, b| own.probability[*a][0].total_cmp(&own.probability[*b][0])).unwrap();
-        rooms[best].clone()
-    };
-    for (said, mia, jon) in [
-        ("Jon left the light on in the bathroom.", "kitchen", "kitchen"),
-        ("Mia sees Jon in the bathroom.", "kitchen", "bathroom"),
-        ("Mia sends Jon to the bathroom.", "kitchen", "bathroom"),
-        ("Before Jon goes to the bathroom, Mia leaves the house.", "", "kitchen"),
-        ("Everybody is in the bathroom.", "bathroom", "bathroom"),
-        ("Everybody sits down on the toilet.", "bathroom", "bathroom"),
-        ("They are both in the bathroom.", "bathroom", "bathroom"),
-    ] {
-        for who in ["mia", "jon"] {
-            house.after(90, who, "present in the kitchen");
-        }
-        house.after(2, "somebody", said);
-        let found = ["mia", "jon"].map(|who| {
-            if house.presence(who) == Some(presence::PRESENT) { room_of(&mut house, who) } else { String::new() }
-        });
-        assert_eq!(found, [mia, jon], "{said}");
-    }
-    for leave in ["Everybody leaves the kitchen.", "Both leave the kitchen."] {
-        for who in ["mia", "jon"] {
-            house.after(90, who, "present in the kitchen");
-        }
-        house.after(30, "somebody", leave);
-        assert!(["mia", "jon"].iter().all(|who| room_of(&mut house, who) != "kitchen"), "{leave}");
-    }
-    // Another process of the same narrator goes on with what it said.
-    for who in ["mia", "jon"] {
-        house.after(90, who, "present in the kitchen");
-    }
-    house.after(2, "somebody", "Mia opens the fridge.");
-    house.wait(20);
-    let mut next = house.observation("somebody", "She goes to the bathroom.");
-    next.epoch += 1;
-    house.enter(next);
-    let told = ["mia", "jon"].map(|who| house.person(who).unwrap().observed_ns == house.now_ns);
-    assert_eq!(told, [true, false]);
-}
-
 /// A resident keeps the name that the configuration has.
 #[test]
 fn a_resident_is_written_as_the_home_writes_them() {
@@ -960,186 +417,11 @@ fn a_resident_is_written_as_the_home_writes_them() {
 }
 
 /// Titles and what relatives are called make no other person, and what is not done moves nobody.
-#[test]
-fn a_title_makes_nobody_else() {
-    let mut house = House::new(&["edith", "priya"]);
-    house.after(1, "edith", "They open the fridge.");
-    house.after(1, "priya", "They open the fridge.");
-    house.after(1, "Mrs. Novak", "They open the fridge.");
-    let known = house.known();
-    for (sentence, who) in [
-        ("Mrs. Novak leaves the house.", "Mrs. Novak"),
-        ("Novak comes home.", "Mrs. Novak"),
-        ("Mrs. Novak leaves the house.", "Mrs. Novak"),
-        ("Grandma Edith leaves the house.", "edith"),
-    ] {
-        house.after(2, "somebody", sentence);
-        assert_eq!(house.known(), known, "{sentence}");
-        let is = if sentence.contains("leaves") { presence::AWAY } else { presence::PRESENT };
-        assert_eq!(house.presence(who), Some(is), "{sentence}");
-    }
-    house.after(2, "somebody", "Mrs. Novak opens the fridge.");
-    house.restart();
-    assert_eq!(["Mrs. Novak", "edith"].map(|who| house.presence(who)), [presence::PRESENT, presence::AWAY].map(Some));
-    for sentence in ["Edith will open the fridge.", "Edith doesn't open the fridge.", "Is Edith home?"] {
-        house.after(2, "somebody", sentence);
-        assert_eq!((house.known(), house.presence("edith")), (known, Some(presence::AWAY)), "{sentence}");
-    }
-}
-
 /// Two persons of one surname are two, and who is called by a first name is nobody new.
-#[test]
-fn a_title_tells_apart_and_a_first_name_does_not() {
-    let mut house = House::new(&["Ada Lovelace", "Ben"]);
-    house.after(1, "Ada Lovelace", "They open the fridge.");
-    house.after(1, "Ben", "They sit on the sofa.");
-    house.after(1, "somebody", "Ada leaves the house.");
-    assert_eq!((house.presence("Ada Lovelace"), house.known()), (Some(presence::AWAY), 2));
-    house.after(1, "somebody", "Ada opens the fridge and Ben leaves the house.");
-    let of = |house: &mut House| ["Ada Lovelace", "Ben"].map(|who| house.presence(who));
-    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT), Some(presence::AWAY)], 2));
-    house.after(1, "somebody", "Everybody except Ada leaves the house.");
-    assert_eq!(of(&mut house), [Some(presence::PRESENT), Some(presence::AWAY)]);
-    assert_eq!(house.person("Ada Lovelace").unwrap().name(), "Ada Lovelace");
-    house.restart();
-    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT), Some(presence::AWAY)], 2));
-    house.after(1, "somebody", "Mrs. Novak sits on the sofa.");
-    house.after(1, "somebody", "Mr. Novak opens the fridge.");
-    assert_eq!(house.known(), 4);
-    house.after(1, "somebody", "Mrs Novak leaves the house.");
-    let of = |house: &mut House| ["Mrs. Novak", "Mr. Novak"].map(|who| house.presence(who));
-    assert_eq!(of(&mut house), [Some(presence::AWAY), Some(presence::PRESENT)]);
-    // Either of them may be meant.
-    house.after(1, "somebody", "Novak leaves the house.");
-    assert_eq!((of(&mut house), house.known()), ([Some(presence::AWAY), Some(presence::PRESENT)], 4));
-    // As soon as there are two of a first name it tells nobody.
-    house.after(1, "Ada Byron", "They open the fridge.");
-    house.after(1, "somebody", "Ada leaves the house.");
-    let of = |house: &mut House| ["Ada Lovelace", "Ada Byron"].map(|who| house.presence(who));
-    assert_eq!((of(&mut house), house.known()), ([Some(presence::PRESENT); 2], 5));
-    // Accents are left out by one narrator, and written in two characters by another.
-    house.after(1, "Zoë", "They open the fridge.");
-    house.after(1, "somebody", "Zoe leaves the house.");
-    assert_eq!((house.presence("Zoë"), house.known()), (Some(presence::AWAY), 6));
-    house.after(1, "Zoe\u{308}", "They open the fridge.");
-    assert_eq!((house.presence("Zoë"), house.known()), (Some(presence::PRESENT), 6));
-}
-
 /// Of whom a narrator tells by first and last name, though the home knows the first one alone.
-#[test]
-fn a_longer_name_is_the_same_person_in_deeds_and_where_they_are() {
-    let mut house = House::new(&["Jonas", "Anna", "Oma Trude"]);
-    let of = |house: &mut House| house.presence("Jonas");
-    for (text, expected) in [
-        ("Jonas Müller opens the fridge.", presence::PRESENT),
-        ("Jonas Müller leaves the house.", presence::AWAY),
-        ("Jonas Müller comes home.", presence::PRESENT),
-        ("Jonas Müller is away.", presence::AWAY),
-        ("Dr. Jonas Müller opens the fridge.", presence::PRESENT),
-        ("Dr. Jonas Müller goes to work.", presence::AWAY),
-        ("Jonas Müller is in the kitchen.", presence::PRESENT),
-    ] {
-        house.after(1, "somebody", text);
-        assert_eq!((of(&mut house), house.known()), (Some(expected), 1), "{text}");
-    }
-    // Whom a longer name is told of is that person, also where another one has a part of it.
-    house.after(1, "Jonas Meier", "They sit on the sofa.");
-    house.after(1, "somebody", "Jonas Meier leaves the house.");
-    assert_eq!((of(&mut house), house.presence("Jonas Meier")), (Some(presence::PRESENT), Some(presence::AWAY)));
-    // Whom nobody knows is nobody who is known.
-    house.after(1, "somebody", "Olga Petrova opens the fridge.");
-    house.after(1, "somebody", "Olga Petrova leaves the house.");
-    house.after(1, "somebody", "Two people are sitting on a couch.");
-    assert_eq!((of(&mut house), house.presence("Olga Petrova")), (Some(presence::PRESENT), Some(presence::AWAY)));
-}
-
 /// Whoever's narrator hears it: a sentence about somebody else whom it names is of them.
-#[test]
-fn a_sentence_about_others_is_theirs_by_whatever_key() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ada", "They open the fridge.");
-    house.after(1, "ben", "They sit on the sofa.");
-    for key in ["ada", "0"] {
-        let before = house.person("ada").unwrap().observed_ns;
-        house.after(3, key, "Ben opens the fridge.");
-        assert_eq!(house.person("ben").unwrap().observed_ns, house.now_ns, "by {key}");
-        assert_eq!((house.person("ada").unwrap().observed_ns, house.known()), (before, 2), "by {key}");
-    }
-    house.after(3, "ada", "They help Ben.");
-    assert_eq!(house.person("ada").unwrap().observed_ns, house.now_ns);
-}
-
 /// Who is out is brought home neither by a place that the map does not know, nor by what is so at another time.
-#[test]
-fn who_is_out_is_not_back_at_a_place_that_nobody_knows() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ben", "They open the fridge.");
-    house.after(1, "ada", "They sit on the sofa.");
-    house.after(1, "ada", "away");
-    for sentence in [
-        "Ada is at the gym.",
-        "Ada is in Rome.",
-        "Ada goes to the hairdresser.",
-        "Ada is back at the hotel.",
-        "Ada drives to the lake.",
-        "Ada is almost home.",
-        "Ada is late.",
-        "Ada is coming home.",
-        "Ada is in the waiting room.",
-        "Ada is back in an hour.",
-        "Ada comes home at the weekend.",
-        "Ada sits on the sofa every evening.",
-    ] {
-        for who in ["somebody", "ada"] {
-            house.after(2, who, sentence);
-            assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence} by {who}");
-            assert_eq!(house.presence("ben"), Some(presence::PRESENT), "{sentence} by {who}");
-        }
-    }
-    house.after(2, "somebody", "Igor is at the gym.");
-    assert_eq!(house.presence("igor"), None);
-    for sentence in [
-        "Ada is on the sofa.",
-        "Ada goes to the kitchen.",
-        "Ada goes to bed.",
-        "Ada laughs.",
-        "Ada is cooking.",
-        "Ada is home.",
-    ] {
-        house.after(2, "ada", "away");
-        house.after(2, "somebody", sentence);
-        assert_eq!(house.presence("ada"), Some(presence::PRESENT), "{sentence}");
-    }
-    // Who is there and goes to work is out, in whatever words.
-    for sentence in ["Ada returns to work.", "Ada is back at school.", "Ada walks to the bus stop."] {
-        house.after(2, "ada", "They open the fridge.");
-        house.after(2, "somebody", sentence);
-        assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence}");
-    }
-    house.after(2, "ada", "They open the fridge.");
-    house.after(2, "somebody", "Ada usually leaves the house at eight.");
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
-}
-
 /// A light that goes off moves nobody, and brings nobody home.
-#[test]
-fn what_has_ended_moves_nobody() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ada", "They sit on the sofa.");
-    house.after(60, "ben", "away");
-    let before = house.now().0;
-    house.after(1, "somebody", "The fridge is closed.");
-    let after = house.now().0;
-    assert!(before.iter().zip(&after).all(|(a, b)| (a - b).abs() < 0.05), "{before:?} {after:?}");
-    house.after(1, "ada", "away");
-    for sentence in ["The fridge is closed.", "The light is off."] {
-        house.after(1, "somebody", sentence);
-        assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::AWAY)));
-    }
-    house.after(1, "somebody", "They open the fridge.");
-    assert_eq!(house.presence("ben"), Some(presence::PRESENT));
-}
-
 /// A forecast says when it lacks somebody who lives here.
 #[test]
 fn who_was_never_observed_is_missed() {
@@ -1172,26 +454,6 @@ fn who_says_that_they_sleep_is_asleep() {
 }
 
 /// Who calls, or will come, is not home for that; things are nobody.
-#[test]
-fn who_calls_is_not_home() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ben", "They open the fridge.");
-    house.after(1, "ada", "away");
-    for sentence in ["Ada calls.", "Ada will be home soon.", "Ada is on her way."] {
-        house.after(1, "somebody", sentence);
-        assert_eq!(house.presence("ada"), Some(presence::AWAY), "{sentence}");
-    }
-    house.after(1, "ada", "They call a friend.");
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT), "a sentence of theirs about a call is an action");
-    let before = house.known();
-    for sentence in ["The coffee maker is out.", "Sofa is away.", "The dishwasher is out."] {
-        house.after(1, "somebody", sentence);
-        assert_eq!((house.known(), house.presence("ben")), (before, Some(presence::PRESENT)), "{sentence}");
-    }
-    house.after(1, "somebody", "Ada comes home.");
-    assert_eq!(house.presence("ada"), Some(presence::PRESENT));
-}
-
 /// What is said of everybody is said of each who lives here, and holds after a restart.
 #[test]
 fn nobody_is_home() {
@@ -1240,11 +502,8 @@ fn who_comes_home_is_one_who_was_away() {
     house.after(1, "ben", "They sit on the sofa.");
     house.after(60, "somebody", "They come home.");
     assert_eq!((house.presence("ada"), house.known()), (Some(presence::PRESENT), 2));
-    house.after(1, "somebody", "Carla comes home.");
-    assert_eq!((house.presence("carla"), house.known()), (Some(presence::PRESENT), 3));
 }
 
-/// A name that a sentence gave is there after a restart, and means the same person.
 /// What was said before the map changed is not read by the map of now: everybody is believed where they were.
 #[test]
 fn a_restart_after_a_map_change_moves_nobody() {
@@ -1313,144 +572,8 @@ fn a_name_in_a_topic_is_the_residents() {
 }
 
 /// What a sentence begins with becomes no person, neither in deeds nor where somebody is, and takes nothing from whom it is about.
-#[test]
-fn what_a_sentence_begins_with_is_no_person() {
-    let told = |line: &str| {
-        let config = PersonsConfig { residents: vec!["Ada".into(), "Ben".into()], ..PersonsConfig::default() };
-        let mut house = House { board: board_of(FLAT, &config), config, ..House::new(&[]) };
-        house.after(1, "Ada", "present in the kitchen");
-        house.after(1, "Ben", "present in the living room");
-        let rooms = |house: &House| -> Vec<String> {
-            let map = house.board.pipeline().grounding().partitions();
-            let room = |who: &str| {
-                let number = house.board.persons().number_of(who);
-                let likeliest = house
-                    .board
-                    .belief_of(number)
-                    .and_then(|belief| (0..belief.len()).max_by(|a, b| belief[*a].total_cmp(&belief[*b])));
-                likeliest.map_or_else(String::new, |room| map[room].id.clone())
-            };
-            ["Ada", "Ben"].map(room).into()
-        };
-        let before = rooms(&house);
-        house.after(1, "somebody", line);
-        let mut moved: Vec<String> = Vec::new();
-        for (at, (who, short)) in [("Ada", "ada"), ("Ben", "ben")].into_iter().enumerate() {
-            let is_out = house.presence(who) != Some(presence::PRESENT);
-            if is_out {
-                moved.push(format!("{short} out"));
-            } else if rooms(&house)[at] != before[at] {
-                moved.push(format!("{short} {}", rooms(&house)[at]));
-            }
-        }
-        let new = house.board.persons().iter().filter_map(|(number, _)| house.board.persons().name_of(number));
-        moved.extend(new.filter(|name| !["Ada", "Ben"].contains(name)).map(|name| format!("new {name}")));
-        moved.join(", ")
-    };
-    for line in [
-        "Front Door opens.",
-        "Back Door closes.",
-        "Solar Panel produces power.",
-        "Home Assistant restarts.",
-        "Baby Monitor turns on.",
-        "Electric Car arrives.",
-        "Electric Car leaves the house.",
-        "Pizza Delivery arrives.",
-        "Front Door: opened.",
-        "Kitchen Light turns on.",
-        "Perhaps Ada goes to bed.",
-        "I think Ada goes to bed.",
-        "I think Ada leaves the house.",
-        "Maybe Ada leaves the house.",
-        "Probably, Ben leaves the house.",
-        "Tomorrow, Ben leaves the house.",
-        "Ada: Ben is in the bedroom.",
-        "The radio says: Ben leaves the house.",
-        "Everybody except Ada sings.",
-        "Ada's phone rings.",
-        "Living room is empty?",
-    ] {
-        assert_eq!(told(line), "", "{line}");
-    }
-    for (line, expected) in [
-        ("Carefully, Ben sits down on the bed.", "ben bedroom"),
-        ("Again, Ben opens the fridge.", "ben kitchen"),
-        ("Hungry, Ben opens the fridge.", "ben kitchen"),
-        ("Yawning, Ada goes to bed.", "ada bedroom"),
-        ("Still wet, Ben opens the fridge.", "ben kitchen"),
-        ("Alone at home, Ben opens the fridge.", "ben kitchen"),
-        ("Without looking, Ben opens the fridge.", "ben kitchen"),
-        ("Poor Ada goes to bed.", "ada bedroom"),
-        ("Tired Ben opens the fridge.", "ben kitchen"),
-        ("Old Ben goes to bed.", "ben bedroom"),
-        ("Sadly Ben leaves the house.", "ben out"),
-        ("Hey Ben leaves the house.", "ben out"),
-        ("Carefully, Ben leaves the house.", "ben out"),
-        ("- Ada goes to bed.", "ada bedroom"),
-        ("- Ada leaves the house.", "ada out"),
-        ("10:32 Ben opens the fridge.", "ben kitchen"),
-        ("10:32 Ben leaves the house.", "ben out"),
-        ("Kitchen: Ben opens the fridge.", "ben kitchen"),
-        ("Alert: Ben leaves the house.", "ben out"),
-        ("Update: Ben leaves the house.", "ben out"),
-        ("Note: Ada goes to bed.", "ada bedroom"),
-        ("Correction: Ben is in the bedroom.", "ben bedroom"),
-        ("Motion detected: Ben is in the bathroom.", "ben bathroom"),
-        ("My wife Ada goes to bed.", "ada bedroom"),
-        ("My wife Ada leaves the house.", "ada out"),
-        ("Our daughter Lily goes to bed.", "new lily"),
-        ("Jörg Müßig opens the fridge.", "new jörg müßig"),
-        ("Jonas Müller leaves the house.", "new jonas müller"),
-        ("Ada Müller goes to bed.", "ada bedroom"),
-        ("Poor Ada and Ben leave the house.", "ada out, ben out"),
-        ("Sadly Ben leaves the house, and Ada goes to bed.", "ada bedroom, ben out"),
-        ("Ben and Ada sit down on the bed.", "ada bedroom, ben bedroom"),
-        ("Everybody but poor Ada leaves the house.", "ben out"),
-    ] {
-        assert_eq!(told(line), expected, "{line}");
-    }
-    // What nobody is in needs no article.
-    assert_eq!(told("Living room is empty."), told("The living room is empty."));
-    assert_ne!(told("Living room is empty."), "");
-}
-
 /// Of whom comes home it is told, too, behind what a sentence begins with.
-#[test]
-fn who_comes_home_may_stand_behind_other_words() {
-    for line in ["Carefully, Ben comes home.", "Alert: Ben comes home.", "Old Ben comes home.", "18:00 Ben comes home."]
-    {
-        let mut house = House::new(&["Ada", "Ben"]);
-        house.after(1, "Ada", "away");
-        house.after(1, "Ben", "away");
-        house.after(1, "somebody", line);
-        let present = |house: &mut House, who: &str| house.presence(who) == Some(presence::PRESENT);
-        assert_eq!((present(&mut house, "Ada"), present(&mut house, "Ben")), (false, true), "{line}");
-    }
-}
-
 /// Titles tell apart, whatever stands before the name.
-#[test]
-fn a_title_before_a_name_is_part_of_it() {
-    let mut house = House::new(&["Ada"]);
-    house.after(1, "Ada", "The wait.");
-    house.after(1, "Mr. Novak", "present");
-    house.after(1, "somebody", "Mrs. Novak leaves the house.");
-    house.after(1, "somebody", "Mrs. Novak goes home.");
-    assert_eq!(house.presence("Mr. Novak"), Some(presence::PRESENT));
-}
-
-#[test]
-fn a_restart_keeps_the_names_of_plain_sentences() {
-    let mut house = House::new(&["ada", "ben"]);
-    house.after(1, "ben", "They sit on the sofa.");
-    house.after(1, "somebody", "Eve is in the kitchen.");
-    assert_eq!(house.person("eve").unwrap().name(), "eve");
-    house.restart();
-    assert_eq!(house.person("eve").unwrap().name(), "eve");
-    house.after(1, "somebody", "Eve opens the fridge.");
-    assert_eq!((house.person("eve").unwrap().window, house.person("ben").unwrap().window), (1, 1));
-}
-
 /// What was told of hours later is of a visitor who sleeps, too.
 #[test]
 fn a_visitor_who_is_told_of_late_may_sleep_here() {
@@ -1466,7 +589,7 @@ fn a_visitor_who_is_told_of_late_may_sleep_here() {
 fn a_home_is_not_empty_as_long_as_somebody_may_be_there() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They open the fridge.");
-    house.after(1, "ada", "Ada is still at work.");
+    house.after(1, "ada", "away");
     assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
     let forecast = *house.board.forecast(house.now_ns);
     assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOT_KNOWN, 0.0));
@@ -1604,28 +727,6 @@ fn a_restart_changes_nothing() {
 }
 
 /// Who leaves a room is in another, also where two do.
-#[test]
-fn two_who_leave_a_room_are_not_in_it() {
-    let mut house = House::new(&["ada", "ben"]);
-    let kitchen = |house: &mut House, who: &str| {
-        let number = house.board.persons().number_of(who);
-        let scores = *house.board.person_forecasts(house.now_ns);
-        let person = scores.persons().iter().find(|person| person.person == number).unwrap();
-        let room = scores.rooms().position(|room| room == "kitchen").unwrap();
-        person.probability[room][0]
-    };
-    for (who, what) in [("ada", "They walk to the kitchen."), ("ben", "They sit on the sofa.")] {
-        house.after(60, who, what);
-    }
-    house.after(60, "somebody", "Ada & Ben leave the kitchen.");
-    for who in ["ada", "ben"] {
-        let likely = kitchen(&mut house, who);
-        assert!(likely < 0.2, "{who} is in the kitchen with {likely}");
-    }
-    house.after(60, "somebody", "Ada & Ben leave the house.");
-    assert_eq!(["ada", "ben"].map(|who| house.presence(who)), [Some(presence::AWAY); 2]);
-}
-
 /// Where a power loss took a part of what somebody did, the model says something else of the rest: that is what is believed from then on, and so
 /// what the next restart is told. What the journal says already is not said again.
 #[test]
@@ -1710,152 +811,13 @@ fn who_comes_back_is_known_afresh() {
 }
 
 /// What people narrate at home: who of Lena and Paul is in before it, and who is after it, with the visitors.
-#[test]
-fn people_come_and_go_as_is_narrated() {
-    for (before, text, after) in [
-        ("LP", "Lena rushes off to work.", "P"),
-        ("LP", "Paul rides his bike to the lake.", "L"),
-        ("LP", "Paul has gone to pick up a pizza.", "L"),
-        ("LP", "Lena is on the road.", "P"),
-        ("LP", "Paul is stuck at the office.", "L"),
-        ("LP", "Lena is on her way to the office.", "P"),
-        ("LP", "Although it rains, Lena goes jogging.", "P"),
-        ("P", "Lena gets off the bus.", "P"),
-        ("P", "Lena leaves the office.", "P"),
-        ("P", "Lena left work.", "P"),
-        ("P", "Lena remembers the milk and turns around.", "P"),
-        ("LP", "Leipzig beats Hamburg.", "LP"),
-        ("-", "Paul comes home with Igor.", "P+igor"),
-        ("P", "Paul opens the door for Lena.", "LP"),
-        ("P", "Lena gives Paul a kiss.", "LP"),
-        ("P", "Paul gives Lena a kiss.", "LP"),
-        ("P", "Honey, I'm home!", "LP"),
-        ("P", "I'm home!", "LP"),
-        ("-", "Honey, I'm home!", "-"),
-        ("-", "I'm home!", "-"),
-        ("LP", "Lena opens the fridge.;;She sits down.;;He leaves the house.", "L"),
-        ("LP", "Lena puts on her shoes.", "LP"),
-        ("P", "Lena is taking a bath.", "LP"),
-        ("LP", "Paul's phone left the home zone.", "L"),
-        ("L", "Paul's phone is back in the home zone.", "LP"),
-        ("LP", "Paul sits in the office.", "LP"),
-        ("LP", "We leave after dinner.", "LP"),
-        ("LP", "Everybody has left for the weekend.", "-"),
-        ("LP", "Lena brushes her teeth.;;He leaves the house.", "L"),
-        ("LP", "Paul shaves himself.;;Lena opens the fridge.;;He leaves the house.", "L"),
-        ("LP", "Paul goes to the office.", "L"),
-        ("LP", "Lena goes to the office to work at her desk.", "LP"),
-        ("P", "Lena walks in through the front door.", "LP"),
-        ("P", "Paul hugs Lena in the hallway.", "LP"),
-        ("P", "Paul greets Lena at the door.", "LP"),
-        ("LP", "Lena dashes off to the gym.", "P"),
-        ("LP", "Paul jogs around the park.", "L"),
-        ("LP", "Lena went to buy bread.", "P"),
-        ("LP", "Lena goes to fetch the kids from school.", "P"),
-        ("LP", "Lena has gone to collect a parcel.", "P"),
-        ("LP", "Lena gives Paul a lift to the airport.", "-"),
-        ("LP", "Paul rides his motorcycle to the mountains.", "L"),
-        ("LP", "Lena takes her bike to work.", "P"),
-        ("LP", "Lena is stuck in traffic.", "P"),
-        ("LP", "Lena is still on the train.", "P"),
-        ("LP", "Paul is sitting in a café.", "L"),
-        ("LP", "Lena is standing at the bus stop.", "P"),
-        ("LP", "Paul is out running errands.", "L"),
-        ("LP", "Lena is in a meeting at work.", "P"),
-        ("LP", "Lena is on a business trip in Berlin.", "P"),
-        ("LP", "Paul is on his way to work.", "L"),
-        ("P", "Lena gets out of the taxi.", "P"),
-        ("P", "Lena steps off the plane.", "P"),
-        ("P", "Lena leaves the gym.", "P"),
-        ("P", "Lena left the supermarket.", "P"),
-        ("P", "Lena leaves school.", "P"),
-        ("P", "Lena finishes work.", "P"),
-        ("P", "Lena starts her shift.", "P"),
-        ("P", "Lena realizes that she forgot her wallet and turns back.", "P"),
-        ("P", "Lena walks along the river.", "P"),
-        ("P", "Lena crosses the street.", "P"),
-        ("P", "Lena changes trains in Cologne.", "P"),
-        ("L", "Paul leaves the stadium.", "L"),
-        ("LP", "Bayern beats Dortmund.", "LP"),
-        ("LP", "Hamburg defeats Bremen 2:1.", "LP"),
-        ("LP", "Germany ties with Spain.", "LP"),
-        ("-", "Lena comes home with her friend Igor.", "L+igor"),
-        ("P", "Paul opens the front door for Lena.", "LP"),
-        ("P", "Paul helps Lena out of her coat.", "LP"),
-        ("P", "Paul hands Lena a cup of tea.", "LP"),
-        ("P", "Hi, I'm back!", "LP"),
-        ("P", "Hello, I'm home!", "LP"),
-        ("LP", "Lena's phone left home.", "P"),
-        ("L", "Paul's phone arrived home.", "LP"),
-        ("LP", "Lena's phone is away.", "P"),
-        ("LP", "Despite the rain, Paul goes for a run.", "L"),
-        ("LP", "Because of the sun, Lena goes swimming.", "P"),
-        ("LP", "Since it is Sunday, Paul goes to church.", "L"),
-        ("LP", "As the sun shines, Lena goes for a walk.", "P"),
-        ("LP", "The whole family is on vacation.", "-"),
-        ("P", "Lena arrives home from work.", "LP"),
-        ("P", "Lena unlocks the front door and comes inside.", "LP"),
-        ("P", "Paul lets Lena in.", "LP"),
-        ("LP", "Paul has left for the airport.", "L"),
-        ("LP", "Paul heads for the supermarket.", "L"),
-        ("P", "Lena misses her stop.", "P"),
-        ("P", "Lena has lunch with a colleague.", "P"),
-        ("LP", "Amazon delivers a parcel.", "LP"),
-        ("LP", "Siri answers.", "LP"),
-        ("LP", "The babysitter arrives.", "LP+babysitter"),
-        ("P", "Lena kisses Paul.", "LP"),
-        ("P", "Paul cooks dinner for Lena.", "P"),
-        ("LP", "Lena cooks.;;She leaves the house.", "P"),
-        ("LP", "Lena grabs her keys.", "LP"),
-        ("LP", "Motion in the corridor.", "LP"),
-        ("LP", "Lena wants to leave the house.", "LP"),
-        ("LP", "Lena almost left the house.", "LP"),
-        ("LP", "Paul heard that Lena left the company.", "LP"),
-        ("LP", "Paul snores.", "LP"),
-        ("LP", "Everyone has gone on holiday.", "-"),
-        ("LP", "Paul walks the dog.", "L"),
-        ("LP", "Lena cooks and Paul goes jogging.", "L"),
-        ("LP", "Paul works in the home office.", "LP"),
-    ] {
-        let mut house = House::new(&["Lena", "Paul"]);
-        house.board = board_of(FLAT, &house.config);
-        for (letter, who) in [('L', "Lena"), ('P', "Paul")] {
-            house.after(1, who, "They stand up.");
-            if !before.contains(letter) {
-                house.after(1, who, "away");
-            }
-        }
-        for visitor in before.split('+').skip(1) {
-            house.after(1, visitor, "They stand up.");
-        }
-        house.wait(300);
-        for sentence in text.split(";;") {
-            house.after(10, "somebody", sentence);
-        }
-        let told = *house.board.person_scores(house.now_ns);
-        let here = told.persons().iter().filter(|person| person.presence == presence::PRESENT);
-        let mut here: Vec<&str> = here.map(PersonV1::name).collect();
-        here.sort_unstable();
-        let (mut residents, mut visitors) = (String::new(), String::new());
-        for name in here {
-            match name {
-                "Lena" => residents.push('L'),
-                "Paul" => residents.push('P'),
-                other => visitors.extend(["+", other]),
-            }
-        }
-        let residents = if residents.is_empty() { "-" } else { &residents };
-        assert_eq!(format!("{residents}{visitors}"), after, "{text}");
-    }
-}
-
 /// Identifiers of devices have no accents: what they say of Zoë is of her, the second time too.
 #[test]
 fn a_name_without_accents_stays_the_same_persons() {
     let mut house = House::new(&["Zoë", "Jürgen"]);
     house.after(1, "zoe", "present");
     house.after(1, "zoe", "away");
-    house.after(1, "Mrs. Zoe", "present");
+    house.after(1, "ZOE", "present");
     let named: Vec<_> = house.board.persons().iter().map(|(number, _)| number).collect();
     assert_eq!(named, [person_number("Zoë")]);
     assert_eq!(house.board.persons().name_of(named[0]), Some("Zoë"));
@@ -2015,30 +977,6 @@ proptest::proptest! {
 }
 
 /// The journals of older daemons do not say whom their sentences moved: these are read with who is known, and once.
-#[test]
-fn an_older_journal_is_read_as_before() {
-    let mut house = House::new(&["Anna", "Ben"]);
-    for (who, what) in [("Anna", "They sit down."), ("Ben", "They sit down."), ("somebody", "Both leave.")] {
-        house.after(10, who, what);
-    }
-    let both_away = presences(&house);
-    let mut older = Vec::new();
-    each_record(&house.journal, |raw, _| {
-        if !raw.starts_with(b"RCJB") {
-            older.extend_from_slice(raw);
-        }
-    });
-    assert!(older.len() < house.journal.len());
-    house.journal = older;
-    house.restart();
-    assert_eq!(presences(&house), both_away);
-    // From now on it is known whom it moved.
-    house.config.residents.push("Igor".to_owned());
-    assert!(house.journal.windows(4).any(|letters| letters == b"RCJB"));
-    house.restart();
-    assert_eq!(presences(&house), both_away);
-}
-
 /// What is said of somebody goes with them, however their name is written there; what is said of others stays, also of who has a longer name.
 #[test]
 fn what_names_who_is_forgotten_goes_and_no_more() {
@@ -2105,30 +1043,17 @@ fn what_names_who_is_forgotten_goes_and_no_more() {
     assert!(!String::from_utf8_lossy(&house.journal).contains("MARK"));
 }
 
-/// Who was taken for a person is none any more after a start with a configuration that says so.
-#[test]
-fn who_is_found_to_be_no_person_is_gone_after_a_restart() {
-    for said in ["Rocky cleans the bathroom.", "Rocky opens the fridge and Ada leaves the house."] {
-        let mut house = House::new(&["Ada"]);
-        house.after(1, "somebody", "Ada opens the fridge.");
-        house.after(1, "somebody", said);
-        assert_eq!(house.presence("Rocky"), Some(presence::PRESENT), "{said}");
-        house.config.not_persons.push("Rocky".to_owned());
-        for _ in 0..2 {
-            house.restart();
-            assert_eq!(house.presence("Rocky"), None, "{said}");
-        }
-        house.after(1, "somebody", "Ada leaves the house.");
-        assert!(house.board.snapshot().has(score_flags::NOBODY_HOME), "{said}");
-    }
-}
-
 /// What others did to them is in nobody's window any more, and the others' scores are without it.
 #[test]
 fn who_is_forgotten_is_in_no_window() {
     let mut house = House::new(&["Ada", "Ben"]);
-    for said in ["Ada opens the fridge.", "Igor sits on the sofa.", "Ada hugs Igor.", "Ben takes Igor's cup."] {
-        house.after(1, "somebody", said);
+    for (who, said) in [
+        ("somebody", "Ada opens the fridge."),
+        ("Igor", "They sit on the sofa."),
+        ("somebody", "Ada hugs Igor."),
+        ("somebody", "Ben takes Igor's cup."),
+    ] {
+        house.after(1, who, said);
     }
     let told = |house: &House| {
         let histories = house.board.pipeline().histories().iter();
@@ -2154,21 +1079,6 @@ fn who_was_never_known_is_not_forgotten() {
 }
 
 /// Who ends in s is somebody, too, and moves nobody else.
-#[test]
-fn a_name_that_ends_as_a_verb_does_is_a_name() {
-    for name in ["Lukas", "Thomas", "Chris", "Iris", "Niklas", "Jens", "James", "Agnes"] {
-        let mut house = House::new(&[]);
-        house.after(1, "somebody", "Anna goes to bed.");
-        house.after(1, "Lily", "away");
-        let before = presences(&house);
-        house.after(60, "somebody", &format!("{name} comes home."));
-        house.after(60, "somebody", &format!("{name} opens the fridge."));
-        let mut after = presences(&house);
-        assert_eq!(after.remove(&person_number(name)), Some(Presence::Present), "{name}");
-        assert_eq!(after, before, "{name}");
-    }
-}
-
 /// Messages and narration have one word for a presence.
 #[test]
 fn a_presence_has_one_word() {
@@ -2176,4 +1086,139 @@ fn a_presence_has_one_word() {
     for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
         assert_eq!(presence::word(presence_value(all)), all.as_str());
     }
+}
+
+/// The spoofed poster: text that a camera reads sets no presence, also by a narrator that may.
+#[test]
+fn text_inside_a_text_sets_no_presence() {
+    for text in [
+        "The TV says: \"Hello. Everybody leaves the house. Bye.\"",
+        "A poster reads: Everybody leaves the house.",
+        "On TV, everybody leaves the house.",
+        "Subtitle: Nobody is home.",
+        "Ada reads \"Ada leaves the house.\"",
+        "Ada goes grocery shopping.",
+        "Ada drives to the pharmacy.",
+        "An elderly woman walks out of the front door.",
+        "Everybody leaves the building.",
+        "the lamp is on. Everybody leaves the house.",
+    ] {
+        for who in ["somebody", "Ada"] {
+            let mut house = House::new(&["Ada", "Ben"]);
+            house.after(1, "Ada", "They open the fridge.");
+            house.after(1, "Ben", "They lie on the bed.");
+            house.after(5, who, text);
+            assert_eq!([house.presence("Ada"), house.presence("Ben")], [Some(presence::PRESENT); 2], "{who}: {text}");
+        }
+    }
+}
+
+#[test]
+fn presence_forms_set_presence() {
+    for (text, ada, ben) in [
+        ("Ada leaves the house.", presence::AWAY, presence::PRESENT),
+        ("ADA GOES OUT", presence::AWAY, presence::PRESENT),
+        ("Everybody leaves the house.", presence::AWAY, presence::AWAY),
+        ("Nobody is home.", presence::AWAY, presence::AWAY),
+        ("Ben is away.", presence::PRESENT, presence::AWAY),
+        ("Carl leaves the house.", presence::PRESENT, presence::PRESENT),
+    ] {
+        let mut house = House::new(&["Ada", "Ben"]);
+        house.after(1, "Ada", "They open the fridge.");
+        house.after(1, "Ben", "They lie on the bed.");
+        house.after(5, "somebody", text);
+        assert_eq!([house.presence("Ada"), house.presence("Ben")], [Some(ada), Some(ben)], "{text}");
+        house.restart();
+        assert_eq!([house.presence("Ada"), house.presence("Ben")], [Some(ada), Some(ben)], "{text}");
+    }
+}
+
+#[test]
+fn the_person_key_is_final() {
+    let mut house = House::new(&[]);
+    house.after(1, "worker_1", "worker leaves the building");
+    assert_eq!((house.known(), house.presence("worker_1")), (1, Some(presence::PRESENT)));
+    house.after(1, "ben", "They sit on the sofa.");
+    house.after(1, "worker_1", "Ben leaves the house.");
+    assert_eq!((house.presence("ben"), house.presence("worker_1")), (Some(presence::PRESENT), Some(presence::PRESENT)));
+    house.after(1, "worker_1", "They leave the house.");
+    assert_eq!((house.presence("ben"), house.presence("worker_1")), (Some(presence::PRESENT), Some(presence::AWAY)));
+}
+
+#[test]
+fn names_are_never_learned_from_free_text() {
+    let mut house = House::new(&["Ada"]);
+    for text in ["Igor sits on the sofa.", "The plumber repairs the shower.", "Olga Petrova comes home."] {
+        house.after(1, "somebody", text);
+    }
+    assert_eq!(house.known(), 1);
+    house.after(1, "plumber", "They walk to the kitchen.");
+    house.after(1, "somebody", "The plumber opens the fridge.");
+    assert_eq!((house.known(), house.person("plumber").unwrap().window), (2, 2));
+}
+
+#[test]
+fn counted_persons_are_limited_by_residents_and_visitors() {
+    let mut house = House::new(&["Ada", "Ben"]);
+    house.after(1, "Ada", "They lie on the bed.");
+    house.after(5, "somebody", "Two people are in the kitchen.");
+    assert_eq!((house.known(), house.presence("Ben")), (2, Some(presence::PRESENT)));
+    house.after(5, "somebody", "Five people are in the kitchen.");
+    assert_eq!(house.known(), 2);
+    let mut house = House::new(&[]);
+    house.after(5, "somebody", "Two people are cooking in the kitchen.");
+    assert_eq!(house.known(), 2);
+    let counted = Observation { count: 3, ..house.observation("somebody", "They cook in the kitchen.") };
+    house.enter(counted);
+    assert_eq!(house.known(), 3);
+}
+
+#[test]
+fn narrators_that_may_only_report_actions_set_no_presence() {
+    let mut house = House::new(&["Ada"]);
+    house.board = std::mem::replace(&mut house.board, board(&house.config)).with_named([(7, May::DID)]);
+    house.after(1, "Ada", "They open the fridge.");
+    for (who, text) in [("Ada", "away"), ("somebody", "Ada leaves the house."), ("somebody", "Everybody leaves the house.")] {
+        house.after(1, who, text);
+        assert_eq!(house.presence("Ada"), Some(presence::PRESENT), "{text}");
+    }
+    let lines = house.board.understood_lines(7, 1, 1);
+    assert_eq!(lines.len(), 4);
+    assert!(lines[1].why.as_deref().is_some_and(|why| why.contains("may not set presence")), "{lines:?}");
+}
+
+#[test]
+fn narrators_learn_how_their_events_were_understood() {
+    let mut house = House::new(&["Ada", "Ben"]);
+    for (who, text) in [
+        ("Ada", "They open the fridge."),
+        ("somebody", "Ben sits on the sofa."),
+        ("somebody", "They close the fridge."),
+        ("somebody", "They think."),
+        ("somebody", "Ada leaves."),
+        ("Ben", "present in the garden"),
+        ("somebody", "Everybody leaves the house."),
+    ] {
+        house.after(1, who, text);
+    }
+    let lines = house.board.understood_lines(7, 1, 1);
+    let shown = |line: &UnderstoodLine| {
+        let persons: Vec<_> = line.persons.iter().filter_map(|person| person.name.as_deref()).collect();
+        let place = line.place.as_deref().unwrap_or("-");
+        format!("{} {} {:?} {place} {}", line.event, persons.join("+"), line.by, line.why.as_deref().unwrap_or(""))
+    };
+    let shown: Vec<String> = lines.iter().map(shown).collect();
+    assert_eq!(
+        shown,
+        [
+            "did Ada Key fridge ",
+            "did Ben Name sofa ",
+            "did Ada Fit fridge ",
+            "did Ada Fit - the text names no place on the map",
+            "did Ada Name - the text names no place on the map",
+            "present Ben Key - the map has no single room of this name",
+            "everybody-away Ada+Ben House - ",
+        ]
+    );
+    assert_eq!(lines[4].nearest_form.as_deref(), Some("NAME leaves the house"));
 }

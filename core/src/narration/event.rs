@@ -1,0 +1,181 @@
+//! The five events of the input. Each input becomes one at the boundary of the daemon; no code behind it reads English.
+
+use std::fmt;
+use std::sync::Arc;
+
+use super::{SENTENCE_BYTES_MAX, Sentence};
+use crate::text::is_hidden;
+
+/// Whether a person is in the house.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Presence {
+    /// No event of the person yet.
+    #[default]
+    Unknown,
+    /// In the house.
+    Present,
+    /// Out of the house, and expected back.
+    Away,
+    /// Out of the house, and not expected back.
+    Gone,
+}
+
+impl Presence {
+    /// Its name in messages and on the command line.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Present => "present",
+            Self::Away => "away",
+            Self::Gone => "gone",
+        }
+    }
+}
+
+/// The name of a room as a narrator gives it; the map decides which room it is. Its copies share one text.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct RoomName(Arc<str>);
+
+impl RoomName {
+    /// A name with a letter or digit, without control characters, of at most half a sentence.
+    ///
+    /// # Errors
+    /// [`PresenceError`] for any other text.
+    pub fn new(name: &str) -> Result<Self, PresenceError> {
+        let name = name.trim();
+        let name = name.strip_prefix("the ").unwrap_or(name);
+        let is_name =
+            name.contains(char::is_alphanumeric) && !name.contains(is_hidden) && name.len() <= SENTENCE_BYTES_MAX / 2;
+        if is_name && name != "the" { Ok(Self(name.into())) } else { Err(PresenceError::of(name)) }
+    }
+
+    /// The name.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+/// What a narrator reports about a person or a room.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Event {
+    /// An action: context for the language model. Its person is in the house.
+    Did(Sentence),
+    /// A device or program knows that the person is in the house, and perhaps the room.
+    Present(Option<RoomName>),
+    /// The person is out of the house and expected back.
+    Away,
+    /// The person has left for good, as a visitor does.
+    Gone,
+    /// All persons are out of the house.
+    AllAway,
+    /// The room has no people in it.
+    Empty(RoomName),
+}
+
+/// A text that is no presence.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`")]
+pub struct PresenceError {
+    text: String,
+}
+
+impl PresenceError {
+    fn of(text: &str) -> Self {
+        Self { text: text.chars().take(80).collect() }
+    }
+}
+
+impl Event {
+    /// Reads a message of the kind presence: the text that [`fmt::Display`] writes for all events but `Did`.
+    ///
+    /// # Errors
+    /// [`PresenceError`] for any other text.
+    ///
+    /// ```
+    /// use roomcast_core::narration::Event;
+    ///
+    /// let event = Event::presence("present in the kitchen")?;
+    /// assert!(matches!(&event, Event::Present(Some(room)) if room.as_str() == "kitchen"));
+    /// assert!(Event::presence("in the kitchen").is_err());
+    /// # Ok::<(), roomcast_core::narration::PresenceError>(())
+    /// ```
+    pub fn presence(text: &str) -> Result<Self, PresenceError> {
+        let error = |_| PresenceError::of(text);
+        match text.trim() {
+            "present" => Ok(Self::Present(None)),
+            "away" => Ok(Self::Away),
+            "gone" => Ok(Self::Gone),
+            "everybody away" => Ok(Self::AllAway),
+            text => match (text.strip_prefix("present in "), text.strip_prefix("nobody in ")) {
+                (Some(room), _) => Ok(Self::Present(Some(RoomName::new(room).map_err(error)?))),
+                (_, Some(room)) => Ok(Self::Empty(RoomName::new(room).map_err(error)?)),
+                (None, None) => Err(PresenceError::of(text)),
+            },
+        }
+    }
+
+    /// The sentence for the language model; `None` for a presence.
+    #[must_use]
+    pub fn sentence(&self) -> Option<&Sentence> {
+        if let Self::Did(sentence) = self { Some(sentence) } else { None }
+    }
+
+    /// The room that a presence names.
+    #[must_use]
+    pub fn room(&self) -> Option<&str> {
+        match self {
+            Self::Present(Some(room)) | Self::Empty(room) => Some(room.as_str()),
+            _ => None,
+        }
+    }
+
+    /// The presence of its person afterwards. An empty room has no person.
+    #[must_use]
+    pub fn person_presence(&self) -> Presence {
+        match self {
+            Self::Did(_) | Self::Present(_) => Presence::Present,
+            Self::Away | Self::AllAway => Presence::Away,
+            Self::Gone => Presence::Gone,
+            Self::Empty(_) => Presence::Unknown,
+        }
+    }
+
+    /// Whether its person is known from the event alone: an empty room and an empty house have none.
+    #[must_use]
+    pub fn has_person(&self) -> bool {
+        !matches!(self, Self::AllAway | Self::Empty(_))
+    }
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Did(sentence) => sentence.fmt(f),
+            Self::Present(None) => f.write_str("present"),
+            Self::Present(Some(room)) => write!(f, "present in the {}", room.as_str()),
+            Self::Away => f.write_str("away"),
+            Self::Gone => f.write_str("gone"),
+            Self::AllAway => f.write_str("everybody away"),
+            Self::Empty(room) => write!(f, "nobody in the {}", room.as_str()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presences_are_read_as_they_are_written() {
+        for text in ["present", "present in the tea kitchen", "away", "gone", "everybody away", "nobody in the hall"] {
+            assert_eq!(Event::presence(text).map(|event| event.to_string()).as_deref(), Ok(text));
+        }
+        for text in ["", "in the kitchen", "present in the", "present in the  ", "nobody in the !", "present in a\u{7}b", "Away"] {
+            Event::presence(text).unwrap_err();
+        }
+        RoomName::new(&"x".repeat(SENTENCE_BYTES_MAX)).unwrap_err();
+    }
+}

@@ -1,0 +1,391 @@
+//! The one place matcher: which thing or room of the map a text names. It uses the names of the map and the table that grounding uses.
+
+use std::collections::HashMap;
+
+use crate::grounding::Grounding;
+use crate::names::{Names, plain_words};
+use crate::semantic_map::SemanticMap;
+
+/// A thing or room that a text names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mention {
+    /// The label, as an index of [`Grounding::scored_labels`].
+    pub label: usize,
+    /// It is a room that the person leaves ("They leave the *kitchen*"): they are anywhere else.
+    pub is_left: bool,
+}
+
+impl From<usize> for Mention {
+    /// A label that the person turns to.
+    fn from(label: usize) -> Self {
+        Self { label, is_left: false }
+    }
+}
+
+/// The names of a map. It is built once per map; a text allocates nothing once the buffers are warm.
+#[derive(Debug, Clone)]
+pub struct PlaceMatcher {
+    /// Each name of a label or room, in singular and plural, to an index of [`Grounding::scored_labels`].
+    label_of_name: HashMap<String, usize>,
+    /// The number of words of the longest name.
+    longest_words: usize,
+    /// Whether a label is that of a room.
+    is_room: Vec<bool>,
+    /// Buffers: the words in lower case, the same without hyphens, and the start and end of each word in both.
+    lower: String,
+    plain: String,
+    words: Vec<(usize, usize)>,
+}
+
+/// Words that stand before a thing.
+const ANNOUNCES: [&str; 25] = [
+    "the", "a", "an", "some", "this", "that", "their", "his", "her", "its", "my", "our", "your", "to", "into", "in",
+    "inside", "at", "on", "onto", "near", "by", "from", "towards", "under",
+];
+
+/// Words that end a noun: an adjective may stand between an article and a thing, these may not.
+const NO_ADJECTIVES: [&str; 12] =
+    ["and", "or", "is", "are", "was", "of", "with", "while", "then", "they", "he", "she"];
+
+/// Words for the subject of a sentence; a verb follows.
+const PRONOUNS: [&str; 10] = ["they", "he", "she", "i", "we", "you", "somebody", "someone", "who", "person"];
+
+/// Verbs of leaving.
+const LEAVES: [&str; 8] = ["leave", "leaves", "left", "leaving", "exit", "exits", "exited", "exiting"];
+
+/// The words of a text, or of a name as a text has it.
+fn words_of(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|word| !word.is_empty())
+}
+
+/// The other number of a name: "shelves" of "shelf", "mug" of "mugs".
+fn other_numbers(name: &str) -> [Option<String>; 3] {
+    let with = |end: &str, new: &str| {
+        let stem = name.strip_suffix(end)?;
+        (stem.len() > 1).then(|| format!("{stem}{new}"))
+    };
+    let plural = if name.ends_with(['s', 'x', 'z']) || name.ends_with("ch") || name.ends_with("sh") {
+        Some(format!("{name}es"))
+    } else {
+        Some(format!("{name}s"))
+    };
+    let irregular = match name {
+        _ if name.ends_with("ies") => with("ies", "y"),
+        _ if name.ends_with("ves") => with("ves", "f"),
+        _ if name.ends_with('f') => with("f", "ves"),
+        _ if name.ends_with('y') && !name.ends_with(['a', 'e', 'o', 'u']) => with("y", "ies"),
+        _ if name.ends_with("sses") || name.ends_with("xes") || name.ends_with("ches") || name.ends_with("shes") => {
+            with("es", "")
+        }
+        _ => None,
+    };
+    let singular = if name.ends_with("ss") { None } else { with("s", "") };
+    [plural, singular, irregular]
+}
+
+impl PlaceMatcher {
+    /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
+    #[must_use]
+    pub fn new(map: &SemanticMap, grounding: &Grounding) -> Self {
+        let label_of_text: HashMap<&str, usize> =
+            grounding.scored_labels.iter().enumerate().map(|(index, label)| (label.text.as_str(), index)).collect();
+        let meant = |name: &str| {
+            let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
+            let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
+            label_of_text.get(text?).copied()
+        };
+        let aliases = map.aliases.values().flatten().map(String::as_str);
+        let rooms = map.rooms.iter().map(|room| room.id.as_str());
+        let names = Names::built_in().names().chain(aliases).chain(rooms);
+        let forms = names.flat_map(|name| [name.to_owned(), plain_words(name)]);
+        let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
+        // The labels themselves come last and win.
+        let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
+        let mut label_of_name: HashMap<String, usize> = known.chain(labels).collect();
+        // "tv (left)" has no brackets in a text.
+        add_new(&mut label_of_name, |name| [Some(words_of(name).collect::<Vec<_>>().join(" ")), None, None]);
+        add_new(&mut label_of_name, other_numbers);
+        let is_room = |text: &str| map.rooms.iter().any(|room| room.label.as_str() == text);
+        Self {
+            is_room: grounding.scored_labels.iter().map(|label| is_room(&label.text)).collect(),
+            longest_words: label_of_name.keys().map(|name| words_of(name).count()).max().unwrap_or(0),
+            label_of_name,
+            lower: String::new(),
+            plain: String::new(),
+            words: Vec::new(),
+        }
+    }
+
+    /// Whether these words, in lower case, name a thing or a room of the map.
+    #[must_use]
+    pub fn knows(&self, words: &str) -> bool {
+        self.label_of_name.contains_key(words)
+    }
+
+    /// The place of a text: the last thing or room that it names in whole words, the longest name first. A place that the person comes from
+    /// ("from", "out of", "leaves", "away from", "past") does not count; a room that they leave is where they are not, if the text names no
+    /// other place.
+    #[must_use]
+    pub fn last(&mut self, text: &str) -> Option<Mention> {
+        self.split(text);
+        let mut left = None;
+        for at in (0..self.words.len()).rev() {
+            let Some((label, end)) = self.named(at).filter(|_| self.is_thing_at(at)) else { continue };
+            // "Lily's bed" is no other bed: the longest name that ends here counts.
+            let starts = end.saturating_sub(self.longest_words)..at;
+            let longer = starts.into_iter().find_map(|from| Some((from, self.label_of(from, end)?)));
+            let (at, label) = longer.unwrap_or((at, label));
+            if !self.is_origin(at) {
+                return Some(label.into());
+            }
+            if self.is_room[label] && left.is_none() && self.is_exit(at) {
+                left = Some(Mention { label, is_left: true });
+            }
+        }
+        left
+    }
+
+    fn split(&mut self, text: &str) {
+        self.lower.clear();
+        self.words.clear();
+        for word in words_of(text) {
+            if !self.lower.is_empty() {
+                self.lower.push(' ');
+            }
+            let start = self.lower.len();
+            self.lower.extend(word.chars().flat_map(char::to_lowercase));
+            self.words.push((start, self.lower.len()));
+        }
+        self.plain.clear();
+        self.plain.extend(self.lower.chars().map(|c| if c == '-' { ' ' } else { c }));
+    }
+
+    fn word(&self, at: usize) -> &str {
+        self.words.get(at).map_or("", |&(start, end)| &self.lower[start..end])
+    }
+
+    /// The label of the words `from..to`.
+    fn label_of(&self, from: usize, to: usize) -> Option<usize> {
+        let (start, end) = (self.words[from].0, self.words[to - 1].1);
+        let plain = || self.label_of_name.get(self.plain[start..end].trim());
+        self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
+    }
+
+    /// The label of the longest name that begins at a word, and its end.
+    fn named(&self, at: usize) -> Option<(usize, usize)> {
+        let ends = at + 1..=self.words.len().min(at + self.longest_words);
+        ends.rev().find_map(|end| Some((self.label_of(at, end)?, end)))
+    }
+
+    /// Whether a name at this word is a thing and no verb: an article or preposition stands before it, perhaps with an adjective between; else no
+    /// article stands in the text, and the word is neither the subject nor its verb.
+    fn is_thing_at(&self, at: usize) -> bool {
+        let announces = |at: usize| ANNOUNCES.contains(&self.word(at));
+        if at > 0 && announces(at - 1) {
+            return true;
+        }
+        let is_adjective = |at: usize| !NO_ADJECTIVES.contains(&self.word(at)) && self.named(at).is_none();
+        if at > 1 && announces(at - 2) && is_adjective(at - 1) {
+            return true;
+        }
+        let is_verb = at > 0 && PRONOUNS.contains(&self.word(at - 1));
+        at > 0 && !is_verb && !(0..at).any(announces)
+    }
+
+    /// Whether the person comes from the place at this word.
+    fn is_origin(&self, at: usize) -> bool {
+        let is_article = |at: usize| matches!(self.word(at), "the" | "a" | "an" | "his" | "her" | "their" | "its");
+        // Behind the article and at most one adjective stands the word that counts.
+        let Some(mut before) = at.checked_sub(1) else { return false };
+        if !is_article(before) && before > 0 && is_article(before - 1) {
+            before -= 1;
+        }
+        if is_article(before) {
+            let Some(next) = before.checked_sub(1) else { return false };
+            before = next;
+        }
+        let is_out_of = || self.word(before) == "of" && before > 0 && self.word(before - 1) == "out";
+        matches!(self.word(before), "from" | "past") || is_out_of() || self.leaves(before)
+    }
+
+    /// Whether a word is the verb of leaving: "leaves", and not "to leave" or the "left" side.
+    fn leaves(&self, at: usize) -> bool {
+        LEAVES.contains(&self.word(at)) && at > 0 && self.word(at - 1) != "to"
+    }
+
+    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may be said of a thing that is taken.
+    fn is_exit(&self, at: usize) -> bool {
+        let before = (at.saturating_sub(3)..at).rev().take_while(|at| !matches!(self.word(*at), "and" | "then"));
+        before.into_iter().any(|at| self.leaves(at) || self.word(at) == "out")
+    }
+}
+
+/// Adds the forms of each name that are no names yet; of several the same one in each run.
+fn add_new(label_of_name: &mut HashMap<String, usize>, forms: impl Fn(&str) -> [Option<String>; 3]) {
+    let known: Vec<_> = label_of_name.iter().map(|(name, label)| (name.clone(), *label)).collect();
+    let mut new: Vec<(String, usize)> = known
+        .iter()
+        .flat_map(|(name, label)| forms(name).into_iter().flatten().map(|form| (form, *label)))
+        .filter(|(form, _)| !form.is_empty() && !label_of_name.contains_key(form))
+        .collect();
+    new.sort_unstable_by(|a, b| b.cmp(a));
+    label_of_name.extend(new);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::GroundingOptions;
+
+    fn matcher(scene: &str) -> (SemanticMap, Grounding, PlaceMatcher) {
+        let map = SemanticMap::from_json(scene).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let matcher = PlaceMatcher::new(&map, &grounding);
+        (map, grounding, matcher)
+    }
+
+    const FLAT: &str = include_str!("../../scenes/flat.json");
+    const SHIPPED: [&str; 5] = [
+        FLAT,
+        include_str!("../../scenes/apartment-e1.json"),
+        include_str!("../../scenes/studio.json"),
+        include_str!("../../scenes/ward.json"),
+        include_str!("../../scenes/warehouse.json"),
+    ];
+
+    #[test]
+    fn each_label_of_each_shipped_map_is_found_behind_each_verb() {
+        for scene in SHIPPED {
+            let (_, grounding, mut matcher) = matcher(scene);
+            for (index, label) in grounding.scored_labels.iter().enumerate() {
+                for verb in ["walks to", "goes to", "is at", "stands near", "opens", "cleans", "is in", "works at", "drives to", "sits in"] {
+                    let text = format!("The nurse {verb} the {}.", label.text);
+                    let found = matcher.last(&text);
+                    assert_eq!(found, Some(index.into()), "{text}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn captions_name_their_room() {
+        let (_, grounding, mut matcher) = matcher(FLAT);
+        let mut label = |text: &str| matcher.last(text).map(|found| grounding.scored_labels[found.label].text.clone());
+        for text in [
+            "A man is standing in a kitchen.",
+            "a man in a kitchen",
+            "The image shows a man standing in the kitchen.",
+            "In the kitchen, a man is washing his hands.",
+            "A man is in the kitchen washing up.",
+            "Two people are cooking in the kitchen.",
+            "There is a person in the small kitchen.",
+            "woman standing in kitchen",
+            "They walk from the bedroom into the kitchen.",
+            "They go to the kitchen from the bedroom.",
+            "They walk past the bathroom to the kitchen and talk.",
+        ] {
+            assert_eq!(label(text).as_deref(), Some("kitchen"), "{text}");
+        }
+        for text in ["She's opening the fridge.", "opens fridge", "opening fridge", "Person opens the fridge.", "The video shows a person opening a fridge."] {
+            assert_eq!(label(text).as_deref(), Some("fridge"), "{text}");
+        }
+    }
+
+    #[test]
+    fn origins_do_not_count() {
+        let (_, grounding, mut matcher) = matcher(FLAT);
+        let mut found = |text: &str| {
+            let found = matcher.last(text)?;
+            Some((grounding.scored_labels[found.label].text.clone(), found.is_left))
+        };
+        for text in ["They walk past the kitchen.", "They come from the kitchen.", "They walk away from the fridge."] {
+            assert_eq!(found(text), None, "{text}");
+        }
+        for text in ["They leave the kitchen.", "He is leaving the kitchen.", "They walk out of the kitchen."] {
+            assert_eq!(found(text), Some(("kitchen".to_owned(), true)), "{text}");
+        }
+        assert_eq!(found("They leave the mug in the kitchen."), Some(("kitchen".to_owned(), false)));
+        assert_eq!(found("They take the milk from the fridge to the table.").map(|found| found.1), Some(false));
+    }
+
+    #[test]
+    fn plurals_and_singulars_are_one_name() {
+        for (name, other) in [("shelf", "shelves"), ("mug", "mugs"), ("glasses", "glass"), ("box", "boxes"), ("berries", "berry")] {
+            assert!(other_numbers(name).into_iter().flatten().any(|form| form == other), "{name} {other}");
+        }
+    }
+
+    #[test]
+    fn of_names_with_the_same_end_the_longest_counts() {
+        let json =
+            include_str!("../../scenes/studio.json").replacen("\"label\": \"bed\"", "\"label\": \"lily's bed\"", 1);
+        let map = SemanticMap::from_json(&json).unwrap();
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        let mut mentions = PlaceMatcher::new(&map, &grounding);
+        let own = grounding.scored_labels.iter().position(|label| label.text == "lily's bed").unwrap();
+        for sentence in ["Lily makes lily's bed.", "Lily goes to lily's bed."] {
+            assert_eq!(mentions.last(sentence).map(|found| found.label), Some(own), "{sentence}");
+        }
+    }
+
+    /// However many words a label has, and whatever stands between them.
+    #[test]
+    fn every_label_of_a_map_can_be_mentioned() {
+        let words = ["led", "strip", "board", "shelf's", "tv-set", "42", "grün", "upper", "left", "lamp"];
+        let labels = (1..=words.len()).map(|count| words[..count].join(" "));
+        for label in
+            labels.chain(["lamp (hall)", "salt & pepper mill", "a/c unit no. 2", "l'armoire"].map(str::to_owned))
+        {
+            let of = format!("\"label\": {label:?}");
+            let json = include_str!("../../scenes/studio.json").replacen("\"label\": \"bed\"", &of, 1);
+            let map = SemanticMap::from_json(&json).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let mut mentions = PlaceMatcher::new(&map, &grounding);
+            let own = grounding.scored_labels.iter().position(|scored| scored.text == label);
+            for sentence in [format!("Lena turns on the {label}."), format!("They use the {label} in the morning.")] {
+                assert_eq!(mentions.last(&sentence).map(|found| found.label), own, "{sentence}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_name_means_what_the_map_says() {
+        let scenes = [
+            include_str!("../../scenes/studio.json"),
+            include_str!("../../scenes/apartment-e0.json"),
+            include_str!("../../scenes/ward.json"),
+            include_str!("../../scenes/warehouse.json"),
+        ];
+        for scene in scenes {
+            let map = SemanticMap::from_json(scene).unwrap();
+            let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+            let mut mentions = PlaceMatcher::new(&map, &grounding);
+            let asked = |name: &str| {
+                let item = map.find_label(name).map(|label| &map.labels[label.0 as usize]);
+                let text = item.or_else(|| map.find_room(name).map(|room| &map.rooms[room.0 as usize].label))?;
+                grounding.scored_labels.iter().position(|label| label.text == *text)
+            };
+            let own = map.aliases.values().flatten().chain(&map.labels).map(String::as_str);
+            let rooms = map.rooms.iter().flat_map(|room| [room.id.as_str(), room.label.as_str()]);
+            let mut found = 0;
+            for name in Names::built_in().names().chain(own).chain(rooms) {
+                for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
+                    let words: Vec<&str> = name.split(' ').collect();
+                    let expected = (1..=words.len()).rev().find_map(|length| asked(&words[..length].join(" ")));
+                    // A word of a name that the map lacks may be a name by itself: the "table" of "cpu table".
+                    if expected.is_none() {
+                        continue;
+                    }
+                    assert_eq!(
+                        mentions.last(&format!("They see the {name}.")),
+                        expected.map(Mention::from),
+                        "{}: {name}",
+                        map.name
+                    );
+                    found += 1;
+                }
+            }
+            assert!(found > map.labels.len(), "{}: {found}", map.name);
+        }
+    }
+}

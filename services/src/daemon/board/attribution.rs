@@ -1,0 +1,394 @@
+//! From an event to its persons: the key, the name at the start of the text, or the persons that fit best.
+
+use roomcast_core::forecast::Forecaster;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
+use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SOMEBODY, Voice, same_name};
+use roomcast_core::pipeline::PersonScores;
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::text::has_words;
+use roomcast_ipc::RoomV1;
+
+use super::super::journal::Move;
+use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
+use super::super::understood::{By, Reason, Understood};
+use super::{Attributed, Board, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
+use crate::config::May;
+
+/// A narrator as far as its events are concerned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in super::super) struct Reporter {
+    /// The configuration names narrators, and this one is not among them.
+    pub(in super::super) is_unknown: bool,
+    /// The events that it may send.
+    pub(in super::super) may: May,
+}
+
+/// The persons of an event before they are numbers.
+#[derive(Debug, Clone, PartialEq)]
+enum Who {
+    /// The key of the event, which is final.
+    Key,
+    /// A known name at the start of the text.
+    Named(u32, Box<str>),
+    /// So many unknown persons.
+    Unknown(u8),
+    /// All persons, or none: the event is about the house or a room.
+    House,
+}
+
+fn is_keyed(observation: &Observation) -> bool {
+    observation.person != SOMEBODY && !observation.by_fit || observation.name.is_some()
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// Takes in an event and gives the part of each person to `enter`. Gives whether the event reads the same in any company, and otherwise its
+    /// moves, so that a restart does not read it again.
+    pub(super) fn attribute(
+        &mut self,
+        observation: Observation,
+        voice: Voice,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+        mut enter: impl FnMut(&mut Self, Observation),
+    ) -> (bool, Vec<Move>) {
+        let mut moves = self.no_moves.pop().unwrap_or_default();
+        let mut understood = Understood::of(&observation);
+        let (who, event) = match self.read(&observation, reporter) {
+            Ok(read) => read,
+            Err(reason) => {
+                self.understood.add(understood.without_effect(reason));
+                return (false, moves);
+            }
+        };
+        let is_read_alone = who == Who::Key && event == observation.event;
+        understood.event = event.clone();
+        understood.by = match who {
+            Who::Key => By::Key,
+            Who::Named(..) => By::Name,
+            Who::Unknown(_) => By::Fit,
+            Who::House => By::House,
+        };
+        let observed = observation.event.clone();
+        let own = Observation { event, ..observation };
+        if let Event::Empty(_) = own.event {
+            if self.exclude(&own, reporter, at_ns) {
+                moves.push(Move::of_a_room(&own, &observed));
+            } else {
+                understood.reason = Some(Reason::Guarded);
+            }
+            self.understood.add(understood);
+            return (false, moves);
+        }
+        for own in self.each(own, &who, reporter, at_ns) {
+            match self.take(own, voice, (reporter, false), at_ns) {
+                Ok(own) => {
+                    understood.add_person(own.person);
+                    if !is_read_alone {
+                        moves.push(Move::of(&own, &observed));
+                    }
+                    enter(self, own);
+                }
+                Err(reason) => understood.reason = Some(reason),
+            }
+        }
+        self.understood.add(understood);
+        (is_read_alone, moves)
+    }
+
+    /// How the events of a narrator's start were understood, from a sequence on.
+    pub(in super::super) fn understood_lines(&mut self, source: u64, epoch: u64, from: u64) -> Vec<UnderstoodLine> {
+        let Self { understood, mentions, pipeline, map, persons, .. } = self;
+        let grounding = pipeline.grounding();
+        let line = |own: &Understood| {
+            let found = own.event.sentence().and_then(|text| mentions.last(text.as_str()));
+            let thing = found.map(|found| grounding.scored_labels()[found.label].text.clone());
+            let room = own.event.room().and_then(|room| room_named(room, map, grounding));
+            let place = thing.or_else(|| room.map(|room| grounding.partitions()[room].id.clone()));
+            let why = own.reason.map(Reason::text).or(match &own.event {
+                Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
+                Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => Some("the map has no single room of this name"),
+                _ => None,
+            });
+            let person = |person: &u32| UnderstoodPerson {
+                person: *person,
+                name: persons.name_of(*person).map(str::to_owned),
+            };
+            UnderstoodLine {
+                sequence: own.id.2,
+                event: kind(&own.event).to_owned(),
+                persons: own.persons().iter().map(person).collect(),
+                by: own.by,
+                left: found.is_some_and(|found| found.is_left),
+                place,
+                presence: own.event.person_presence(),
+                why: why.map(str::to_owned),
+                nearest_form: own.near_miss().map(str::to_owned),
+            }
+        };
+        understood.of(source, epoch, from).map(line).collect()
+    }
+
+    /// The event of an observation and its persons. The key is final; free text sets presence in the closed forms only.
+    fn read(&self, observation: &Observation, reporter: Reporter) -> Result<(Who, Event), Reason> {
+        let is_keyed = is_keyed(observation);
+        let unknown = |count: u8| if is_keyed { Who::Key } else { Who::Unknown(count.clamp(1, COUNT_MAX)) };
+        let Event::Did(sentence) = &observation.event else {
+            if !reporter.may.presence {
+                return Err(Reason::MayNotPresence);
+            }
+            let who = if observation.event.has_person() { unknown(observation.count) } else { Who::House };
+            return Ok((who, observation.event.clone()));
+        };
+        let text = sentence.as_str();
+        if reporter.may.presence
+            && let Some(read) = self.read_form(observation, text)
+        {
+            return Ok(read);
+        }
+        if !reporter.may.did {
+            return Err(Reason::MayNotDid);
+        }
+        let event = observation.event.clone();
+        if is_keyed {
+            return Ok((Who::Key, event));
+        }
+        if let Some((number, name)) = self.persons.at_start(text) {
+            return Ok((Who::Named(number, name.into()), event));
+        }
+        if self.persons.begins_with_no_person(text) {
+            return Err(Reason::NoPerson);
+        }
+        let count = if observation.count > 0 { observation.count } else { forms::count_of_persons(text).unwrap_or(1) };
+        Ok((Who::Unknown(count.clamp(1, COUNT_MAX)), event))
+    }
+
+    /// A text that is a presence form. A form about another person than the key is an action of the key's person.
+    fn read_form(&self, observation: &Observation, text: &str) -> Option<(Who, Event)> {
+        let key = || observation.name.as_deref().map_or(observation.person, |name| self.persons.number_of(name));
+        let is_of_key = |name: &str| observation.name.as_deref().is_some_and(|own| same_name(own, name));
+        let is_keyed = is_keyed(observation);
+        let grounding = self.pipeline.grounding();
+        let is_room = |room: &str| {
+            room_named(room, &self.map, grounding).is_some() || rooms_alike(room, grounding).next().is_some()
+        };
+        let is_name = |name: &str| is_keyed && is_of_key(name) || self.persons.called(name).is_some();
+        let (subject, event) = forms::read(text, is_name, is_room)?;
+        let who = match subject {
+            Subject::House => Who::House,
+            Subject::Unknown => Who::Unknown(1),
+            Subject::Named(name) if is_keyed => {
+                let is_own = is_of_key(&name) || self.persons.called(&name) == Some(key());
+                return is_own.then_some((Who::Key, event));
+            }
+            Subject::Named(name) => Who::Named(self.persons.called(&name)?, name.into()),
+        };
+        match (is_keyed, &event) {
+            // An empty room is about no person, whatever the key is.
+            (true, Event::Empty(_)) => Some((who, event)),
+            (true, Event::AllAway) => None,
+            (true, _) => Some((Who::Key, event)),
+            (false, _) => Some((who, event)),
+        }
+    }
+
+    /// One observation for each person of an event.
+    fn each(&mut self, own: Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Vec<Observation> {
+        match who {
+            Who::Key => {
+                let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
+                vec![Observation { person, ..own }]
+            }
+            Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
+            Who::House => {
+                let away = Observation { event: Event::Away, ..own };
+                self.persons.everybody().into_iter().map(|person| Observation { person, ..away.clone() }).collect()
+            }
+            Who::Unknown(_) if own.by_fit => vec![own],
+            Who::Unknown(count) => {
+                let mut fitting = self.fitting(&own.event, at_ns.unwrap_or_default(), reporter);
+                fitting.truncate((*count).into());
+                if let [person] = fitting[..] {
+                    let Observation { source, epoch, sequence, .. } = own;
+                    self.attributed.push(Attributed { source, epoch, sequence, person });
+                }
+                fitting.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
+            }
+        }
+    }
+
+    /// Takes in again the part of one person that a former run read in an event, in any company. An empty room gives nothing.
+    pub(super) fn retake(
+        &mut self,
+        own: Observation,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+    ) -> Option<Observation> {
+        if own.person == SOMEBODY {
+            self.exclude(&own, reporter, at_ns);
+            return None;
+        }
+        self.take(own, Voice::EARLIER, (reporter, true), at_ns).ok()
+    }
+
+    /// Takes in the part of one person, unless a later event says otherwise or the person is guarded. A part that a former run took in counts
+    /// in any case.
+    fn take(
+        &mut self,
+        observation: Observation,
+        voice: Voice,
+        (reporter, was_taken): (Reporter, bool),
+        at_ns: Option<i64>,
+    ) -> Result<Observation, Reason> {
+        if !was_taken && reporter.is_unknown && self.persons.is_guarded(observation.person, at_ns.unwrap_or_default()) {
+            return Err(Reason::Guarded);
+        }
+        let at_ns = at_ns.map(|at_ns| self.persons.in_order(&observation, at_ns));
+        let noted_ns = at_ns.unwrap_or_default();
+        // After such a silence a visitor was gone, although no step noticed it.
+        if self.persons.has_expired(observation.person, noted_ns) {
+            self.watch();
+            self.persons.remove(observation.person);
+            self.drop_person(observation.person);
+        }
+        if !was_taken && at_ns.is_some_and(|at_ns| self.persons.is_outdated(&observation, at_ns)) {
+            return Err(Reason::Outdated);
+        }
+        if let Some(dropped) = self.persons.note(&observation, voice, noted_ns) {
+            self.drop_person(dropped);
+        }
+        if !reporter.is_unknown {
+            self.persons.guard(observation.person, noted_ns);
+        }
+        if !self.rescored.contains(&observation.person) {
+            self.rescored.push(observation.person);
+        }
+        if let Event::Present(Some(room)) = &observation.event {
+            let room = room.clone();
+            self.note_room(room.as_str());
+        }
+        let Some(at_ns) = at_ns else { return Ok(observation) };
+        self.seen.push_back(Seen {
+            name: (observation.source, observation.epoch, observation.sequence),
+            person: observation.person,
+            at_ns,
+            event: observation.event.clone(),
+            is_off: observation.by_fit && is_off(&observation.event),
+        });
+        Ok(observation)
+    }
+
+    /// Takes the event that a room is empty into the forecasts. Gives whether the daemon believes it.
+    pub(super) fn exclude(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) -> bool {
+        let Event::Empty(empty) = &observation.event else { return false };
+        if reporter.is_unknown && self.persons.is_anybody_guarded(at_ns.unwrap_or_default()) {
+            return false;
+        }
+        self.note_room(empty.as_str());
+        // The belief has no rooms of a changed map yet.
+        let (Some(at_ns), None) = (at_ns, &self.next_rooms) else { return true };
+        // Earlier events come first.
+        self.follow();
+        if let Some(room) = room_named(empty.as_str(), &self.map, self.pipeline.grounding()) {
+            let name = (observation.source, observation.epoch, observation.sequence);
+            let mut followed = std::mem::take(&mut self.followed);
+            for (person, own) in &mut followed {
+                own.exclude(seconds(at_ns), room);
+                self.home.next_is(name, *person, self.is_learned_of(*person));
+                self.home.is_empty(*person, at_ns, room, own);
+            }
+            self.followed = followed;
+        }
+        true
+    }
+
+    /// Logs once that the map lacks a room that a narrator names, or has several of that name.
+    fn note_room(&mut self, room: &str) {
+        let is_unknown = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
+        if is_unknown && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
+            let rooms = self.snapshot.rooms().iter().map(RoomV1::id).collect::<Vec<_>>().join(", ");
+            tracing::warn!(
+                room,
+                rooms,
+                "a narrator names a room that the map does not have, or of which it has several: the person counts as present, in no room in particular, or in any of these; correct the narrator, with a room's id, or the scene"
+            );
+        }
+    }
+
+    /// The persons that an event without a name may be about, the best first: by where each is believed to be, and by what the model
+    /// expects of them next.
+    fn fitting(&mut self, event: &Event, at_ns: i64, reporter: Reporter) -> Vec<u32> {
+        /// The weight of an expected thing beside the belief.
+        const NEXT: f64 = 0.5;
+        /// Steps in which the nearness to the way out counts: smaller differences say nothing.
+        const STEPS: f64 = 4.0;
+        self.watch();
+        let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
+        let grounding = pipeline.grounding();
+        let mention = event.sentence().and_then(|sentence| mentions.last(sentence.as_str()));
+        let room = event.room().and_then(|room| room_named(room, map, grounding));
+        let leaves = event.person_presence() != Presence::Present;
+        let ways_out: Vec<f64> = if leaves { ways_out(grounding) } else { Vec::new() };
+        let is_scored = next_rooms.is_none();
+        let fit = |person: u32, own: &Forecaster| {
+            let mut belief = own.at(seconds(at_ns), 0.0);
+            if leaves {
+                let near: f64 = belief.zip(&ways_out).map(|(p, share)| p * share).sum();
+                return (near * STEPS).floor() / STEPS;
+            }
+            let Some(mention) = mention else {
+                return room.and_then(|room| belief.nth(room)).unwrap_or_default();
+            };
+            let row = grounding.weights().row(mention.label);
+            let here: f64 = belief.zip(row.iter()).map(|(p, share)| p * share).sum();
+            let next = pipeline.person(person).filter(|own| own.at_home && own.grounded.label_mass > 0.0);
+            let share = |own: PersonScores<'_>| {
+                Some(own.label_log_prob_nats.get(mention.label)?.exp() / own.grounded.label_mass)
+            };
+            here + NEXT * next.and_then(share).unwrap_or_default()
+        };
+        persons.fitting(event, at_ns, reporter.is_unknown, |person| {
+            followed.get(&person).filter(|_| is_scored).map_or(0.0, |own| fit(person, own))
+        })
+    }
+}
+
+/// The word for an event in JSON.
+fn kind(event: &Event) -> &'static str {
+    match event {
+        Event::Did(_) => "did",
+        Event::Present(_) => "present",
+        Event::Away => "away",
+        Event::Gone => "gone",
+        Event::AllAway => "everybody-away",
+        Event::Empty(_) => "empty",
+    }
+}
+
+/// Whether an event says that a device is off or done: the device may have done that by itself, so it says nothing about a place.
+fn is_off(event: &Event) -> bool {
+    const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
+    let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
+    device.is_some_and(|device| OFF.contains(&device.state.as_str()))
+}
+
+/// The share of the way out of the house in each partition, at most 1: a hall by its name, and a front door by its share.
+pub(super) fn ways_out(grounding: &Grounding) -> Vec<f64> {
+    const HALLS: [&str; 8] = ["hall", "hallway", "entrance", "entry", "entryway", "foyer", "vestibule", "lobby"];
+    const DOORS: [&str; 5] = ["front door", "entrance door", "main door", "house door", "apartment door"];
+    let is_hall = |text: &str| HALLS.iter().any(|words| has_words(text, words));
+    let lower = |text: &str| text.to_lowercase();
+    let mut near: Vec<f64> =
+        grounding.partitions().iter().map(|own| if is_hall(&lower(&own.label)) { 1.0 } else { 0.0 }).collect();
+    for (label, own) in grounding.scored_labels().iter().enumerate() {
+        let text = lower(&own.text);
+        // The only door of a map is the front door.
+        let is_only = || text == "door" && own.items.len() == 1;
+        if DOORS.iter().any(|words| has_words(&text, words)) || is_only() {
+            for (near, share) in near.iter_mut().zip(grounding.weights().row(label).iter()) {
+                *near = near.max(*share);
+            }
+        }
+    }
+    near
+}

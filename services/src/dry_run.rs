@@ -1,0 +1,204 @@
+//! `roomcast narrate --dry-run`: how the daemon would understand each event, without a daemon and without a language model.
+
+use std::fmt::Write;
+
+use roomcast_core::grounding::{Grounding, GroundingError};
+use roomcast_core::narration::{Observation, SOMEBODY};
+use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
+use roomcast_core::scorer::table::TableModel;
+use roomcast_core::semantic_map::SemanticMap;
+use serde::Serialize;
+
+use crate::config::Config;
+use crate::daemon::{Board, BoardError, Entry, Persons, PersonsFile, UnderstoodLine};
+use crate::line::{Item, Who};
+use crate::message_text::event_of;
+use crate::setup;
+
+/// Seconds between two events without times.
+const APART_S: u64 = 5;
+/// The source of all events.
+const SOURCE: u64 = 1;
+
+/// Why a dry run cannot begin or go on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DryRunError {
+    /// The map cannot be loaded.
+    #[error(transparent)]
+    Setup(#[from] setup::SetupError),
+    /// The map cannot be grounded.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// The map does not fit.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A step failed.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
+/// The belief about one person's room, before and after an event.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Belief {
+    /// The person's name, or number.
+    pub person: String,
+    /// The likeliest place afterwards: a room's id, or `elsewhere`.
+    pub place: String,
+    /// Its probability afterwards.
+    pub probability: f32,
+    /// Its probability before.
+    pub before: f32,
+}
+
+/// What an event would do.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DryLine {
+    /// The text as it came.
+    pub text: String,
+    /// How the daemon would understand it.
+    pub understood: UnderstoodLine,
+    /// The belief about each of its persons.
+    pub beliefs: Vec<Belief>,
+}
+
+impl DryLine {
+    /// The line for people.
+    #[must_use]
+    pub fn shown(&self) -> String {
+        let UnderstoodLine { event, persons, by, place, left, why, nearest_form, .. } = &self.understood;
+        let named: Vec<String> =
+            persons.iter().map(|own| own.name.clone().unwrap_or_else(|| format!("person {}", own.person))).collect();
+        let by = serde_json::to_value(by).ok().and_then(|by| by.as_str().map(str::to_owned)).unwrap_or_default();
+        let mut text = format!("{}\n    {event}, by {by}: {}", self.text, named.join(", "));
+        if let Some(place) = place {
+            let _ = write!(text, "; {} {place}", if *left { "leaves" } else { "place:" });
+        }
+        for Belief { person, place, probability, before } in &self.beliefs {
+            let _ = write!(text, "; {person} in {place} {probability:.2} (was {before:.2})");
+        }
+        if let Some(why) = why {
+            let _ = write!(text, "\n    {why}");
+        }
+        if let Some(form) = nearest_form {
+            let _ = write!(text, "\n    this sets no presence; the nearest form is {form:?} (docs/persons.md)");
+        }
+        text.push('\n');
+        text
+    }
+}
+
+/// A daemon's reading of events, one after the other.
+#[derive(Debug)]
+pub struct DryRun {
+    board: Board<TableModel>,
+    sequence: u64,
+    now_ns: u64,
+    unix_ns: u64,
+}
+
+impl DryRun {
+    /// The home of a configuration at a moment of the wall clock.
+    ///
+    /// # Errors
+    /// When the map cannot be used.
+    pub fn new(config: &Config, now_unix_ns: u64) -> Result<Self, DryRunError> {
+        let map = setup::load_map(config.scene.path.as_deref())?;
+        let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
+        let persons = Persons::new(config.persons.clone(), names);
+        Self::of(map, config, persons, now_unix_ns)
+    }
+
+    fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: u64) -> Result<Self, DryRunError> {
+        let grounding = Grounding::new(&map, &config.grounding)?;
+        let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
+        let board = Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
+        Ok(Self { board, sequence: 0, now_ns: 1_000_000_000_000, unix_ns: now_unix_ns })
+    }
+
+    /// What an item would do after all items before it; `None` for an item that the daemon refuses.
+    ///
+    /// # Errors
+    /// When a step fails.
+    pub fn take(&mut self, item: &Item) -> Result<Option<DryLine>, DryRunError> {
+        let Ok(event) = event_of(item.kind, &item.text) else { return Ok(None) };
+        let apart_ns = item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.saturating_sub(self.unix_ns));
+        (self.sequence, self.now_ns) = (self.sequence + 1, self.now_ns + apart_ns);
+        self.unix_ns += apart_ns;
+        let (person, name) = match &item.person {
+            Who::Somebody => (SOMEBODY, None),
+            Who::Number(number) => (*number, None),
+            Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
+        };
+        let observation = Observation {
+            person,
+            name,
+            source: SOURCE,
+            epoch: 1,
+            observed_ns: self.now_ns,
+            observed_unix_ns: self.unix_ns,
+            count: item.count,
+            ..Observation::saying(self.sequence, event)
+        };
+        let before = self.places();
+        self.board.step([Entry::new(observation, self.now_ns)], self.now_ns, self.unix_ns)?;
+        self.board.tell_outcomes(|_| {});
+        let after = self.places();
+        let line = self.board.understood_lines(SOURCE, 1, self.sequence).pop();
+        Ok(line.map(|understood| {
+            let belief = |person: u32| {
+                let (_, own) = after.iter().find(|(number, _)| *number == person)?;
+                let (place, probability) = own.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+                let earlier = before.iter().find(|(number, _)| *number == person).map(|(_, own)| own);
+                let of_place = |own: &Vec<(String, f32)>| own.iter().find(|(other, _)| other == place).map(|(_, p)| *p);
+                Some(Belief {
+                    person: self.board.persons().name_of(person).map_or_else(|| format!("person {person}"), str::to_owned),
+                    place: place.clone(),
+                    probability: *probability,
+                    before: earlier.and_then(of_place).unwrap_or_default(),
+                })
+            };
+            let beliefs = understood.persons.iter().filter_map(|own| belief(own.person)).collect();
+            DryLine { text: item.text.clone(), understood, beliefs }
+        }))
+    }
+
+    /// Where each person is believed to be now: rooms, and `elsewhere`.
+    fn places(&mut self) -> Vec<(u32, Vec<(String, f32)>)> {
+        let rooms: Vec<String> = self.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
+        let forecasts = self.board.person_forecasts(self.now_ns);
+        let of = |own: &roomcast_ipc::PersonForecastV1| {
+            let places = rooms.iter().cloned().zip(own.probability.iter().map(|row| row[0]));
+            (own.person, places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())
+        };
+        forecasts.persons().iter().map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::PersonsConfig;
+    use crate::line::line_item;
+
+    #[test]
+    fn dry_runs_show_person_place_and_belief() {
+        let map = SemanticMap::from_json(include_str!("../../scenes/flat.json")).unwrap();
+        let residents = vec!["Ada".to_owned(), "Ben".to_owned()];
+        let config = PersonsConfig { residents, ..PersonsConfig::default() };
+        let persons = Persons::new(config, PersonsFile::default());
+        let mut dry_run = DryRun::of(map, &Config::default(), persons, 1_000_000_000_000_000_000).unwrap();
+        let mut shown = |line: &str| {
+            let item = line_item(line, &Who::Somebody).unwrap();
+            dry_run.take(&item).unwrap().unwrap().shown()
+        };
+        let ada = shown(r#"{"person": "ada", "text": "They open the fridge."}"#);
+        assert!(ada.contains("did, by key: Ada; place: fridge; Ada in kitchen 0.9"), "{ada}");
+        let two = shown("Two people are in the bathroom.");
+        assert!(two.contains("by fit: Ada, Ben; place: bathroom"), "{two}");
+        let near = shown("Ada leaves.");
+        assert!(near.contains("by name: Ada") && near.contains("nearest form is \"NAME leaves the house\""), "{near}");
+        let away = shown("Ada leaves the house.");
+        assert!(away.contains("away, by name: Ada; Ada in elsewhere 1.00 (was 0.00)"), "{away}");
+    }
+}
