@@ -113,7 +113,7 @@ impl View {
         let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
         let source = match narration.person_name() {
             "" => narration.source_name().to_owned(),
-            name => format!("{} of {name}", narration.source_name()),
+            name => format!("{name} (told by {})", narration.source_name()),
         };
         self.narration.push_back((source, text));
     }

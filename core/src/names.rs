@@ -3,18 +3,27 @@
 //! One table for the whole product, `names.toml` beside this file: `[words]` maps a name to its words, `[aliases]` maps
 //! words to other words under which a map may list the same thing, `[rooms]` and
 //! `[things]` map kinds of rooms and things to their names in other languages, `[english_rooms]` kinds of rooms to other words of English,
-//! and `[entities]` has words that a smart home's entities are named with and that name no thing.
+//! and `[entities]` has words that a smart home's entities are named with. `room_names.toml` has the names of rooms by language.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
 static BUILT_IN: LazyLock<Names> = LazyLock::new(|| {
-    #[expect(clippy::expect_used, reason = "the table is compiled in and a test parses it")]
-    Names::from_toml(include_str!("names.toml")).expect("names.toml is valid")
+    #[expect(clippy::expect_used, reason = "the tables are compiled in and a test parses them")]
+    Names::from_toml(include_str!("names.toml"))
+        .and_then(|names| names.with_rooms(include_str!("room_names.toml")))
+        .expect("names.toml and room_names.toml are valid")
 });
 
 /// Words of a name that are looked for together.
 const RUN_MAX: usize = 4;
+/// Letters of a word that are looked at for parts.
+const NAME_LETTERS_MAX: usize = 64;
+
+/// Whether a letter is of a script that writes words together: Chinese, Japanese, Korean, Thai.
+fn is_unspaced(letter: char) -> bool {
+    matches!(letter, '\u{e00}'..='\u{e7f}' | '\u{3040}'..='\u{30ff}' | '\u{3400}'..='\u{9fff}' | '\u{ac00}'..='\u{d7a3}')
+}
 
 /// The table of names. See [`Names::built_in`].
 #[derive(Debug, Clone, PartialEq, Default, serde::Deserialize)]
@@ -37,25 +46,62 @@ pub struct Names {
     entities: EntityWords,
 }
 
-/// Words in the names of a smart home's entities that do not name their thing. Compared as [`bare`] has them.
+/// Words in the names of a smart home's entities. Compared as [`bare`] has them.
 #[derive(Debug, Clone, PartialEq, Default, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EntityWords {
-    /// What is measured or switched, makers, and words that join others.
-    #[serde(deserialize_with = "set_of_bare")]
-    measured: BTreeSet<String>,
-    /// Ends of compounds that say the same.
+    /// Ends of compounds for a sensor or a part of a thing.
     #[serde(deserialize_with = "set_of_bare")]
     ends: BTreeSet<String>,
     /// Which of several, in English.
     #[serde(deserialize_with = "set_of_bare")]
     which: BTreeSet<String>,
+    /// Words of English that tell a lamp from others.
+    #[serde(deserialize_with = "set_of_bare")]
+    lamps: BTreeSet<String>,
+    /// Things with a door, in English.
+    #[serde(deserialize_with = "set_of_bare")]
+    opened: BTreeSet<String>,
+    /// Names of areas that are no rooms.
+    #[serde(deserialize_with = "set_of_bare")]
+    no_rooms: BTreeSet<String>,
+    /// Words of settings, counters and alarms.
+    #[serde(deserialize_with = "set_of_bare")]
+    settings: BTreeSet<String>,
+    /// Words for animals, vehicles and parcels that cameras see.
+    #[serde(deserialize_with = "set_of_bare")]
+    creatures: BTreeSet<String>,
+    /// What a kind of thing is called, by word. In the file by kind.
+    #[serde(deserialize_with = "by_name")]
+    nouns: BTreeMap<String, String>,
 }
 
 impl EntityWords {
-    /// Whether a bare word says what is measured, and not of what.
-    pub(crate) fn is_measured(&self, word: &str) -> bool {
-        self.measured.contains(word)
+    /// Whether a bare word tells a lamp from others.
+    pub(crate) fn is_lamp(&self, word: &str) -> bool {
+        self.lamps.contains(word)
+    }
+
+    /// Whether a thing has a door.
+    pub(crate) fn is_opened(&self, thing: &str) -> bool {
+        self.opened.contains(thing)
+    }
+
+    /// Whether a bare word is one of settings, counters and alarms.
+    pub(crate) fn is_setting(&self, word: &str) -> bool {
+        self.settings.contains(word)
+    }
+
+    /// Whether a bare word is for something other than a person.
+    pub(crate) fn is_creature(&self, word: &str) -> bool {
+        self.creatures.contains(word)
+    }
+
+    /// Whether a bare word, or the end of a compound, is a word for this kind of thing: "lamp" for "deckenlampe".
+    pub(crate) fn is_noun(&self, word: &str, kind: &str) -> bool {
+        let is_end = |end: &str| self.ends.contains(end) && self.nouns.get(end).is_some_and(|own| own == kind);
+        let end = || self.stem(word).is_some_and(|stem| is_end(&word[stem.len()..]));
+        self.nouns.get(word).is_some_and(|own| own == kind) || end()
     }
 
     /// Whether a bare word says which door or window it is.
@@ -85,25 +131,38 @@ fn by_name<'de, D: serde::Deserializer<'de>>(from: D) -> Result<BTreeMap<String,
 
 /// Plain words without the accents of Latin letters, and without what is neither letter nor digit.
 fn bare(text: &str) -> String {
-    let is_part = |c: char| c.is_alphanumeric() || ('\u{300}'..='\u{36f}').contains(&c);
+    // Accents, and the signs of vowels and tones in the scripts of India and in Thai.
+    let is_part = |c: char| c.is_alphanumeric() || matches!(c, '\u{300}'..='\u{36f}' | '\u{900}'..='\u{e7f}');
     let text: String = text.chars().map(|c| if is_part(c) { c } else { ' ' }).collect();
     let mut bare = String::with_capacity(text.len());
     for character in plain_words(&text).chars() {
         match character {
-            'à' | 'á' | 'â' | 'ã' | 'ä' | 'å' | 'ă' | 'ą' => bare.push('a'),
+            'à' | 'á' | 'â' | 'ã' | 'ä' | 'å' | 'ă' | 'ą' | 'ā' | '\u{1ea1}'..='\u{1eb7}' => bare.push('a'),
             'ç' | 'ć' | 'č' => bare.push('c'),
-            'ď' => bare.push('d'),
-            'è' | 'é' | 'ê' | 'ë' | 'ě' | 'ę' => bare.push('e'),
-            'ì' | 'í' | 'î' | 'ï' | 'ı' => bare.push('i'),
-            'ł' | 'ľ' | 'ĺ' => bare.push('l'),
-            'ñ' | 'ň' | 'ń' => bare.push('n'),
-            'ò' | 'ó' | 'ô' | 'õ' | 'ö' | 'ø' | 'ő' => bare.push('o'),
+            'ď' | 'đ' | 'ð' => bare.push('d'),
+            'è' | 'é' | 'ê' | 'ë' | 'ě' | 'ę' | 'ė' | 'ē' | '\u{1eb9}'..='\u{1ec7}' => bare.push('e'),
+            'ğ' | 'ģ' => bare.push('g'),
+            'ì' | 'í' | 'î' | 'ï' | 'ı' | 'ī' | 'į' | '\u{1ec9}'..='\u{1ecb}' => bare.push('i'),
+            'ķ' => bare.push('k'),
+            'ł' | 'ľ' | 'ĺ' | 'ļ' => bare.push('l'),
+            'ñ' | 'ň' | 'ń' | 'ņ' => bare.push('n'),
+            'ò' | 'ó' | 'ô' | 'õ' | 'ö' | 'ø' | 'ő' | 'ơ' | '\u{1ecd}'..='\u{1ee3}' => bare.push('o'),
             'ř' | 'ŕ' => bare.push('r'),
             'š' | 'ś' | 'ş' | 'ș' => bare.push('s'),
             'ť' | 'ţ' | 'ț' => bare.push('t'),
-            'ù' | 'ú' | 'û' | 'ü' | 'ů' | 'ű' => bare.push('u'),
-            'ý' => bare.push('y'),
+            'ù' | 'ú' | 'û' | 'ü' | 'ů' | 'ű' | 'ū' | 'ų' | 'ư' | '\u{1ee5}'..='\u{1ef1}' => bare.push('u'),
+            'ý' | '\u{1ef3}'..='\u{1ef9}' => bare.push('y'),
             'ž' | 'ź' | 'ż' => bare.push('z'),
+            'þ' => bare.push_str("th"),
+            'ά' => bare.push('α'),
+            'έ' => bare.push('ε'),
+            'ή' => bare.push('η'),
+            'ί' | 'ϊ' | 'ΐ' => bare.push('ι'),
+            'ό' => bare.push('ο'),
+            'ύ' | 'ϋ' => bare.push('υ'),
+            'ώ' => bare.push('ω'),
+            'ё' => bare.push('е'),
+            'й' => bare.push('и'),
             'ß' => bare.push_str("ss"),
             'æ' => bare.push_str("ae"),
             // A combining accent, as names are stored that were decomposed.
@@ -141,6 +200,20 @@ impl Names {
         })
     }
 
+    /// Adds the names of rooms by language and kind.
+    fn with_rooms(mut self, text: &str) -> Result<Self, toml::de::Error> {
+        let languages: BTreeMap<String, BTreeMap<String, Vec<String>>> = toml::from_str(text)?;
+        for (kind, names) in languages.values().flatten() {
+            self.rooms.extend(names.iter().map(|name| (bare(name), plain_words(kind))));
+        }
+        Ok(self)
+    }
+
+    /// Whether an area of this name is no room: the whole house, a car, a network.
+    pub(crate) fn is_no_room(&self, name: &str) -> bool {
+        self.entities.no_rooms.contains(&bare(name))
+    }
+
     /// The words of a thing by its name in another language, or by one that is common in homes ("washer").
     #[must_use]
     pub(crate) fn thing(&self, name: &str) -> Option<&str> {
@@ -159,7 +232,8 @@ impl Names {
     }
 
     /// The kind of room that a name in another language means: "Küche", "KUCHE" and "Küche 2" are a kitchen, and so are "Küche unten" and
-    /// "Wohnküche". The longest run of words that the table knows counts, the first of equal ones; else the end of a compound.
+    /// "Wohnküche". The longest run of words that the table knows counts, the first of equal ones; else the end of a compound, else a part of a
+    /// word of a script without spaces ("主卧室").
     /// None where the table knows neither, and where more words are English ("man cave").
     #[must_use]
     pub fn room(&self, name: &str) -> Option<&str> {
@@ -174,7 +248,8 @@ impl Names {
                 return None;
             }
         }
-        words.iter().find_map(|word| self.compound(word))
+        let compound = words.iter().find_map(|word| self.compound(word));
+        compound.or_else(|| words.iter().find_map(|word| self.part(word)))
     }
 
     /// The kind of room that a whole name is in another language: "Küche" is a kitchen. None for a name that says more, which may be that of
@@ -201,9 +276,25 @@ impl Names {
         /// Shorter ones that do.
         const SHORT: [&str; 3] = ["bad", "flur", "wc"];
         const STEM: usize = 2;
+        /// Words for any room, which end the names of all kinds ("Musikzimmer").
+        const ANY: [&str; 3] = ["zimmer", "kamer", "szoba"];
         let ends = word.char_indices().map(|(at, _)| &word[at..]).skip(STEM);
-        let mut ends = ends.filter(|end| end.chars().count() >= SHORTEST || SHORT.contains(end));
+        let mut ends =
+            ends.filter(|end| end.chars().count() >= SHORTEST || SHORT.contains(end)).filter(|end| !ANY.contains(end));
         ends.find_map(|end| self.rooms.get(end)).map(String::as_str)
+    }
+
+    /// The kind of room by the longest known part of a word in a script without spaces, the last of equally long parts.
+    fn part(&self, word: &str) -> Option<&str> {
+        const SHORTEST: usize = 2;
+        const LONGEST: usize = 16;
+        let letters: Vec<char> = word.chars().take(NAME_LETTERS_MAX).collect();
+        if !letters.iter().any(|letter| is_unspaced(*letter)) {
+            return None;
+        }
+        let parts = (SHORTEST..=letters.len().min(LONGEST)).rev().flat_map(|count| letters.windows(count).rev());
+        let names = parts.map(|part| part.iter().collect::<String>());
+        names.filter_map(|name| self.rooms.get(&name)).next().map(String::as_str)
     }
 
     /// The words of a name: "washingmachine" and "Washing_Machine" are "washing machine".
@@ -223,14 +314,6 @@ impl Names {
     /// Every name that the table knows something of.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.words.keys().chain(self.aliases.keys()).map(String::as_str)
-    }
-
-    /// All words of English that the table has.
-    pub(crate) fn english(&self) -> BTreeSet<&str> {
-        let texts = (self.words.values().chain(self.aliases.keys()).chain(self.aliases.values().flatten()))
-            .chain(self.rooms.values().chain(self.english_rooms.keys()))
-            .chain(self.things.values().chain(&self.entities.which));
-        texts.flat_map(|text| text.split(' ')).collect()
     }
 
     /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served
@@ -312,6 +395,55 @@ mod tests {
         }
     }
 
+    /// One list is one language: a name of two kinds would be one of them by chance.
+    #[test]
+    fn a_rooms_name_has_one_kind_in_all_languages() {
+        type Kinds = BTreeMap<String, Vec<String>>;
+        let languages: BTreeMap<String, Kinds> = toml::from_str(include_str!("room_names.toml")).unwrap();
+        assert!(languages.len() >= 40);
+        let mut others: BTreeMap<String, toml::Value> = toml::from_str(include_str!("names.toml")).unwrap();
+        let others: Kinds = others.remove("rooms").unwrap().try_into().unwrap();
+        let mut kind_of: BTreeMap<String, String> = BTreeMap::new();
+        for (kind, names) in languages.values().flatten().chain(&others) {
+            for name in names {
+                let known = kind_of.entry(bare(name)).or_insert_with(|| kind.clone());
+                assert_eq!(known, kind, "{name}");
+                assert_eq!(Names::built_in().room(name), Some(kind.as_str()), "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn rooms_are_known_in_many_languages() {
+        for (name, kind) in [
+            ("Всекидневна", "living room"),
+            ("Хол", "living room"),
+            ("Dnevni boravak", "living room"),
+            ("Kupaonica", "bathroom"),
+            ("Eldhús", "kitchen"),
+            ("Virtuvė", "kitchen"),
+            ("Guļamistaba", "bedroom"),
+            ("Magamistuba", "bedroom"),
+            ("Predsoba", "entrance hall"),
+            ("ΚΟΥΖΙΝΑ", "kitchen"),
+            ("Yatak Odası", "bedroom"),
+            ("Lastetuba", "children's bedroom"),
+            ("寝室2", "bedroom"),
+            ("主卧室", "bedroom"),
+            ("二楼浴室", "bathroom"),
+            ("ห้องน้ำชั้นล่าง", "bathroom"),
+            ("아이방", "children's bedroom"),
+            ("Pho\u{300}ng ngu\u{309}", "bedroom"),
+            ("Ванна кімната", "bathroom"),
+            ("Ruang Keluarga", "living room"),
+            ("Badet oppe", "bathroom"),
+            ("Kontoret", "home office"),
+        ] {
+            assert_eq!(Names::built_in().room(name), Some(kind), "{name}");
+        }
+        assert_eq!(Names::built_in().room("Musikzimmer"), None, "a room of any kind");
+    }
+
     #[test]
     fn kinds_of_rooms_are_known_in_english() {
         let kind = |name: &str| Names::built_in().kind_of_room(name);
@@ -335,7 +467,12 @@ mod tests {
     #[test]
     fn words_of_entities_are_told_apart() {
         let words = Names::built_in().entities();
-        assert!(words.is_measured("fenster") && words.is_measured("temperature") && !words.is_measured("fridge"));
+        assert!(words.is_setting("urlaub") && words.is_setting("away") && !words.is_setting("fridge"));
+        assert!(
+            words.is_noun("deckenlampe", "lamp")
+                && words.is_noun("fenster", "window")
+                && !words.is_noun("fenster", "lamp")
+        );
         assert_eq!(words.stem("kuhlschranktur"), Some("kuhlschrank"));
         assert_eq!((words.stem("tur"), words.stem("fridge")), (None, None));
         assert!(words.is_which("front"));

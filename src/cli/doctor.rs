@@ -321,9 +321,7 @@ pub fn run(args: &Args) -> CommandResult {
         Err(failure) => {
             let remedy = match args.service.config_file().is_some_and(|path| !path.is_file()) {
                 true => "give --config the file that roomcast init has written (roomcast.toml)",
-                false => {
-                    "correct the line that it names; roomcast config prints every key; roomcast init writes a new one"
-                }
+                false => "correct the line that it names; roomcast config prints every key",
             };
             report(args, &[Finding::wrong("configuration", failure.to_string(), remedy)])?;
             return Err(Failure::new(failure.code, "the configuration cannot be used; nothing else was checked"));

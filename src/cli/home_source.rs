@@ -20,9 +20,10 @@ pub(super) fn home_assistant(
     name: &str,
     token_file: Option<&Path>,
     authority: Option<&Path>,
+    leave_out: &[String],
 ) -> Result<Home, Failure> {
     if is_url(source) {
-        return over_network(source, name, token_file, authority);
+        return over_network(source, name, token_file, authority, leave_out);
     }
     if !source.exists() {
         let source = source.display();
@@ -38,11 +39,17 @@ pub(super) fn home_assistant(
         );
         return Err(Failure::new(crate::exit_code::USAGE, text));
     }
-    from_folder(source, name)
+    from_folder(source, name, leave_out)
 }
 
 #[cfg(feature = "home")]
-fn over_network(source: &Path, name: &str, token: Option<&Path>, authority: Option<&Path>) -> Result<Home, Failure> {
+fn over_network(
+    source: &Path,
+    name: &str,
+    token: Option<&Path>,
+    authority: Option<&Path>,
+    leave_out: &[String],
+) -> Result<Home, Failure> {
     let url = source.to_string_lossy();
     let Some(token) = token else {
         let text =
@@ -50,12 +57,12 @@ fn over_network(source: &Path, name: &str, token: Option<&Path>, authority: Opti
         return Err(Failure::new(crate::exit_code::USAGE, text));
     };
     let fetched = home_assistant::fetch(&url, token, authority).map_err(input)?;
-    import::home_assistant(&fetched.registries(), name)
+    import::home_assistant(&Registries { leave_out, ..fetched.registries() }, name)
         .map_err(|error| in_file(&format!("Home Assistant {} at", fetched.version), source, &error))
 }
 
 #[cfg(not(feature = "home"))]
-fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>) -> Result<Home, Failure> {
+fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>, _: &[String]) -> Result<Home, Failure> {
     let source = source.display();
     Err(input(format!(
         "{source}: this build has no network; give the configuration folder, or build with --features home"
@@ -63,7 +70,7 @@ fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>) -> R
 }
 
 /// Reads the registries of a configuration folder, or of its `.storage`.
-fn from_folder(folder: &Path, name: &str) -> Result<Home, Failure> {
+fn from_folder(folder: &Path, name: &str, leave_out: &[String]) -> Result<Home, Failure> {
     let inner = folder.join(".storage");
     let storage = if inner.is_dir() { &inner } else { folder };
     let (areas, registry) = (storage.join("core.area_registry"), "registry");
@@ -86,6 +93,7 @@ fn from_folder(folder: &Path, name: &str) -> Result<Home, Failure> {
         devices: devices.as_deref(),
         entities: entities.as_deref(),
         persons: persons.as_deref(),
+        leave_out,
     };
     import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
 }

@@ -3,26 +3,27 @@
 //! What is not given is found (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal it is asked.
 //! All is read and checked before the first file is written, and no file that is there is overwritten unasked.
 
-use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::narration::{ReadName, check_name};
 use roomcast_core::semantic_map::import::{self, Home, Imported};
-use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap, delta};
+use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 use roomcast_services::config::Config;
 use roomcast_services::mqtt::look::{self, LookError, Seen};
 use roomcast_services::mqtt::{Broker, MqttError};
-use serde_json::json;
 
 mod areas;
 mod ask;
+mod configuration;
+mod join;
 
 use areas::Areas;
 use ask::Asker;
+use configuration::configuration;
+use join::{in_rooms_of, inside, rules_in, with_things};
 
 use super::home_source::{check_rules, home_assistant, is_url};
 use super::scene::Furnish;
@@ -46,17 +47,20 @@ const MAP: &str = "/MapData/map-data";
 const SCENE_FILE: &str = "home.json";
 const RULES_FILE: &str = "home.rules.toml";
 const STATE_FOLDER: &str = "state";
+/// The folder for all of them.
+const FOLDER: &str = "home";
 /// The name that docs/home.md gives the file with the token.
 const TOKEN_FILE: &str = "token";
-/// Size of a thing that Home Assistant knows in a room and the robot's map does not have, in metres.
-const THING_M: f64 = 0.3;
 
 /// Arguments of `roomcast init`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The folder to write home.json, home.rules.toml and roomcast.toml into; it is made where it is missing.
-    #[arg(value_name = "FOLDER", default_value = ".")]
-    folder: PathBuf,
+    /// The folder for home.json, home.rules.toml and roomcast.toml; it is made if it is missing.
+    #[arg(long, value_name = "FOLDER", default_value = FOLDER)]
+    out: PathBuf,
+    /// The same as --out.
+    #[arg(value_name = "FOLDER", conflicts_with = "out", hide = true)]
+    folder: Option<PathBuf>,
     /// Home Assistant: its configuration folder, or its address (http://HOST:8123) with --token-file; `none` for a home without.
     #[arg(long, value_name = "FOLDER|URL|none")]
     home_assistant: Option<PathBuf>,
@@ -66,6 +70,9 @@ pub struct Args {
     /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
     #[arg(long, value_name = "FILE", requires = "token_file")]
     ca: Option<PathBuf>,
+    /// An area of Home Assistant that becomes no room, by its name or id; once for each.
+    #[arg(long, value_name = "AREA")]
+    leave_out: Vec<String>,
     /// The broker: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; `none` for a home without.
     #[arg(long, value_name = "URL|none")]
     mqtt: Option<String>,
@@ -95,7 +102,7 @@ pub struct Args {
     /// Leave all rooms as they are, without assumed furniture.
     #[arg(long, conflicts_with = "furnish")]
     bare: bool,
-    /// Overwrite files that are there.
+    /// Write new files where some are already. Each old file stays beside the new one, as NAME.old.
     #[arg(long)]
     replace: bool,
     /// Ask nothing, also on a terminal.
@@ -123,20 +130,47 @@ struct Found {
 /// is there already or cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let mut asker = Asker::new(args.yes);
-    let folder = std::path::absolute(&args.folder)
-        .map_err(|error| input(format!("the folder {}: {error}", args.folder.display())))?;
+    let folder = args.folder.as_ref().unwrap_or(&args.out);
+    let folder =
+        std::path::absolute(folder).map_err(|error| input(format!("the folder {}: {error}", folder.display())))?;
     let files = [SCENE_FILE, RULES_FILE, "roomcast.toml"].map(|name| folder.join(name));
     permit(&files, args.replace, &mut asker)?;
     let found = find(args, &mut asker)?;
     let made = make(args, &files, &found)?;
     std::fs::create_dir_all(&folder).map_err(|error| cannot_make(&folder, &error))?;
     let [scene, rules, config] = &files;
-    write(scene, made.map.to_json().as_bytes())?;
-    if let Some(text) = &made.rules {
-        write(rules, text.as_bytes())?;
+    let mut report = made.report(&files, &found);
+    let scene_text = made.map.to_json();
+    let texts = [(scene, Some(&scene_text)), (rules, made.rules.as_ref()), (config, Some(&made.config))];
+    for (path, text) in texts.iter().filter_map(|(path, text)| Some((path, text.as_ref()?))) {
+        if let Some(old) = keep_old(path, text)? {
+            let _ = writeln!(report, "\nThe old {} is now {}", path.display(), old.display());
+        }
+        write(path, text.as_bytes())?;
     }
-    write(config, made.config.as_bytes())?;
-    print(&made.report(&files, &found))
+    print(&report)
+}
+
+/// Moves a file aside that is there with another text: somebody may have edited it. Returns its new name.
+fn keep_old(path: &Path, text: &str) -> Result<Option<PathBuf>, Failure> {
+    const MOST: usize = 1_000;
+    let is_same = || std::fs::read(path).is_ok_and(|old| old == text.as_bytes());
+    if !path.exists() || is_same() {
+        return Ok(None);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let names = (1..MOST).map(|number| match number {
+        1 => path.with_file_name(format!("{name}.old")),
+        _ => path.with_file_name(format!("{name}.old-{number}")),
+    });
+    let free = names.into_iter().find(|name| !name.exists());
+    let failed = |why: String| {
+        let text = format!("cannot keep the old {}: {why}; move it away, or give another folder", path.display());
+        Failure::new(exit_code::FAILURE, text)
+    };
+    let old = free.ok_or_else(|| failed("too many old files are there".to_owned()))?;
+    std::fs::rename(path, &old).map_err(|error| failed(error.to_string()))?;
+    Ok(Some(old))
 }
 
 fn cannot_make(folder: &Path, error: &std::io::Error) -> Failure {
@@ -156,10 +190,12 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
         return Ok(());
     }
     let names = there.join(", ");
-    if asker.yes_or_no(&format!("Overwrite {names}?"), false)? == Some(true) {
+    if asker.yes_or_no(&format!("Replace {names}? The old files stay, as NAME.old."), false)? == Some(true) {
         return Ok(());
     }
-    let text = format!("{names} stay as they are: give --replace to overwrite them, or another folder");
+    let text = format!(
+        "{names} stay as they are: give another folder with --out, or --replace for new files (the old ones stay, as NAME.old)"
+    );
     Err(Failure::new(exit_code::FAILURE, text))
 }
 
@@ -167,6 +203,10 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
 fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
     let home_assistant = find_home_assistant(args, asker, &mut notes)?;
+    if home_assistant.is_none() && !args.leave_out.is_empty() {
+        let text = "--leave-out names an area of Home Assistant, and there is none: give --home-assistant, or remove --leave-out";
+        return Err(Failure::new(exit_code::USAGE, text));
+    }
     let (broker, seen) = find_broker(args, asker, &mut notes)?;
     let robot = match args.robot.as_deref() {
         Some("none") => None,
@@ -196,7 +236,7 @@ fn find_home_assistant(
         if is_none(source) {
             return Ok(None);
         }
-        let home = home_assistant(source, "home", token, args.ca.as_deref())?;
+        let home = home_assistant(source, "home", token, args.ca.as_deref(), &args.leave_out)?;
         Ok(Some((source.to_owned(), home)))
     };
     if let Some(given) = &args.home_assistant {
@@ -316,7 +356,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
         Err(error) => {
             let no_robot = match args.robot {
                 None => {
-                    "; without it no robot is set up: give --robot PREFIX/IDENTIFIER, or --replace when the broker answers"
+                    "; without it no robot is set up: give --robot PREFIX/IDENTIFIER, or run init again when the broker answers"
                 }
                 Some(_) => "",
             };
@@ -542,7 +582,7 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     if let Some(Imported { map: areas, .. }) = &areas {
         map = with_things(&map, areas, &known, &mut notes)?;
         // Where no rule is left, none can be read.
-        rules = rules.map(|text| in_rooms_of(&map, &known, &text, &mut notes)).filter(|text| rules_in(text) > 0);
+        rules = rules.map(|text| in_rooms_of(&map, areas, &known, &text, &mut notes)).filter(|text| rules_in(text) > 0);
     }
     if let Some(text) = &rules {
         check_rules(rules_file, text)?;
@@ -617,211 +657,6 @@ fn unpacked(payload: &[u8]) -> Result<String, String> {
     Ok(text)
 }
 
-/// The robot's map with the things that Home Assistant knows in its areas, each in the middle of its room.
-fn with_things(
-    map: &SemanticMap,
-    areas: &SemanticMap,
-    known: &Areas,
-    notes: &mut Vec<String>,
-) -> Result<SemanticMap, Failure> {
-    let (mut changes, mut homeless) = (Vec::new(), 0);
-    for item in areas.items() {
-        let area = areas.rooms_at(item.position_m).next();
-        let Some(room) = area.and_then(|area| known.room(map, &areas.rooms()[area.0 as usize].id)) else {
-            homeless += 1;
-            continue;
-        };
-        let label = &areas.labels()[item.label.0 as usize];
-        let space = &map.rooms()[room.0 as usize].space;
-        let has = |other: &roomcast_core::semantic_map::Item| {
-            map.labels()[other.label.0 as usize] == *label && space.contains(&other.position_m)
-        };
-        if map.items().iter().any(has) {
-            continue;
-        }
-        let at = inside(map, room.0 as usize);
-        let half = 0.5 * THING_M;
-        let (min_m, max_m) = (at.map(|metres| metres - half), at.map(|metres| metres + half));
-        let id = format!("home-{}", item.id);
-        changes.push(json!({"change": "add-item", "item": {
-            "id": id, "label": label, "position_m": at, "box": {"min_m": min_m, "max_m": max_m}}}));
-    }
-    if homeless > 0 {
-        notes.push(format!(
-            "{} of Home Assistant left out, in areas that are no known room of the robot's map.",
-            count(homeless, "thing")
-        ));
-    }
-    if changes.is_empty() {
-        return Ok(map.clone());
-    }
-    notes.push(format!(
-        "{} of Home Assistant put into the middle of the rooms, with ids that begin with \"home\".",
-        count(changes.len(), "thing")
-    ));
-    let changed =
-        delta::parse_changes(&serde_json::Value::from(changes).to_string()).and_then(|changes| map.changed(changes));
-    changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
-}
-
-/// A point well inside a room, near its middle.
-fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
-    const STEPS: i32 = 20;
-    let space = &map.rooms()[room].space;
-    let (middle, size) = (space.bounds.centre_m(), space.bounds.size_m());
-    let z = space.bounds.min_m[2] + 0.5 * THING_M;
-    let grid = (-STEPS..=STEPS).flat_map(|right| (-STEPS..=STEPS).map(move |down| (right, down)));
-    let mut places: Vec<_> = grid.collect();
-    places.sort_by_key(|(right, down)| right * right + down * down);
-    let point = |(right, down): (i32, i32)| {
-        let part = |steps: i32, metres: f64| f64::from(steps) / f64::from(2 * STEPS) * metres;
-        let tidy = |metres: f64| (metres * 1e3).round() / 1e3;
-        [tidy(middle[0] + part(right, size[0])), tidy(middle[1] + part(down, size[1])), z]
-    };
-    let near = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]].map(|way| way.map(|step: f64| step * THING_M));
-    let is_inside = |at: &[f64; 3]| near.iter().all(|[x, y]| space.contains(&[at[0] + x, at[1] + y, z]));
-    places.into_iter().map(point).find(is_inside).unwrap_or(middle)
-}
-
-/// What a rule begins with.
-const RULE: &str = "[[rule]]\n";
-
-/// How many rules a file has that are no comments.
-fn rules_in(text: &str) -> usize {
-    text.lines().filter(|line| *line == RULE.trim_end()).count()
-}
-
-/// Rules whose rooms are named as the robot's map has them. A rule of an area that no room is known to be is a comment, so that nobody is taken
-/// to be in the wrong room.
-fn in_rooms_of(map: &SemanticMap, known: &Areas, rules: &str, notes: &mut Vec<String>) -> String {
-    let ids: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
-    let ids = ids.join(", ");
-    let (mut unknown, mut unknown_rules) = (BTreeSet::new(), 0);
-    let mut parts = rules.split(RULE);
-    let mut text = parts.next().unwrap_or_default().to_owned();
-    for part in parts {
-        // What stands behind an empty line is the next one's.
-        let (rule, rest) = part.split_at(part.find("\n\n").map_or(part.len(), |at| at + 1));
-        let named = rule.parse::<toml::Table>().ok();
-        let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);
-        let room = area.map(|area| known.room(map, area).ok_or(area));
-        match room {
-            None => text.extend([RULE, rule]),
-            Some(Ok(room)) => {
-                let id = toml::Value::from(map.rooms()[room.0 as usize].id.as_str());
-                text.push_str(RULE);
-                for line in rule.lines() {
-                    let own = if line.starts_with("room = ") { format!("room = {id}") } else { line.to_owned() };
-                    let _ = writeln!(text, "{own}");
-                }
-            }
-            Some(Err(area)) => {
-                unknown.insert(format!("{area:?}"));
-                unknown_rules += 1;
-                let _ = writeln!(
-                    text,
-                    "# Which room is the area {area:?}? Write one of {ids}, and take out the signs # below."
-                );
-                RULE.lines().chain(rule.lines()).for_each(|line| {
-                    let _ = writeln!(text, "# {line}");
-                });
-            }
-        }
-        text.push_str(rest);
-    }
-    if !unknown.is_empty() {
-        let which = if unknown.len() == 1 { "the area" } else { "the areas" };
-        notes.push(format!(
-            "{} of {which} {} written as comments, since no room of the robot's map is known to be that: write one of {ids} there, and take out \
-             the signs #.",
-            count(unknown_rules, "rule"),
-            unknown.into_iter().collect::<Vec<_>>().join(", "),
-        ));
-    }
-    text
-}
-
-/// What a robot is called by where it speaks at the broker, if nobody who lives here is called so.
-fn name_of_robot(robot: &str, residents: &[String]) -> Option<String> {
-    let words = robot.rsplit('/').next()?.replace(['_', '-'], " ");
-    let mut letters = words.trim().chars();
-    let name = letters.next()?.to_uppercase().chain(letters).collect::<String>();
-    let is_taken = |name: &String| {
-        let name = ReadName::new(name);
-        let is_of = |resident: ReadName| resident.may_be_one(&name) || resident.first() == Some(name.letters());
-        residents.iter().map(|resident| ReadName::new(resident)).any(is_of)
-    };
-    Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))
-}
-
-/// The configuration, with a word to each part.
-fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
-    let quoted = |text: &str| toml::Value::from(text).to_string();
-    let path = |path: &Path| quoted(&path.to_string_lossy());
-    let mut text = format!(
-        "# A home, as `roomcast init` has set it up. `roomcast config` prints every key with its default; `roomcast doctor --config` says what\n\
-         # is wrong. Every service reads this file. A relative path begins at this file's folder.\n\n[scene]\npath = {}\n\n[daemon]\n\
-         # What was narrated and learned is kept here over restarts; under systemd, in the folder that the unit has for it.\nstate = {}\n",
-        quoted(SCENE_FILE),
-        quoted(STATE_FOLDER)
-    );
-    text.push_str("\n[narrator]\nname = \"home\"\n");
-    let names: Vec<String> = found.residents.iter().map(|name| quoted(name)).collect();
-    let residents = match names.len() {
-        0 => "# Who lives here; with names, everybody else is a visitor.\n# residents = [\"Ada\", \"Ben\"]".to_owned(),
-        _ => format!("# Everybody else is a visitor.\nresidents = [{}]", names.join(", ")),
-    };
-    let not_persons = match found.robot.as_deref().and_then(|robot| name_of_robot(robot, &found.residents)) {
-        Some(name) => format!("not_persons = [{}]", quoted(&name)),
-        None => "# not_persons = [\"Rocky\"]".to_owned(),
-    };
-    let _ = write!(
-        text,
-        "\n[persons]\n{residents}\n# Pets, robots and devices that have names: what a sentence says of one, it says of nobody.\n{not_persons}\n"
-    );
-    if let Some(broker) = &found.broker {
-        let _ = write!(text, "\n[mqtt]\nbroker = {}\n", quoted(&broker.address));
-        for (key, file) in [("credentials", broker.credentials.as_deref()), ("ca", broker.authority.as_deref())] {
-            if let Some(file) = file {
-                let _ = writeln!(text, "{key} = {}", path(file));
-            }
-        }
-        let rules = format!("rules = {}", quoted(RULES_FILE));
-        let _ = match has_rules {
-            true => writeln!(text, "{rules}"),
-            false => {
-                writeln!(text, "# When you have written this file (docs/mqtt.md), take out the sign #.\n# {rules}")
-            }
-        };
-    }
-    if let Some(robot) = &found.robot {
-        let _ = write!(
-            text,
-            "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\
-             # Every room once a day, from the planner's start on.\nround_s = 86400.0\n\n[robot]\n{}topic = {}\n\
-             # Only what it would be told is printed, until this is true.\nobey = false\n",
-            if is_of_home_assistant(robot) { "kind = \"home-assistant\"\n" } else { "" },
-            quoted(robot)
-        );
-        if is_of_home_assistant(robot) {
-            let vacuum = robot.rsplit('/').next().unwrap_or_default();
-            let _ = writeln!(
-                text,
-                "# Its battery, where Home Assistant has it as a sensor of its own.\n# battery = {}",
-                quoted(&format!("homeassistant/sensor/{vacuum}_battery/state"))
-            );
-            text.push_str(
-                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n\
-                 # [robot.segments]\n",
-            );
-            for room in map.rooms() {
-                let _ = writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id));
-            }
-        }
-    }
-    text
-}
-
 impl Made {
     /// What was written, what is assumed, and how to go on.
     fn report(&self, [scene, rules, config]: &[PathBuf; 3], found: &Found) -> String {
@@ -836,7 +671,7 @@ impl Made {
         }
         if let Some(written) = &self.rules {
             let number = count(rules_in(written), "rule");
-            let _ = writeln!(text, "{}: {number}; take out what says nothing of people", rules.display());
+            let _ = writeln!(text, "{}: {number}; delete the rules that say nothing about people", rules.display());
         }
         let file = config.display();
         let _ = writeln!(text, "{file}\n\nNow look at it, and see what is missing:\n");
@@ -868,11 +703,7 @@ impl Made {
             );
         }
         if let Some((url, _)) = found.home_assistant.as_ref().filter(|(home, _)| is_url(home)) {
-            let _ = writeln!(
-                text,
-                "\nThe token for {} is not needed any more; revoke it there if you like.",
-                url.display()
-            );
+            let _ = writeln!(text, "\nThe token for {} is no longer needed: you can revoke it there.", url.display());
         }
         text
     }
@@ -880,7 +711,9 @@ impl Made {
 
 #[cfg(test)]
 mod tests {
+    use super::configuration::name_of_robot;
     use super::*;
+    use serde_json::json;
     use std::io::Write as _;
 
     #[test]
@@ -978,14 +811,14 @@ mod tests {
         };
         let (same, known) = of(&home.imported.map);
         assert_eq!(same.map, map, "all are of one floor");
-        let text = in_rooms_of(&map, &known, &home.rules.unwrap(), &mut notes);
+        let text = in_rooms_of(&map, &home.imported.map, &known, home.rules.as_deref().unwrap(), &mut notes);
         let rules: toml::Table = text.parse().unwrap();
         let named: Vec<_> =
             rules["rule"].as_array().unwrap().iter().map(|rule| rule["room"].as_str().unwrap()).collect();
         assert_eq!(named, ["kitchen-1"], "{text}");
         assert_eq!((rules_in(&text), notes.len()), (1, 1), "{text}{notes:?}");
         assert!(
-            notes[0].starts_with("4 rules of the areas \"bad\", \"bad_gaste\", \"flur\", \"turm\" written"),
+            notes[0].starts_with("4 rules of the areas \"bad\", \"bad gäste\", \"hallway\", \"turm\" written"),
             "{notes:?}"
         );
         assert!(
@@ -997,7 +830,13 @@ mod tests {
         let all = all.replace("# presence", "presence").replace("# room", "room");
         assert_eq!(all.parse::<toml::Table>().unwrap()["rule"].as_array().unwrap().len(), areas.len(), "{all}");
         let none = home_of(&[("turm", "Turm")]);
-        let text = in_rooms_of(&map, &of(&none.imported.map).1, &none.rules.unwrap(), &mut notes);
+        let text = in_rooms_of(
+            &map,
+            &none.imported.map,
+            &of(&none.imported.map).1,
+            none.rules.as_deref().unwrap(),
+            &mut notes,
+        );
         assert_eq!(rules_in(&text), 0, "{text}");
     }
 }

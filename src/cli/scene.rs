@@ -36,7 +36,7 @@ enum Command {
     Import(Import),
     /// Check scenes: the format, and whether every item lies somewhere and every room can be reached.
     Check(Check),
-    /// Apply changes to a scene file: items added, moved, removed; rooms added.
+    /// Apply changes to a scene file: items added, moved, removed; rooms added, removed.
     Change(Change),
     /// Apply changes to the map of a running daemon, without a restart.
     Apply(Apply),
@@ -107,6 +107,9 @@ struct Import {
     /// Where the rules that come with a Home Assistant's map go; by default beside it, as `NAME.rules.toml`. A file that is there stays.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
+    /// An area of Home Assistant that becomes no room, by its name or id; once for each.
+    #[arg(long, value_name = "AREA")]
+    leave_out: Vec<String>,
     /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
@@ -196,6 +199,7 @@ impl Import {
             (self.keep_spellings, "--keep-spellings", "is of an open-vocabulary map", Format::OpenVocabulary),
             (self.names.is_some(), "--names", "names the segments of a Valetudo map", Format::Valetudo),
             (self.rules.is_some(), "--rules", "come with a Home Assistant's map", Format::HomeAssistant),
+            (!self.leave_out.is_empty(), "--leave-out", "names an area of Home Assistant", Format::HomeAssistant),
             (self.token_file.is_some(), "--token-file", "is for a Home Assistant's address", Format::HomeAssistant),
         ];
         let Some((_, option, why, of)) = options.iter().find(|(given, .., of)| *given && *of != self.format) else {
@@ -251,7 +255,7 @@ fn import(args: &Import) -> CommandResult {
                 ));
             };
             let name = args.name.as_deref().unwrap_or("home");
-            let home = home_assistant(folder, name, args.token_file.as_deref(), args.ca.as_deref())?;
+            let home = home_assistant(folder, name, args.token_file.as_deref(), args.ca.as_deref(), &args.leave_out)?;
             rules = home
                 .rules
                 .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
@@ -303,8 +307,9 @@ fn change(args: &Change) -> CommandResult {
     let after = before.regroup(&changed, &GroundingOptions::default()).map_err(input)?;
     write(&args.out, changed.to_json().as_bytes())?;
     print(&format!(
-        "{}: {}, {} outside, {} that the map did not have\n",
+        "{}: {}, {}, {} outside, {} that the map did not have\n",
         args.out.display(),
+        count(changed.rooms().len(), "room"),
         count(changed.items().len(), "item"),
         after.grounding.unassigned().len(),
         count(after.new_labels, "label")

@@ -285,7 +285,7 @@ fn rooms_with_devices_alone_get_furniture_on_request() {
     assert_eq!(made("without", &["--bare", "--valetudo", "none"]).0, devices);
     let (things, said) = made("typical", &[]);
     assert_eq!(things, devices);
-    let note = "Rooms with one or two kinds of things alone: kuche, wohnzimmer. `--furnish sparse` assumes";
+    let note = "Rooms with one or two kinds of things alone: kitchen, living room. `--furnish sparse` assumes";
     assert!(said.contains(note), "{said}");
     let (things, said) = made("sparse", &["--furnish", "sparse"]);
     assert!(said.contains("with one or two kinds alone: 2; assumed in them"), "{said}");
@@ -727,6 +727,15 @@ static MISTAKES: [Mistake; 34] = [
         code: exit_code::CHECK,
     },
     Mistake {
+        name: "a typo in the rules",
+        make: |home| home.edit("home.rules.toml", "say = ", "sya = "),
+        check: "rules",
+        verdict: "wrong",
+        found: "sya",
+        remedy: "correct the line that it names; docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
         name: "rules without a rule",
         make: |home| std::fs::write(home.path("home/home.rules.toml"), "# none\n").unwrap(),
         check: "rules",
@@ -765,6 +774,8 @@ fn the_doctor_finds_each_mistake() {
             let as_expected = finding["verdict"] == *verdict
                 && text(finding, "found").contains(found)
                 && text(finding, "remedy").contains(remedy)
+                // It would replace what was written by hand.
+                && !text(finding, "remedy").contains("--replace")
                 && ended == i32::from(*code);
             if !as_expected {
                 faults.lock().unwrap().push(format!("{name}: code {ended}, {finding:#}"));
@@ -993,7 +1004,7 @@ fn init_says_what_is_wrong_and_writes_nothing() {
                 Vec::new()
             },
             exit_code::FAILURE,
-            &["home.rules.toml stay as they are: give --replace to overwrite them"],
+            &["home.rules.toml stay as they are: give another folder with --out"],
         ),
         (
             "a folder that is a file",
@@ -1179,6 +1190,52 @@ fn residents_are_those_of_home_assistant_unless_they_are_given() {
     std::fs::write(home.path("config/.storage/person"), twice).unwrap();
     let (config, said) = made(&[]);
     assert!(!config.contains("\nresidents") && said.contains("Home Assistant's persons are no residents"), "{said}");
+}
+
+/// Rules that were written by hand are never lost.
+#[test]
+fn a_home_that_is_set_up_again_keeps_the_old_files_beside_the_new() {
+    let Some(home) = Home::new("again") else { return };
+    home.good();
+    let rules = home.path("home/home.rules.toml");
+    let made = std::fs::read_to_string(&rules).unwrap();
+    for old in ["home.rules.toml.old", "home.rules.toml.old-2"] {
+        std::fs::write(&rules, format!("# {old}\n")).unwrap();
+        let output = home.init(&["--replace"]);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(
+            output.status.success() && said.contains(&format!("is now {}", home.path("home").join(old).display())),
+            "{said}"
+        );
+        assert_eq!(std::fs::read_to_string(home.path("home").join(old)).unwrap(), format!("# {old}\n"));
+        assert_eq!(std::fs::read_to_string(&rules).unwrap(), made);
+    }
+    assert!(!home.path("home/home.json.old").exists(), "the map was the same");
+}
+
+#[test]
+fn a_home_has_a_folder_by_default_and_leaves_areas_out() {
+    let Some(home) = Home::new("out") else { return };
+    let config = home.at("config");
+    let all = ["init", "--yes", "--home-assistant", &config, "--mqtt", "none", "--robot", "none", "--leave-out"];
+    let init =
+        |more: &[&str]| home.command(&[&all[..], more].concat()).current_dir(home.directory.path()).output().unwrap();
+    let output = init(&["Wohnzimmer"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.contains("Areas left out: Wohnzimmer."), "{said}");
+    let rooms = |folder: &str| {
+        let map = std::fs::read_to_string(home.path(folder).join("home.json")).unwrap();
+        serde_json::from_str::<Value>(&map).unwrap()["rooms"].as_array().unwrap().len()
+    };
+    assert_eq!(rooms("home"), 1);
+    for (place, folder) in [(&["--out", "given"][..], "given"), (&["positional"], "positional")] {
+        assert!(init(&[&["kuche"][..], place].concat()).status.success());
+        assert_eq!(rooms(folder), 1);
+    }
+    let output = init(&["Attic", "--out", "other"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "{said}");
+    assert!(said.contains("has no area \"Attic\" to leave out; its areas are Küche, Wohnzimmer"), "{said}");
 }
 
 /// On a terminal it asks, says at once what is wrong with an answer, and asks again.

@@ -476,7 +476,7 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         "mqtt.broker: \"10.0.0.5\" is no broker: give mqtt://HOST[:PORT]",
         "here mqtt://10.0.0.5:1883",
         &format!("failed to read {}: No such file", rules.display()),
-        "correct mqtt.rules in the configuration; roomcast init writes rules",
+        "correct mqtt.rules in the configuration, or write rules there",
         "3 things are wrong",
     ] {
         assert!(!fine && said.contains(part), "{part} in {said}");

@@ -57,6 +57,15 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     assert!(garage.probability > 0.0 && garage.log_score_nats.is_finite());
     assert!(includes(&with_garage, "camera", 2) && with_garage.window == before.window);
 
+    // It goes again, with what stands in it, and comes back.
+    let (code, answer, error) = apply(&world, r#"[{"change": "remove-room", "id": "garage"}]"#, &[]);
+    assert_eq!((code, answer["rooms"].as_u64()), (0, Some(3)), "{answer} {error}");
+    let without = scores_with(&scores, "scores without a garage", |scores| scores.room_count == 3);
+    assert!(without.rooms().iter().all(|room| room.id() != "garage") && includes(&without, "camera", 2));
+    let (code, answer, error) = apply(&world, room, &[]);
+    assert_eq!((code, answer["rooms"].as_u64()), (0, Some(4)), "{answer} {error}");
+    let with_garage = scores_with(&scores, "scores with a garage again", |scores| scores.room_count == 4);
+
     // What cannot be is refused, and changes nothing.
     let (code, refused, error) = apply(&world, r#"[{"change": "remove-item", "id": "piano-1"}]"#, &[]);
     assert_eq!((code, &refused["map"]), (i32::from(exit_code::INPUT), &answer["map"]), "{error}");

@@ -1,4 +1,4 @@
-//! Changes to a map while it is in use: items come, move and go, rooms are added.
+//! Changes to a map while it is in use: items come, move and go, rooms are added and removed.
 //!
 //! A change is data (one JSON object per change), applying it a pure function from map to map. Whoever holds a prepared
 //! model asks [`crate::grounding::Grounding::regroup`] whether the new map needs it at all.
@@ -7,8 +7,8 @@ use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::schema::{DoorEntry, ItemEntry, RoomEntry, VERSION, element_of, place};
-use super::{Box3, SceneError, SemanticMap};
+use super::schema::{DoorEntry, ItemEntry, RoomEntry, SceneFile, VERSION, element_of, place};
+use super::{Box3, Item, SceneError, SemanticMap};
 use crate::parsing::{Keyed, json_says};
 use crate::text::{excerpt, without_mark};
 
@@ -44,6 +44,11 @@ pub enum MapChange {
         /// The doors' entries.
         #[serde(default)]
         doors: Vec<NewDoor>,
+    },
+    /// A room is none any more: its items, doors, parts and own aliases go with it.
+    RemoveRoom {
+        /// Which room.
+        id: String,
     },
 }
 
@@ -85,6 +90,16 @@ pub enum DeltaError {
         /// The id that it names.
         id: String,
     },
+    /// The room that should go is not there.
+    #[error("changes[{index}]: there is no room with the id {:?}; the ids are {}", excerpt(.id), excerpt(&.there.join(", ")))]
+    NoSuchRoom {
+        /// Which change.
+        index: usize,
+        /// The id that it names.
+        id: String,
+        /// The ids of the rooms.
+        there: Vec<String>,
+    },
     /// The map that came out breaks a rule of scenes.
     #[error("the changed map is malformed")]
     Scene(#[from] SceneError),
@@ -107,33 +122,24 @@ impl SemanticMap {
     /// The map after the changes, applied in order, all or none. Takes time in proportion to the map and the changes.
     ///
     /// # Errors
-    /// When a change names an item that is not there, or the result breaks a rule of scenes.
+    /// When a change names an item or a room that is not there, or the result breaks a rule of scenes.
     pub fn changed(&self, changes: Vec<MapChange>) -> Result<Self, DeltaError> {
         let mut file = self.to_file();
         // A change may bring a footprint; what is written names the version that the new map needs.
         file.version = VERSION;
-        let mut items: Vec<Option<ItemEntry>> = std::mem::take(&mut file.items).into_iter().map(Some).collect();
-        let ids = items.iter().enumerate().filter_map(|(index, item)| Some((item.as_ref()?.id.clone(), index)));
-        let mut place_of: HashMap<String, usize> = ids.collect();
+        let mut items = Items::new(std::mem::take(&mut file.items));
         for (index, change) in changes.into_iter().enumerate() {
+            let no_item = |id: String| DeltaError::NoSuchItem { index, id };
             match change {
-                MapChange::AddItem { item: NewItem(item) } => {
-                    // A second use of an id stays in the list, where the check names it.
-                    place_of.insert(item.id.clone(), items.len());
-                    items.push(Some(item));
-                }
+                MapChange::AddItem { item: NewItem(item) } => items.add(item),
                 MapChange::MoveItem { id, position_m, r#box } => {
-                    let place = place_of.get(&id).copied();
-                    let Some(item) = place.and_then(|place| items[place].as_mut()) else {
-                        return Err(DeltaError::NoSuchItem { index, id });
-                    };
+                    let Some(item) = items.get(&id) else { return Err(no_item(id)) };
                     item.position_m = position_m;
                     item.r#box = r#box;
                 }
-                MapChange::RemoveItem { id } => match place_of.remove(&id) {
-                    Some(place) => items[place] = None,
-                    None => return Err(DeltaError::NoSuchItem { index, id }),
-                },
+                MapChange::RemoveItem { id } => {
+                    items.remove(&id).ok_or_else(|| no_item(id))?;
+                }
                 MapChange::AddRoom { room: NewRoom(room), doors } => {
                     if !doors.is_empty() && file.doors.is_empty() {
                         // A first given door does not close those that were found.
@@ -142,10 +148,87 @@ impl SemanticMap {
                     file.rooms.push(room);
                     file.doors.extend(doors.into_iter().map(|NewDoor(door)| door));
                 }
+                MapChange::RemoveRoom { id } => {
+                    if !file.rooms.iter().any(|room| room.id == id) {
+                        let there = file.rooms.into_iter().map(|room| room.id).collect();
+                        return Err(DeltaError::NoSuchRoom { index, id, there });
+                    }
+                    file.items = items.into_list();
+                    // The items of a room are known on a checked map alone.
+                    file = Self::check(file)?.without_room(&id);
+                    items = Items::new(std::mem::take(&mut file.items));
+                }
             }
         }
-        file.items = items.into_iter().flatten().collect();
+        file.items = items.into_list();
         Ok(Self::check(file)?)
+    }
+
+    /// The map's file without a room, its items, doors, parts and own aliases.
+    fn without_room(&self, id: &str) -> SceneFile {
+        let mut file = self.to_file();
+        file.version = VERSION;
+        let Some(gone) = self.rooms.iter().position(|room| room.id == id) else { return file };
+        let room_of = |item: &Item| {
+            // As in grounding, the last of equal shares counts.
+            const SAME: f64 = 1e-9;
+            let mut most: Option<(usize, f64)> = None;
+            for (room, own) in self.rooms.iter().enumerate() {
+                let shared_m3 = own.space.overlap_m3(&item.bounds);
+                if shared_m3 > 0.0 && most.is_none_or(|(_, most_m3)| shared_m3 >= most_m3 * (1.0 - SAME)) {
+                    most = Some((room, shared_m3));
+                }
+            }
+            let holds = || self.rooms.iter().rposition(|room| room.space.contains(&item.position_m));
+            most.map(|(room, _)| room).or_else(holds)
+        };
+        let mut is_kept = self.items.iter().map(|item| room_of(item) != Some(gone));
+        file.items.retain(|_| is_kept.next().unwrap_or(true));
+        file.rooms.retain(|room| room.id != id);
+        file.doors.retain(|door| door.rooms.iter().all(|room| room != id));
+        file.parts.retain(|part| part.room != id);
+        for group in &mut file.groups {
+            group.rooms.retain(|room| room != id);
+        }
+        file.groups.retain(|group| !group.rooms.is_empty());
+        let label = &self.rooms[gone].label;
+        let is_shared =
+            file.rooms.iter().any(|room| room.label == *label) || file.items.iter().any(|item| item.label == *label);
+        file.aliases.retain(|key, _| key != id && (key != label || is_shared));
+        file
+    }
+}
+
+/// Items by id while they change.
+struct Items {
+    list: Vec<Option<ItemEntry>>,
+    place_of: HashMap<String, usize>,
+}
+
+impl Items {
+    fn new(items: Vec<ItemEntry>) -> Self {
+        let place_of = items.iter().enumerate().map(|(index, item)| (item.id.clone(), index)).collect();
+        Self { list: items.into_iter().map(Some).collect(), place_of }
+    }
+
+    fn add(&mut self, item: ItemEntry) {
+        // A second use of an id stays in the list, where the check names it.
+        self.place_of.insert(item.id.clone(), self.list.len());
+        self.list.push(Some(item));
+    }
+
+    fn get(&mut self, id: &str) -> Option<&mut ItemEntry> {
+        let place = self.place_of.get(id).copied()?;
+        self.list[place].as_mut()
+    }
+
+    fn remove(&mut self, id: &str) -> Option<ItemEntry> {
+        let place = self.place_of.remove(id)?;
+        self.list[place].take()
+    }
+
+    fn into_list(self) -> Vec<ItemEntry> {
+        self.list.into_iter().flatten().collect()
     }
 }
 
@@ -214,6 +297,41 @@ mod tests {
         let item = corners.changed(parse_changes(ADD).unwrap()).unwrap();
         assert!(item.doors_found);
         assert_eq!(item.doors, corners.doors);
+    }
+
+    const NO_ROOM: &str = r#"[{"change": "remove-room", "id": "living-room"}]"#;
+
+    #[test]
+    fn a_room_goes_with_its_items_and_doors() {
+        let before = map();
+        let grounding = Grounding::new(&before, &GroundingOptions::default()).unwrap();
+        let gone = before.rooms.iter().position(|room| room.id == "living-room").unwrap();
+        let in_it = grounding.item_partition.iter().flatten().filter(|room| room.0 as usize == gone);
+        let count = in_it.count();
+        let after = changed(NO_ROOM).unwrap();
+        assert!(count > 0);
+        assert_eq!((after.rooms.len(), after.items.len()), (before.rooms.len() - 1, before.items.len() - count));
+        assert!(after.find_room("living room").is_none() && after.doors.is_empty());
+        // Added in the same list, a room can go, too, and a room can be made again in another shape.
+        let list = |changes: &[&str]| {
+            changes.iter().map(|list| list[1..list.len() - 1].to_owned()).collect::<Vec<_>>().join(",")
+        };
+        let both = format!("[{}]", list(&[ROOM, &NO_ROOM.replace("living-room", "garage")]));
+        assert_eq!(changed(&both).unwrap().rooms, before.rooms);
+        let again = r#"[{"change": "add-room", "room": {"id": "living-room", "label": "lounge", "box": {"min_m": [10, 0, 0], "max_m": [14, 3, 2.5]}}}]"#;
+        let map = changed(&format!("[{}]", list(&[NO_ROOM, again]))).unwrap();
+        assert_eq!(map.rooms.last().map(|room| room.label.as_str()), Some("lounge"));
+    }
+
+    #[test]
+    fn a_room_that_cannot_go_is_refused() {
+        let message = |json: &str| changed(json).unwrap_err().to_string();
+        let unknown = message(&NO_ROOM.replace("living-room", "cellar"));
+        assert!(unknown.contains("changes[0]: there is no room with the id \"cellar\"; the ids are "), "{unknown}");
+        let ids: Vec<String> =
+            map().rooms.iter().map(|room| format!(r#"{{"change": "remove-room", "id": "{}"}}"#, room.id)).collect();
+        let all = format!("[{}]", ids.join(","));
+        assert_eq!(message(&all), "the changed map is malformed", "a map has a room");
     }
 
     #[test]

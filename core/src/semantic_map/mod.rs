@@ -305,6 +305,15 @@ impl SemanticMap {
         (is_its_id || is_one()).then_some(found)
     }
 
+    /// A name of a room for people: its label where no other room has it, else an alias of its own, else its id.
+    #[must_use]
+    pub fn room_name(&self, room: usize) -> &str {
+        let own = &self.rooms[room];
+        let is_only = self.rooms.iter().filter(|other| other.label == own.label).count() == 1;
+        let alias = || self.aliases.get(&own.id).and_then(|names| names.first());
+        if is_only { &own.label } else { alias().unwrap_or(&own.id) }
+    }
+
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {
         let plain = plain_words(name);
         let words = Names::built_in().words(name);

@@ -105,10 +105,10 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
         Ok(rules) => rules,
         Err(error) => {
             let remedy = match &error {
-                MqttError::Read { .. } => "correct mqtt.rules in the configuration; roomcast init writes rules",
-                _ => {
-                    "correct the line that it names; docs/mqtt.md shows every key; roomcast init --replace writes new rules"
+                MqttError::Read { .. } => {
+                    "correct mqtt.rules in the configuration, or write rules there (docs/mqtt.md)"
                 }
+                _ => "correct the line that it names; docs/mqtt.md shows every key",
             };
             return (vec![Finding::wrong(check, chain(&error), remedy)], None);
         }

@@ -226,7 +226,7 @@ impl Imported {
                 (true, _) => bare += 1,
                 (false, true) if also_sparse => filled += 1,
                 (false, true) => {
-                    sparse.push(room.id.as_str());
+                    sparse.push(map.room_name(index));
                     continue;
                 }
                 (false, false) => continue,

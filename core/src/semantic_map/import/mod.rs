@@ -61,6 +61,14 @@ pub enum ImportError {
         /// Those that are.
         there: Vec<String>,
     },
+    /// An area that is to be left out is not there.
+    #[error("has no area {:?} to leave out; its areas are {}", excerpt(.unknown), excerpt(&.there.join(", ")))]
+    NoArea {
+        /// The area that is not there.
+        unknown: String,
+        /// The names of the areas.
+        there: Vec<String>,
+    },
     /// The scene that came out breaks a rule of scenes.
     #[error(transparent)]
     Scene(#[from] SceneError),
