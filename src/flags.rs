@@ -63,6 +63,37 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
     )
 }
 
+/// A flag in words for people. JSON has the flag itself.
+#[must_use]
+pub fn plain(flag: &str) -> &str {
+    match flag {
+        "asleep" => "probably asleep",
+        "behind" => "scores lag behind the narration",
+        "by-fit" => "person guessed, the text gave no name",
+        "covered" => "all rooms done",
+        "daemon-silent" => "the daemon is silent",
+        "deadline" => "last chance before the deadline",
+        "elsewhere" => "decided in another domain",
+        "fallback" => "safe choice instead of the policy's",
+        "gap" => "narration was lost",
+        "interrupted" => "a person came in",
+        "no-narration" => "no narration yet",
+        "no-scores" => "no scores yet",
+        "nobody-home" => "all persons are away",
+        "not-known" => "places of persons unknown",
+        "owed" => "the robot owes a report",
+        "prepared" => "computed in advance",
+        "reported" => "done rooms as the robot reports",
+        "resident-unknown" => "a resident's place is unknown",
+        "restored" => "not observed since the start",
+        "robot-silent" => "the robot is silent",
+        "scorer-failed" => "scoring failed",
+        "sources-cut" => "more narrators than the list holds",
+        "stale" => "old scores",
+        other => other,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use roomcast_services::daemon::flag_words;
@@ -74,6 +105,20 @@ mod tests {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
         assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
         assert_eq!(decision_flag_names(u32::MAX).len(), 13);
+    }
+
+    #[test]
+    fn every_flag_has_words_for_people() {
+        let persons = flag_words(u32::MAX).collect();
+        let all = [
+            score_flag_names(u32::MAX & !score_flags::HEARTBEAT),
+            forecast_flag_names(u32::MAX),
+            decision_flag_names(u32::MAX),
+            persons,
+        ];
+        for flag in all.into_iter().flatten().filter(|flag| *flag != "visitor") {
+            assert!(plain(flag) != flag && !plain(flag).contains('-'), "{flag}");
+        }
     }
 
     /// Who reads JSON finds every flag's meaning.

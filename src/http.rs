@@ -7,7 +7,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -208,12 +208,16 @@ pub async fn converse(
 
 /// Whether a request was meant for this machine: a name that a page elsewhere owns may lead here, too.
 fn is_own_name(host: &str) -> bool {
-    let name = match host.rsplit_once(':') {
-        Some((name, port)) if !port.ends_with(']') => name,
-        _ => host,
+    let (is_own, port) = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((name, port)) => (name.parse::<Ipv6Addr>().is_ok_and(|address| address.is_loopback()), port),
+        None => {
+            let (name, port) = host.split_at(host.find(':').unwrap_or(host.len()));
+            let is_loopback = name.parse::<Ipv4Addr>().is_ok_and(|address| address.is_loopback());
+            (name.eq_ignore_ascii_case("localhost") || is_loopback, port)
+        }
     };
-    let address = name.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
-    name == "localhost" || address.is_ok_and(|address| address.is_loopback())
+    let is_number = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit()) && port.parse::<u16>().is_ok();
+    is_own && (port.is_empty() || port.strip_prefix(':').is_some_and(is_number))
 }
 
 /// An answer that refuses, with a reason in words.
@@ -240,6 +244,21 @@ mod tests {
             "",
             "localhost.evil.example:1",
             "[::2]:9465",
+            "localhost:evil",
+            "localhost:",
+            "localhost:+80",
+            "localhost:65536",
+            "localhost:80:80",
+            "localhost:80/evil",
+            "127.0.0.1:evil",
+            "[::1]evil",
+            "[::1]:evil",
+            "[127.0.0.1]",
+            "[localhost]",
+            "::1",
+            "[::1",
+            ":80",
+            "evil@localhost",
         ] {
             assert!(!is_own_name(host), "{host}");
         }

@@ -15,7 +15,7 @@ use roomcast_ipc::{
 
 use crate::bar::bar;
 use crate::columns::wrapped;
-use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
@@ -155,8 +155,8 @@ impl View {
                 line.push_str(&format!(", next {room} {:.1} %", 100.0 * probability));
             }
             for word in flag_words(person.flags) {
-                line.push_str(if word == "restored" { ", not observed since the start" } else { ", " });
-                line.push_str(if word == "restored" { "" } else { word });
+                line.push_str(", ");
+                line.push_str(plain(word));
             }
             self.persons.push(line);
             // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
@@ -325,7 +325,7 @@ impl View {
             )),
         ];
         for name in decision_flag_names(decision.flags) {
-            first.push(Span::from(format!("  {}", name.replace('-', " "))).yellow());
+            first.push(Span::from(format!("  {}", plain(name))).yellow());
         }
         vec![Line::from(first), Line::from(decision.reason().to_owned())]
     }
@@ -349,7 +349,7 @@ impl View {
             // Rooms say nothing of whoever is missing in them.
             let of_forecast = forecast_flag_names(self.forecast_flags & forecast_flags::RESIDENT_UNKNOWN);
             for name in score_flag_names(scores.flags & !score_flags::HEARTBEAT).into_iter().chain(of_forecast) {
-                first.push(Span::from(format!("  {}", name.replace('-', " "))).yellow());
+                first.push(Span::from(format!("  {}", plain(name))).yellow());
             }
         }
         let second = match &self.status {
@@ -470,7 +470,8 @@ fn sparkline(points: &VecDeque<f64>, width: usize) -> String {
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     let lines = [
-        "rooms      the probability that somebody's next thing is there, and its course;",
+        "rooms      the chance that a person's next action is there, and its course;",
+        "           with several persons the rooms add up to more than 100 %;",
         "           one block is half a second, the newest at the right",
         "narration  what was observed, the newest at the bottom",
         "next       the likeliest objects; asking for them costs the daemon a little",
@@ -764,9 +765,10 @@ mod tests {
         view.forecasts(&forecasts);
         view.persons(&scores);
         let text = drawn(&view, 80, 24, 1_100_000_000);
-        for line in
-            ["ada: present, now kitchen 87.5 %, next bathroom 50.0 %, asleep", "ben: away, elsewhere in 60 min 62.5 %"]
-        {
+        for line in [
+            "ada: present, now kitchen 87.5 %, next bathroom 50.0 %, probably asleep",
+            "ben: away, elsewhere in 60 min 62.5 %",
+        ] {
             assert!(text.contains(line), "{line:?} is missing:\n{text}");
         }
         // Where the habits promise something, it has a line of its own.

@@ -24,7 +24,7 @@ use roomcast_services::stop::Stop;
 use serde_json::{Value, json};
 
 use crate::decided::{Decided, News};
-use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
 use crate::http::{HttpError, Request, Server, refusal};
 use crate::top::who;
 
@@ -577,7 +577,8 @@ impl Picture {
                 format!("The daemon has been silent for {:.0} s: what is shown is old.", silence_ns as f64 / 1e9);
             return json!({"alarm": true, "text": text});
         }
-        let flags: Vec<_> = score_flag_names(scores.flags & !roomcast_ipc::score_flags::HEARTBEAT);
+        let flags = score_flag_names(scores.flags & !roomcast_ipc::score_flags::HEARTBEAT);
+        let flags: Vec<_> = flags.into_iter().map(plain).collect();
         let flags = if flags.is_empty() { String::new() } else { format!(" ({})", flags.join(", ")) };
         json!({"alarm": false, "text": format!("The daemon is alive{flags}.")})
     }
@@ -619,6 +620,7 @@ impl Picture {
             json!({
                 "to": decision.to(), "left": left, "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
                 "flags": decision_flag_names(decision.flags),
+                "notes": decision_flag_names(decision.flags).into_iter().map(plain).collect::<Vec<_>>(),
             })
         });
         json!({
@@ -642,6 +644,7 @@ impl Picture {
             let mut card = json!({
                 "name": who(person.person, person.name()), "presence": presence_word(person.presence),
                 "flags": flag_words(person.flags).collect::<Vec<_>>(),
+                "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
             });
             if let Some((told, own)) = own {
                 let horizons = told.horizons_s().len();

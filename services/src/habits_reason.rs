@@ -134,10 +134,13 @@ fn ahead(seconds: f64) -> String {
     }
 }
 
-/// "from 40 (30 after the last thing, 12 after the last two, 0 after the last three)"
-fn from(observations: &[f64; 4], first: &str) -> String {
+/// "from 40 observations: 30 after the last object, 12 after the last two, 0 after the last three"
+fn from(observations: &[f64; 4], place: &str) -> String {
     let [all, one, two, three] = observations;
-    format!("from {all:.0} {first}, {one:.0} after the last thing, {two:.0} after two, {three:.0} after three")
+    let all = count(all.round() as usize, "observation");
+    format!(
+        "from {all}{place}: {one:.0} after the last object, {two:.0} after the last two, {three:.0} after the last three"
+    )
 }
 
 /// What habit's part is called. Without an observation it is what habit begins with: that things are turned to again, and what others of the home do.
@@ -175,7 +178,7 @@ impl fmt::Display for PersonHabits {
                 percent(*recency),
                 percent(*hour),
                 percent(*staying),
-                from(observations, "at all"),
+                from(observations, ""),
             )?;
         }
         if !self.rooms.is_empty() {
@@ -193,7 +196,7 @@ impl fmt::Display for PersonHabits {
                 percent(*things),
                 percent(*hour),
                 percent(*staying),
-                from(observations, "in this room"),
+                from(observations, " in this room"),
             )?;
         }
         for line in &self.forecast {
@@ -276,7 +279,7 @@ mod tests {
         let text = learned.to_string();
         for part in [
             "from 41 observations",
-            "mug 50 %: language model 25 %, habit 50 %, recency 12 %, hour 12 %, staying 0 %; from 40 at all, 12 after",
+            "mug 50 %: language model 25 %, habit 50 %, recency 12 %, hour 12 %, staying 0 %; from 40 observations: 12 after the last object, ",
             "In 15 min: forecast without habits 25 %",
             "; set for 90 % on the long run, 45 % by this forecast: kitchen, elsewhere",
         ] {

@@ -1,4 +1,7 @@
 //! What a rule of MQTT and one of sensor logs have in common: what is said, of whom, and after which silence.
+//!
+//! A value in braces comes from outside. In `say` it stays inside its sentence ([`inside`]), and the line has [`FILLED_KIND`], unless the
+//! placeholder stands for a name or a room in a presence form.
 
 use std::time::Duration;
 
@@ -8,6 +11,9 @@ use crate::line::{LINE_BYTES_MAX, Who, line_item};
 
 /// Longest silence that a rule may wait for, in seconds: a week.
 const QUIET_S_MAX: f64 = 604_800.0;
+
+/// The kind of a line with values in its text: a device's state, in any words. A line of this kind never sets presence.
+const FILLED_KIND: &str = "device";
 
 /// What a rule says of who is where.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -50,6 +56,8 @@ pub(crate) struct Keys<'a> {
 pub(crate) struct Saying {
     keys: Map<String, Value>,
     quiet: Option<Duration>,
+    /// The presence form of a sentence with placeholders that all stand for a name or a room.
+    form: Option<Form>,
 }
 
 impl Saying {
@@ -93,7 +101,8 @@ impl Saying {
             let quiet = Duration::try_from_secs_f64(quiet_s).ok().filter(|_| allowed);
             quiet.ok_or_else(|| format!("quiet_s is {quiet_s}; give seconds above 0, at most {QUIET_S_MAX}"))
         });
-        let saying = Self { keys: written, quiet: quiet.transpose()? };
+        let form = say.and_then(|say| Form::of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
+        let saying = Self { keys: written, quiet: quiet.transpose()?, form };
         // What can be narrated at all is checked here, where the rule can be named.
         line_item(&saying.line(|_| "1".to_owned()), &Who::Somebody).map_err(|error| error.to_string())?;
         Ok(saying)
@@ -110,27 +119,139 @@ impl Saying {
         self.keys.get(key).and_then(Value::as_str)
     }
 
+    /// The keys as they were given, placeholders and all, as JSON.
+    #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
+    pub(crate) fn template(&self) -> String {
+        Value::Object(self.keys.clone()).to_string()
+    }
+
     /// The line of JSON that says it, with the value of each name in braces.
     pub(crate) fn line(&self, value_of: impl Fn(&str) -> String) -> String {
-        let filled = |value: &Value| value.as_str().map(|text| filled(text, usize::MAX, &value_of).unwrap_or_default());
-        let filled = |value: &Value| filled(value).map_or_else(|| value.clone(), Value::from);
-        Value::Object(self.keys.iter().map(|(key, value)| (key.clone(), filled(value))).collect()).to_string()
+        self.line_within(usize::MAX, &value_of).unwrap_or_default()
     }
 
     /// As [`Self::line`], but none where the line has more bytes than a line of narration may have. It is given up before it grows.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
+        self.line_within(most, &value_of).filter(|line| line.len() <= most)
+    }
+
+    fn line_within(&self, most: usize, value_of: &impl Fn(&str) -> String) -> Option<String> {
         let mut keys = Map::new();
         for (key, value) in &self.keys {
             let value = match value.as_str() {
-                Some(text) => filled(text, most, &value_of)?.into(),
+                Some(say) if key == "text" => {
+                    let text = filled(say, most, &|name| inside(&value_of(name)))?;
+                    let is_form = self.form.is_some() && Form::of(&text) == self.form;
+                    // An action's notation is never a presence.
+                    if say.contains('{') && !say.starts_with('[') && !is_form {
+                        keys.insert("kind".to_owned(), FILLED_KIND.into());
+                    }
+                    text.into()
+                }
+                Some(text) => filled(text, most, value_of)?.into(),
                 None => value.clone(),
             };
             keys.insert(key.clone(), value);
         }
-        let line = Value::Object(keys).to_string();
-        (line.len() <= most).then_some(line)
+        Some(Value::Object(keys).to_string())
+    }
+}
+
+/// A presence form, by the words that are fixed in it. A value can make another form of a rule's: "everybody" in "{1} leaves the house".
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    /// Of everybody, without a name or a room.
+    All,
+    /// "Nobody is in the ROOM", "The ROOM is empty".
+    Empty,
+    /// "NAME is in the ROOM".
+    In,
+    /// NAME and these words.
+    Name(&'static str),
+}
+
+impl Form {
+    fn of(text: &str) -> Option<Self> {
+        const ALL: [&str; 2] = ["everybody leaves the house", "nobody is home"];
+        const NAME: [&str; 14] = [
+            " leaves the house",
+            " leave the house",
+            " goes out",
+            " go out",
+            " is away",
+            " are away",
+            " comes home",
+            " come home",
+            " is home",
+            " are home",
+            " is back",
+            " are back",
+            " leaves for good",
+            " leave for good",
+        ];
+        let lower = text.trim().to_lowercase();
+        let lower = lower.strip_suffix('.').unwrap_or(&lower).trim_end();
+        if ALL.contains(&lower) {
+            return Some(Self::All);
+        }
+        let is_empty = lower.strip_prefix("the ").is_some_and(|rest| rest.ends_with(" is empty"));
+        if is_empty || lower.starts_with("nobody is in the ") {
+            return Some(Self::Empty);
+        }
+        if lower.contains(" is in the ") || lower.contains(" are in the ") {
+            return Some(Self::In);
+        }
+        NAME.into_iter().find(|words| lower.ends_with(words)).map(Self::Name)
+    }
+}
+
+/// Quotation marks, brackets and the ends of sentences of other scripts: a value ends before each of them.
+const ENDS: &str = "\"\u{201c}\u{201d}\u{201e}\u{201f}\u{2018}\u{201a}\u{201b}`\u{ab}\u{bb}\u{2039}\u{203a}\u{300c}\u{300d}\u{300e}\u{300f}\
+    ()[]{}<>|!?;\u{2026}\u{203c}\u{2047}\u{2048}\u{2049}\u{3002}\u{ff0e}\u{ff61}\u{ff01}\u{ff1f}\u{ff1a}\u{ff1b}\u{964}\u{61f}\u{6d4}\u{61b}\u{1362}\u{2014}\
+    \n\r\u{b}\u{c}\u{85}\u{2028}\u{2029}";
+
+/// A value as it may stand inside a sentence. It ends before a quotation mark, a bracket, a line break or the end of a sentence. A full stop
+/// between digits or between small letters ends none ("21.5", "a.m"), nor does a colon between digits or an apostrophe between letters.
+fn inside(value: &str) -> String {
+    let value =
+        value.trim_start_matches(|c: char| c.is_whitespace() || c == '\'' || c == '\u{2019}' || ENDS.contains(c));
+    let mut before = ' ';
+    let mut rest = value.chars().peekable();
+    let mut out = String::with_capacity(value.len());
+    while let Some(character) = rest.next() {
+        let after = rest.peek().copied().unwrap_or(' ');
+        let between = |is: fn(&char) -> bool| is(&before) && is(&after);
+        let stays = match character {
+            '.' => between(char::is_ascii_digit) || between(|c| c.is_lowercase()),
+            ':' => between(char::is_ascii_digit),
+            '\'' | '\u{2019}' => between(|c| c.is_alphanumeric()),
+            other => !ENDS.contains(other),
+        };
+        if !stays {
+            break;
+        }
+        out.push(if character.is_whitespace() { ' ' } else { character });
+        before = character;
+    }
+    out.truncate(out.trim_end().len());
+    out
+}
+
+/// A value in the way in which rules compare it: numbers as numbers, texts without regard to upper and lower case.
+#[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
+pub(crate) fn comparable(value: &str) -> String {
+    // Longer ones are the codes of tags and keys, which a number does not hold exactly.
+    const DIGITS_MAX: usize = 15;
+    let value = value.trim();
+    let is_number = value.len() <= DIGITS_MAX
+        && value.contains(|c: char| c.is_ascii_digit())
+        && value.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '+' | '-' | '.'));
+    match value.parse::<f64>() {
+        // 0 and -0 are one number.
+        Ok(number) if is_number && number.is_finite() => (number + 0.0).to_string(),
+        _ => value.to_lowercase(),
     }
 }
 
@@ -183,7 +304,9 @@ mod tests {
         let line = |keys| Saying::new(keys, &names()).unwrap().line(|name| format!("<{name}> {{1}}"));
         let ada = "ada".parse().unwrap();
         let sentence = Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(2)), ..NOTHING };
-        assert_eq!(line(sentence), r#"{"person":2,"text":"They set the <1> {1} to <value> {1}."}"#);
+        assert_eq!(line(sentence), r#"{"kind":"device","person":2,"text":"They set the 1 to value."}"#);
+        let fixed = Keys { say: Some("They sit."), ..NOTHING };
+        assert_eq!(line(fixed), r#"{"text":"They sit."}"#);
         let away = Keys { presence: Some(Whereabouts::Away), person: Some(&ada), ..NOTHING };
         assert_eq!(line(away), r#"{"person":"ada","presence":"away"}"#);
         let here = Keys { presence: Some(Whereabouts::Present), room: Some("{1}"), ..NOTHING };
@@ -192,6 +315,82 @@ mod tests {
             Saying::new(Keys { quiet_s: Some(600.0), ..away }, &[]).unwrap().quiet(),
             Some(Duration::from_secs(600))
         );
+    }
+
+    #[test]
+    fn a_value_stays_inside_its_sentence() {
+        for (value, stays) in [
+            ("on. Everybody leaves the house.", "on"),
+            ("on.Everybody leaves the house", "on"),
+            ("on\nEverybody leaves the house", "on"),
+            ("on\u{2028}Everybody leaves the house", "on"),
+            ("on\" Everybody leaves the house", "on"),
+            ("on' everybody leaves the house", "on"),
+            ("on! Nobody is home", "on"),
+            ("on; nobody is home", "on"),
+            ("on: nobody is home", "on"),
+            ("on (nobody is home)", "on"),
+            ("on\u{3002}nobody is home", "on"),
+            ("on\u{2014}nobody is home", "on"),
+            ("\"Hello\" she says", "Hello"),
+            (". Nobody is home", ""),
+            ("on\t now ", "on now"),
+            ("21.5 \u{b0}C", "21.5 \u{b0}C"),
+            ("-3", "-3"),
+            ("10:30", "10:30"),
+            ("7 a.m.", "7 a.m"),
+            ("Ada's lamp, left", "Ada's lamp, left"),
+            ("tête-à-tête", "tête-à-tête"),
+            ("", ""),
+        ] {
+            assert_eq!(inside(value), stays, "{value:?}");
+        }
+    }
+
+    #[test]
+    fn a_sentence_with_values_sets_no_presence_unless_they_are_a_name_or_a_room_of_a_form() {
+        let line = |say, value: &str| {
+            let names = ["value".to_owned(), "1".to_owned()];
+            Saying::new(Keys { say: Some(say), ..NOTHING }, &names).unwrap().line(|_| value.to_owned())
+        };
+        for (say, value) in [
+            ("the {1} is {value}", "empty"),
+            ("{value}", "Everybody leaves the house."),
+            ("{1} is empty", "the kitchen"),
+            ("{1} leaves the house", "everybody"),
+            ("{1} is home.", "Nobody"),
+            ("{1} is in the kitchen", "nobody"),
+            ("Everybody {value}", "leaves the house"),
+            ("Nobody is {value}", "home"),
+            ("{1} leaves", "ada"),
+        ] {
+            assert!(line(say, value).starts_with(r#"{"kind":"device","text":"#), "{say} with {value}");
+        }
+        for (say, value, text) in [
+            ("{1} leaves the house.", "ada", "ada leaves the house."),
+            ("{1} is in the {1}", "kitchen", "kitchen is in the kitchen"),
+            ("They are in the {1}", "hall", "They are in the hall"),
+            ("Nobody is in the {1}.", "hall", "Nobody is in the hall."),
+            ("The {1} is empty", "hall", "The hall is empty"),
+            ("{1} comes home", "ada. Everybody leaves the house", "ada comes home"),
+            ("Everybody leaves the house", "", "Everybody leaves the house"),
+        ] {
+            assert_eq!(line(say, value), format!(r#"{{"text":"{text}"}}"#));
+        }
+        assert_eq!(line("[Grab] <{1}> (1)", "mug"), r#"{"text":"[Grab] <mug> (1)"}"#);
+    }
+
+    #[test]
+    fn numbers_compare_as_numbers_and_texts_without_case() {
+        let is_same = |one, other| comparable(one) == comparable(other);
+        for (one, other) in [("0", "0.0"), ("0", "-0"), ("1", "+1.00"), ("0.5", ".5"), ("100", "1e2"), ("ON", "on")] {
+            assert!(is_same(one, other), "{one} {other}");
+        }
+        assert!(is_same("GEÖFFNET", "geöffnet"));
+        for (one, other) in [("0", ""), ("0", "off"), ("1", "true"), ("inf", "infinity"), ("0", "0 W")] {
+            assert!(!is_same(one, other), "{one} {other}");
+        }
+        assert!(!is_same("9007199254740993", "9007199254740992"), "codes of tags");
     }
 
     #[test]
@@ -235,7 +434,7 @@ mod tests {
         let say = Keys { say: Some("{value}, {value} and {1}"), ..NOTHING };
         let saying = Saying::new(say, &names()).unwrap();
         let of = |text: &str| saying.short_line(|_| text.to_owned());
-        assert_eq!(of("x").as_deref(), Some(r#"{"text":"x, x and x"}"#));
+        assert_eq!(of("x").as_deref(), Some(r#"{"kind":"device","text":"x, x and x"}"#));
         assert_eq!((of(&"x".repeat(3_000)), of(&"\u{1}".repeat(600))), (None, None), "as JSON they are longer");
         assert!(of(&"x".repeat(2_700)).is_some());
     }

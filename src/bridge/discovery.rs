@@ -136,8 +136,8 @@ impl<'a> Discovery<'a> {
     }
 
     /// A room: how likely somebody is there now and later, and whether somebody is expected soon.
-    pub(super) fn room(&mut self, id: &str) {
-        let (room, shown) = (of_room(id), id.replace('-', " "));
+    pub(super) fn room(&mut self, id: &str, shown: &str) {
+        let room = of_room(id);
         let topic = format!("rooms/{room}");
         let measured = |icon: &str| json!({ "unit_of_measurement": "%", "state_class": "measurement", "icon": icon });
         let mut now = measured("mdi:account-eye");
@@ -177,11 +177,11 @@ impl<'a> Discovery<'a> {
         };
         let attributes = format!("{}/{topic}", self.config.topic);
         let now = json!({ "icon": "mdi:account", "json_attributes_topic": attributes });
-        let template = text("value_json.likely");
+        let template = text("value_json.likely_name");
         self.add(entity("sensor", format!("{PERSON}{person}"), name.to_owned(), template, now), true);
         for seconds in self.config.horizons_s.clone() {
             let object = format!("{PERSON}{person}{}", in_s(seconds));
-            let template = text(&format!("(value_json.at['{seconds}'] or {{}}).likely"));
+            let template = text(&format!("(value_json.at['{seconds}'] or {{}}).likely_name"));
             let (name, later) = (format!("{name} in {}", ahead(seconds)), json!({ "icon": "mdi:account-clock" }));
             self.add(entity("sensor", object, name, template, later), true);
         }
@@ -211,7 +211,7 @@ impl<'a> Discovery<'a> {
         let reason = format!("{{{{ value_json.reason[:{STATE_BYTES_MAX}] }}}}");
         let all = [
             entity("decision", "{{ value_json.action }}".to_owned(), options),
-            entity("room", text("value_json.room"), plain("mdi:floor-plan")),
+            entity("room", text("value_json.room_name"), plain("mdi:floor-plan")),
             entity("reason", reason, plain("mdi:comment-question")),
         ];
         // What the robot was told holds on while the daemon is away.

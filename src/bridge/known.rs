@@ -9,7 +9,7 @@ use roomcast_ipc::{
 use serde_json::{Value, json};
 
 use super::discovery::{Discovery, Named};
-use super::names::{of_person, of_robot, of_room, unnamed_person, unnamed_robot};
+use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
 use roomcast_services::config::BridgeConfig;
@@ -17,6 +17,8 @@ use roomcast_services::participant::PLANNER;
 
 /// Robots that are told of, the configured one and as many as `roomcast-bridge` follows; of more, the one that decided longest ago gives way.
 pub(super) const ROBOTS_MAX: usize = 16;
+/// The place of a person outside all rooms.
+const AWAY: &str = "away";
 /// What an availability topic says.
 pub(super) const ONLINE: &str = "online";
 /// What it says when the bridge or the daemon is gone.
@@ -140,7 +142,7 @@ impl Known {
         let mut robots: Vec<Named> =
             self.decisions.values().map(|decision| named(decision.robot, decision.robot_name())).collect();
         for (decision, Named { part, name }) in self.decisions.values().zip(&robots) {
-            put(format!("robots/{part}"), &decision_message(decision, name));
+            put(format!("robots/{part}"), &decision_message(decision, name, &rooms));
         }
         // It has its place before it decides, and keeps it while its planner is away.
         if !self.decisions.contains_key(&own) {
@@ -151,7 +153,7 @@ impl Known {
         if !config.discovery.is_empty() {
             let mut discovery = Discovery::new(config, self.map());
             discovery.home(self.narrated_unix_s.is_some());
-            rooms.iter().for_each(|room| discovery.room(room));
+            rooms.iter().for_each(|room| discovery.room(room, &name_in(&rooms, room)));
             persons.iter().for_each(|person| discovery.person(person));
             robots.iter().for_each(|robot| discovery.robot(robot));
             picture.extend(discovery.messages());
@@ -218,7 +220,9 @@ impl Known {
         let before = self.soon.get(id).copied().unwrap_or(false);
         let soon = most.map(|most| most >= config.soon_at || before && most >= config.soon_until);
         self.soon.insert(id.to_owned(), soon.unwrap_or(false));
-        json!({ "room": id, "next": next, "now": at(0.0).map(f64::from).map(share), "at": ahead, "soon": soon })
+        let rooms = self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id());
+        let name = room_name(id, rooms);
+        json!({ "room": id, "name": name, "next": next, "now": at(0.0).map(f64::from).map(share), "at": ahead, "soon": soon })
     }
 }
 
@@ -250,9 +254,11 @@ fn likely(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) ->
     let (place, probability) = match best {
         _ if person.presence == presence::UNKNOWN => (None, None),
         Some((room, probability)) if probability > elsewhere => (Some(room), Some(share(probability))),
-        _ => (Some("away"), Some(share(elsewhere))),
+        _ => (Some(AWAY), Some(share(elsewhere))),
     };
-    let mut told = json!({ "likely": place, "probability": probability, "away": share(elsewhere) });
+    let name = place.map(|place| if place == AWAY { AWAY.to_owned() } else { room_name(place, all.rooms()) });
+    let mut told =
+        json!({ "likely": place, "likely_name": name, "probability": probability, "away": share(elsewhere) });
     if let (Some(set), Some(told)) = (room_set(all, person, horizon), told.as_object_mut()) {
         told.insert("set".to_owned(), set);
     }
@@ -287,7 +293,11 @@ fn person_message(all: &PersonForecastsV1, person: &PersonForecastV1, config: &B
     told
 }
 
-fn decision_message(decision: &DecisionV1, robot: &str) -> Value {
+fn name_in(rooms: &[String], id: &str) -> String {
+    room_name(id, rooms.iter().map(String::as_str))
+}
+
+fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Value {
     let action = action_word(decision.action);
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
@@ -295,6 +305,7 @@ fn decision_message(decision: &DecisionV1, robot: &str) -> Value {
         "robot": robot,
         "action": action,
         "room": place(decision.to()),
+        "room_name": place(decision.to()).map(|id| name_in(rooms, &id)),
         "from": place(decision.from()),
         "reason": decision.reason(),
         "probability": share(decision.probability),

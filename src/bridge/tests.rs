@@ -68,7 +68,7 @@ fn rooms_are_told_now_and_later() {
     let picture = draw(&mut known);
     assert_eq!(
         message(&picture, "roomcast/rooms/hall"),
-        json!({ "room": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false })
+        json!({ "room": "hall", "name": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false })
     );
     assert_eq!(message(&picture, "roomcast/rooms/kitchen")["soon"], true);
     assert_eq!(message(&picture, "roomcast/home"), json!({ "somebody": true, "persons": 0 }));
@@ -150,7 +150,7 @@ fn persons_are_in_their_likeliest_room_or_away() {
         (&ada["likely"], &ada["presence"], &ada["at"]["60"]["likely"]),
         (&json!("kitchen"), &json!("present"), &json!("kitchen"))
     );
-    assert_eq!(ada["at"]["600"], json!({ "likely": "away", "probability": 0.9, "away": 0.9 }));
+    assert_eq!(ada["at"]["600"], json!({ "likely": "away", "likely_name": "away", "probability": 0.9, "away": 0.9 }));
     assert_eq!(ada.get("set"), None, "the daemon made no sets");
     let mut all = persons(&scores(&["kitchen", "hall"]), &["ada", ""]);
     (all.person[0].set_coverage, all.person[0].room_set[0]) = (0.9, 0b10);

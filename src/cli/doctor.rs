@@ -18,6 +18,7 @@ use finding::{Finding, Place, Verdict};
 pub(super) use home_mqtt::{no_person, no_resident, not_quite_a_form, remark};
 
 use super::{CommandResult, Failure, ranges, service};
+use crate::columns::{columns, wrapped};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Observation, Program, Sentence};
@@ -362,16 +363,22 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
+/// The longest line of the table.
+const LINE: usize = 120;
+
 /// Prints the findings.
 fn report(args: &Args, findings: &[Finding]) -> CommandResult {
     if !args.json {
-        return super::print_styled(&format!("{}\n", table(findings)));
+        return super::print_styled(&format!("{}\n", table(findings, columns().min(LINE))));
     }
     let ok = findings.iter().all(|finding| finding.verdict != Verdict::Wrong);
     super::print_json(&serde_json::json!({ "version": env!("CARGO_PKG_VERSION"), "ok": ok, "findings": findings }))
 }
 
-fn table(findings: &[Finding]) -> Table {
+/// A table of at most so many columns, except for longer words. The table fits itself to a terminal, and a pipe has no width.
+fn table(findings: &[Finding], columns: usize) -> Table {
+    /// What the columns before the text take.
+    const BEFORE: usize = 28;
     let mut table = super::table(&["check", "", "found, and what to do"]);
     for finding in findings {
         let mark = match finding.verdict {
@@ -392,7 +399,24 @@ fn table(findings: &[Finding]) -> Table {
             Some(remedy) => format!("{found}\n-> {}", visible_lines(remedy)),
             None => found.into_owned(),
         };
+        let text = wrapped(&text, columns.saturating_sub(BEFORE).max(BEFORE), 0);
         table.add_row([comfy_table::Cell::new(finding.check), mark, comfy_table::Cell::new(text)]);
     }
     table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_in_a_pipe_has_lines_of_120_columns() {
+        let topics: Vec<String> = (0..60).map(|number| format!("homeassistant/light/lamp_{number}/state")).collect();
+        let long = Finding::limited("unnamed topics", topics.join(", "), "write rules for these topics, or leave them");
+        let shown = table(&[Finding::good("scene", "two rooms"), long], LINE).to_string();
+        let longest = shown.lines().map(|line| line.trim_end().chars().count()).max();
+        assert!(longest.is_some_and(|columns| columns <= LINE && columns > LINE / 2), "{longest:?}:\n{shown}");
+        assert!(topics.iter().all(|topic| shown.contains(topic)), "no topic is broken:\n{shown}");
+        assert!(shown.lines().count() > 20 && shown.contains("-> write rules"));
+    }
 }

@@ -315,6 +315,8 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
                 return Ok((None, Seen::default()));
             }
             let mut broker = at(answer);
+            // A mistake in the address shows at once.
+            broker.options().map_err(|error| unusable(error.into()))?;
             asker.say(&format!("Listening there for {} s ...", LOOK.as_secs()))?;
             loop {
                 match look(&broker) {
@@ -729,6 +731,23 @@ mod tests {
             bomb.write_all(&vec![b' '; 1 << 20]).unwrap();
         }
         assert!(unpacked(&bomb.finish().unwrap()).unwrap_err().contains("more than"));
+    }
+
+    #[test]
+    fn a_malformed_broker_is_refused_before_it_is_listened_to() {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            args: Args,
+        }
+        let line = <Line as clap::Parser>::try_parse_from(["init", "home"]).unwrap();
+        let (mut shown, output) = std::io::pipe().unwrap();
+        let mut asker = Asker::of(&b"http://hub\nnone\n"[..], output);
+        assert!(find_broker(&line.args, &mut asker, &mut Vec::new()).unwrap().0.is_none());
+        drop(asker);
+        let mut text = String::new();
+        std::io::Read::read_to_string(&mut shown, &mut text).unwrap();
+        assert!(text.contains("\"http://hub\" is no broker") && !text.contains("Listening"), "{text}");
     }
 
     fn home_of(areas: &[(&str, &str)]) -> Home {

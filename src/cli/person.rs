@@ -4,6 +4,7 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
+use crate::flags::plain;
 use roomcast_core::narration::check_name;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 
@@ -102,7 +103,7 @@ fn listed(answer: &PersonAnswer) -> String {
             line.presence.as_str().to_owned(),
             ago(line.since_s),
             ago(line.silent_s),
-            line.flags.join(", "),
+            line.flags.iter().map(|flag| plain(flag)).collect::<Vec<_>>().join(", "),
         ]);
     }
     format!("{table}\n")

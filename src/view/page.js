@@ -42,13 +42,13 @@ let timer = null;
 let asking = false;
 // What was chosen while an answer was under way is asked for after it.
 let again = false;
-// 0 is the next thing; 1 is now; the others are the horizons after it.
+// 0 is the next action; 1 is now; the others are the horizons after it.
 let when = 1;
 let chosenTime = null;
 let playedAt = 0;
 
 const whenText = () => {
-  if (when === 0) return "next thing";
+  if (when === 0) return "next action";
   const seconds = state && state.horizons_s.length ? state.horizons_s[when - 1] : 0;
   return seconds ? `in ${time(seconds)}` : "now";
 };
@@ -197,7 +197,7 @@ const show = () => {
   horizon.max = Math.max(1, state.horizons_s.length);
   element("horizon-text").textContent = whenText();
   horizon.setAttribute("aria-valuetext", whenText());
-  element("rooms-when").textContent = when === 0 ? "somebody now" : `somebody ${whenText()}`;
+  element("rooms-when").textContent = when === 0 ? "occupied now" : `occupied ${whenText()}`;
   const daemon = element("daemon");
   daemon.className = state.daemon.alarm ? "alarm" : "";
   daemon.textContent = state.daemon.text;
@@ -232,7 +232,7 @@ const show = () => {
   const persons = state.persons.map((person) => {
     const card = html("li");
     card.append(html("strong", person.name));
-    line(card, person.presence + (person.flags.length ? ` · ${person.flags.join(", ")}` : ""), "dim");
+    line(card, person.presence + (person.notes.length ? ` · ${person.notes.join(", ")}` : ""), "dim");
     if (person.rooms) {
       const likely = state.rooms.map((room, place) => [personValue(person, place), room.name]).sort((a, b) => b[0] - a[0]);
       const shown = likely.slice(0, 2).filter(([p]) => p >= 0.005).map(([p, name]) => `${name} ${percent(p)}`);
@@ -256,7 +256,7 @@ const show = () => {
     line(robot, state.decision.reason);
     const left = state.decision.left && state.rooms.filter((room) => state.decision.left.includes(room.id)).map((room) => room.name);
     if (left) line(robot, left.length ? `Still to do: ${left.join(", ")}.` : "Every room is done.");
-    line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.flags.length ? ` · ${state.decision.flags.join(", ")}` : ""), "dim");
+    line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.notes.length ? ` · ${state.decision.notes.join(", ")}` : ""), "dim");
   } else {
     robot.append(state.live ? "No decision has been heard yet." : "No decision until then.");
   }

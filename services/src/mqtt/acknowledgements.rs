@@ -62,6 +62,11 @@ impl Acknowledgements {
         self.waiting.len() + self.on_way < usize::from(MESSAGES_AHEAD_MAX)
     }
 
+    /// Whether the broker may wait for an acknowledgement.
+    pub(super) fn are_open(&self) -> bool {
+        !self.waiting.is_empty() || self.on_way > 0
+    }
+
     /// The connection has ended, and what was on its way with it.
     pub(super) fn forget(&mut self) {
         self.waiting.clear();

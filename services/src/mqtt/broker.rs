@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use roomcast_core::text::{read_at_most, read_text_at_most};
+use roomcast_core::text::{is_hidden, read_at_most, read_text_at_most};
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
@@ -51,7 +51,8 @@ impl Broker {
             Some((name, port)) => (&rest[..end + name.len()], port.parse().map_err(|_| wrong())?),
             None => (rest, if secure { 8883 } else { 1883 }),
         };
-        if host.is_empty() || host.contains('/') || end == 0 && host.contains(':') {
+        let is_foreign = |c: char| is_hidden(c) || c.is_whitespace() || "/?#\\\"'<>,;".contains(c);
+        if host.is_empty() || port == 0 || host.contains(is_foreign) || end == 0 && host.contains(':') {
             return Err(wrong());
         }
         let mut options = MqttOptions::new(&self.client, host, port);

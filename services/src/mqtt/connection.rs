@@ -6,6 +6,7 @@ use std::io::Write;
 use std::pin::pin;
 use std::time::{Duration, Instant};
 
+use roomcast_core::text::visible;
 use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
@@ -17,12 +18,15 @@ use super::acknowledgements::Acknowledgements;
 use super::client::{broken, correct_keep_alive, fault_of, renew};
 use super::copies::Copies;
 use super::listener::{Heard, Listener};
+use super::probe::{self, Probe};
 use super::recent::Recent;
 use super::rehearsal::{Remark, remarked, report};
-use super::rules::Rules;
+use super::rules::{Rules, covers};
 use super::subscriptions::Subscriptions;
 use super::tally::Tally;
-use super::{FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
+use super::{
+    FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX,
+};
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
@@ -40,15 +44,21 @@ pub(super) struct Connection<'a, W> {
     events: EventLoop,
     listener: Listener,
     subscriptions: Subscriptions,
+    probe: Probe,
+    /// The client has not sent the probe yet.
+    probe_waits: bool,
+    /// Rules read the probe's topic, too.
+    probe_is_read: bool,
     recent: Recent,
     copies: Copies,
     pub(super) acknowledgements: Acknowledgements,
     /// Messages that wait until others are acknowledged, oldest first, and their bytes.
-    held: VecDeque<Publish>,
+    held: VecDeque<Held>,
     held_bytes: usize,
     connected: bool,
     log: Limiter,
     greetings: Limiter,
+    oversized: Limiter,
     /// The pause before the next connection.
     pause: Duration,
     /// What comes is left to the next session.
@@ -73,9 +83,29 @@ enum Turn {
     Unread,
 }
 
-/// What a message takes while it waits.
-fn held_bytes(message: &Publish) -> usize {
-    message.topic.len() + message.payload.len() + HELD_BYTES_EACH
+/// A message that waits.
+struct Held {
+    message: Publish,
+    /// The length of its payload. Of a payload that is too large only the beginning is kept.
+    payload_bytes: usize,
+}
+
+impl Held {
+    /// Copies a message out of the buffer that it came in, which would stay as large as the largest message in it.
+    fn of(message: &Publish) -> Self {
+        let read = message.payload.len().min(PAYLOAD_BYTES_MAX + 1);
+        let copy = Publish {
+            topic: message.topic.to_vec().into(),
+            payload: message.payload[..read].to_vec().into(),
+            ..message.clone()
+        };
+        Self { message: copy, payload_bytes: message.payload.len() }
+    }
+
+    /// Its memory while it waits.
+    fn bytes(&self) -> usize {
+        self.message.topic.len() + self.message.payload.len() + HELD_BYTES_EACH
+    }
 }
 
 fn write_line(out: &mut impl Write, line: &str) -> std::io::Result<()> {
@@ -86,9 +116,11 @@ impl<'a, W: Write> Connection<'a, W> {
     pub(super) fn new(mut options: MqttOptions, rules: Rules, out: W) -> Self {
         options.set_manual_acks(true);
         let (host, port) = options.broker_address();
-        let subscriptions = Subscriptions::new(rules.filters());
-        // One subscription, one farewell, and every acknowledgement.
-        let (client, events) = AsyncClient::new(options, 2 + usize::from(MESSAGES_AHEAD_MAX));
+        let filters = rules.filters();
+        let probe_is_read = filters.iter().any(|filter| covers(filter, probe::TOPIC));
+        let subscriptions = Subscriptions::new(filters);
+        // One subscription, one probe, one farewell, and every acknowledgement.
+        let (client, events) = AsyncClient::new(options, 3 + usize::from(MESSAGES_AHEAD_MAX));
         let (listener, recent) = (Listener::new(rules), Recent::default());
         Self {
             broker: format!("{host}:{port}"),
@@ -96,6 +128,9 @@ impl<'a, W: Write> Connection<'a, W> {
             events,
             listener,
             subscriptions,
+            probe: Probe::new(Instant::now()),
+            probe_waits: false,
+            probe_is_read,
             recent,
             copies: Copies::default(),
             acknowledgements: Acknowledgements::default(),
@@ -104,6 +139,7 @@ impl<'a, W: Write> Connection<'a, W> {
             connected: false,
             log: Limiter::new(QUIET_NS),
             greetings: Limiter::new(QUIET_NS),
+            oversized: Limiter::new(QUIET_NS),
             pause: RECONNECT,
             leaves: false,
             rehearsal: None,
@@ -125,7 +161,8 @@ impl<'a, W: Write> Connection<'a, W> {
                     None => self.take(&event, &mut connections)?,
                 },
                 Ok(Some(Err(error))) => self.lost(&broken(&error), &mut connections, stop).await?,
-                Ok(None) => break,
+                Ok(None) if stop.requested() => break,
+                Ok(None) => self.lost(&probe::SILENT, &mut connections, stop).await?,
                 Err(_) => Turn::Unread,
             };
             self.keep_tally(false);
@@ -139,20 +176,41 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(self.listener.heard)
     }
 
-    /// The next event; none when `is_over`, an error when nobody reads any more. Looking at that, acknowledging what is settled, and saying what
+    /// The next event; none when `is_over` or the broker did not answer a probe, an error when nobody reads any more. Looking at that, acknowledging what is settled, and saying what
     /// it was quiet for long enough to say, breaks off nothing that is under way: a slow broker has the client's own limit to answer in.
     async fn next(
         &mut self,
         is_over: impl Fn(&Acknowledgements) -> bool,
     ) -> std::io::Result<Option<Result<Event, ConnectionError>>> {
         let Self {
-            client, events, listener, subscriptions, acknowledgements, out, connected, leaves, rehearsal, ..
+            client,
+            events,
+            listener,
+            subscriptions,
+            probe,
+            probe_waits,
+            held,
+            acknowledgements,
+            out,
+            connected,
+            leaves,
+            rehearsal,
+            ..
         } = self;
         let mut poll = pin!(events.poll());
         loop {
-            subscriptions.send(client);
+            let (now, is_busy) = (Instant::now(), acknowledgements.are_open() || !held.is_empty());
+            if *connected && !*leaves && probe.is_due(is_busy, now) && !*probe_waits && subscriptions.are_at_rest() {
+                *probe_waits = client.try_subscribe(probe::TOPIC, QoS::AtLeastOnce).is_ok();
+                if *probe_waits {
+                    probe.sent(now);
+                }
+            }
+            if !*probe_waits {
+                subscriptions.send(client);
+            }
             acknowledgements.send(client);
-            if is_over(acknowledgements) {
+            if is_over(acknowledgements) || !*leaves && probe.is_unanswered(now) {
                 return Ok(None);
             }
             // Without a connection nothing can be heard, which is no silence.
@@ -189,12 +247,14 @@ impl<'a, W: Write> Connection<'a, W> {
                 }
                 self.listener.first_connection = *connections == 1;
                 self.listener.listen_from(Instant::now());
+                self.probe.start(Instant::now());
                 if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
                     tracing::info!(broker = self.broker, connections, not_told, "connected");
                 }
                 // Again at every connection: a broker that lost its sessions would say nothing any more.
                 self.subscriptions.start(greeting);
             }
+            Event::Outgoing(Outgoing::Subscribe(_)) if self.probe_waits => self.probe_waits = false,
             Event::Outgoing(Outgoing::Subscribe(pkid) | Outgoing::Unsubscribe(pkid)) => self.subscriptions.sent(*pkid),
             Event::Outgoing(packet) => {
                 self.recent.sent(packet);
@@ -208,8 +268,12 @@ impl<'a, W: Write> Connection<'a, W> {
             Event::Incoming(Packet::UnsubAck(answer)) => self.subscriptions.ended(answer),
             Event::Incoming(Packet::Publish(_)) if self.leaves => {}
             Event::Incoming(Packet::Publish(message)) => {
-                self.held_bytes += held_bytes(message);
-                self.held.push_back(message.clone());
+                if message.qos != QoS::AtMostOnce {
+                    self.probe.hear(&message.topic, Instant::now());
+                }
+                let held = Held::of(message);
+                self.held_bytes += held.bytes();
+                self.held.push_back(held);
                 return self.say_held(*connections, |_, room| room);
             }
             _ => {}
@@ -219,17 +283,18 @@ impl<'a, W: Write> Connection<'a, W> {
 
     /// Says what waits, oldest first, while `may` allows it, which hears whether there is room for one more, and where too much waits.
     fn say_held(&mut self, connections: u64, may: impl Fn(&Publish, bool) -> bool) -> Result<Turn, MqttError> {
-        while let Some(message) = self.held.pop_front() {
+        while let Some(held) = self.held.pop_front() {
             let room = self.acknowledgements.have_room() || self.held_bytes > HELD_BYTES_MAX;
-            if !may(&message, room) {
-                self.held.push_front(message);
+            if !may(&held.message, room) {
+                self.held.push_front(held);
                 break;
             }
-            self.held_bytes = self.held_bytes.saturating_sub(held_bytes(&message));
+            self.held_bytes = self.held_bytes.saturating_sub(held.bytes());
+            let Held { message, payload_bytes } = held;
             let line = match self.recent.again(connections, &message) {
                 Some(line) => line,
                 None => {
-                    if !self.copies.take(&message) && self.hear(&message).is_err() {
+                    if !self.copies.take(&message) && self.hear(&message, payload_bytes).is_err() {
                         return Ok(Turn::Unread);
                     }
                     self.recent.take(connections, &message, self.acknowledgements.written);
@@ -242,8 +307,24 @@ impl<'a, W: Write> Connection<'a, W> {
     }
 
     /// Writes what a message says, or what becomes of it.
-    fn hear(&mut self, message: &Publish) -> std::io::Result<()> {
+    fn hear(&mut self, message: &Publish, payload_bytes: usize) -> std::io::Result<()> {
         let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
+        if topic == probe::TOPIC && !self.probe_is_read {
+            return Ok(());
+        }
+        if payload_bytes > PAYLOAD_BYTES_MAX
+            && let Some(not_told) = self.oversized.pass(clock::monotonic_ns())
+        {
+            let (topic, dropped) = (String::from_utf8_lossy(topic), self.listener.heard.oversized + 1);
+            tracing::warn!(
+                topic = &*visible(&topic),
+                bytes = payload_bytes,
+                limit = PAYLOAD_BYTES_MAX,
+                dropped,
+                not_told,
+                "a message is too large and is dropped; leave its topic out of the rules"
+            );
+        }
         if let Some(remark) = &mut self.rehearsal {
             let outcomes = self.listener.outcomes(topic, payload, retained, now);
             let text = report(&self.listener.rules, (topic, payload, retained), &outcomes, *remark);
@@ -269,6 +350,8 @@ impl<'a, W: Write> Connection<'a, W> {
         // Subscriptions that were not sent are made again at the next connection.
         renew(&mut self.events);
         self.subscriptions.stop();
+        self.probe.stop();
+        self.probe_waits = false;
         self.acknowledgements.forget();
         self.connected = false;
         let pause = Instant::now();
@@ -297,8 +380,8 @@ impl<'a, W: Write> Connection<'a, W> {
         if matches!(self.drain(connections)?, Turn::Unread) {
             return Ok(());
         }
-        self.held.retain(|message| message.qos == QoS::AtMostOnce);
-        self.held_bytes = self.held.iter().map(held_bytes).sum();
+        self.held.retain(|held| held.message.qos == QoS::AtMostOnce);
+        self.held_bytes = self.held.iter().map(Held::bytes).sum();
         if matches!(self.say_held(*connections, |_, _| true)?, Turn::Unread) {
             return Ok(());
         }

@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use roomcast_core::text::visible;
 use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
@@ -19,6 +20,7 @@ use rumqttc::v5::{AsyncClient, Event, EventLoop, MqttOptions};
 use tokio::time::timeout;
 
 use super::client::{broken, correct_keep_alive, fault_of, renew};
+use super::probe::{self, Probe};
 use super::{Broker, FAREWELL, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
 use crate::logging::Limiter;
 use crate::stop::Stop;
@@ -75,6 +77,8 @@ struct Shared {
     packet_max: Option<u32>,
     /// Topics of messages that were larger.
     too_large: BTreeSet<String>,
+    /// Messages with a payload that was too large.
+    oversized: u64,
 }
 
 impl Shared {
@@ -115,7 +119,11 @@ impl Link {
     /// # Errors
     ///
     /// [`MqttError`] for an address or a file that cannot be used, and where the system has no thread.
-    pub fn start(broker: &Broker, filters: Vec<String>, will: Option<Will>) -> Result<Self, MqttError> {
+    pub fn start(broker: &Broker, mut filters: Vec<String>, will: Option<Will>) -> Result<Self, MqttError> {
+        // First, so that it is answered before any message can be too large.
+        if !filters.is_empty() {
+            filters.insert(0, probe::TOPIC.to_owned());
+        }
         let mut options = broker.options()?;
         // Nothing is to be kept for it while it is away.
         options.set_clean_start(true).set_session_expiry_interval(Some(0));
@@ -135,7 +143,9 @@ impl Link {
             events,
             shared: Arc::clone(&shared),
             filters,
+            probe: Probe::new(Instant::now()),
             log: Limiter::new(QUIET_NS),
+            large: Limiter::new(QUIET_NS),
             greetings: Limiter::new(QUIET_NS),
             pause: RECONNECT,
             stop: stop.clone(),
@@ -229,8 +239,11 @@ struct Turning {
     client: AsyncClient,
     events: EventLoop,
     shared: Arc<Mutex<Shared>>,
+    /// The first is the probe's, where there are any.
     filters: Vec<String>,
+    probe: Probe,
     log: Limiter,
+    large: Limiter,
     greetings: Limiter,
     /// The pause before the next connection.
     pause: Duration,
@@ -248,10 +261,23 @@ impl Turning {
                     if self.stop.requested() {
                         return;
                     }
+                    let now = Instant::now();
+                    if self.probe.is_unanswered(now) {
+                        break None;
+                    }
+                    if self.probe.is_due(false, now)
+                        && self.client.try_subscribe(probe::TOPIC, QoS::AtLeastOnce).is_ok()
+                    {
+                        self.probe.sent(now);
+                    }
                     if let Ok(event) = timeout(POLL, poll.as_mut()).await {
-                        break event;
+                        break Some(event);
                     }
                 }
+            };
+            let Some(event) = event else {
+                self.lost(&probe::SILENT).await;
+                continue;
             };
             match event {
                 Ok(Event::Incoming(Packet::ConnAck(greeting))) => match fault_of(&greeting) {
@@ -288,6 +314,7 @@ impl Turning {
     fn lose(&mut self) {
         let mut shared = lock(&self.shared);
         (shared.connection, shared.said, shared.confirmed) = (0, 0, 0);
+        self.probe.stop();
         renew(&mut self.events);
     }
 
@@ -301,10 +328,14 @@ impl Turning {
         let connections = shared.connections;
         let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
         // Before anything is said over this connection, so that an answer is not missed.
-        if !filters.is_empty()
-            && let Err(error) = self.client.try_subscribe_many(filters)
-        {
-            tracing::error!(broker = self.broker, %error, "cannot subscribe");
+        if !filters.is_empty() {
+            match self.client.try_subscribe_many(filters) {
+                Ok(()) => {
+                    self.probe.start(Instant::now());
+                    self.probe.sent(Instant::now());
+                }
+                Err(error) => tracing::error!(broker = self.broker, %error, "cannot subscribe"),
+            }
         }
         (shared.connection, shared.said, shared.confirmed) = (connections, 0, 0);
         if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
@@ -315,7 +346,7 @@ impl Turning {
     fn take(&mut self, event: Event) {
         match event {
             Event::Incoming(Packet::SubAck(answer)) => {
-                for (filter, reason) in self.filters.iter().zip(&answer.return_codes) {
+                for (filter, reason) in self.filters.iter().zip(&answer.return_codes).skip(1) {
                     if !matches!(reason, rumqttc::v5::mqttbytes::v5::SubscribeReasonCode::Success(_)) {
                         tracing::error!(
                             broker = self.broker,
@@ -344,15 +375,24 @@ impl Turning {
     }
 
     fn hear(&mut self, message: Publish) {
+        if message.qos != QoS::AtMostOnce {
+            self.probe.hear(&message.topic, Instant::now());
+        }
         let Ok(topic) = String::from_utf8(message.topic.to_vec()) else { return };
+        if topic == probe::TOPIC {
+            return;
+        }
         let mut shared = lock(&self.shared);
         if message.payload.len() > PAYLOAD_BYTES_MAX {
-            if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
+            shared.oversized += 1;
+            if let Some(not_told) = self.large.pass(clock::monotonic_ns()) {
                 tracing::warn!(
-                    topic,
+                    topic = &*visible(&topic),
                     bytes = message.payload.len(),
+                    limit = PAYLOAD_BYTES_MAX,
+                    dropped = shared.oversized,
                     not_told,
-                    "a message is too large and is passed over"
+                    "a message is too large and is dropped"
                 );
             }
             return;
@@ -470,6 +510,24 @@ mod tests {
         let heard = hear_until(&ears, "last");
         assert!(heard.len() > 10 && heard.len() < 40, "{}", heard.len());
         assert_eq!(speaker.connection(), 1, "it is the same connection");
+    }
+
+    #[test]
+    fn many_images_do_not_silence_the_link() {
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return;
+        };
+        let ears = link(port, "ears", "robot/#");
+        eventually("it is connected", || ears.connection() > 0);
+        broker.publish(&vec![("robot/map", "x".repeat(1_200_000), false); 64]);
+        broker.publish(&[("robot/state", "docked".into(), false)]);
+        let published = Instant::now();
+        assert_eq!(hear_until(&ears, "docked").len(), 1);
+        assert!(published.elapsed() < Duration::from_secs(10), "{:?}", published.elapsed());
+        assert_eq!(ears.connection(), 1, "it is the same connection");
+        assert_eq!(lock(&ears.shared).oversized, 64);
     }
 
     #[test]

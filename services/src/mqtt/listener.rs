@@ -102,16 +102,6 @@ impl Listener {
         };
         if payload.len() > PAYLOAD_BYTES_MAX {
             self.heard.oversized += 1;
-            // Each doubling of their number is one line: a camera behind a wide filter does not fill the log.
-            if self.heard.oversized.is_power_of_two() {
-                tracing::warn!(
-                    topic,
-                    bytes = payload.len(),
-                    limit = PAYLOAD_BYTES_MAX,
-                    oversized = self.heard.oversized,
-                    "a message is too large and is passed over; leave its topic out of the rules"
-                );
-            }
             return Vec::new();
         }
         let readings = self.rules.readings(topic, payload);

@@ -49,6 +49,7 @@
 //! broker holds whatever this process could lose, however it ends. What was confirmed and not yet acknowledged when it was killed is said
 //! again by the next one: no more than [`MESSAGES_AHEAD_MAX`] messages, for further ones are said when acknowledgements have gone out. MQTT 5 tells
 //! the broker how many messages it may send ahead, and how large one may be. mosquitto 2.0.11 sends further ahead all the same; that waits here.
+//! A connection over which nothing comes is probed, and renewed if the broker does not answer.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -65,6 +66,7 @@ mod client;
 mod connection;
 mod copies;
 mod listener;
+mod probe;
 mod recent;
 mod rehearsal;
 mod rules;
@@ -88,9 +90,10 @@ use tally::Tally;
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
 /// Bytes of messages that a broker has sent further ahead than that: beyond them the oldest is said at once, and what is not acknowledged grows.
 pub const HELD_BYTES_MAX: usize = 8 << 20;
-/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It passes over larger messages by itself.
-pub const PACKET_BYTES_MAX: u32 = 1 << 20;
-/// The largest payload that is read, in bytes; a larger one is refused by its topic.
+/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It drops larger messages by itself, and mosquitto up to
+/// 2.0.11 then counts each of them against the receive maximum, so the limit is far above what homes publish.
+pub const PACKET_BYTES_MAX: u32 = 16 << 20;
+/// The largest payload that is read, in bytes; a larger one is dropped, counted and acknowledged, and the log names its topic.
 pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
 /// Topics whose last value is remembered; more are spoken of without regard to repetition.
 pub const TOPICS_MAX: usize = 65_536;

@@ -2,6 +2,7 @@
 
 use roomcast_core::text::visible;
 
+use super::PAYLOAD_BYTES_MAX;
 use super::listener::{Outcome, What};
 use super::rules::{Rules, Value};
 
@@ -52,7 +53,9 @@ pub(super) fn report(
         };
         text.push_str(&format!("\n  rule {number} {said}"));
     }
-    if outcomes.is_empty() {
+    if payload.len() > PAYLOAD_BYTES_MAX {
+        text.push_str(&format!("\n  is dropped: its payload has more than {PAYLOAD_BYTES_MAX} bytes"));
+    } else if outcomes.is_empty() {
         let lacks = std::str::from_utf8(topic).ok().and_then(|topic| rules.unreadable(topic, payload));
         text.push_str(&match lacks {
             Some((number, lack)) => format!("\n  rule {number} cannot read it: the payload {}", visible(&lack)),

@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 
 use super::{MqttError, RULES_MAX};
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
-use crate::rule::{Keys, Saying, Whereabouts};
+use crate::rule::{Keys, Saying, Whereabouts, comparable};
 use crate::sensor_log::RULES_BYTES_MAX;
 
 /// The rules by which messages become narration.
@@ -69,6 +69,8 @@ pub(super) struct Rule {
     topic: String,
     pub(super) field: Option<String>,
     when: Option<String>,
+    /// The same, and the values of `unless`, as values are compared.
+    compared_when: Option<String>,
     unless: Vec<String>,
     pub(super) retained: bool,
     /// Whether each message is an event of its own, as of a button.
@@ -98,6 +100,7 @@ pub(super) type Line = Result<String, String>;
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Value {
     pub(super) text: String,
+    compared: String,
     pub(super) own: Fingerprint,
 }
 
@@ -121,11 +124,12 @@ impl<'a> Reading<'a> {
     fn value(&self, field: Option<&str>) -> Option<Rc<Value>> {
         let text = match field {
             // An empty payload is what a broker sends when a retained message is taken away: nobody has said anything.
-            None => std::str::from_utf8(self.payload).ok().map(str::trim).filter(|text| !text.is_empty())?.to_owned(),
+            None => content(std::str::from_utf8(self.payload).ok()?.trim()).filter(|text| !text.is_empty())?,
             Some(field) => text_at(self.json()?, field)?,
         };
-        let own = fingerprint(text.as_bytes());
-        Some(Rc::new(Value { text, own }))
+        let compared = comparable(&text);
+        let own = fingerprint(compared.as_bytes());
+        Some(Rc::new(Value { text, compared, own }))
     }
 }
 
@@ -178,7 +182,7 @@ impl Rules {
     #[must_use]
     pub fn keys(&self) -> Vec<String> {
         let keys = self.0.iter().map(|rule| {
-            let says = rule.saying.line(|name| format!("{{{name}}}"));
+            let says = rule.saying.template();
             let (field, when) = (rule.field.as_deref().unwrap_or_default(), rule.when.as_deref().unwrap_or_default());
             let mut text = format!("{}\n{field}\n{when}\n{says}", rule.topic);
             rule.unless.iter().for_each(|value| text.push_str(&format!("\n{value}")));
@@ -211,7 +215,7 @@ impl Rules {
     /// Whether a rule, by its number, leaves a value out by its `unless`.
     pub(super) fn is_excepted(&self, number: usize, value: &str) -> bool {
         let rule = number.checked_sub(1).and_then(|at| self.0.get(at));
-        rule.is_some_and(|rule| rule.unless.iter().any(|other| other.eq_ignore_ascii_case(value)))
+        rule.is_some_and(|rule| rule.unless.contains(&comparable(value)))
     }
 
     /// Filters to subscribe to, each once.
@@ -264,13 +268,15 @@ impl Rule {
         let places = (1..=places).map(|n| n.to_string());
         let names: Vec<_> = std::iter::once("value".to_owned()).chain(places).chain(pointers.iter().cloned()).collect();
         let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &names)?;
-        Ok(Self { topic, field, when, unless, retained, repeats, presence: presence.is_some(), pointers, saying })
+        let compared_when = when.as_deref().map(comparable);
+        let unless = unless.iter().map(|value| comparable(value)).collect();
+        let presence = presence.is_some();
+        Ok(Self { topic, field, when, compared_when, unless, retained, repeats, presence, pointers, saying })
     }
 
     fn say(&self, number: usize, places: &[&str], reading: &Reading<'_>, value: Rc<Value>) -> Option<Said<'_>> {
-        let text = &value.text;
-        let is = |other: &String| other.eq_ignore_ascii_case(text);
-        if self.when.as_ref().is_some_and(|when| !is(when)) || self.unless.iter().any(is) {
+        let (text, compared) = (&value.text, &value.compared);
+        if self.compared_when.as_ref().is_some_and(|when| when != compared) || self.unless.contains(compared) {
             return Some(Said { number, rule: self, line: None, value });
         }
         // What a pointer in braces does not find leaves nothing to say.
@@ -307,12 +313,19 @@ impl Rule {
     /// What a payload that this rule cannot read lacks.
     fn lack(&self, reading: &Reading<'_>) -> String {
         if self.field.is_none() && reading.value(None).is_none() {
-            return if reading.payload.trim_ascii().is_empty() { "is empty" } else { "is no text" }.to_owned();
+            let is_empty = matches!(reading.payload.trim_ascii(), b"" | b"\"\"");
+            return if is_empty { "is empty" } else { "is no text" }.to_owned();
         }
         let Some(json) = reading.json() else { return "is no JSON".to_owned() };
         let missing = self.field.iter().chain(&self.pointers).find(|pointer| text_at(json, pointer).is_none());
         missing.map_or_else(|| "does not fit".to_owned(), |pointer| format!("has nothing at {pointer}"))
     }
+}
+
+/// What a payload says: a text in JSON is its content.
+fn content(payload: &str) -> Option<String> {
+    let json = payload.starts_with('"').then(|| serde_json::from_str::<String>(payload).ok()).flatten();
+    Some(json.as_deref().unwrap_or(payload).trim().to_owned())
 }
 
 /// A text or number of a payload.

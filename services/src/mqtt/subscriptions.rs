@@ -113,6 +113,11 @@ impl Subscriptions {
         }
     }
 
+    /// Whether the client has none of these requests in its queue, and the broker has none to answer.
+    pub(super) fn are_at_rest(&self) -> bool {
+        self.asked.is_none() && self.ending.is_none() && (self.due || self.answered == self.filters.len())
+    }
+
     /// What the broker was asked for last has gone out in this packet.
     pub(super) fn sent(&mut self, packet: u16) {
         self.asked = Some(packet);

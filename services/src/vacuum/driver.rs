@@ -19,6 +19,8 @@ const TRIES: u32 = 3;
 const SETTLE_NS: u64 = 3_000_000_000;
 /// Why a room has no segment before the robot has spoken.
 const UNHEARD: &str = "nothing was heard of the robot yet";
+/// Why a room has no segment before the robot has sent its list.
+const UNTOLD: &str = "the robot has told of no segments; name them in [robot.segments]";
 /// The battery is told when it has changed by so much; at the dock by less, since a planner waits there for one that may be full.
 const BATTERY_STEP: f64 = 0.05;
 const BATTERY_STEP_DOCKED: f64 = 0.01;
@@ -66,7 +68,8 @@ pub struct Driver {
     least_ns: u64,
     most_ns: u64,
     configured: BTreeMap<String, String>,
-    segments: BTreeMap<String, String>,
+    /// The last list with a segment; an empty one if the robot has sent no other, `None` before the first.
+    segments: Option<BTreeMap<String, String>>,
     rooms: Vec<String>,
     /// The broker is connected.
     connected: bool,
@@ -119,7 +122,7 @@ impl Driver {
             least_ns: nanoseconds(config.least_s),
             most_ns: nanoseconds(config.most_s),
             configured: config.segments.clone(),
-            segments: BTreeMap::new(),
+            segments: None,
             rooms: Vec::new(),
             connected: true,
             online: true,
@@ -157,7 +160,7 @@ impl Driver {
 
     /// Whether it is known what each room is to the robot.
     pub(crate) fn knows_segments(&self) -> bool {
-        self.kind == RobotKind::HomeAssistant || !self.segments.is_empty()
+        self.kind == RobotKind::HomeAssistant || self.segments.as_ref().is_some_and(|segments| !segments.is_empty())
     }
 
     /// What each room is to the robot: its segment, or why there is none.
@@ -168,7 +171,13 @@ impl Driver {
     fn segment(&self, room: &str) -> Result<String, String> {
         match self.kind {
             RobotKind::Valetudo if !self.is_heard && !self.configured.contains_key(room) => Err(UNHEARD.to_owned()),
-            RobotKind::Valetudo => segment_of(room, &self.rooms, &self.configured, &self.segments),
+            RobotKind::Valetudo => match (&self.segments, self.configured.get(room)) {
+                (None, None) => Err(UNTOLD.to_owned()),
+                (segments, _) => {
+                    let none = BTreeMap::new();
+                    segment_of(room, &self.rooms, &self.configured, segments.as_ref().unwrap_or(&none))
+                }
+            },
             // Its automation knows rooms by their ids.
             RobotKind::HomeAssistant => Ok(self.configured.get(room).map_or(room, String::as_str).to_owned()),
         }
@@ -299,7 +308,11 @@ impl Driver {
             }
             Sensed::Resumes(resumes) => self.resumes = resumes,
             Sensed::Fault(fault) => self.fault = fault,
-            Sensed::Segments(segments) => self.segments = segments,
+            // Valetudo sends an empty list while it has no map, for instance after it restarts.
+            Sensed::Segments(segments) if segments.is_empty() => {
+                self.segments.get_or_insert_default();
+            }
+            Sensed::Segments(segments) => self.segments = Some(segments),
             Sensed::Online(online) => self.online = online,
             Sensed::Battery(battery) => self.battery = Some(battery),
         }
@@ -402,7 +415,9 @@ impl Driver {
             _ => match self.segment(&work.room) {
                 Ok(segment) => self.order(Order::Clean { segment, room: work.room }, now_ns, acts),
                 // What segments there are is known soon after the connection.
-                Err(_) if self.segments.is_empty() && now_ns.saturating_sub(work.asked_ns) < self.start_ns => {}
+                Err(_)
+                    if self.segments.as_ref().is_none_or(BTreeMap::is_empty)
+                        && now_ns.saturating_sub(work.asked_ns) < self.start_ns => {}
                 Err(why) => self.end(Kind::Blocked, &why, acts),
             },
         }

@@ -13,7 +13,7 @@ pub fn by_ids(configured: &BTreeMap<String, String>, map: &SemanticMap) -> BTree
 }
 
 /// The segment of a room: the one that is configured, else the one whose number the room's id ends with, as an imported map has it, else
-/// the only one whose name means the room. `rooms` are all of the map's: no segment is that of two of them, and one that is configured for another
+/// the only one whose name means the room. If the robot's list is empty, the number in the id counts. `rooms` are all of the map's: no segment is that of two of them, and one that is configured for another
 /// room is not this one's.
 ///
 /// # Errors
@@ -35,6 +35,10 @@ pub fn segment_of(
     }
 }
 
+fn is_plain_number(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
+}
+
 /// The segment of a room, whatever the other rooms have.
 fn unshared_segment(
     room: &str,
@@ -44,11 +48,13 @@ fn unshared_segment(
     if let Some(segment) = configured.get(room) {
         return Ok(segment.clone());
     }
-    if segments.is_empty() {
-        return Err("the robot has told of no segments; name them in [robot.segments]".to_owned());
-    }
-    let is_number = |number: &str| segments.contains_key(number) || number.bytes().all(|byte| byte.is_ascii_digit());
+    let is_number = |number: &str| segments.contains_key(number) || is_plain_number(number);
     let numbered = room.rsplit_once('-').filter(|(_, number)| is_number(number));
+    if segments.is_empty() {
+        let number = numbered.map(|(_, number)| number.to_owned());
+        return number
+            .ok_or_else(|| "the robot's list of segments is empty; name the segment in [robot.segments]".to_owned());
+    }
     let stem = numbered.map_or(room, |(stem, _)| stem);
     let kind = |name: &str| Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
     let means = |name: &str| {
@@ -97,9 +103,18 @@ mod tests {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
         let by_names = by_ids(&table(&[("living room", "17"), ("kitchen", "1"), ("attic", "3")]), &map);
         assert_eq!(by_names, table(&[("living-room", "17"), ("kitchen", "1"), ("attic", "3")]));
-        assert!(
-            segment_of("kitchen", &[""; 0], &configured, &BTreeMap::new()).unwrap_err().contains("told of no segments")
-        );
+    }
+
+    /// Valetudo sends `{}` while it has no map, and rooms of an imported map still have their numbers.
+    #[test]
+    fn rooms_with_a_number_keep_it_if_the_list_of_segments_is_empty() {
+        let rooms = ["bathroom-1", "bedroom-2", "office-2", "hall-x", "attic-"];
+        let of = |room: &str| segment_of(room, &rooms, &BTreeMap::new(), &BTreeMap::new());
+        assert_eq!(of("bathroom-1").unwrap(), "1");
+        assert!(of("bedroom-2").unwrap_err().contains("is that of office-2, too"));
+        for room in ["hall-x", "attic-", "kitchen"] {
+            assert!(of(room).unwrap_err().contains("list of segments is empty"), "{room}");
+        }
     }
 
     #[test]

@@ -637,8 +637,11 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
     let segment = |room: &str| segment_of(room, &rooms, &own, segments);
     let wrong: Vec<(&str, String)> = rooms.iter().filter_map(|room| Some((*room, segment(room).err()?))).collect();
     if segments.is_empty() && config.robot.segments.is_empty() {
-        let found =
-            format!("the robot under {} has told of no segments, so it can be sent to no room", config.robot.topic);
+        let effect = match wrong.len() {
+            0 => "only the numbers in the rooms' ids are its segments",
+            _ => "it can be sent to no room without a number in its id",
+        };
+        let found = format!("the robot under {} has told of no segments, so {effect}", config.robot.topic);
         let remedy =
             "let the robot divide its map into rooms (Valetudo, Map, Segments), and switch on map data for MQTT there";
         return Finding::wrong(check, found, remedy);

@@ -25,6 +25,12 @@ impl Asker {
         Self { terminal: asks.then(terminal) }
     }
 
+    /// One that asks these ends.
+    #[cfg(test)]
+    pub(super) fn of(input: impl BufRead + 'static, output: impl Write + 'static) -> Self {
+        Self { terminal: Some(Terminal { input: Box::new(input), output: Box::new(output) }) }
+    }
+
     /// Says something where questions are asked, in lines that fit.
     pub(super) fn say(&mut self, text: &str) -> Result<(), Failure> {
         let Some(Terminal { output, .. }) = &mut self.terminal else { return Ok(()) };
@@ -85,8 +91,7 @@ mod tests {
     use super::*;
 
     fn asker(answers: &'static str) -> Asker {
-        let (input, output) = (Box::new(answers.as_bytes()), Box::new(io::sink()));
-        Asker { terminal: Some(Terminal { input, output }) }
+        Asker::of(answers.as_bytes(), io::sink())
     }
 
     #[test]
@@ -115,8 +120,7 @@ mod tests {
             }
         }
         let shown = Shown::default();
-        let (input, output) = (Box::new(&b"\n"[..]), Box::new(shown.clone()));
-        let mut asker = Asker { terminal: Some(Terminal { input, output }) };
+        let mut asker = Asker::of(&b"\n"[..], shown.clone());
         let topic = "\u{1b}]0;x\u{7}rob/one";
         assert_eq!(asker.text(&format!("Under {topic}?"), topic).unwrap().as_deref(), Some(topic));
         let shown = String::from_utf8(shown.0.borrow().clone()).unwrap();

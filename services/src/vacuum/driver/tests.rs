@@ -477,6 +477,22 @@ fn a_robot_that_has_not_spoken_is_not_taken_for_one_without_segments() {
 }
 
 #[test]
+fn an_empty_list_of_segments_replaces_no_other() {
+    let mut driver = Driver::new(&config(), 7);
+    driver.know_rooms(["bedroom-2", "kitchen"].into_iter());
+    let plan = |driver: &Driver| driver.plan().map(|(_, segment)| segment.ok()).collect::<Vec<_>>();
+    let mut told = |segments: &[(&str, &str)]| {
+        let segments = segments.iter().map(|(number, name)| (number.to_string(), name.to_string())).collect();
+        let _acts = driver.sense(Sensed::Segments(segments), S);
+        plan(&driver)
+    };
+    assert_eq!(told(&[]), [Some("2".to_owned()), None], "the number in the id");
+    let known = [Some("5".to_owned()), Some("3".to_owned())];
+    assert_eq!(told(&[("5", "Schlafzimmer"), ("3", "Küche")]), known);
+    assert_eq!(told(&[]), known, "the last list");
+}
+
+#[test]
 fn a_room_to_wait_in_is_not_cleaned_and_ends_work_elsewhere() {
     let mut pair = Pair::new(&config(), 100.0);
     pair.decide(&decision(1, action::STAY, "kitchen-3"));
