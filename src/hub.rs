@@ -376,7 +376,7 @@ impl Hub {
         private_folder(folder)?;
         let is_here = |wanted: &str| file_sha256(&path).is_ok_and(|found| hex::encode(found) == wanted);
         if let Some(wanted) = pinned.as_ref().filter(|wanted| is_here(wanted)) {
-            let header = Header::read_language_model(&path)?;
+            let header = Header::read_download(&path)?;
             return Ok(Pulled { path, sha256: wanted.clone(), pinned: true, header });
         }
 
@@ -401,14 +401,14 @@ impl Hub {
         };
         if is_here(&wanted) {
             // What was begun of it is of no use.
-            let header = Header::read_language_model(&path)?;
+            let header = Header::read_download(&path)?;
             part.remove()?;
             return Ok(Pulled { path, sha256: wanted, pinned: pinned.is_some(), header });
         }
         part.take_in(answer, endpoint, progress)?;
         let found = part.sha256();
         let checked = if found == wanted {
-            Header::read_language_model(&part.path).map_err(HubError::Model)
+            Header::read_download(&part.path).map_err(HubError::Model)
         } else {
             let remedy = "it arrived damaged or was exchanged on the way; nothing of it is kept, run the command again";
             Err(unlike(found.clone(), wanted, remedy))

@@ -32,5 +32,18 @@ mod top;
 mod view;
 
 fn main() -> ExitCode {
+    // Before anything that takes much of the stack.
+    match roomcast_ipc::limits::too_low() {
+        Some(fault) => {
+            cli::tell(format_args!("roomcast: {fault}"));
+            ExitCode::from(exit_code::FAILURE)
+        }
+        None => run(),
+    }
+}
+
+/// A frame of its own: with a small stack it is not reached.
+#[inline(never)]
+fn run() -> ExitCode {
     cli::main()
 }

@@ -162,6 +162,25 @@ fn too_few_file_descriptors_are_an_error_in_words_and_nothing_is_left_broken() {
     assert!(ends_in_words(world.command(&[], &["daemon"]), "no limit"), "the next one starts");
 }
 
+/// Each of these read "somebody is here already", or ended by a signal.
+#[test]
+fn a_limit_that_is_too_low_is_named() {
+    let world = World::new("limits");
+    for (limit, command, part) in [
+        ("--nofile=40", "daemon", "ulimit -n"),
+        ("--nofile=20", "planner", "ulimit -n"),
+        ("--as=102400000", "daemon", "ulimit -v"),
+        ("--as=163840000", "daemon", "ulimit -v"),
+        ("--stack=65536", "daemon", "ulimit -s"),
+        ("--stack=65536", "planner", "ulimit -s"),
+    ] {
+        let output = world.command(&["prlimit", limit], &[command]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code().is_some_and(|code| code != 0), "{limit}: {}: {said}", output.status);
+        assert!(said.lines().last().is_some_and(|last| last.contains(part)), "{limit}: {said}");
+    }
+}
+
 #[test]
 fn a_limit_on_files_sizes_is_an_error_in_words() {
     let world = World::new("sizes");

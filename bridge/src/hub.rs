@@ -64,7 +64,7 @@ pub enum HubError {
         path: PathBuf,
     },
     /// The system gives no thread.
-    #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
+    #[error("cannot start a thread: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(io::Error),
 }
 

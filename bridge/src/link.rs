@@ -37,7 +37,7 @@ pub enum LinkError {
     #[error("router: {0}")]
     Config(zenoh::Error),
     /// The system gives no thread.
-    #[error("cannot start the thread of the link: {0}; is a limit on tasks set too low?")]
+    #[error("cannot start the thread of the link: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(io::Error),
 }
 

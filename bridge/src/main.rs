@@ -69,6 +69,19 @@ struct File {
 }
 
 fn main() -> ExitCode {
+    // Before anything that takes much of the stack.
+    match roomcast_ipc::limits::too_low() {
+        Some(fault) => {
+            let _told = writeln!(io::stderr(), "roomcast-bridge: {fault}");
+            ExitCode::from(FAILURE)
+        }
+        None => start(),
+    }
+}
+
+/// A frame of its own: with a small stack it is not reached.
+#[inline(never)]
+fn start() -> ExitCode {
     let arguments = Arguments::parse();
     roomcast_ipc::end_where_iceoryx2_panics("roomcast-bridge", FAILURE);
     let filter = EnvFilter::try_from_env("ROOMCAST_LOG").unwrap_or_else(|_| EnvFilter::new(LOG));

@@ -42,7 +42,7 @@ pub enum BridgeError {
     #[error("the program has a fault: its thread {0} has ended by a panic, which the log has")]
     Panic(String),
     /// The system gives no thread.
-    #[error("cannot start a thread: {0}; is a limit on tasks set too low?")]
+    #[error("cannot start a thread: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(std::io::Error),
 }
 

@@ -12,6 +12,7 @@ use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use roomcast_ipc::own_file::require_own;
 use roomcast_ipc::{clock, sequence};
 use rustix::fs::{FlockOperation, OFlags, flock};
 use rustix::io::Errno;
@@ -186,6 +187,10 @@ impl Spool {
             move |source| SpoolError::Failed { path, what, source }
         };
         fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed("cannot make its folder"))?;
+        for file in [FILE, LOCK] {
+            let path = folder.join(file);
+            require_own(&path).map_err(|source| SpoolError::Failed { path, what: "cannot use it", source })?;
+        }
         let mut to_lock = OpenOptions::new();
         to_lock.create(true).append(true).mode(0o600);
         let lock = open_plain(&mut to_lock, &folder.join(LOCK)).map_err(failed("cannot lock"))?;
@@ -541,7 +546,11 @@ mod tests {
             ] {
                 make(&path);
                 let error = Spool::open(folder.path(), 10).unwrap_err().to_string();
-                assert!(error.contains(&format!("{name} is no plain file: remove it")), "{error}");
+                assert!(error.contains(&format!("/{name}: cannot use it: it is ")), "{error}");
+                assert!(
+                    error.contains("no plain file: remove it") || error.contains("a symbolic link: remove it"),
+                    "{error}"
+                );
                 fs::remove_file(&path).or_else(|_| fs::remove_dir(&path)).unwrap();
             }
             Spool::open(folder.path(), 10).unwrap();

@@ -27,7 +27,7 @@ use serde::Deserialize;
 use serde::de::value::{Error as ValueError, SeqDeserializer};
 
 use crate::unused::Unused;
-use crate::{IpcError, clock, sequence};
+use crate::{IpcError, clock, limits, sequence};
 
 /// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
@@ -914,9 +914,12 @@ impl Node {
                 Err(OpenFailure::Final(error)) => return Err(error),
                 Err(OpenFailure::Passing(error)) if start.elapsed() > OPEN_FOR => {
                     return Err(match error {
-                        IpcError::Open { service, cause, .. } => match too_many_files() {
-                            Some((open, limit)) => IpcError::TooManyFiles { service, open, limit },
-                            None => IpcError::Open { service, cause, tried_ms: start.elapsed().as_millis() },
+                        IpcError::Open { service, cause, .. } => match (too_many_files(), limits::address_space()) {
+                            (Some((open, limit)), _) => IpcError::TooManyFiles { service, open, limit },
+                            (None, Some((used_bytes, limit_bytes))) => {
+                                IpcError::TooLittleAddressSpace { service, used_bytes, limit_bytes }
+                            }
+                            (None, None) => IpcError::Open { service, cause, tried_ms: start.elapsed().as_millis() },
                         },
                         other => other,
                     });

@@ -185,6 +185,18 @@ pub enum IpcError {
         /// How many may be.
         limit: u64,
     },
+    /// The service could not be opened, and hardly more address space is left to this process.
+    #[error(
+        "service {service}: cannot open it: this process has {used_bytes} bytes of address space, of at most {limit_bytes}: raise the limit (ulimit -v, LimitAS=)"
+    )]
+    TooLittleAddressSpace {
+        /// Service name.
+        service: &'static str,
+        /// What the process has, in bytes.
+        used_bytes: u64,
+        /// What it may have, in bytes.
+        limit_bytes: u64,
+    },
     /// A port failed while in use.
     #[error("service {service}: {operation} failed: {cause}")]
     Port {

@@ -12,7 +12,9 @@ use iceoryx2::node::NodeView;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::{Listener, ListenerCreateError, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::publisher::PublisherCreateError;
 use iceoryx2::port::server::Server;
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 use iceoryx2::prelude::{
@@ -23,6 +25,7 @@ use iceoryx2::service::builder::event::EventOpenOrCreateError;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe;
+use iceoryx2::service::port_factory::server::ServerCreateError;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use sealed::Sleeper;
@@ -115,8 +118,11 @@ impl<M: Message> Publisher<M> {
         // The publisher first: it is the place that others may hold.
         let connections = Connections::default();
         let publisher = factory.publisher_builder().set_degradation_handler(connections.watch()).create();
-        let publisher = publisher.map_err(|_| {
-            occupied(node, &factory, &publishers(&factory), quality.name, "publisher", quality.publishers)
+        let publisher = publisher.map_err(|error| match error {
+            PublisherCreateError::ExceedsMaxSupportedPublishers => {
+                occupied(node, &factory, &publishers(&factory), quality.name, "publisher", quality.publishers)
+            }
+            other => passing(quality.name, &other),
         })?;
         let notifier = open_event(node, quality.name, quality.publishers, quality.subscribers)?
             .notifier_builder()
@@ -268,7 +274,10 @@ impl<M: Message> Subscriber<M> {
         let connections = Connections::default();
         let subscriber = factory.subscriber_builder().buffer_size(quality.buffer).history_request(history);
         let subscriber = subscriber.set_degradation_handler(connections.watch()).create();
-        let subscriber = subscriber.map_err(|_| is_full())?;
+        let subscriber = subscriber.map_err(|error| match error {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => is_full(),
+            other => passing(quality.name, &other),
+        })?;
         wake(waker(node, quality.name).as_ref());
         let (subscriber, former) = (RefCell::new(subscriber), RefCell::new(None));
         Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false), history })
@@ -534,7 +543,12 @@ impl ItemScoresPublisher {
             // Memory that grows later may find none.
             .initial_max_slice_len(MAX_ITEMS)
             .create()
-            .map_err(|_| occupied(node, &factory, &publishers(&factory), ITEM_SCORES, "publisher", 1))?;
+            .map_err(|error| match error {
+                PublisherCreateError::ExceedsMaxSupportedPublishers => {
+                    occupied(node, &factory, &publishers(&factory), ITEM_SCORES, "publisher", 1)
+                }
+                other => passing(ITEM_SCORES, &other),
+            })?;
         Ok(Self { publisher, factory, known: Cell::new(0) })
     }
 
@@ -595,8 +609,12 @@ impl ItemScoresSubscriber {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let factory = open_item_scores(node)?;
         let subscriber = factory.subscriber_builder().create();
-        let subscriber =
-            subscriber.map_err(|_| occupied(node, &factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8))?;
+        let subscriber = subscriber.map_err(|error| match error {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => {
+                occupied(node, &factory, &subscribers(&factory), ITEM_SCORES, "subscriber", 8)
+            }
+            other => passing(ITEM_SCORES, &other),
+        })?;
         wake(waker(node, ITEM_SCORES).as_ref());
         Ok(Self { subscriber })
     }
@@ -629,7 +647,10 @@ impl StatusServer {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let factory = open_status(node)?;
         let server = factory.server_builder().create();
-        let server = server.map_err(|_| {
+        let server = server.map_err(|error| {
+            if error != ServerCreateError::ExceedsMaxSupportedServers {
+                return passing(STATUS, &error);
+            }
             let mut servers = Vec::new();
             factory.dynamic_config().list_servers(|server| {
                 servers.push(Place { participant: server.node_id, port: server.server_id.value() });

@@ -31,6 +31,7 @@ use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression, PortFactory};
 use iceoryx2::service::port_factory::client::ClientCreateError;
 use iceoryx2::service::port_factory::request_response;
+use iceoryx2::service::port_factory::server::ServerCreateError;
 
 use crate::domain::{Flavour, Node, OpenFailure, Place};
 use crate::port::{described, occupied, passing, port, request_response, request_response_failure, wake, waker};
@@ -97,7 +98,10 @@ impl AnswerPort {
             // Shared memory is set aside for as many answers as may be, each as long as the longest.
             .max_loaned_responses_per_request(1)
             .create();
-        let server = server.map_err(|_| {
+        let server = server.map_err(|error| {
+            if error != ServerCreateError::ExceedsMaxSupportedServers {
+                return passing(service, &error);
+            }
             let mut servers = Vec::new();
             factory.dynamic_config().list_servers(|server| {
                 servers.push(Place { participant: server.node_id, port: server.server_id.value() });

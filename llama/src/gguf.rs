@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Metadata entries that a header may have; known models have fewer than a hundred.
@@ -95,6 +95,18 @@ pub enum GgufError {
         /// The file.
         path: PathBuf,
         /// What is missing.
+        reason: String,
+    },
+    /// One part of a model in several files, and the others are not there.
+    #[error("{path} is part {number} of {count} of a model: {reason}")]
+    Parts {
+        /// The file.
+        path: PathBuf,
+        /// Which part it is, from 1.
+        number: u64,
+        /// How many parts the model has.
+        count: u64,
+        /// What is wrong, and the remedy.
         reason: String,
     },
 }
@@ -216,6 +228,10 @@ fn scalar_type(number: u32) -> Option<(&'static str, u64)> {
 const TYPE_STRING: u32 = 8;
 const TYPE_ARRAY: u32 = 9;
 const VOCABULARY_KEY: &str = "tokenizer.ggml.tokens";
+/// Most parts of a model: llama.cpp counts them in 16 bits.
+const PARTS_MAX: u64 = 65_535;
+/// llama.cpp's program that splits and joins models.
+const JOIN: &str = "join them with llama.cpp's `llama-gguf-split --merge`";
 
 /// A reader that knows its place in the file, so that every error can name it and no length is believed before it is checked.
 struct Cursor<'a> {
@@ -481,15 +497,91 @@ impl Header {
     }
 
     /// Reads the header and checks besides that it describes a language model whose vocabulary llama.cpp can load: what would end
-    /// the process there is an error here.
+    /// the process there is an error here. Of a model in several parts, all parts must be there; their tensors and sizes count together.
     ///
     /// # Errors
     ///
-    /// As [`Header::read`], and [`GgufError::NotALanguageModel`].
+    /// As [`Header::read`], [`GgufError::NotALanguageModel`] and [`GgufError::Parts`].
     pub fn read_language_model(path: &Path) -> Result<Self, GgufError> {
-        let header = Self::read(path)?;
+        let mut header = Self::read(path)?;
+        header.add_parts()?;
         header.check_language_model()?;
         Ok(header)
+    }
+
+    /// As [`Header::read_language_model`], of a file that may be one part of a model: the other parts are not looked for.
+    ///
+    /// # Errors
+    ///
+    /// As [`Header::read_language_model`].
+    pub fn read_download(path: &Path) -> Result<Self, GgufError> {
+        let header = Self::read(path)?;
+        if header.part().is_none() {
+            header.check_language_model()?;
+        }
+        Ok(header)
+    }
+
+    /// Which part of a model this file is, from 1, and how many parts there are; none for a model in one file.
+    fn part(&self) -> Option<(u64, u64)> {
+        let count = self.unsigned("split.count").filter(|count| (2..=PARTS_MAX).contains(count))?;
+        Some((self.unsigned("split.no").unwrap_or(0).saturating_add(1), count))
+    }
+
+    /// Adds the tensors of the other parts, whose names follow from the name of the first: `NAME-00001-of-00002.gguf`.
+    fn add_parts(&mut self) -> Result<(), GgufError> {
+        let Some((number, count)) = self.part() else { return Ok(()) };
+        let fail = |reason: String| GgufError::Parts { path: self.path.clone(), number, count, reason };
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let ending = |number: u64| format!("-{number:05}-of-{count:05}.gguf");
+        if self.holds_another().map_err(|source| GgufError::Io { path: self.path.clone(), source })? {
+            return Err(fail(format!("the parts were joined with cat, which gives no model; {JOIN}")));
+        }
+        let Some(stem) = name.strip_suffix(&ending(number)) else {
+            let own = ending(number);
+            return Err(fail(format!(
+                "its name does not end with {own}, so its parts were joined with cat or it was renamed; {JOIN}, or give each part its name back"
+            )));
+        };
+        if number != 1 {
+            return Err(fail(format!("give part 1, {stem}{}", ending(1))));
+        }
+        let mut added = Vec::new();
+        for other in 2..=count {
+            let path = self.path.with_file_name(format!("{stem}{}", ending(other)));
+            if !path.exists() {
+                return Err(fail(format!(
+                    "part {other} of {count} is missing; put {} into the same folder",
+                    path.display()
+                )));
+            }
+            let header = Self::read(&path)?;
+            if header.part() != Some((other, count)) {
+                return Err(fail(format!(
+                    "{} is not part {other} of {count}; copy or download it again",
+                    path.display()
+                )));
+            }
+            added.push(header);
+        }
+        for header in added {
+            self.size_bytes = self.size_bytes.saturating_add(header.size_bytes);
+            self.tensors.extend(header.tensors);
+        }
+        Ok(())
+    }
+
+    /// Whether another GGUF file follows the last tensor of this one.
+    fn holds_another(&self) -> std::io::Result<bool> {
+        let Some(end) = self.tensors.iter().map(|tensor| tensor.start.saturating_add(tensor.size_bytes)).max() else {
+            return Ok(false);
+        };
+        // The end of the last tensor may be filled up to the alignment.
+        let mut behind = Vec::new();
+        let mut file = open_plain(&self.path)?;
+        file.seek(SeekFrom::Start(end))?;
+        file.take(ALIGNMENT_BYTES_DEFAULT + 4).read_to_end(&mut behind)?;
+        Ok(behind.windows(4).any(|window| window == b"GGUF"))
     }
 
     fn check_language_model(&self) -> Result<(), GgufError> {
@@ -677,6 +769,56 @@ mod tests {
         assert_eq!(header.parameters(), 64);
         assert_eq!(header.quantisation(), [("Q8_0", 1.0)]);
         assert_eq!(header.tensors[0].start % 32, 0);
+    }
+
+    /// The smallest model as part `number` of `count`; parts after the first have no vocabulary.
+    fn part(number: u16, count: u16) -> Vec<u8> {
+        let mut out = tiny(&["a", "b"]);
+        let head = if number == 1 { out.split_off(24) } else { out.split_off(24)[..0].to_vec() };
+        let entries: u64 = if number == 1 { 5 } else { 2 };
+        out[16..24].copy_from_slice(&entries.to_le_bytes());
+        for (key, value) in [("split.no", number - 1), ("split.count", count)] {
+            text(&mut out, key);
+            out.extend(2_u32.to_le_bytes());
+            out.extend(value.to_le_bytes());
+        }
+        if number == 1 {
+            let name = head.windows(17).position(|window| window == b"token_embd.weight").unwrap();
+            out.extend(&head[..name + 17 + 4 + 16 + 4 + 8]);
+        } else {
+            text(&mut out, &format!("blk.{number}"));
+            out.extend([1_u32.to_le_bytes(), 32_u32.to_le_bytes(), 0_u32.to_le_bytes(), 8_u32.to_le_bytes()].concat());
+            out.extend(0_u64.to_le_bytes());
+        }
+        out.resize(out.len().next_multiple_of(32) + if number == 1 { 68 } else { 34 }, 0);
+        out
+    }
+
+    #[test]
+    fn models_in_parts_need_every_part() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let write = |name: &str, bytes: &[u8]| std::fs::write(at(name), bytes).unwrap();
+        let read = |name: &str| Header::read_language_model(&at(name));
+        let fault = |name: &str| read(name).unwrap_err().to_string();
+        write("m-00001-of-00002.gguf", &part(1, 2));
+        let missing = fault("m-00001-of-00002.gguf");
+        assert!(
+            missing.contains("part 2 of 2 is missing; put") && missing.contains("m-00002-of-00002.gguf"),
+            "{missing}"
+        );
+        assert!(Header::read_download(&at("m-00001-of-00002.gguf")).is_ok());
+        write("m-00002-of-00002.gguf", &part(1, 2));
+        assert!(fault("m-00001-of-00002.gguf").contains("is not part 2 of 2"));
+        write("m-00002-of-00002.gguf", &part(2, 2));
+        assert_eq!(read("m-00001-of-00002.gguf").unwrap().parameters(), 96);
+        assert!(fault("m-00002-of-00002.gguf").contains("give part 1, m-00001-of-00002.gguf"));
+        assert!(Header::read_download(&at("m-00002-of-00002.gguf")).is_ok());
+        write("joined.gguf", &[part(1, 2), part(2, 2)].concat());
+        let joined = fault("joined.gguf");
+        assert!(joined.contains("the parts were joined with cat") && joined.contains("--merge"), "{joined}");
+        write("renamed.gguf", &part(1, 2));
+        assert!(fault("renamed.gguf").contains("parts were joined with cat or it was renamed"));
     }
 
     #[test]

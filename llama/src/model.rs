@@ -24,6 +24,7 @@ use llama_cpp_2::token::LlamaToken;
 use llama_cpp_2::token_type::LlamaTokenAttr;
 use llama_cpp_2::vocab::LlamaVocab;
 use llama_cpp_2::{LogOptions, send_logs_to_tracing};
+use rustix::process::{Resource, getrlimit};
 use sha2::{Digest, Sha256};
 
 use roomcast_core::label_trie::TokenTree;
@@ -342,7 +343,15 @@ impl LlamaModel {
         let backend = backend().map_err(fail)?;
         // Read, not mapped: of a mapped file, what is cut off while it is in use ends this process (SIGBUS).
         let parameters = LlamaModelParams::default().with_use_mmap(false).with_use_mlock(options.lock_memory);
-        let weights = Weights::load_from_file(backend, path, &parameters).map_err(|e| fail(e.to_string()))?;
+        let weights = Weights::load_from_file(backend, path, &parameters);
+        // llama.cpp does not say that it lacks memory.
+        let weights = weights.map_err(|error| match getrlimit(Resource::As).current {
+            Some(limit) => fail(format!(
+                "{error}; it takes {} bytes, and this process may have {limit} bytes of address space: raise the limit (ulimit -v, LimitAS=)",
+                header.size_bytes
+            )),
+            None => fail(error.to_string()),
+        })?;
         let text = |key: &str| weights.meta_val_str(key).ok();
         let context_tokens = options.positions(weights.n_ctx_train());
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);

@@ -1,4 +1,4 @@
-//! Small files, in the state directory and where a command is told to write: read with a limit, replaced whole or not at all.
+//! Small files in the state directory and outputs of commands: read with a limit, replaced whole or not at all.
 
 use std::ffi::OsString;
 use std::fs::{DirBuilder, File, OpenOptions, Permissions};
@@ -7,16 +7,15 @@ use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::clock;
+pub(crate) use roomcast_ipc::own_file::require_own;
 use serde::Serialize;
 
 use crate::logging::Limiter;
 
-/// Most links that are followed to where a file is to be, as the system does.
-const LINKS_MAX: usize = 40;
 /// How often a file that cannot be written is complained of.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
-/// Makes a folder for what is kept, and those above it, where they are not there yet: nobody else reads who lives here.
+/// Makes the state directory and the folders above it if they are missing. Other users may not read it.
 ///
 /// # Errors
 /// When it cannot be made.
@@ -37,9 +36,9 @@ pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
 /// What a file holds; none where there is none.
 ///
 /// # Errors
-/// When it cannot be read or is no plain file; [`io::ErrorKind::FileTooLarge`] when it has more than `bytes_max` bytes.
+/// When it cannot be read, or [`require_own`] refuses it; [`io::ErrorKind::FileTooLarge`] when it has more than `bytes_max` bytes.
 pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> {
-    require_plain(path)?;
+    require_own(path)?;
     let mut bytes = Vec::new();
     match File::open(path) {
         Ok(file) => _ = file.take(bytes_max + 1).read_to_end(&mut bytes)?,
@@ -50,18 +49,6 @@ pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("it has more than {bytes_max} bytes")));
     }
     Ok(Some(bytes))
-}
-
-/// Refuses what is there and is no plain file: a named pipe would wait for whoever writes to it, and a device may have no end.
-///
-/// # Errors
-/// When it is none, or cannot be looked at.
-pub(crate) fn require_plain(path: &Path) -> io::Result<()> {
-    match std::fs::metadata(path) {
-        Ok(found) if !found.is_file() => Err(io::Error::other("it is no plain file; remove it")),
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
 }
 
 /// A small file of JSON that follows a value across changes.
@@ -84,8 +71,7 @@ impl<T: PartialEq + Serialize> Kept<T> {
         &self.path
     }
 
-    /// Replaces the file where it does not hold this value. What cannot be written is tried again with the next call, and is complained of now
-    /// and then: `loss` says what it costs, and the remedy.
+    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with `loss`, the cost and the remedy, once a minute.
     pub(crate) fn keep(&mut self, value: T, loss: &str) {
         if self.written.as_ref() == Some(&value) {
             return;
@@ -102,13 +88,14 @@ impl<T: PartialEq + Serialize> Kept<T> {
     }
 }
 
-/// Puts a new file, which its owner alone may read, in place of the old one, which stays whole until then. A link stays one: the file that it leads to is replaced. It
-/// outlives a crash of this process, and may not outlive a loss of power.
+/// Puts a new file, which its owner alone may read, in place of the old one, which stays whole until then. It outlives a crash of this process,
+/// and may not outlive a loss of power.
 ///
 /// # Errors
-/// When the directory cannot be written; the old file is as it was.
+/// When the directory cannot be written or [`require_own`] refuses the file; the old file is as it was.
 pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    write(&target(path), bytes, OWNER_ALONE, false)
+    require_own(path)?;
+    write(path, bytes, OWNER_ALONE, false)
 }
 
 /// The same, and it outlives a loss of power.
@@ -116,19 +103,35 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`replace`], or when the disk refuses.
 pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    write(&target(path), bytes, OWNER_ALONE, true)
+    require_own(path)?;
+    write(path, bytes, OWNER_ALONE, true)
 }
 
-/// Writes what somebody asked for to where they want it. A plain file is replaced as by a service, and all may read it, less what the umask
-/// takes. A device or a named pipe gets the bytes and stays what it is: `/dev/stdout` and `/dev/null` are good places for them.
+/// Writes an output. A plain file is replaced whole, and all users may read it as far as the umask allows. A symbolic link and a FIFO are refused: another
+/// user may have put them there. A file of `/dev` gets the bytes.
 ///
 /// # Errors
-/// When it cannot be written; an old file is as it was.
+/// When it cannot be written or is refused; an old file is as it was.
 pub fn write_out(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    match std::fs::metadata(path) {
-        // By the name that was given: that of an open pipe leads through /proc to no path.
-        Ok(found) if !found.is_file() => OpenOptions::new().write(true).open(path)?.write_all(bytes),
-        _ => write(&target(path), bytes, EVERYBODY, false),
+    if path.starts_with("/dev") && !path.starts_with("/dev/shm") {
+        // By the given name: an open pipe has no path of its own.
+        return OpenOptions::new().write(true).open(path)?.write_all(bytes);
+    }
+    require_out(path)?;
+    write(path, bytes, EVERYBODY, false)
+}
+
+/// Refuses a place for a new file where a symbolic link, a FIFO or a device is.
+///
+/// # Errors
+/// When one is there, or the place cannot be looked at.
+pub fn require_out(path: &Path) -> io::Result<()> {
+    match std::fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Err(error) => Err(error),
+        Ok(found) if found.is_file() => Ok(()),
+        Ok(found) if found.is_symlink() => Err(io::Error::other("a symbolic link is there; give the name of a file")),
+        Ok(_) => Err(io::Error::other("it is no plain file; give the name of a file")),
     }
 }
 
@@ -137,8 +140,6 @@ const OWNER_ALONE: u32 = 0o600;
 const EVERYBODY: u32 = 0o666;
 
 fn write(path: &Path, bytes: &[u8], mode: u32, for_good: bool) -> io::Result<()> {
-    // Nobody's device or named pipe is replaced by a file.
-    require_plain(path)?;
     let (prefix, permissions) = (unfinished(path), Permissions::from_mode(mode));
     let mut file = tempfile::Builder::new().prefix(&prefix).permissions(permissions).tempfile_in(folder(path))?;
     file.write_all(bytes)?;
@@ -149,21 +150,6 @@ fn write(path: &Path, bytes: &[u8], mode: u32, for_good: bool) -> io::Result<()>
     if for_good { sync_folder(path) } else { Ok(()) }
 }
 
-/// Where a path leads, so that a link stays one: also one to a file that is not there yet.
-fn target(path: &Path) -> PathBuf {
-    let mut path = path.to_owned();
-    for _ in 0..LINKS_MAX {
-        if let Ok(found) = std::fs::canonicalize(&path) {
-            return found;
-        }
-        match std::fs::read_link(&path) {
-            Ok(next) => path = folder(&path).join(next),
-            Err(_) => break,
-        }
-    }
-    path
-}
-
 /// What the names of files begin with that are to take the place of one, until they are whole.
 fn unfinished(path: &Path) -> OsString {
     let mut prefix = OsString::from(".");
@@ -172,14 +158,13 @@ fn unfinished(path: &Path) -> OsString {
     prefix
 }
 
-/// Removes what a process that was killed had begun to write in place of a file that nobody else writes now.
+/// Removes the unfinished files that a killed process left beside a file. No other process may write the file now.
 ///
 /// # Errors
 /// When the directory cannot be read or written.
 pub(crate) fn remove_unfinished(path: &Path) -> io::Result<()> {
-    let path = target(path);
-    let prefix = unfinished(&path);
-    for entry in std::fs::read_dir(folder(&path))? {
+    let prefix = unfinished(path);
+    for entry in std::fs::read_dir(folder(path))? {
         let entry = entry?;
         if entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
             std::fs::remove_file(entry.path())?;
@@ -188,7 +173,7 @@ pub(crate) fn remove_unfinished(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Makes what was created, renamed or removed in a file's folder outlive a loss of power.
+/// Syncs a file's folder, so that new and renamed files in it outlive a loss of power.
 ///
 /// # Errors
 /// When the folder cannot be opened, or the disk refuses.
@@ -255,44 +240,53 @@ mod tests {
         assert!(remove_unfinished(&at("none/habits")).is_err());
     }
 
-    /// Nobody writes to the pipe: to open it would wait for ever.
     #[test]
-    fn a_named_pipe_is_no_file() {
+    fn files_that_others_could_have_planted_are_neither_read_nor_replaced() {
         let directory = tempfile::tempdir().unwrap();
-        let path = directory.path().join("pipe");
-        rustix::fs::mknodat(rustix::fs::CWD, &path, rustix::fs::FileType::Fifo, rustix::fs::Mode::RUSR, 0).unwrap();
-        assert!(read(&path, 3).unwrap_err().to_string().contains("no plain file"));
-        // Nor is it replaced by one, also behind a link: a service that root runs could replace a device.
-        let link = directory.path().join("link");
-        std::os::unix::fs::symlink(&path, &link).unwrap();
-        assert!(replace(&link, b"new").unwrap_err().to_string().contains("no plain file"));
-        assert!(!std::fs::metadata(&path).unwrap().is_file());
-    }
-
-    /// Whoever tries a command with `--out /dev/null` has a device afterwards, and whoever reads a pipe gets what was made.
-    #[test]
-    fn what_is_asked_for_goes_into_a_pipe_or_a_device_and_replaces_none() {
-        let directory = tempfile::tempdir().unwrap();
-        let (pipe, link) = (directory.path().join("pipe"), directory.path().join("link"));
-        rustix::fs::mknodat(rustix::fs::CWD, &pipe, rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU, 0).unwrap();
-        std::os::unix::fs::symlink(&pipe, &link).unwrap();
-        for path in [&pipe, &link] {
-            let from = pipe.clone();
-            let reader = std::thread::spawn(move || std::fs::read(from).unwrap());
-            write_out(path, b"drawing").unwrap();
-            assert_eq!(reader.join().unwrap(), b"drawing");
+        let at = |name: &str| directory.path().join(name);
+        std::fs::write(at("victim"), "precious").unwrap();
+        std::os::unix::fs::symlink("victim", at("link")).unwrap();
+        rustix::fs::mknodat(rustix::fs::CWD, at("pipe"), rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU, 0)
+            .unwrap();
+        for (name, reason) in [("link", "it is a symbolic link"), ("pipe", "it is no plain file")] {
+            for error in [
+                read(&at(name), 9).unwrap_err(),
+                replace(&at(name), b"new").unwrap_err(),
+                replace_for_good(&at(name), b"new").unwrap_err(),
+            ] {
+                assert!(error.to_string().starts_with(reason), "{error}");
+            }
         }
-        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
-        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 2);
-        // A device of our own would need rights that tests may lack; a link to one needs none.
-        let null = directory.path().join("null");
-        std::os::unix::fs::symlink("/dev/null", &null).unwrap();
-        write_out(&null, b"drawing").unwrap();
-        assert!(std::fs::symlink_metadata(&null).unwrap().is_symlink());
-        assert!(write_out(directory.path(), b"drawing").is_err());
+        std::fs::set_permissions(at("victim"), Permissions::from_mode(0o666)).unwrap();
+        assert!(replace(&at("victim"), b"new").unwrap_err().to_string().contains("other users may write to it"));
+        std::fs::set_permissions(directory.path(), Permissions::from_mode(0o1777)).unwrap();
+        assert!(replace(&at("new"), b"new").unwrap_err().to_string().contains("may write to its folder"));
+        assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "precious");
     }
 
-    /// Others may read a drawing, and nobody what is kept of a home.
+    #[test]
+    fn outputs_follow_no_link_and_wait_for_no_fifo() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        std::fs::write(at("victim"), "precious").unwrap();
+        for (name, target) in [("link", "victim"), ("dangling", "missing"), ("turn", "turn"), ("null", "/dev/null")] {
+            std::os::unix::fs::symlink(target, at(name)).unwrap();
+            let error = write_out(&at(name), b"drawing").unwrap_err().to_string();
+            assert_eq!(error, "a symbolic link is there; give the name of a file", "{name}");
+        }
+        rustix::fs::mknodat(rustix::fs::CWD, at("pipe"), rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU, 0)
+            .unwrap();
+        for path in [&at("pipe"), directory.path()] {
+            assert!(write_out(path, b"drawing").unwrap_err().to_string().starts_with("it is no plain file"));
+        }
+        assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "precious");
+        assert!(!at("missing").exists());
+        write_out(Path::new("/dev/null"), b"drawing").unwrap();
+        write_out(&at("victim"), b"drawing").unwrap();
+        assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "drawing");
+    }
+
+    /// Other users may read a drawing and no state file.
     #[test]
     fn what_is_asked_for_is_for_others_and_what_is_kept_is_not() {
         let directory = tempfile::tempdir().unwrap();
@@ -303,27 +297,5 @@ mod tests {
         replace(&at("kept"), b"new").unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
         assert_eq!((mode(&at("out")), mode(&at("kept"))), (mode(&plain), OWNER_ALONE));
-    }
-
-    #[test]
-    fn a_link_stays_one() {
-        let directory = tempfile::tempdir().unwrap();
-        let (file, link) = (directory.path().join("elsewhere"), directory.path().join("link"));
-        std::fs::write(&file, "old").unwrap();
-        std::os::unix::fs::symlink(&file, &link).unwrap();
-        replace(&link, b"new").unwrap();
-        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
-        assert_eq!(std::fs::read_to_string(&file).unwrap(), "new");
-        // Also one whose file is not there yet, by way of another.
-        std::fs::remove_file(&file).unwrap();
-        let outer = directory.path().join("outer");
-        std::os::unix::fs::symlink("link", &outer).unwrap();
-        write_out(&outer, b"newer").unwrap();
-        assert!([&link, &outer].iter().all(|link| std::fs::symlink_metadata(link).unwrap().is_symlink()));
-        assert_eq!(std::fs::read_to_string(&file).unwrap(), "newer");
-        // Links that lead nowhere end.
-        let turn = directory.path().join("turn");
-        std::os::unix::fs::symlink("turn", &turn).unwrap();
-        assert!(write_out(&turn, b"new").is_err());
     }
 }

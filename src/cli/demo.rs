@@ -227,6 +227,7 @@ impl Plot {
     /// The experiments' simulation of one cell: this scene, this program, this T_r, with their options.
     fn new(args: &Args, map: &SemanticMap, grounding: &Grounding) -> Result<Self, Failure> {
         let program = setup::load_program(&args.program)?;
+        program.notes.iter().for_each(|note| super::tell(format_args!("roomcast: {note}")));
         let options = Options { seed: args.seed, ..Options::default() };
         // In single precision, as the experiments score.
         let llama = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };

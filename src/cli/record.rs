@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::bounded;
 use roomcast_ipc::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Subscriber, clock, question, score_flags,
+    RoomScoresV1, Subscriber, clock, limits, question, score_flags,
 };
 
 use super::choice::choice;
@@ -56,7 +56,18 @@ const COMPLAINT_NS: u64 = 60_000_000_000;
 /// # Errors
 /// When it is none, or damaged.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
-    let recording = recording::read(path).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    read_until(path, &|| false)
+}
+
+/// As [`read`], until somebody asks to stop.
+///
+/// # Errors
+/// As [`read`], and when somebody asked to stop.
+pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, Failure> {
+    let recording = recording::read_until(path, is_stopped).map_err(|error| match error {
+        RecordingError::Stopped { .. } => Failure::new(exit_code::INTERRUPTED, error),
+        error => Failure::new(exit_code::INPUT, error),
+    })?;
     if recording.is_torn {
         let messages = count(recording.messages.len(), "message");
         super::tell(format!(
@@ -253,7 +264,7 @@ pub fn run(args: &Args) -> CommandResult {
         }
     });
     asking.map_err(|error| {
-        let text = format!("cannot start the thread that asks for the map: {error}; is a limit on tasks set too low?");
+        let text = format!("cannot start the thread that asks for the map: {error}; {}", limits::on_threads());
         Failure::new(exit_code::FAILURE, text)
     })?;
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));

@@ -109,7 +109,7 @@ impl Publishers {
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
-    let messages = record::read(&args.file)?.messages;
+    let messages = record::read_until(&args.file, &|| stop.requested())?.messages;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-replay").map_err(ipc)?;
     if args.all {

@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> CommandResult {
             return Err(Failure::new(exit_code::USAGE, text));
         }
         Some(path) => {
-            let recording = record::read(path)?;
+            let recording = record::read_until(path, &|| stop.requested())?;
             view::run_recording(&place, recording, &stop, ready)
         }
         None => {

@@ -9,6 +9,8 @@ use crate::text::read_text_at_most;
 pub const PROGRAM_BYTES_MAX: usize = 1 << 20;
 /// Most steps of one program.
 pub const STEPS_MAX: usize = 10_000;
+/// Most lines left out of one program that its notes name.
+const NOTES_MAX: usize = 20;
 /// The latest minute of a day of activities, since its midnight: a day may go on after the next one.
 pub const DAY_MINUTES_MAX: u32 = 48 * 60;
 
@@ -109,11 +111,13 @@ pub struct Program {
     pub description: String,
     /// In order; never empty.
     pub steps: Vec<Action>,
+    /// Lines left out because their action is unknown, one sentence each, with the line's number.
+    pub notes: Vec<String>,
 }
 
 impl Program {
     /// Reads a program: the title, the description, then one action per line. Empty lines and, after the first step,
-    /// lines that open with `#` are skipped.
+    /// lines that open with `#` are skipped. A line with an unknown action is left out, with a note.
     ///
     /// # Errors
     /// [`ProgramError`] names the line.
@@ -131,11 +135,12 @@ impl Program {
         let is_day = looks_like_a_day(text);
         let mut description = String::new();
         let mut steps = Vec::new();
+        let (mut notes, mut unnamed, mut first_unknown) = (Vec::new(), 0, None);
         for (line, text) in lines {
             if text.is_empty() || (text.starts_with('#') && !steps.is_empty()) {
                 continue;
             }
-            if steps.is_empty() && !text.starts_with('[') {
+            if steps.is_empty() && notes.is_empty() && !text.starts_with('[') {
                 if !description.is_empty() {
                     description.push(' ');
                 }
@@ -145,15 +150,27 @@ impl Program {
             if steps.len() == STEPS_MAX {
                 return Err(ProgramError::TooManySteps { line });
             }
-            let step = Action::parse(text).map_err(|source| {
-                if is_day { ProgramError::Day { line } } else { ProgramError::Step { line, source } }
-            });
-            steps.push(step?);
+            match Action::parse(text) {
+                Ok(step) => steps.push(step),
+                Err(_) if is_day => return Err(ProgramError::Day { line }),
+                Err(source @ ActionError::UnknownVerb { .. }) => {
+                    if notes.len() < NOTES_MAX {
+                        notes.push(format!("line {line} is left out: {source}"));
+                    } else {
+                        unnamed += 1;
+                    }
+                    first_unknown.get_or_insert(ProgramError::Step { line, source });
+                }
+                Err(source) => return Err(ProgramError::Step { line, source }),
+            }
         }
         if steps.is_empty() {
-            return Err(ProgramError::Empty { title });
+            return Err(first_unknown.unwrap_or(ProgramError::Empty { title }));
         }
-        Ok(Self { title, description, steps })
+        if unnamed > 0 {
+            notes.push(format!("{unnamed} more lines are left out: their actions are unknown"));
+        }
+        Ok(Self { title, description, steps, notes })
     }
 
     /// Reads a program from a file.
@@ -211,6 +228,22 @@ mod tests {
         assert!(error(&" ".repeat(PROGRAM_BYTES_MAX + 1)).contains("split it"));
         assert!(error(&format!("T\n{}", "[sleep]\n".repeat(STEPS_MAX + 1))).contains("more than 10000 steps"));
         assert!(Program::load(Path::new("/nowhere")).unwrap_err().to_string().contains("/nowhere"));
+    }
+
+    #[test]
+    fn unknown_actions_are_left_out_with_a_note() {
+        let laugh =
+            Program::parse("Have fun\nWe laugh.\n\n[Walk] <sofa> (1)\n[Laugh]\n[LookAt_Short] <tv> (1)\n").unwrap();
+        assert_eq!((laugh.steps.len(), laugh.notes.len()), (3, 0));
+        assert_eq!(laugh.steps[1].sentence(), "They laugh.");
+        let program = Program::parse("Have fun\n\n[Levitate] <sofa> (1)\n[Walk] <sofa> (1)\n[Teleport]\n").unwrap();
+        assert_eq!(program.steps.len(), 1);
+        assert_eq!(program.notes.len(), 2);
+        assert!(program.notes[0].starts_with("line 3 is left out: unknown action `Levitate`"), "{:?}", program.notes);
+        let error = Program::parse("Have fun\n\n[Levitate]\n").unwrap_err().to_string();
+        assert!(error.starts_with("line 3: unknown action `Levitate`"), "{error}");
+        let many = Program::parse(&format!("Title\n\n[Walk]\n{}", "[Levitate]\n".repeat(30))).unwrap();
+        assert_eq!((many.notes.len(), &many.notes[20][..7]), (21, "10 more"));
     }
 
     #[test]

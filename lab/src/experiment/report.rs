@@ -115,7 +115,9 @@ impl Report {
     pub fn write(&self, folder: &Path) -> Result<(), ReportError> {
         let put = |name: &str, bytes: &[u8]| {
             let path = folder.join(name);
-            std::fs::write(&path, bytes).map_err(|source| ReportError::Write { path, source })
+            require_file(&path)
+                .and_then(|()| std::fs::write(&path, bytes))
+                .map_err(|source| ReportError::Write { path, source })
         };
         std::fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.to_owned(), source })?;
         for table in &self.tables {
@@ -127,6 +129,14 @@ impl Report {
             put(&format!("{name}.png"), &crate::png::png(svg, 2.0)?)?;
         }
         put("report.html", self.html().as_bytes())
+    }
+}
+
+/// Refuses a place for a file where a symbolic link, a FIFO or a device is: a link may lead out of the folder, and a FIFO waits.
+fn require_file(path: &Path) -> std::io::Result<()> {
+    match std::fs::symlink_metadata(path) {
+        Ok(found) if !found.is_file() => Err(std::io::Error::other("it is no plain file; remove it")),
+        _ => Ok(()),
     }
 }
 

@@ -98,6 +98,7 @@ impl Day {
             title: title.to_owned(),
             description: String::new(),
             steps: self.actions.iter().map(|timed| timed.action.clone()).collect(),
+            notes: Vec::new(),
         }
     }
 }

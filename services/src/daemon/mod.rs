@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, clock, sequence, text};
+use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, clock, limits, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::awake::Awake;
@@ -108,7 +108,7 @@ pub enum DaemonError {
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// A thread could not be started.
-    #[error("cannot start the {name} thread: {source}; is a limit on tasks set too low?")]
+    #[error("cannot start the {name} thread: {source}; {}", limits::on_threads())]
     Thread {
         /// Which.
         name: &'static str,

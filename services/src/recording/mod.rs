@@ -6,6 +6,7 @@
 //! and the narration that came before the recording ([`crate::moment`]). This is the profile [`Profile::Roomcast`], the only one that is
 //! read back; what other programs of ROS 2 read is written by [`ros2`].
 
+mod chunks;
 pub mod ros2;
 mod tape;
 
@@ -23,6 +24,7 @@ use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
+use self::chunks::TooMuch;
 pub use self::tape::Received;
 use self::tape::{Form, Tape};
 use crate::config::IntakeLimits;
@@ -36,6 +38,9 @@ use roomcast_core::text::read_at_most;
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
 /// Largest record and largest chunk, unpacked, that is read: whatever length a file states, no more is set aside for it.
 pub const RECORD_BYTES_MAX: usize = 64 << 20;
+
+/// Records between two looks at whether to stop.
+const EVENTS_BETWEEN_LOOKS: u64 = 256;
 
 /// Attachments that hold a moment have names that begin so.
 const MOMENT_FILES: &str = "moment-";
@@ -84,6 +89,22 @@ pub enum RecordingError {
         "the recording {path} has more than {FILE_BYTES_MAX} bytes, unpacked: record fewer seconds at a time (--seconds)"
     )]
     TooLarge {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A chunk is larger than [`RECORD_BYTES_MAX`].
+    #[error(
+        "the recording {path} has a chunk of {bytes} bytes, unpacked, and at most {RECORD_BYTES_MAX} are read: write it again with smaller chunks, for instance with `mcap filter --chunk-size`"
+    )]
+    Chunk {
+        /// The file.
+        path: PathBuf,
+        /// The size that the chunk claims, in bytes.
+        bytes: u64,
+    },
+    /// Somebody asked to stop before the recording was read.
+    #[error("stopped before the recording {path} was read")]
+    Stopped {
         /// The file.
         path: PathBuf,
     },
@@ -683,9 +704,18 @@ impl Recording {
 ///
 /// [`RecordingError`], for the first message that is none.
 pub fn read(path: &Path) -> Result<Recording, RecordingError> {
+    read_until(path, &|| false)
+}
+
+/// As [`read`], until somebody asks to stop.
+///
+/// # Errors
+///
+/// As [`read`], and [`RecordingError::Stopped`].
+pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
     let io = |source| RecordingError::Io { path: path.to_owned(), source };
     let bytes = read_at_most(path, FILE_BYTES_MAX).map_err(io)?;
-    decode(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?)
+    decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, is_stopped)
 }
 
 /// Reads a recording's bytes; `path` is what errors call it.
@@ -694,6 +724,14 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
 ///
 /// [`RecordingError`], for the first message that is none.
 pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
+    decode_until(path, bytes, &|| false)
+}
+
+fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Result<Recording, RecordingError> {
+    chunks::check(bytes).map_err(|fault| match fault {
+        TooMuch::Chunk(bytes) => RecordingError::Chunk { path: path.to_owned(), bytes },
+        TooMuch::All => RecordingError::TooLarge { path: path.to_owned() },
+    })?;
     let mcap = |source| RecordingError::Mcap { path: path.to_owned(), source: Box::new(source) };
     let wrong = |index, topic: &str, reason| {
         let (path, topic) = (path.to_owned(), topic.to_owned());
@@ -704,7 +742,12 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
     let (mut recording, mut topics) = (Recording::default(), BTreeMap::new());
     let (mut rest, mut index, mut unpacked) = (bytes, 0, 0_u64);
     let is_finished = bytes.ends_with(mcap::MAGIC);
+    let mut events = 0_u64;
     while let Some(event) = reader.next_event() {
+        events += 1;
+        if events.is_multiple_of(EVENTS_BETWEEN_LOOKS) && is_stopped() {
+            return Err(RecordingError::Stopped { path: path.to_owned() });
+        }
         let (opcode, data) = match event {
             Err(_) if !is_finished && index > 0 => {
                 recording.is_torn = true;
@@ -720,7 +763,8 @@ pub fn decode(path: &Path, bytes: &[u8]) -> Result<Recording, RecordingError> {
             }
             Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
         };
-        unpacked = unpacked.saturating_add(data.len() as u64);
+        // Also an empty record is some bytes.
+        unpacked = unpacked.saturating_add(data.len() as u64 + 9);
         if unpacked > FILE_BYTES_MAX {
             return Err(RecordingError::TooLarge { path: path.to_owned() });
         }
@@ -1065,6 +1109,44 @@ mod tests {
         recorder.finish().unwrap();
         let error = read(&path).unwrap_err().to_string();
         assert!(error.contains("2 bytes are no roomcast.NarrationV1"), "{error}");
+    }
+
+    /// So many zeros, packed: blocks of zstd that repeat a byte.
+    fn packed_zeros(count: usize) -> Vec<u8> {
+        const BLOCK: usize = 128 << 10;
+        let mut packed = vec![0x28, 0xb5, 0x2f, 0xfd, 0, 0x50];
+        for begun in (0..count).step_by(BLOCK) {
+            let block = (count - begun).min(BLOCK);
+            let head = (block << 3) | (1 << 1) | usize::from(begun + block == count);
+            packed.extend_from_slice(&head.to_le_bytes()[..3]);
+            packed.push(0);
+        }
+        packed
+    }
+
+    /// 6 MB of packed zeros held `replay` up for ten minutes.
+    #[test]
+    fn a_recording_of_zeros_is_refused_and_a_stop_ends_the_reading() {
+        let zeros = |size: usize, count: usize| {
+            let packed = packed_zeros(size);
+            let mut bytes = mcap::MAGIC.to_vec();
+            for _ in 0..count {
+                let sizes = [[0; 16].as_slice(), &(size as u64).to_le_bytes(), &[0; 4], &4_u32.to_le_bytes(), b"zstd"];
+                let content = [sizes.concat(), (packed.len() as u64).to_le_bytes().to_vec(), packed.clone()].concat();
+                bytes.push(op::CHUNK);
+                bytes.extend((content.len() as u64).to_le_bytes());
+                bytes.extend(content);
+            }
+            bytes
+        };
+        let path = Path::new("zeros.mcap");
+        let error = decode(path, &zeros(RECORD_BYTES_MAX + 9, 1)).unwrap_err().to_string();
+        assert!(error.contains("has a chunk of 67108873 bytes, unpacked, and at most 67108864 are read"), "{error}");
+        let many = zeros(RECORD_BYTES_MAX / 9 * 9, 65);
+        assert!(matches!(decode(path, &many), Err(RecordingError::TooLarge { .. })));
+        let few = zeros(9_000, 1);
+        let stopped = decode_until(path, &few, &|| true);
+        assert!(matches!(stopped, Err(RecordingError::Stopped { .. })));
     }
 
     /// Row "MCAP with a hostile length" of the attacks: every length of a small recording, replaced by ones that no file has.

@@ -3,27 +3,36 @@
 //!
 //! Three shapes are read, alone or together:
 //!
-//! - ConceptGraphs' object file: `{"object_1": {"id", "object_tag", "bbox_center", "bbox_extent"}, ...}`, which has no rooms;
-//! - HOV-SG's room and object files: `room_id`, `name`, `vertices` (a polygon), `room_zero_level`, `room_height`, and
-//!   `object_id`, `name`, `vertices` (corners); y is up there;
+//! - ConceptGraphs' object file, `{"object_1": {"id", "object_tag", "bbox_center", "bbox_extent"}, ...}`, or its scene graph, a list of such objects;
+//!   neither has rooms;
+//! - HOV-SG's room and object files: `room_id`, `name`, `vertices` (a polygon, or the centres of the room's grid cells), `room_zero_level`,
+//!   `room_height`, and `object_id`, `room_id`, `name`, `vertices` (corners, or points without heights); y is up there. Its floors and
+//!   navigation graphs are skipped;
 //! - one object with `rooms` and `objects`, lists of either kind of entry, and `up`, `"y"` or `"z"`.
 //!
 //! An object's `captions` are its candidates: texts, or objects with `text` and `weight`. They become soft labels.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
-use serde::Deserialize;
+use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
-use super::{Ids, ImportError, Imported, parse, words};
+use super::{Ids, ImportError, Imported, parse, valetudo, words};
 use crate::semantic_map::footprint::Footprint;
 use crate::semantic_map::schema::{
     CaptionEntry, CornersLeft, FORMAT, ItemEntry, MAX_CAPTIONS, Rings, RoomEntry, SHARE_MIN, SceneFile, VERSION,
     check_count,
 };
 use crate::semantic_map::{Box3, MAX_ROOMS, MAX_TEXT_BYTES, SemanticMap};
+use crate::text::without_mark;
 
-const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' object file";
+const EXPECTED: &str = "an open-vocabulary map: `objects` and `rooms`, or ConceptGraphs' objects";
+/// Fewer vertices are a polygon. A room's grid cells are more: HOV-SG leaves out rooms below 0.25 m², which are 100 cells.
+const CELLS_MIN: usize = 64;
+/// Most cells along one side: 500 m at HOV-SG's 0.05 m.
+const CELLS_ASIDE_MAX: f64 = 10_000.0;
+/// How far a vertex may lie off the grid, in cells: numbers are rounded.
+const OFF_GRID: f64 = 0.1;
 /// Height of a room whose polygon comes without one, in metres.
 const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
@@ -83,7 +92,7 @@ struct Room {
     name: Option<String>,
     r#box: Option<Box3>,
     /// Corners on the floor, `[x, y]` (the two level axes), or `[x, y, z]`.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "or_none")]
     vertices: Vec<Vec<f64>>,
     #[serde(alias = "height")]
     room_height: Option<f64>,
@@ -102,8 +111,15 @@ struct Object {
     r#box: Option<Box3>,
     bbox_center: Option<[f64; 3]>,
     bbox_extent: Option<[f64; 3]>,
-    #[serde(default)]
-    vertices: Vec<[f64; 3]>,
+    room_id: Option<Value>,
+    /// Corners; or, without heights, points of two coordinates.
+    #[serde(default, deserialize_with = "or_none")]
+    vertices: Vec<Vec<f64>>,
+}
+
+/// A list. Python writes `null` for a list that was never set.
+fn or_none<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Vec<f64>>, D::Error> {
+    Option::deserialize(deserializer).map(Option::unwrap_or_default)
 }
 
 #[derive(Deserialize)]
@@ -130,15 +146,54 @@ fn turned(bounds: &Box3, up: Up) -> Option<Box3> {
     around([up.turn(bounds.min_m), up.turn(bounds.max_m)].into_iter())
 }
 
+/// Vertices with z up, at height 0 where they have two coordinates; none where one has fewer.
+fn points(vertices: &[Vec<f64>], up: Up) -> Option<Vec<[f64; 3]>> {
+    let point = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
+        (Some(point), _) => Some(up.turn(point)),
+        (None, Up::Z) => Some([*vertex.first()?, *vertex.get(1)?, 0.0]),
+        (None, Up::Y) => Some([*vertex.first()?, -*vertex.get(1)?, 0.0]),
+    };
+    vertices.iter().map(point).collect()
+}
+
+/// The outline around the centres of grid cells; none where the points are no filled area of a grid.
+fn outline_of_cells(points: &[[f64; 3]]) -> Option<Rings> {
+    if points.len() < CELLS_MIN {
+        return None;
+    }
+    let bounds = around(points.iter().copied())?;
+    let step_m = |axis: usize| {
+        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
+        values.sort_by(f64::total_cmp);
+        let steps = values.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 1e-4);
+        steps.fold(f64::INFINITY, f64::min)
+    };
+    let least_m = step_m(0).min(step_m(1));
+    let longer_m = bounds.size_m()[0].max(bounds.size_m()[1]);
+    let along = (longer_m / least_m).round();
+    if !(1.0..=CELLS_ASIDE_MAX).contains(&along) {
+        return None;
+    }
+    // The long side has the least rounding per cell.
+    let cell_m = longer_m / along;
+    let mut cells = Vec::with_capacity(points.len());
+    for point in points {
+        let at = [point[0] - bounds.min_m[0], bounds.max_m[1] - point[1]].map(|metres| metres / cell_m);
+        if !at.iter().all(|at| (at - at.round()).abs() < OFF_GRID) {
+            return None;
+        }
+        cells.push(at.map(|at| at.round() as i64));
+    }
+    let rings = valetudo::outline(&cells, cell_m)?;
+    // A cell reaches half its size around its centre, and the outline's y points down from the first row.
+    let to_map = |[x, y]: [f64; 2]| [x + bounds.min_m[0] - 0.5 * cell_m, y + bounds.max_m[1] + 0.5 * cell_m];
+    Some(rings.into_iter().map(|ring| ring.into_iter().map(to_map).collect()).collect())
+}
+
 impl Room {
     /// Its corners, with z up; none where one has fewer than two coordinates.
     fn corners(&self, up: Up) -> Option<Vec<[f64; 3]>> {
-        let corner = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
-            (Some(point), _) => Some(up.turn(point)),
-            (None, Up::Z) => Some([*vertex.first()?, *vertex.get(1)?, 0.0]),
-            (None, Up::Y) => Some([*vertex.first()?, -*vertex.get(1)?, 0.0]),
-        };
-        self.vertices.iter().map(corner).collect()
+        points(&self.vertices, up)
     }
 
     /// Whether its outline is that of the box: each of its corners is one of the box's, and each of these is one of its own.
@@ -166,7 +221,13 @@ impl Room {
 }
 
 impl Object {
-    fn bounds(&self, up: Up) -> Option<Box3> {
+    /// Whether it has points on the floor alone, without heights.
+    fn is_flat(&self) -> bool {
+        self.r#box.is_none() && self.bbox_center.is_none() && self.vertices.iter().any(|vertex| vertex.len() == 2)
+    }
+
+    /// The box around it. If it is flat, the box has the heights of its room.
+    fn bounds(&self, up: Up, heights_m: &HashMap<String, [f64; 2]>) -> Option<Box3> {
         if let Some(bounds) = &self.r#box {
             return turned(bounds, up);
         }
@@ -174,7 +235,12 @@ impl Object {
             let corner = |sign: f64| up.turn(std::array::from_fn(|axis| center[axis] + 0.5 * sign * extent[axis]));
             return around([corner(-1.0), corner(1.0)].into_iter());
         }
-        around(self.vertices.iter().map(|&vertex| up.turn(vertex)))
+        let mut bounds = around(points(&self.vertices, up)?.into_iter())?;
+        if self.is_flat() {
+            let room = id_text(self.room_id.as_ref()).and_then(|id| heights_m.get(&id));
+            [bounds.min_m[2], bounds.max_m[2]] = *room.unwrap_or(&[0.0, ROOM_HEIGHT_M]);
+        }
+        Some(bounds)
     }
 
     /// The labels that its name and captions come to, with summed weights, the heaviest first.
@@ -219,35 +285,77 @@ fn id_text(id: Option<&Value>) -> Option<String> {
     }
 }
 
-/// Puts the files of a folder, as HOV-SG writes them, into one map: each file is a room, an object, or a whole map.
+/// Puts the files of a folder, as HOV-SG writes them, into one map: each file is a room, an object, a list of these, or a whole map.
 ///
 /// # Errors
 /// When a text is not JSON.
 pub fn combine<'a>(files: impl IntoIterator<Item = &'a str>) -> Result<String, ImportError> {
-    let (mut rooms, mut objects, mut up) = (Vec::new(), Vec::new(), Value::Null);
+    let mut parts = Parts::default();
     for json in files {
-        let entry: Map<String, Value> = parse(json, EXPECTED)?;
-        if entry.contains_key("object_id") {
-            up = Value::from("y");
-            objects.push(Value::Object(entry));
-        } else if entry.contains_key("room_id") {
-            up = Value::from("y");
-            rooms.push(Value::Object(entry));
-        } else {
-            let mut whole = whole(entry);
-            if let Some(Value::Array(list)) = whole.remove("rooms") {
-                rooms.extend(list);
-            }
-            if let Some(Value::Array(list)) = whole.remove("objects") {
-                objects.extend(list);
-            }
-            if let Some(own) = whole.remove("up") {
-                up = own;
-            }
-        }
+        parts.add(json)?;
     }
+    let Parts { up, rooms, objects } = parts;
     let all = [("up", up), ("rooms", rooms.into()), ("objects", objects.into())];
     Ok(Value::Object(all.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()).to_string())
+}
+
+/// What several files come to.
+#[derive(Default)]
+struct Parts {
+    up: Value,
+    rooms: Vec<Value>,
+    objects: Vec<Value>,
+}
+
+impl Parts {
+    fn add(&mut self, json: &str) -> Result<(), ImportError> {
+        if without_mark(json).trim_start().starts_with('[') {
+            let list: Vec<Map<String, Value>> = parse(json, EXPECTED)?;
+            for entry in list {
+                if let Some(entry) = self.add_single(entry) {
+                    self.objects.push(Value::Object(entry));
+                }
+            }
+        } else if let Some(entry) = self.add_single(parse(json, EXPECTED)?) {
+            self.add_whole(entry)?;
+        }
+        Ok(())
+    }
+
+    /// Takes an entry that is an object or a room, or none of a map; gives back another.
+    fn add_single(&mut self, entry: Map<String, Value>) -> Option<Map<String, Value>> {
+        let list = if entry.contains_key("object_id") {
+            &mut self.objects
+        } else if entry.contains_key("room_id") {
+            &mut self.rooms
+        } else if entry.contains_key("floor_id") || entry.contains_key("multigraph") {
+            // HOV-SG's floors, which have no more than its rooms, and its navigation graphs.
+            return None;
+        } else {
+            return Some(entry);
+        };
+        self.up = Value::from("y");
+        list.push(Value::Object(entry));
+        None
+    }
+
+    fn add_whole(&mut self, entry: Map<String, Value>) -> Result<(), ImportError> {
+        let mut whole = whole(entry);
+        for (key, all) in [("rooms", &mut self.rooms), ("objects", &mut self.objects)] {
+            match whole.remove(key) {
+                None | Some(Value::Null) => {}
+                Some(Value::Array(list)) => all.extend(list),
+                Some(other) => {
+                    let wrong = Value::Object(Map::from_iter([(key.to_owned(), other)]));
+                    parse::<File>(&wrong.to_string(), EXPECTED)?;
+                }
+            }
+        }
+        if let Some(own) = whole.remove("up") {
+            self.up = own;
+        }
+        Ok(())
+    }
 }
 
 /// A map with `objects`: ConceptGraphs' file is an object of objects.
@@ -266,20 +374,21 @@ fn whole(entry: Map<String, Value>) -> Map<String, Value> {
 /// Turns an open-vocabulary map into a scene.
 ///
 /// Captions become labels: lower-case words without article and full stop, machine names turned into words. An object with
-/// several captions becomes an item with soft labels. Oriented boxes are taken as if along the axes. Polygons of rooms become footprints;
-/// where one meets itself, the box around it stands for it. `up` decides where the file does not. Left out, with a note: objects without box or caption, rooms without outline.
+/// several captions becomes an item with soft labels. Oriented boxes are taken as if along the axes. Polygons of rooms become footprints, and so do
+/// the outlines of their grid cells; where one meets itself, the box around it stands for it. `up` decides where the file does not. Left out, with a
+/// note: objects without box or caption, rooms without outline.
 ///
 /// # Errors
 /// When the text is no such map, has no room, or breaks a rule of scenes.
 pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, ImportError> {
-    let entry: Map<String, Value> = parse(json, EXPECTED)?;
-    let File { up: own_up, rooms: room_list, objects } = parse(&Value::Object(whole(entry)).to_string(), EXPECTED)?;
+    let File { up: own_up, rooms: room_list, objects } = parse(&combine([json])?, EXPECTED)?;
     let up = own_up.unwrap_or(up);
     let (mut notes, mut boxed) = (Vec::new(), Vec::new());
 
     let mut room_ids = Ids::default();
     let mut rooms = Vec::new();
     let mut corners = CornersLeft::new();
+    let mut heights_m = HashMap::new();
     for (index, room) in room_list.iter().enumerate() {
         check_count("rooms", rooms.len(), MAX_ROOMS)?;
         let Some(bounds) = room.bounds(up) else {
@@ -290,8 +399,13 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
         let label = label.or_else(|| id_text(room.room_id.as_ref()).map(|id| words(&format!("room {id}"))));
         let label = label.unwrap_or_else(|| "room".to_owned());
         let id = room_ids.take(&label);
-        let outline =
-            || -> Rings { vec![room.corners(up).unwrap_or_default().iter().map(|&[x, y, _]| [x, y]).collect()] };
+        if let Some(id) = id_text(room.room_id.as_ref()) {
+            heights_m.insert(id, [bounds.min_m[2], bounds.max_m[2]]);
+        }
+        let outline = || -> Rings {
+            let corners = room.corners(up).unwrap_or_default();
+            outline_of_cells(&corners).unwrap_or_else(|| vec![corners.iter().map(|&[x, y, _]| [x, y]).collect()])
+        };
         let footprint = if room.is_box(&bounds, up) { None } else { Some(outline()) };
         // Also of those that turn out to be none.
         footprint.iter().try_for_each(|rings| corners.take("rooms", index, &id, rings))?;
@@ -311,13 +425,14 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
     }
 
     let mut item_ids = Ids::default();
-    let mut items = Vec::new();
+    let (mut items, mut flat) = (Vec::new(), 0);
     for (index, object) in objects.iter().enumerate() {
         let labels = object.labels();
-        let (Some(bounds), Some((label, _))) = (object.bounds(up), labels.first()) else {
+        let (Some(bounds), Some((label, _))) = (object.bounds(up, &heights_m), labels.first()) else {
             notes.push(format!("Left out objects[{index}]: it has no box or no caption that says anything."));
             continue;
         };
+        flat += usize::from(object.is_flat());
         let number = id_text(object.object_id.as_ref()).unwrap_or_else(|| index.to_string());
         let captions = if labels.len() > 1 { &labels[..] } else { &[] };
         items.push(ItemEntry {
@@ -330,6 +445,16 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
             position_m: bounds.centre_m(),
             r#box: bounds,
         });
+    }
+    if flat > 0 {
+        notes
+            .push(format!("Objects without heights ({flat}): each reaches from the floor of its room to the ceiling."));
+    }
+    let unnamed = rooms.iter().filter(|room| room.label.starts_with("room ")).count();
+    if unnamed > 0 {
+        notes.push(format!(
+            "Rooms without a name ({unnamed}): write a `name` as \"kitchen\" into their files, and import again."
+        ));
     }
     let file = SceneFile {
         format: FORMAT.to_owned(),
@@ -405,6 +530,65 @@ mod tests {
         assert!(Grounding::new(&map, &GroundingOptions::default()).unwrap().unassigned.is_empty());
     }
 
+    const FLOOR: &str = r#"{"floor_id": "0", "name": "floor_0", "rooms": ["0_0"], "vertices": [[0, 0, 0], [8, 0, 4]], "floor_height": 2.4}"#;
+    const ROUTES: &str = r#"{"directed": false, "multigraph": false, "graph": {}, "nodes": [{"id": 0}], "links": []}"#;
+
+    #[test]
+    fn a_hov_sg_folder_is_read_without_its_floors_and_routes() {
+        let room = |id: &str, name: &str, vertices: &str| {
+            format!(
+                r#"{{"room_id": "{id}", "floor_id": "0", "name": {name}, "objects": ["{id}_0"], "vertices": {vertices},
+                "room_height": 2.5, "room_zero_level": 0.5, "embeddings": [[0.1]], "represent_images": [1]}}"#
+            )
+        };
+        let files = [
+            FLOOR.to_owned(),
+            ROUTES.to_owned(),
+            r#"{"object_id": "0_0_0", "room_id": "0_0", "name": "chair", "vertices": [[1, 1], [1.5, 1.5], [1.2, 1.2]], "embedding": ""}"#.to_owned(),
+            r#"{"object_id": "0_1_0", "room_id": "0_1", "name": "sofa", "vertices": null}"#.to_owned(),
+            room("0_0", "\"room_0\"", "[[0, 0], [4, 0], [4, 4], [0, 4]]"),
+            room("0_1", "null", "[[4, 0, 0], [8, 0, 0], [8, 0, 4], [4, 0, 4]]"),
+        ];
+        let imported = open_vocabulary(&combine(files.iter().map(String::as_str)).unwrap(), "home", Up::Z).unwrap();
+        let map = &imported.map;
+        let labels: Vec<_> = map.rooms.iter().map(|room| room.label.as_str()).collect();
+        assert_eq!(labels, ["room 0", "room 0 1"]);
+        assert_eq!(map.rooms[1].space.bounds, Box3 { min_m: [4.0, -4.0, 0.5], max_m: [8.0, 0.0, 3.0] });
+        // Points without heights: from the floor to the ceiling.
+        assert_eq!(map.items.len(), 1);
+        assert_eq!(map.items[0].bounds, Box3 { min_m: [1.0, -1.5, 0.5], max_m: [1.5, -1.0, 3.0] });
+        assert_eq!(imported.notes.len(), 3, "{:?}", imported.notes);
+    }
+
+    /// HOV-SG writes the centres of all cells of a room, row by row.
+    #[test]
+    fn grid_cells_of_a_room_become_its_outline() {
+        let in_room = |x: usize, z: usize| x < 40 || z < 20;
+        let cells = (0..80).flat_map(|z| (0..60).map(move |x| (x, z))).filter(|(x, z)| in_room(*x, *z));
+        let vertices: Vec<[f64; 2]> = cells.map(|(x, z)| [1.025 + 0.05 * x as f64, -2.0 + 0.05 * z as f64]).collect();
+        assert_eq!(vertices.len(), 3_600);
+        let room = serde_json::json!({"room_id": "0_0", "name": "bedroom", "vertices": vertices, "room_height": 2.0, "room_zero_level": 0.0});
+        let Imported { map, boxed, .. } = open_vocabulary(&room.to_string(), "home", Up::Y).unwrap();
+        let footprint = map.rooms[0].space.footprint.as_ref().unwrap();
+        assert!(boxed.is_empty());
+        assert!((footprint.area_m2() - 9.0).abs() < 0.05, "{} m2", footprint.area_m2());
+        let bounds = map.rooms[0].space.bounds;
+        for (is, wanted) in bounds.min_m.iter().chain(&bounds.max_m).zip([1.0, -1.975, 0.0, 4.0, 2.025, 2.0]) {
+            assert!((is - wanted).abs() < 1e-3, "{bounds:?}");
+        }
+    }
+
+    #[test]
+    fn a_scene_graph_of_concept_graphs_is_a_list() {
+        let objects = r#"[{"id": 0, "bbox_extent": [1.0, 1.0, 1.0], "bbox_center": [1, 1, 0.5], "possible_tags": ["chair", "stool"], "object_tag": "office chair", "caption": "a chair"},
+            {"id": 3, "bbox_extent": [1, 1, 1], "bbox_center": [2, 1, 0.5], "possible_tags": ["wall"], "object_tag": "invalid", "caption": "conflicting captions"}]"#;
+        let rooms = r#"{"rooms": [{"name": "office", "box": {"min_m": [0, 0, 0], "max_m": [4, 4, 3]}}]}"#;
+        let imported = open_vocabulary(&combine([objects, rooms]).unwrap(), "office", Up::Z).unwrap();
+        assert_eq!((&imported.map.labels[..], imported.notes.len()), (&["office chair".to_owned()][..], 1));
+        let error = open_vocabulary(objects, "office", Up::Z).unwrap_err();
+        assert!(error.to_string().contains("give a file of rooms"), "{error}");
+    }
+
     /// Outlines that are none are refused before they are looked at, where all of them have more corners than a map.
     #[test]
     fn polygons_of_too_many_corners_are_refused_at_once() {
@@ -430,7 +614,9 @@ mod tests {
     #[test]
     fn what_is_no_map_is_refused() {
         let message = |json: &str| open_vocabulary(json, "x", Up::Z).unwrap_err().to_string();
-        assert!(message("[]").contains("open-vocabulary map"));
+        assert!(message("3").contains("open-vocabulary map"));
+        assert!(message("[3]").contains("[0]: the number `3`"), "{}", message("[3]"));
+        assert!(message("[]").contains("has no room"));
         assert!(message("{\"rooms\": 3}").contains("rooms: the number `3`, expected a list"));
         assert!(message(&MAP.replace("[1, 1, 1], \"bbox", "[1, 1, 1e9], \"bbox")).contains("farther than 10 km"));
         assert!(message(&MAP.replace("\"weight\": ", "\"weight\": 1e10")).contains("between 1e-9 and 1e9"));

@@ -449,6 +449,31 @@ fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: usize, left: &mu
     Some(rings)
 }
 
+/// The outline of the largest piece of the cells, without holes, in metres, with y upwards; none where they are no area that one can walk around.
+pub(super) fn outline(cells: &[Cell], cell_m: f64) -> Option<Rings> {
+    let mut left = MAX_PIXELS;
+    let mask = Mask::around(cells, 0, &mut left)?;
+    let mut seen = vec![false; mask.set.len()];
+    let set = |cell| mask.place(cell).filter(|place| mask.set[*place]);
+    let largest = cells.iter().filter_map(|cell| piece(*cell, &mut seen, set)).max_by_key(Vec::len)?;
+    // A line of cells is a polygon that was drawn on a grid.
+    let inner = largest.iter().filter(|cell| beside(**cell).into_iter().all(|near| mask.has(near))).count();
+    if inner * 4 < largest.len() {
+        return None;
+    }
+    let mut mask = Mask::around(&largest, 1, &mut left)?;
+    let corner = mask.min;
+    for hole in mask.holes().collect::<Vec<_>>() {
+        if !hole.contains(&corner) {
+            hole.into_iter().for_each(|cell| mask.put(cell));
+        }
+    }
+    mask.join_corners();
+    let outer = mask.outlines().into_iter().max_by_key(Vec::len)?;
+    let mut looks = MAX_LOOKS;
+    footprints(&[Some((vec![outer], 0.0))], cell_m, TOLERANCE_M, &mut looks)?.pop().flatten()
+}
+
 /// Where segments lie side by side without a wall between: per two of them, the pixels there.
 fn contacts(raster: &Raster, gap: i64) -> BTreeMap<(u8, u8), Vec<Cell>> {
     let mut contacts: BTreeMap<(u8, u8), Vec<Cell>> = BTreeMap::new();

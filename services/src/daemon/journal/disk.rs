@@ -140,6 +140,9 @@ impl Folder {
             let path = path.to_owned();
             move |error| (path, operation, error)
         };
+        for path in [&current, &older, &next] {
+            state_file::require_own(path).map_err(failed(path, "use"))?;
+        }
         // Whoever is in the middle of it has the next file locked, and so this one after it.
         if fs::symlink_metadata(&current).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
             match fs::rename(&next, &current) {
@@ -166,7 +169,7 @@ impl Folder {
     /// Makes a half that is too large one of its newest part. Whatever it is killed in between, the whole one is there.
     fn keep_large_aside(&mut self, half: Half) -> io::Result<()> {
         let path = self.path(half).to_owned();
-        state_file::require_plain(&path)?;
+        state_file::require_own(&path)?;
         let mut file = match File::open(&path) {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -203,7 +206,7 @@ impl Folder {
 impl Disk for Folder {
     fn read(&self, half: Half) -> io::Result<Vec<u8>> {
         let path = self.path(half);
-        state_file::require_plain(path)?;
+        state_file::require_own(path)?;
         let mut bytes = Vec::new();
         match File::open(path) {
             Ok(file) => {
@@ -330,7 +333,7 @@ fn remove(path: &Path) -> io::Result<()> {
 
 fn open_file(path: &Path) -> io::Result<File> {
     use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
-    state_file::require_plain(path)?;
+    state_file::require_own(path)?;
     let file = OpenOptions::new().read(true).append(true).create(true).mode(0o600).open(path)?;
     // Others could read a copy, as a backup makes one. Who does not own the file cannot change that.
     let is_open = file.metadata().is_ok_and(|found| found.permissions().mode() & 0o077 != 0);
