@@ -256,7 +256,8 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
         decided_ns: heard.now_ns.saturating_sub(age_ns),
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
-        action: action::of_word(&decision.action),
+        // A later version may have more actions. This robot's planner then keeps clear of the room that the other robot is sent to.
+        action: action::of_word(&decision.action).unwrap_or(action::STAY),
         flags: decision.flags | decision_flags::ELSEWHERE,
         probability: decision.probability,
         minor: 3,

@@ -46,6 +46,12 @@ pub enum MessageError {
         /// Which field.
         field: &'static str,
     },
+    /// The same text stands twice where each is to be another one.
+    #[error("{field}: the same one twice")]
+    Twice {
+        /// Which field.
+        field: &'static str,
+    },
     /// A number outside what the field allows.
     #[error("{field}: {value}, allowed is {allowed}")]
     OutOfRange {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pathlib
 import sys
 import textwrap
 import threading
@@ -76,6 +77,27 @@ def test_what_is_closed_ends_loops_and_refuses_the_rest(closing: str, kind: str,
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
+ENDING = {
+    "without closing": "",
+    "closed": "each.close()",
+    "by an error": "raise ValueError",
+}
+
+
+@pytest.mark.parametrize("kind", samples.KINDS)
+@pytest.mark.parametrize("ending", ENDING)
+def test_the_last_participant_leaves_nothing_in_shared_memory(ending: str, kind: str, domain: Domain) -> None:
+    samples.of_a_kind(kind, "uses()[0] if isinstance(each, Narrator) else None\n" + ENDING[ending], domain)
+    assert list(pathlib.Path("/dev/shm").glob(f"{domain.prefix}*")) == []
+
+
+def test_participants_that_stay_keep_the_domain_s_shared_memory(domain: Domain) -> None:
+    with Planner("planner", domain):
+        samples.of_a_kind("robot", "", domain)
+        counters = list(pathlib.Path("/dev/shm").glob(f"{domain.prefix}*.global_mgmt"))
+        assert len(counters) == 1
+
+
 class Part:
     """In the place of a port of iceoryx2's, which may not be used after it was deleted, nor deleted while it is used."""
 
@@ -87,10 +109,10 @@ class Part:
         self.deleted += 1
 
 
-def test_the_last_user_deletes_what_is_closed() -> None:
+def test_the_last_user_deletes_what_is_closed(domain: Domain) -> None:
     for use in (ports.Port.use, ports.Port.alone):
         part = Part()
-        port = ports.Port("some/service", part)
+        port = ports.Port(domain.open("x"), "some/service", part)
         with use(port):
             part.used += 1
             with use(port):

@@ -34,6 +34,7 @@ from roomcast import (
     RoomSet,
     Status,
     layouts,
+    ports,
 )
 from samples import ROOMCAST
 
@@ -109,6 +110,10 @@ FAULTS: list[tuple[type[layouts.Message], str, Change, str]] = [
     (layouts.RoomScoresV1, "an infinite mass", field("label_mass", math.inf), "label_mass: inf, allowed is 0 or more, finite"),
     (layouts.RoomScoresV1, "a mass of no number", field("label_mass", math.nan), "label_mass: nan, allowed is 0 or more, finite"),
     (layouts.RoomScoresV1, "a room without a name", room_id(b""), "room id: empty"),
+    (layouts.RoomScoresV1, "two rooms of one id", lambda m: ctypes.memmove(m.room[1].id, m.room[0].id, 48), "room id: the same one twice"),
+    (layouts.PersonScoresV1, "two rooms of one id", lambda m: ctypes.memmove(m.id[1], m.id[0], 48), "room id: the same one twice"),
+    (layouts.ForecastV1, "two rooms of one id", lambda m: ctypes.memmove(m.id[1], m.id[0], 48), "room id: the same one twice"),
+    (layouts.PersonForecastsV1, "two rooms of one id", lambda m: ctypes.memmove(m.id[1], m.id[0], 48), "room id: the same one twice"),
     (layouts.RoomScoresV1, "a room's name in no text", room_id(b"hall\x80"), "room id: not UTF-8 from byte 4 on"),
     (layouts.RoomScoresV1, "a room's name over lines", room_id("a\u2028b".encode()), "room id: control character U+2028 at byte 1"),
     (layouts.RoomScoresV1, "bytes after a name", room_id(b"hall\0x"), "room id: bytes after the end of the text are not zero"),
@@ -213,6 +218,27 @@ def test_each_fault_is_named(kind: type[layouts.Message], name: str, change: Cha
     with pytest.raises(MessageError) as refused:
         read(message)
     assert str(refused.value) == fault
+
+
+MADE = [each for each in samples.GOOD if each.MADE]
+
+
+@pytest.mark.parametrize("kind", MADE, ids=[kind.__name__ for kind in MADE])
+def test_messages_from_the_future_are_dropped_and_counted(kind: type[layouts.Message]) -> None:
+    with samples.private_domain() as domain:
+        service = next(each for each in vars(ports).values() if isinstance(each, ports.Service) and each.payload is kind)
+        subscriber: ports.Subscriber[object] = ports.Subscriber(domain.open("ears"), service, read)
+        publisher = ports.Publisher(domain.open("mouth"), service)
+        for made_ns in (2**64 - 1, samples.now_ns() + 3_600_000_000_000):
+            message = samples.GOOD[kind]()
+            setattr(message, kind.MADE, made_ns)
+            publisher.send(message)
+            assert subscriber.receive() is None
+        assert subscriber.malformed == 2
+        good = samples.GOOD[kind]()
+        setattr(good, kind.MADE, samples.now_ns())
+        publisher.send(good)
+        assert subscriber.receive() is not None
 
 
 @pytest.mark.parametrize("kind, name, change", ACCEPTED, ids=[f"{kind.__name__}: {name}" for kind, name, _ in ACCEPTED])

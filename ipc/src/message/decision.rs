@@ -15,20 +15,21 @@ pub mod action {
     /// The robot stops its work and waits where it disturbs nobody, at its dock if it has one.
     pub const PAUSE: u32 = 2;
 
-    /// The word for an action, as people and other programs read it; `stay` for a number that this version does not know.
+    /// The word for an action, as people and other programs read it; `unknown` for a number that this version does not know.
     #[must_use]
     pub fn word(action: u32) -> &'static str {
         match action {
+            STAY => "stay",
             GO => "go",
             PAUSE => "pause",
-            _ => "stay",
+            _ => "unknown",
         }
     }
 
-    /// The action of a word; [`STAY`] for one that this version does not know.
+    /// The action of a word; none for a word that this version does not know.
     #[must_use]
-    pub fn of_word(word: &str) -> u32 {
-        [GO, PAUSE].into_iter().find(|action| self::word(*action) == word).unwrap_or(STAY)
+    pub fn of_word(word: &str) -> Option<u32> {
+        [STAY, GO, PAUSE].into_iter().find(|action| self::word(*action) == word)
     }
 }
 
@@ -185,9 +186,16 @@ mod tests {
     #[test]
     fn an_action_goes_through_its_word() {
         for (number, word) in [(action::STAY, "stay"), (action::GO, "go"), (action::PAUSE, "pause")] {
-            assert_eq!((action::word(number), action::of_word(word)), (word, number));
+            assert_eq!((action::word(number), action::of_word(word)), (word, Some(number)));
         }
-        assert_eq!((action::word(99), action::of_word("dance")), ("stay", action::STAY));
+    }
+
+    #[test]
+    fn an_unknown_action_is_read_as_no_known_one() {
+        assert_eq!(action::word(99), "unknown");
+        for word in ["dance", "unknown", "", "Stay"] {
+            assert_eq!(action::of_word(word), None, "{word}");
+        }
     }
 
     /// What answers or cancels it says 0 for no decision.

@@ -1,6 +1,6 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
+use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, distinct, in_range, layout};
 use crate::{MessageError, text};
 
 /// Most points in time of a forecast.
@@ -92,6 +92,6 @@ impl Message for ForecastV1 {
                 in_range("probability", f64::from(*probability), 0.0, 1.0, "0 to 1")?;
             }
         }
-        Ok(())
+        distinct("room id", self.id.iter().take(rooms))
     }
 }

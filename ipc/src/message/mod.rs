@@ -216,6 +216,20 @@ fn in_range(field: &'static str, value: f64, low: f64, high: f64, allowed: &'sta
     if value >= low && value <= high { Ok(()) } else { Err(MessageError::OutOfRange { field, value, allowed }) }
 }
 
+/// Refuses names of which two are the same: a reader who looks one up would get either.
+fn distinct<'a>(
+    field: &'static str,
+    names: impl Iterator<Item = &'a [u8; NAME_BYTES]> + Clone,
+) -> Result<(), MessageError> {
+    let mut rest = names;
+    while let Some(name) = rest.next() {
+        if rest.clone().any(|other| other == name) {
+            return Err(MessageError::Twice { field });
+        }
+    }
+    Ok(())
+}
+
 /// Refuses a count above the capacity of its array.
 fn at_most(field: &'static str, count: u32, capacity: usize, allowed: &'static str) -> Result<(), MessageError> {
     if count as usize <= capacity {

@@ -1,7 +1,8 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use super::{
-    MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout, presence,
+    MAX_HORIZONS, MAX_PERSONS, MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, distinct, in_range, layout,
+    presence,
 };
 use crate::{MessageError, text};
 
@@ -140,6 +141,7 @@ impl Message for PersonForecastsV1 {
                 return Err(MessageError::Empty { field: "room id" });
             }
         }
+        distinct("room id", self.id.iter().take(rooms))?;
         for person in self.persons() {
             at_most("presence", person.presence, presence::GONE as usize, "0 to 3")?;
             text::decode("name", &person.name)?;

@@ -1,6 +1,6 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout, reached};
+use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, distinct, in_range, layout, reached};
 use crate::{MessageError, text};
 
 /// Most persons in one message; the longest silent ones are left out, and [`PersonScoresV1::persons`] says how many there are.
@@ -162,6 +162,7 @@ impl Message for PersonScoresV1 {
                 return Err(MessageError::Empty { field: "room id" });
             }
         }
+        distinct("room id", self.id.iter().take(rooms))?;
         for person in self.persons() {
             at_most("reached", person.reached, reached::DEADLINE as usize, "0 to 3")?;
             at_most("presence", person.presence, presence::GONE as usize, "0 to 3")?;

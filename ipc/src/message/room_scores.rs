@@ -1,6 +1,6 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
+use super::{Message, NAME_BYTES, ServiceQuality, at_most, distinct, in_range, layout};
 use crate::{MessageError, text};
 
 /// Most rooms (partitions) in one message. A map with more cannot be served by the daemon.
@@ -214,7 +214,7 @@ impl Message for RoomScoresV1 {
                 in_range(field, value, f64::NEG_INFINITY, f64::MAX, "-inf or finite")?;
             }
         }
-        Ok(())
+        distinct("room id", self.rooms().iter().map(|room| &room.id))
     }
 }
 
@@ -254,5 +254,15 @@ mod tests {
         let mut nameless = good();
         nameless.room[0].id = [0; NAME_BYTES];
         nameless.check().unwrap_err();
+    }
+
+    #[test]
+    fn two_rooms_of_one_id_are_refused() {
+        let mut scores = good();
+        // What is behind the last room does not count.
+        scores.room[2].id = scores.room[0].id;
+        scores.check().unwrap();
+        scores.room[1].id = scores.room[0].id;
+        assert_eq!(scores.check(), Err(MessageError::Twice { field: "room id" }));
     }
 }

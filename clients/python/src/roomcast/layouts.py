@@ -10,6 +10,8 @@ import ctypes
 import math
 import re
 import sys
+from collections.abc import Iterable
+from typing import ClassVar
 
 NAME_BYTES = 48
 TEXT_BYTES = 1024
@@ -21,6 +23,8 @@ MAX_SOURCES = 16
 MAX_HORIZONS = 16
 ALL_PERSONS = 0xFFFFFFFF
 NO_PARTITION = 0xFFFFFFFF
+# All participants read one clock, so that hardly any time of a message lies in the future.
+AHEAD_NS = 1_000_000_000
 # Bits of a robot report's flags: which of its numbers count.
 HAS_POSITION = 1
 HAS_BATTERY = 2
@@ -48,10 +52,26 @@ class Layout(ctypes.Structure):
 class Message(Layout):
     """The payload of a publish-subscribe service."""
 
+    #: The field that says when it was made; empty where no age is told of it.
+    MADE: ClassVar[str] = ""
+
     def check(self) -> None:
         """Judges a copy of a message as `Message::check` does in Rust; MessageError is the first fault. Nothing of a message may be
         believed before."""
         raise NotImplementedError
+
+    def refuse_ahead(self, now_ns: int) -> None:
+        """MessageError when it says that it was made after `now_ns`: its age would be negative."""
+        made_ns = getattr(self, self.MADE) if self.MADE else 0
+        if made_ns > now_ns + AHEAD_NS:
+            raise MessageError(f"{self.MADE}: {made_ns}, allowed is at most the time now, {now_ns}")
+
+
+def _distinct(field: str, names: Iterable[ctypes.Array[ctypes.c_uint8]]) -> None:
+    """Refuses names of which two are the same: a reader who looks one up would get either."""
+    seen = [bytes(name) for name in names]
+    if len(set(seen)) < len(seen):
+        raise MessageError(f"{field}: the same one twice")
 
 
 def _in_range(field: str, value: float, low: float, high: float, allowed: str) -> None:
@@ -179,6 +199,7 @@ class RoomV1(Layout):
 class RoomScoresV1(Message):
     """A full snapshot of what the daemon knows."""
 
+    MADE = "computed_ns"
     _fields_ = [
         ("epoch", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),
@@ -224,6 +245,7 @@ class RoomScoresV1(Message):
             _in_range("probability", room.probability, 0, 1, "0 to 1")
             for field in ("log_score_nats", "lower_log_score_nats", "upper_log_score_nats"):
                 _in_range(field, getattr(room, field), -math.inf, sys.float_info.max, "-inf or finite")
+        _distinct("room id", (room.id for room in self.room[: self.room_count]))
 
 
 class PersonV1(Layout):
@@ -251,6 +273,7 @@ class PersonV1(Layout):
 class PersonScoresV1(Message):
     """The scores of each person, which the room scores of the same epoch and sequence speak of together."""
 
+    MADE = "computed_ns"
     _fields_ = [
         ("epoch", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),
@@ -276,6 +299,7 @@ class PersonScoresV1(Message):
         for room in range(self.room_count):
             if not read_text("room id", self.id[room]):
                 raise MessageError("room id: empty")
+        _distinct("room id", self.id[: self.room_count])
         for person in self.person[: self.person_count]:
             _in_range("reached", person.reached, 0, 3, "0 to 3")
             _in_range("presence", person.presence, 0, 3, "0 to 3")
@@ -317,6 +341,7 @@ class ItemScoreV1(Layout):
 class ForecastV1(Message):
     """P(room is occupied at computed_ns + horizon), for a grid of horizons."""
 
+    MADE = "computed_ns"
     _fields_ = [
         ("epoch", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),
@@ -345,6 +370,7 @@ class ForecastV1(Message):
             read_text("room id", self.id[room])
             for probability in self.probability[room][: self.horizon_count]:
                 _in_range("probability", probability, 0, 1, "0 to 1")
+        _distinct("room id", self.id[: self.room_count])
 
 
 class PersonForecastV1(Layout):
@@ -370,6 +396,7 @@ class PersonForecastV1(Layout):
 class PersonForecastsV1(Message):
     """Where each person will be."""
 
+    MADE = "computed_ns"
     _fields_ = [
         ("epoch", ctypes.c_uint64),
         ("sequence", ctypes.c_uint64),
@@ -395,6 +422,7 @@ class PersonForecastsV1(Message):
         for room in range(self.room_count):
             if not read_text("room id", self.id[room]):
                 raise MessageError("room id: empty")
+        _distinct("room id", self.id[: self.room_count])
         for person in self.person[: self.person_count]:
             _in_range("presence", person.presence, 0, 3, "0 to 3")
             read_text("name", person.name)
@@ -410,6 +438,7 @@ class PersonForecastsV1(Message):
 class DecisionV1(Message):
     """Where a robot goes next, and why."""
 
+    MADE = "decided_ns"
     _fields_ = [
         ("robot", ctypes.c_uint64),
         ("epoch", ctypes.c_uint64),
@@ -448,6 +477,7 @@ class DecisionV1(Message):
 class RobotReportV1(Message):
     """What a robot says of itself: where it is, and what became of a decision."""
 
+    MADE = "reported_ns"
     _fields_ = [
         ("robot", ctypes.c_uint64),
         ("epoch", ctypes.c_uint64),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import errno
@@ -36,6 +37,8 @@ _NO_ROOT = re.compile(r'[^ -\x7f]|["*<>?|]')
 # Of the names for people: iceoryx2 takes hardly more.
 _PARTICIPANT_LIMIT = 100
 _SHARED_MEMORY = pathlib.Path("/dev/shm")
+# The ending of iceoryx2's counter of participants.
+_COUNTER_FILE = ".global_mgmt"
 # More than the largest port takes. iceoryx2 maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
 _FREE_BYTES = 8 << 20
 # How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
@@ -203,6 +206,22 @@ class Domain:
                 "or chmod go-w this one, if it is yours alone"
             )
 
+    def remove_counter(self, leaving: frozenset[str] = frozenset()) -> None:
+        """Removes iceoryx2's counter of participants unless somebody is in the domain, dead or alive, except for `leaving`, which are numbers of
+        participants. Where that cannot be seen, somebody is. A participant that joins at this moment has its number already, and the next one
+        begins a new counter."""
+
+        def is_there(entry: pathlib.Path) -> bool:
+            number = entry.name.removeprefix(self.prefix).partition(".")[0]
+            return number not in leaving and (entry.name.startswith(self.prefix) or (entry / f"{self.prefix}node.details").exists())
+
+        with contextlib.suppress(OSError):
+            nodes = pathlib.Path(self.root) / "nodes"
+            if not (nodes.exists() and any(map(is_there, nodes.iterdir()))):
+                for file in self._shared_memory():
+                    if file.name.endswith(_COUNTER_FILE):
+                        file.unlink(missing_ok=True)
+
     def _shared_memory(self) -> list[pathlib.Path]:
         """The domain's files in shared memory."""
         return list(_SHARED_MEMORY.glob(f"{self.prefix}*"))
@@ -315,13 +334,37 @@ def _inherit_all() -> None:
 os.register_at_fork(after_in_child=_inherit_all)
 
 
+class _LastOut:
+    """Removes the counter of participants when the last one leaves, as in the Rust crate."""
+
+    def __init__(self, domain: Domain) -> None:
+        self._domain = domain
+
+    def __del__(self) -> None:
+        # At the end of Python, parts of this module may be gone.
+        with contextlib.suppress(Exception):
+            self._domain.remove_counter()
+
+
+def _leave_all() -> None:
+    """At the end of Python participants leave in any order, after `_LastOut` or before it."""
+    nodes = [held for held in list(_ALL_HELD) if isinstance(held, Node) and not held.inherited]
+    leaving = frozenset(str(node.inner.id.value) for node in nodes)
+    for domain in {node.domain for node in nodes}:
+        domain.remove_counter(leaving)
+
+
+atexit.register(_leave_all)
+
+
 class Node(_Held):
     """A participant's place in a domain."""
 
     def __init__(self, inner: Any, domain: Domain) -> None:
         self.inner = inner
         self.domain = domain
-        super().__init__(f"domain at {domain.root}", inner)
+        # A tuple lets go of its last part first: `inner` leaves before the look at who is left.
+        super().__init__(f"domain at {domain.root}", _LastOut(domain), inner)
 
     def retry(self, service: str, open_port: Callable[[], T]) -> T:
         """Opens a port of a service; repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago."""
@@ -395,13 +438,15 @@ class Port(_Held):
     iceoryx2 ends the process that uses what was deleted, and does not delete what is in use. So the last user of a closed port deletes it.
     """
 
-    def __init__(self, service: str, *parts: Any) -> None:
+    def __init__(self, node: Node, service: str, *parts: Any) -> None:
         super().__init__(f"service {service}", *parts)
         self._service = service
         # Reentrant for signals' handlers, and for a use inside another.
         self._lock = threading.RLock()
         self._users = 0
         self._closed = False
+        # Behind the parts, which leave first: with the last port the node leaves.
+        self._node = node
 
     @contextlib.contextmanager
     def use(self) -> Iterator[None]:
@@ -463,7 +508,7 @@ class Publisher(Port):
 
         self._publisher, self._notifier = node.retry(service.name, open_port)
         self._sent_s = -math.inf
-        super().__init__(service.name, self._publisher, self._notifier)
+        super().__init__(node, service.name, self._publisher, self._notifier)
 
     def send(self, message: layouts.Message) -> None:
         """Sends a copy and wakes the subscribers; MessageError when the message is malformed."""
@@ -509,7 +554,7 @@ class Subscriber(Port, Generic[T]):
             return listener, _publish_subscribe(node, service).subscriber_builder().buffer_size(service.buffer).create()
 
         self._listener, self._subscriber = node.retry(service.name, open_port)
-        super().__init__(service.name, self._subscriber, self._listener)
+        super().__init__(node, service.name, self._subscriber, self._listener)
         _wake(node, service.name)
 
     def wait(self, timeout_s: float) -> None:
@@ -538,6 +583,7 @@ class Subscriber(Port, Generic[T]):
                 copy = self._payload.from_buffer_copy(bytes(sample.payload().contents))
                 sample.delete()
                 try:
+                    copy.refuse_ahead(time.clock_gettime_ns(time.CLOCK_BOOTTIME))
                     return self._read(copy)
                 except layouts.MessageError:
                     self.malformed += 1
@@ -573,7 +619,7 @@ class ItemScoresSubscriber(Port):
 
     def __init__(self, node: Node) -> None:
         self._subscriber = node.retry(ITEM_SCORES, lambda: _item_scores(node).subscriber_builder().create())
-        super().__init__(ITEM_SCORES, self._subscriber)
+        super().__init__(node, ITEM_SCORES, self._subscriber)
         _wake(node, ITEM_SCORES)
 
     def receive(self) -> tuple[layouts.ItemScoresHeaderV1, list[layouts.ItemScoreV1]] | None:
@@ -635,10 +681,9 @@ class _Client(Port):
     """Asks one service."""
 
     def __init__(self, node: Node, service: str, open_client: Callable[[], Any]) -> None:
-        self._node = node
         self._client = node.retry(service, open_client)
         self._asking = threading.Lock()
-        super().__init__(service, self._client)
+        super().__init__(node, service, self._client)
 
     def _ask(self, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
         def send_and_wake() -> Any:
