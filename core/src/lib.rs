@@ -90,6 +90,8 @@ pub mod grounding;
 
 pub mod forecast;
 
+pub mod tracker;
+
 pub mod habits;
 
 pub mod policy;
