@@ -92,6 +92,8 @@ pub mod places;
 
 pub mod forecast;
 
+pub mod tracker;
+
 pub mod habits;
 
 pub mod policy;

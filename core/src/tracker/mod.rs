@@ -1,0 +1,570 @@
+//! Who is where: one Bayesian filter over the joint places of all persons.
+//!
+//! ```text
+//! p(x, t + d)  = sum over x' of p(x', t) prod over persons of P(x'_i -> x_i in d)        motion.rs
+//! p(x | o)     = p(x) L(o | x) / sum over x of p(x) L(o | x)                             observe.rs, sensors.rs
+//! ```
+//!
+//! The state x holds a place per known person and per unknown person. An observation is a likelihood over joint states, never an assignment
+//! to a person, so an anonymous event that two persons can have caused leaves doubt about both. The attribution of an event is a posterior
+//! that is read off afterwards. The forecast is the same filter, run ahead without observations.
+//!
+//! | part | file |
+//! | --- | --- |
+//! | rooms, doors, ways out | `home.rs` |
+//! | how one person moves | `motion.rs` |
+//! | the joint distribution | `belief.rs` |
+//! | sensors and their learned rates | `sensors.rs` |
+//! | the likelihood of each observation | `observe.rs` |
+//! | the observations that moved the belief | `trace.rs` |
+//!
+//! **Inference.** [`Options::exact`] keeps every joint state. The default keeps the 1 024 heaviest, without random numbers: the same input gives
+//! the same belief to the bit. Motion and silence alternate in steps of half a second to 64 s (Strang splitting); steps double while the home
+//! is silent, and time below half a second waits for the next step.
+//!
+//! **Unknown persons.** A fixed number of slots stands for visitors. They are elsewhere until they come in through a way out, and no
+//! observation turns a resident into one of them.
+//!
+//! **Sources.** Fortmann, Bar-Shalom and Scheffe (1983), joint probabilistic data association; Reid (1979), multiple hypothesis tracking; Oh,
+//! Russell and Sastry (2009), MCMC data association; Wilson and Atkeson (2005), simultaneous tracking and activity recognition with binary
+//! sensors; Ghahramani and Jordan (1997), factorial hidden Markov models; Nodelman, Shelton and Koller (2002), continuous-time Bayesian networks.
+//!
+//! Pure: no clock, no port. Times come in with the calls, in seconds.
+
+mod belief;
+mod home;
+mod motion;
+mod observe;
+mod sensors;
+mod trace;
+
+#[cfg(test)]
+mod properties;
+#[cfg(test)]
+mod situations;
+
+pub use belief::SLOTS_MAX;
+pub use home::{Home, ROOMS_MAX, RoomUse};
+pub use motion::Movement;
+pub use observe::Observation;
+pub use sensors::{SensorKind, SensorSpec};
+pub use trace::{Cause, Reason};
+
+use belief::{Belief, Key, Occupied, SLOTS_MAX as SLOTS, place};
+use motion::{ELSEWHERE, LEVELS, Place, STEP_S, Transitions, level_of, moving, room_of, settled, step_s};
+use sensors::{CLASSES, Sensor};
+use trace::Trace;
+
+/// Why a tracker cannot be set up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrackerError {
+    /// Too few or too many rooms.
+    #[error("the map has {rooms} rooms: the tracker needs 1 to {ROOMS_MAX}; group rooms in the scene")]
+    Rooms {
+        /// How many.
+        rooms: usize,
+    },
+    /// Too many persons.
+    #[error("the tracker follows at most {SLOTS} persons, unknown ones included: forget persons who moved out")]
+    Persons,
+    /// An index that nothing has.
+    #[error("the tracker has no {what} {index}")]
+    Unknown {
+        /// Room, person or sensor.
+        what: &'static str,
+        /// The index.
+        index: usize,
+    },
+}
+
+/// Settings of the filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Most joint states that are kept.
+    pub states: usize,
+    /// States of a smaller probability are dropped.
+    pub floor: f64,
+    /// Slots for unknown persons.
+    pub unknown: usize,
+    /// Share of the people who pass a shut door without its sensor seeing it.
+    pub door_misses: f64,
+    /// Whether sensors' rates are learned.
+    pub learns: bool,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { states: 1_024, floor: 1e-9, unknown: 1, door_misses: 0.05, learns: true }
+    }
+}
+
+impl Options {
+    /// The exact filter: every joint state is kept. For homes of few persons, and as the reference for tests.
+    #[must_use]
+    pub fn exact() -> Self {
+        Self { states: usize::MAX, floor: 0.0, ..Self::default() }
+    }
+}
+
+/// The filter.
+#[derive(Debug, Clone)]
+pub struct Tracker {
+    home: Home,
+    options: Options,
+    belief: Belief,
+    /// Of unknown persons, then of each known person; while the sensed front doors are shut, and while one is open.
+    transitions: [Vec<Transitions>; 2],
+    /// Per slot: index into `transitions`.
+    of_slot: Vec<usize>,
+    sensors: Vec<Sensor>,
+    now_s: f64,
+    /// Level of the next step.
+    level: usize,
+    /// Seconds whose silence has not been weighed yet.
+    silent_s: f64,
+    /// Per room: until when the robot explains what sensors see.
+    robot_until_s: Vec<f64>,
+    /// Silence rates: per room by class, then per slot by place. Refilled for each step.
+    room_rates: Vec<[f64; CLASSES]>,
+    slot_rates: Vec<f64>,
+    /// Per slot: rooms, then elsewhere. And before the observation.
+    marginals: Vec<f64>,
+    earlier: Vec<f64>,
+    /// Per room: the probability of each class.
+    classes: Vec<[f64; CLASSES]>,
+    empty: f64,
+    trace: Trace,
+}
+
+impl Tracker {
+    /// A tracker without persons and sensors, at a time in seconds.
+    #[must_use]
+    pub fn new(home: Home, options: Options, now_s: f64) -> Self {
+        let rooms = home.rooms();
+        let unknown = options.unknown.min(SLOTS - 1);
+        let mut own = Self {
+            belief: Belief::new(unknown, options.states.max(2), options.floor.clamp(0.0, 1e-5)),
+            transitions: [vec![Transitions::new(&home)], vec![Transitions::new(&home)]],
+            of_slot: vec![0; unknown],
+            sensors: Vec::new(),
+            now_s: if now_s.is_finite() { now_s } else { 0.0 },
+            level: 0,
+            silent_s: 0.0,
+            robot_until_s: vec![f64::NEG_INFINITY; rooms],
+            room_rates: vec![[0.0; CLASSES]; rooms],
+            slot_rates: Vec::with_capacity(SLOTS * (1 + 2 * rooms)),
+            marginals: Vec::with_capacity(SLOTS * (1 + rooms)),
+            earlier: Vec::with_capacity(SLOTS * (1 + rooms)),
+            classes: vec![[1.0, 0.0, 0.0]; rooms],
+            empty: 1.0,
+            trace: Trace::new(rooms),
+            options,
+            home,
+        };
+        own.fill(0, &Movement::visitor(&own.home));
+        own.summarise();
+        own
+    }
+
+    /// The home.
+    #[must_use]
+    pub fn home(&self) -> &Home {
+        &self.home
+    }
+
+    /// Adds a person who may be anywhere. Returns the person's index.
+    ///
+    /// # Errors
+    /// [`TrackerError::Persons`] beyond [`SLOTS_MAX`] persons, unknown ones included.
+    pub fn add_person(&mut self) -> Result<usize, TrackerError> {
+        let usual = Movement::usual(&self.home, 12);
+        let weights = usual.destination.iter().sum::<f64>().max(1e-9);
+        let mut prior = vec![(ELSEWHERE, 0.3)];
+        for (room, weight) in usual.destination.iter().enumerate() {
+            prior.push((settled(room), 0.6 * weight / weights));
+            prior.push((moving(room), 0.1 * weight / weights));
+        }
+        self.belief.add(&prior)?;
+        for set in &mut self.transitions {
+            set.push(Transitions::new(&self.home));
+        }
+        let number = self.transitions[0].len() - 1;
+        self.of_slot.push(number);
+        self.fill(number, &usual);
+        self.summarise();
+        Ok(self.persons() - 1)
+    }
+
+    /// Removes a person. Persons with a higher index move down by one, and the person's own sensors become silent.
+    pub fn remove_person(&mut self, person: usize) {
+        let Some(slot) = self.slot(person) else { return };
+        self.belief.remove(slot);
+        self.of_slot.pop();
+        self.transitions.iter_mut().for_each(|set| drop(set.remove(1 + person)));
+        for sensor in &mut self.sensors {
+            match sensor.slot {
+                Some(own) if own == slot => {
+                    sensor.on = None;
+                    sensor.slot = Some(SLOTS - 1);
+                }
+                Some(own) if own > slot && own < SLOTS - 1 => sensor.slot = Some(own - 1),
+                _ => {}
+            }
+        }
+        self.trace.forget();
+        self.summarise();
+    }
+
+    /// Number of known persons.
+    #[must_use]
+    pub fn persons(&self) -> usize {
+        self.belief.slots() - self.unknown()
+    }
+
+    fn unknown(&self) -> usize {
+        self.options.unknown.min(SLOTS - 1)
+    }
+
+    /// The slot of a person.
+    fn slot(&self, person: usize) -> Option<usize> {
+        let slot = person.checked_add(self.unknown())?;
+        (slot < self.belief.slots()).then_some(slot)
+    }
+
+    /// Sets how a person moves from now on: habits, the hour, or a forecast.
+    pub fn set_movement(&mut self, person: usize, movement: &Movement) {
+        let rooms = self.home.rooms();
+        let fits =
+            [&movement.leave_per_s, &movement.settle, &movement.destination].iter().all(|own| own.len() == rooms);
+        let sound = movement.leave_per_s.iter().chain(&movement.settle).chain(&movement.destination);
+        let sound = sound.chain([&movement.outside, &movement.home_per_s]).all(|rate| rate.is_finite() && *rate >= 0.0);
+        if person < self.persons() && fits && sound {
+            self.fill(1 + person, movement);
+        }
+    }
+
+    /// Fills both sets of a person's transition tables.
+    fn fill(&mut self, number: usize, movement: &Movement) {
+        let rooms = self.home.rooms();
+        let is_sensed = |room: usize| {
+            let mut doors = self.sensors.iter().map(|sensor| &sensor.spec);
+            doors.any(|spec| spec.kind == SensorKind::Door && spec.room == Some(room) && spec.beyond.is_none())
+        };
+        let leak: Vec<f64> =
+            (0..rooms).map(|room| if is_sensed(room) { self.options.door_misses } else { 1.0 }).collect();
+        self.transitions[0][number].fill(&self.home, movement, &leak);
+        self.transitions[1][number].fill(&self.home, movement, &vec![1.0; rooms]);
+    }
+
+    /// Adds a sensor. Returns its index. Call [`Tracker::set_movement`] for each person after the last front door was added.
+    ///
+    /// # Errors
+    /// [`TrackerError::Unknown`] for a room or person that does not exist.
+    pub fn add_sensor(&mut self, spec: SensorSpec) -> Result<usize, TrackerError> {
+        for room in [spec.room, spec.beyond].into_iter().flatten() {
+            if room >= self.home.rooms() {
+                return Err(TrackerError::Unknown { what: "room", index: room });
+            }
+        }
+        let slot = match spec.person {
+            Some(person) => Some(self.slot(person).ok_or(TrackerError::Unknown { what: "person", index: person })?),
+            None => None,
+        };
+        self.sensors.push(Sensor::new(spec, slot));
+        self.trace.add_sensor();
+        if spec.kind == SensorKind::Door && spec.beyond.is_none() {
+            self.fill(0, &Movement::visitor(&self.home));
+            let usual = Movement::usual(&self.home, 12);
+            (1..self.transitions[0].len()).for_each(|number| self.fill(number, &usual));
+        }
+        Ok(self.sensors.len() - 1)
+    }
+
+    /// Whether a sensed front door is open now.
+    fn is_open(&self) -> bool {
+        let is_front = |sensor: &Sensor| sensor.spec.kind == SensorKind::Door && sensor.spec.beyond.is_none();
+        self.sensors.iter().any(|sensor| is_front(sensor) && sensor.on != Some(false))
+    }
+
+    /// Runs the filter to a time. Each step moves all persons and weighs the sensors' silence.
+    pub fn advance(&mut self, now_s: f64) {
+        if !now_s.is_finite() {
+            return;
+        }
+        while now_s - self.now_s >= STEP_S {
+            self.release();
+            let level = level_of(now_s - self.now_s).min(self.level);
+            let step_s = step_s(level);
+            self.weigh_silence(self.silent_s + 0.5 * step_s);
+            let set = usize::from(self.is_open());
+            self.belief.step(level, &self.transitions[set], &self.of_slot);
+            self.silent_s = 0.5 * step_s;
+            self.now_s += step_s;
+            self.level = (self.level + 1).min(LEVELS - 1);
+        }
+        self.weigh_silence(self.silent_s);
+        self.silent_s = 0.0;
+        self.summarise();
+    }
+
+    /// Sensors that never report "off" are off after their hold time.
+    fn release(&mut self) {
+        for sensor in &mut self.sensors {
+            if !sensor.spec.holds && sensor.on == Some(true) && self.now_s - sensor.since_s >= sensor.hold_s() {
+                sensor.on = Some(false);
+                sensor.since_s = self.now_s;
+            }
+        }
+    }
+
+    /// Weighs time in which no sensor flipped, and learns from it.
+    fn weigh_silence(&mut self, seconds: f64) {
+        if seconds <= 0.0 {
+            return;
+        }
+        self.fill_rates();
+        let places = 1 + 2 * self.home.rooms();
+        let slots = self.belief.slots();
+        let (rooms, own) = (&self.room_rates, &self.slot_rates);
+        self.belief.weigh(|key| {
+            let occupied = Occupied::of(key, slots);
+            let mut rate = 0.0;
+            let mut any = occupied.any;
+            while any != 0 {
+                let room = any.trailing_zeros() as usize;
+                rate += rooms[room][1 + (occupied.moving >> room & 1) as usize];
+                any &= any - 1;
+            }
+            for slot in 0..slots {
+                rate += own[slot * places + usize::from(place(key, slot))];
+            }
+            // Rates are relative to empty rooms: a held sensor makes an occupied room more probable.
+            (-rate * seconds).clamp(-60.0, 60.0).exp()
+        });
+        if self.options.learns {
+            self.summarise();
+            self.learn_time(seconds);
+        }
+    }
+
+    /// Sums the flip rates of all sensors, relative to empty rooms.
+    fn fill_rates(&mut self) {
+        let places = 1 + 2 * self.home.rooms();
+        self.room_rates.fill([0.0; CLASSES]);
+        self.slot_rates.clear();
+        self.slot_rates.resize(self.belief.slots() * places, 0.0);
+        for sensor in &self.sensors {
+            let (Some(on), false) = (sensor.evidence(self.now_s), sensor.spec.kind == SensorKind::Door) else {
+                continue;
+            };
+            let robot = sensor.spec.room.is_some_and(|room| self.now_s < self.robot_until_s[room]);
+            let flips = sensor.silence(on, robot);
+            match (sensor.slot, sensor.spec.room) {
+                (Some(slot), room) if slot < self.belief.slots() => {
+                    for place in 0..places {
+                        let class = sensor.class_of(place as Place, room);
+                        self.slot_rates[slot * places + place] += flips[class] - flips[0];
+                    }
+                }
+                (None, Some(room)) => {
+                    for (sum, flip) in self.room_rates[room].iter_mut().zip(flips) {
+                        *sum += flip - flips[0];
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn learn_time(&mut self, seconds: f64) {
+        for number in 0..self.sensors.len() {
+            let Some(on) = self.sensors[number].evidence(self.now_s) else { continue };
+            let Some(classes) = self.classes_of(number) else { continue };
+            self.sensors[number].learn_time(on, classes, seconds);
+        }
+    }
+
+    /// The probability of each class for a sensor's room. `None` if it has no room, or if the robot is there.
+    fn classes_of(&self, number: usize) -> Option<[f64; CLASSES]> {
+        let spec = &self.sensors[number].spec;
+        let room = spec.room.filter(|_| spec.kind != SensorKind::Door && spec.person.is_none())?;
+        (self.now_s >= self.robot_until_s[room]).then(|| self.classes[room])
+    }
+
+    /// Refills the marginals from the joint states.
+    fn summarise(&mut self) {
+        let (rooms, slots) = (self.home.rooms(), self.belief.slots());
+        self.marginals.clear();
+        self.marginals.resize(slots * (rooms + 1), 0.0);
+        self.classes.fill([1.0, 0.0, 0.0]);
+        self.empty = 0.0;
+        for state in self.belief.states() {
+            for slot in 0..slots {
+                let room = room_of(place(state.key, slot)).unwrap_or(rooms);
+                self.marginals[slot * (rooms + 1) + room] += state.weight;
+            }
+            let occupied = Occupied::of(state.key, slots);
+            if occupied.any == 0 {
+                self.empty += state.weight;
+            }
+            let mut any = occupied.any;
+            while any != 0 {
+                let room = any.trailing_zeros() as usize;
+                self.classes[room][1 + (occupied.moving >> room & 1) as usize] += state.weight;
+                any &= any - 1;
+            }
+        }
+        for own in &mut self.classes {
+            own[0] = (1.0 - own[1] - own[2]).max(0.0);
+        }
+    }
+
+    /// Takes an observation in. `trust` is the narrator's: the probability that the observation is right. Sensors have their own model.
+    ///
+    /// Times that go backwards count as now. Persons, rooms and sensors that do not exist are ignored.
+    pub fn observe(&mut self, at_s: f64, observation: &Observation<'_>, trust: f64) {
+        self.advance(at_s);
+        self.earlier.clone_from(&self.marginals);
+        let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
+        let Some(cause) = observe::weigh(self, observation, trust) else { return };
+        self.summarise();
+        self.level = 1;
+        let shares = observe::attribute(self, observation);
+        self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
+    }
+
+    /// Probability that a person is in a room; of `None`, elsewhere.
+    #[must_use]
+    pub fn probability(&self, person: usize, room: Option<usize>) -> f64 {
+        let rooms = self.home.rooms();
+        let Some(slot) = self.slot(person) else { return 0.0 };
+        self.marginals.get(slot * (rooms + 1) + room.unwrap_or(rooms).min(rooms)).copied().unwrap_or(0.0)
+    }
+
+    /// Probability that at least one person, known or unknown, is in a room.
+    #[must_use]
+    pub fn occupied(&self, room: usize) -> f64 {
+        self.classes.get(room).map_or(0.0, |own| 1.0 - own[0])
+    }
+
+    /// Probability that no person is in the house.
+    #[must_use]
+    pub fn house_empty(&self) -> f64 {
+        self.empty
+    }
+
+    /// Probability that an unknown person is in the house.
+    #[must_use]
+    pub fn visited(&self) -> f64 {
+        let is_in = |key: Key| (0..self.unknown()).any(|slot| place(key, slot) != ELSEWHERE);
+        self.belief.states().iter().filter(|state| is_in(state.key)).map(|state| state.weight).sum()
+    }
+
+    /// Attribution of the last observation: the probability that a person caused it.
+    #[must_use]
+    pub fn attribution(&self, person: usize) -> f64 {
+        self.slot(person).map_or(0.0, |slot| self.trace.last_share(slot))
+    }
+
+    /// The three observations that moved the belief about a person and a place most, the strongest first.
+    #[must_use]
+    pub fn why(&self, person: usize, room: Option<usize>) -> [Option<Reason>; 3] {
+        let rooms = self.home.rooms();
+        let Some(slot) = self.slot(person) else { return [None; 3] };
+        let held = |sensor: usize| self.sensors[sensor].on == Some(true);
+        self.trace.strongest((slot, room.unwrap_or(rooms).min(rooms)), self.now_s, self.unknown(), held)
+    }
+
+    /// Sensors whose learned false alarms exceed five times the usual and three a day, with both numbers per day.
+    pub fn noisy(&self) -> impl Iterator<Item = (usize, f64, f64)> {
+        self.sensors.iter().enumerate().filter_map(|(number, sensor)| {
+            let (learned, usual) = sensor.false_alarms_per_day();
+            (learned > 3.0 && learned > 5.0 * usual).then_some((number, learned, usual))
+        })
+    }
+
+    /// Whether a sensor is on; `None` before its first report.
+    #[must_use]
+    pub fn is_on(&self, sensor: usize) -> Option<bool> {
+        self.sensors.get(sensor)?.on
+    }
+
+    /// The filter run ahead without observations: per person the probability of each room, then of elsewhere; and per room, that at least one
+    /// person is there. Given the present joint state, persons move independently.
+    #[must_use]
+    pub fn forecast(&self, horizon_s: f64) -> Forecast {
+        let (rooms, slots) = (self.home.rooms(), self.belief.slots());
+        let places = 1 + 2 * rooms;
+        let set = &self.transitions[usize::from(self.is_open())];
+        let mut later: Vec<Option<Vec<f64>>> = vec![None; slots * places];
+        let (mut own, mut spare) = (Vec::new(), vec![0.0; places]);
+        let mut forecast = Forecast {
+            rooms,
+            persons: vec![0.0; (slots - self.unknown()) * (rooms + 1)],
+            occupied: vec![0.0; rooms],
+            empty: 0.0,
+        };
+        let mut free = vec![1.0; rooms];
+        for state in self.belief.states() {
+            free.fill(1.0);
+            let mut out = 1.0;
+            for slot in 0..slots {
+                let from = usize::from(place(state.key, slot));
+                let ahead = later[slot * places + from].get_or_insert_with(|| {
+                    own.clear();
+                    own.resize(places, 0.0);
+                    own[from] = 1.0;
+                    set[self.of_slot[slot]].run(horizon_s.min(HORIZON_S), &mut own, &mut spare);
+                    let room = |room: usize| own[usize::from(moving(room))] + own[usize::from(settled(room))];
+                    (0..rooms).map(room).chain([own[usize::from(ELSEWHERE)]]).collect()
+                });
+                for (room, p) in ahead.iter().enumerate() {
+                    if let Some(person) = slot.checked_sub(self.unknown()) {
+                        forecast.persons[person * (rooms + 1) + room] += state.weight * p;
+                    }
+                    if let Some(free) = free.get_mut(room) {
+                        *free *= 1.0 - p;
+                    }
+                }
+                out *= ahead[rooms];
+            }
+            forecast.occupied.iter_mut().zip(&free).for_each(|(own, free)| *own += state.weight * (1.0 - free));
+            forecast.empty += state.weight * out;
+        }
+        forecast
+    }
+}
+
+/// Farther ahead the forecast no longer changes, in seconds.
+const HORIZON_S: f64 = 86_400.0;
+
+/// Where everybody will be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Forecast {
+    rooms: usize,
+    persons: Vec<f64>,
+    occupied: Vec<f64>,
+    empty: f64,
+}
+
+impl Forecast {
+    /// Probability that a person is in a room then; of `None`, elsewhere.
+    #[must_use]
+    pub fn probability(&self, person: usize, room: Option<usize>) -> f64 {
+        let column = room.unwrap_or(self.rooms).min(self.rooms);
+        self.persons.get(person * (self.rooms + 1) + column).copied().unwrap_or(0.0)
+    }
+
+    /// Probability that at least one person is in a room then.
+    #[must_use]
+    pub fn occupied(&self, room: usize) -> f64 {
+        self.occupied.get(room).copied().unwrap_or(0.0)
+    }
+
+    /// Probability that no person is in the house then.
+    #[must_use]
+    pub fn house_empty(&self) -> f64 {
+        self.empty
+    }
+}

@@ -1,0 +1,311 @@
+//! How one person moves: a Markov chain in continuous time over places.
+//!
+//! Each room has two places, because a person who walks and a person who sits differ in what sensors see and in what they do next:
+//!
+//! ```text
+//! elsewhere ----- comes home ----> moving in a room with a way out
+//! moving   in r -- 1/crossing ---> settled in r               with probability settle(r)
+//!                                  moving in the next room    else, by destination
+//! settled  in r -- stands up ----> moving in r                at leave(r) / (1 - settle(r)), so that people leave r at leave(r)
+//! ```
+//!
+//! The destination is a weight per room. A way leads through the rooms between, and each takes its crossing time: this bounds the walking speed.
+//! Two phases make the stay in a room a mixture of exponentials, which ages: the longer a person stayed, the longer they will.
+
+use super::home::{Home, RoomUse};
+
+/// A place of a person: 0 is elsewhere, then two per room.
+pub(super) type Place = u8;
+/// Out of the house.
+pub(super) const ELSEWHERE: Place = 0;
+
+/// A person who walks in a room.
+pub(super) fn moving(room: usize) -> Place {
+    (1 + 2 * room) as Place
+}
+
+/// A person who stays in a room.
+pub(super) fn settled(room: usize) -> Place {
+    (2 + 2 * room) as Place
+}
+
+/// The room of a place; `None` for elsewhere.
+pub(super) fn room_of(place: Place) -> Option<usize> {
+    place.checked_sub(1).map(|own| usize::from(own / 2))
+}
+
+/// Whether a person at this place walks.
+pub(super) fn is_moving(place: Place) -> bool {
+    place % 2 == 1
+}
+
+/// Rates of one person. Habits, the hour and the language model's forecast supply them; [`Movement::usual`] is the default.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Movement {
+    /// Per room: hazard of leaving it, per second.
+    pub leave_per_s: Vec<f64>,
+    /// Per room: probability that a person who enters stays for a while.
+    pub settle: Vec<f64>,
+    /// Per room: weight as a destination.
+    pub destination: Vec<f64>,
+    /// Weight of elsewhere as a destination.
+    pub outside: f64,
+    /// Hazard of coming home, per second.
+    pub home_per_s: f64,
+}
+
+/// Seconds of an hour.
+const HOUR_S: f64 = 3_600.0;
+/// A person who is out comes home after this time on average.
+const OUT_S: f64 = 5.0 * HOUR_S;
+
+impl Movement {
+    /// Stays and destinations of a resident before the home is known. `hour` is the local hour, 0 to 23.
+    #[must_use]
+    pub fn usual(home: &Home, hour: u8) -> Self {
+        let is_night = !(6..23).contains(&hour);
+        // Mean stay in seconds, probability to stay after entering, weight as a destination.
+        let of = |usage: RoomUse| match usage {
+            RoomUse::Bedroom if is_night => (3.0 * HOUR_S, 0.95, 0.5),
+            RoomUse::Bedroom => (0.7 * HOUR_S, 0.9, 0.15),
+            RoomUse::Bathroom => (420.0, 0.95, 0.15),
+            RoomUse::Kitchen => (900.0, 0.9, 0.25),
+            RoomUse::Living => (2_400.0, 0.9, 0.25),
+            RoomUse::Office => (2_700.0, 0.95, 0.15),
+            RoomUse::Hall => (30.0, 0.1, 0.02),
+            RoomUse::Other => (900.0, 0.8, 0.08),
+        };
+        let rooms = || (0..home.rooms()).map(|room| of(home.usage(room)));
+        Self {
+            leave_per_s: rooms().map(|(stay_s, _, _)| 1.0 / stay_s).collect(),
+            settle: rooms().map(|(_, settle, _)| settle).collect(),
+            destination: rooms().map(|(_, _, weight)| weight).collect(),
+            outside: if is_night { 0.005 } else { 0.06 },
+            home_per_s: 1.0 / if is_night { 2.0 * OUT_S } else { OUT_S },
+        }
+    }
+
+    /// An unknown person: comes every few days, stays in the living rooms, leaves after two hours.
+    #[must_use]
+    pub fn visitor(home: &Home) -> Self {
+        let mut own = Self::usual(home, 12);
+        own.outside = 0.25;
+        own.home_per_s = 1.0 / (5.0 * 24.0 * HOUR_S);
+        own
+    }
+
+    /// Rate from one place to another, per second, as `visit(from, to, rate)`. A sensed door that is shut lets `leak` (per room with a way out) of the people through.
+    fn rates(&self, home: &Home, leak: &[f64], mut visit: impl FnMut(Place, Place, f64)) {
+        let count = home.rooms();
+        let exits: f64 = (0..count).map(|room| home.way_out(room)).sum();
+        for room in 0..count {
+            let crossing = 1.0 / home.crossing_s(room);
+            let settle = self.settle[room].clamp(0.01, 0.99);
+            visit(settled(room), moving(room), self.leave_per_s[room].clamp(1e-7, 0.5) / (1.0 - settle));
+            visit(moving(room), settled(room), crossing * settle);
+            let goes = crossing * (1.0 - settle);
+            let mut total = 0.0;
+            for destination in (0..count).filter(|to| *to != room && home.hop(room, Some(*to)).is_some()) {
+                total += self.destination[destination].max(1e-6);
+            }
+            let way_out = home.hop(room, None);
+            let outside = if way_out.is_some() { self.outside.max(1e-6) } else { 0.0 };
+            total += outside;
+            if total <= 0.0 {
+                continue;
+            }
+            for destination in 0..count {
+                if let Some(next) = home.hop(room, Some(destination)).filter(|_| destination != room) {
+                    visit(moving(room), moving(next), goes * self.destination[destination].max(1e-6) / total);
+                }
+            }
+            match way_out {
+                Some(next) if next == room => visit(moving(room), ELSEWHERE, goes * leak[room] * outside / total),
+                Some(next) => visit(moving(room), moving(next), goes * outside / total),
+                None => {}
+            }
+            if home.way_out(room) > 0.0 {
+                visit(ELSEWHERE, moving(room), self.home_per_s * leak[room] * home.way_out(room) / exits);
+            }
+        }
+    }
+}
+
+/// The shortest step in seconds; each level doubles it, so that the longest is 64 s.
+pub(super) const STEP_S: f64 = 0.5;
+pub(super) const LEVELS: usize = 8;
+
+/// Transition probabilities over one step.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Level {
+    /// Row by row.
+    dense: Vec<f64>,
+    /// Per place, where it leads other than to itself, most probable first.
+    rows: Vec<Vec<(Place, f64)>>,
+}
+
+/// Transition probabilities of one person over steps of 0.5 s to 64 s.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Transitions {
+    places: usize,
+    levels: Vec<Level>,
+    /// Per place and place: the rate, for events that are transitions.
+    rates: Vec<f64>,
+}
+
+impl Transitions {
+    pub(super) fn new(home: &Home) -> Self {
+        let places = 1 + 2 * home.rooms();
+        let level = || Level { dense: vec![0.0; places * places], rows: vec![Vec::with_capacity(places); places] };
+        Self { places, levels: (0..LEVELS).map(|_| level()).collect(), rates: vec![0.0; places * places] }
+    }
+
+    /// Fills the tables for these rates. Each level is the square of the one before; the first is a Taylor series of the generator.
+    pub(super) fn fill(&mut self, home: &Home, movement: &Movement, leak: &[f64]) {
+        let places = self.places;
+        self.rates.fill(0.0);
+        movement.rates(home, leak, |from, to, rate| {
+            self.rates[usize::from(from) * places + usize::from(to)] += rate;
+        });
+        for level in 0..LEVELS {
+            let (before, own) = self.levels.split_at_mut(level);
+            let own = &mut own[0];
+            match before.last() {
+                None => first(&self.rates, places, &mut own.dense),
+                Some(half) => square(&half.dense, places, &mut own.dense),
+            }
+            for (from, row) in own.rows.iter_mut().enumerate() {
+                row.clear();
+                let entries = own.dense[from * places..(from + 1) * places].iter().enumerate();
+                row.extend(entries.filter(|(to, p)| *to != from && **p > 1e-12).map(|(to, p)| (to as Place, *p)));
+                row.sort_unstable_by(|a, b| b.1.total_cmp(&a.1));
+            }
+        }
+    }
+
+    /// Where a place leads within a step, most probable first, itself left out.
+    pub(super) fn row(&self, level: usize, from: Place) -> &[(Place, f64)] {
+        &self.levels[level].rows[usize::from(from)]
+    }
+
+    /// Rate from a place to another, per second. A settled person stands up first: their rate is the rate at which they leave.
+    pub(super) fn rate(&self, from: Place, to: Place) -> f64 {
+        let own = |from: Place, to: Place| self.rates[usize::from(from) * self.places + usize::from(to)];
+        if from == ELSEWHERE || is_moving(from) {
+            return own(from, to);
+        }
+        let walking = from - 1;
+        let all: f64 = (0..self.places).map(|to| own(walking, to as Place)).sum();
+        if all > 0.0 { own(from, walking) * own(walking, to) / all } else { 0.0 }
+    }
+
+    /// The distribution a time later, from a distribution over places. `own` and `spare` have one entry per place.
+    pub(super) fn run(&self, horizon_s: f64, own: &mut Vec<f64>, spare: &mut Vec<f64>) {
+        let mut left_s = horizon_s.max(0.0);
+        while left_s >= STEP_S {
+            let level = level_of(left_s);
+            let dense = &self.levels[level].dense;
+            spare.fill(0.0);
+            for (from, p) in own.iter().enumerate().filter(|(_, p)| **p > 0.0) {
+                let row = &dense[from * self.places..(from + 1) * self.places];
+                spare.iter_mut().zip(row).for_each(|(to, share)| *to += p * share);
+            }
+            std::mem::swap(own, spare);
+            left_s -= step_s(level);
+        }
+    }
+}
+
+/// The highest level that is no longer than a time of at least `STEP_S`.
+pub(super) fn level_of(seconds: f64) -> usize {
+    (1..LEVELS).rev().find(|level| step_s(*level) <= seconds).unwrap_or(0)
+}
+
+/// Length of a level's step in seconds.
+pub(super) fn step_s(level: usize) -> f64 {
+    STEP_S * f64::from(1u32 << level)
+}
+
+/// `exp(Q STEP_S)`: with the fastest rate of one in two seconds, four terms and a division by four leave an error below 1e-9.
+fn first(rates: &[f64], places: usize, out: &mut Vec<f64>) {
+    const QUARTERS: f64 = 4.0;
+    let mut generator: Vec<f64> = rates.iter().map(|rate| rate * STEP_S / QUARTERS).collect();
+    for place in 0..places {
+        let row = place * places..(place + 1) * places;
+        let leaves: f64 = generator[row.clone()].iter().sum();
+        generator[row.start + place] -= leaves;
+    }
+    let mut term = vec![0.0; places * places];
+    (0..places).for_each(|place| term[place * (places + 1)] = 1.0);
+    let mut sum = term.clone();
+    let mut next = vec![0.0; places * places];
+    for order in 1..=6 {
+        product(&term, &generator, places, &mut next);
+        next.iter_mut().for_each(|own| *own /= f64::from(order));
+        std::mem::swap(&mut term, &mut next);
+        sum.iter_mut().zip(&term).for_each(|(sum, own)| *sum += own);
+    }
+    square(&sum, places, &mut next);
+    square(&next, places, out);
+    // Rounding must not lose anybody.
+    for row in out.chunks_mut(places) {
+        row.iter_mut().for_each(|own| *own = own.max(0.0));
+        let all: f64 = row.iter().sum();
+        row.iter_mut().for_each(|own| *own /= all);
+    }
+}
+
+fn square(own: &[f64], places: usize, out: &mut Vec<f64>) {
+    product(own, own, places, out);
+}
+
+fn product(a: &[f64], b: &[f64], places: usize, out: &mut Vec<f64>) {
+    out.clear();
+    out.resize(places * places, 0.0);
+    for (row, out) in a.chunks(places).zip(out.chunks_mut(places)) {
+        for (share, row) in row.iter().zip(b.chunks(places)).filter(|(share, _)| **share != 0.0) {
+            out.iter_mut().zip(row).for_each(|(out, own)| *out += share * own);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn home() -> Home {
+        let uses = [RoomUse::Bedroom, RoomUse::Hall, RoomUse::Bathroom];
+        Home::new(&uses, &[(0, 1), (1, 2)], &[0.0, 1.0, 0.0]).unwrap()
+    }
+
+    #[test]
+    fn rows_of_every_step_sum_to_one_and_follow_the_doors() {
+        let home = home();
+        let mut own = Transitions::new(&home);
+        own.fill(&home, &Movement::usual(&home, 12), &[1.0; 3]);
+        for level in &own.levels {
+            for row in level.dense.chunks(own.places) {
+                assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9 && row.iter().all(|p| *p >= 0.0));
+            }
+        }
+        let reached =
+            |level: usize, from, to| own.row(level, from).iter().find(|(place, _)| *place == to).map_or(0.0, |r| r.1);
+        assert!(reached(0, moving(0), moving(2)) < 0.1 * reached(0, moving(0), moving(1)), "the hall lies between");
+        assert_eq!(own.rate(moving(0), moving(2)), 0.0);
+    }
+
+    #[test]
+    fn people_leave_a_room_at_the_given_hazard() {
+        let home = home();
+        let mut movement = Movement::usual(&home, 12);
+        movement.leave_per_s[0] = 1.0 / 1_800.0;
+        let mut own = Transitions::new(&home);
+        own.fill(&home, &movement, &[1.0; 3]);
+        let mut start = vec![0.0; own.places];
+        start[usize::from(settled(0))] = 1.0;
+        own.run(60.0, &mut start, &mut vec![0.0; 7]);
+        let left = 1.0 - start[usize::from(settled(0))] - start[usize::from(moving(0))];
+        // Some of them came back.
+        assert!(left > 0.5 * 60.0 / 1_800.0 && left < 60.0 / 1_800.0, "{left}");
+    }
+}

@@ -1,0 +1,384 @@
+//! The likelihood of each observation over joint states, and the attribution to persons afterwards.
+
+use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
+use super::motion::{ELSEWHERE, Place, is_moving, moving, room_of, settled};
+use super::sensors::{CLASSES, Sensor};
+use super::{Cause, SensorKind, Tracker};
+
+/// One observation. Persons and rooms are indices of the tracker; a person of `None` is unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Observation<'a> {
+    /// A sensor reports its state; `None` if it is unavailable.
+    Sensor {
+        /// Its index.
+        sensor: usize,
+        /// On or off.
+        on: Option<bool>,
+    },
+    /// A person did something here. `rooms` has the likelihood of the text in each room, up to a factor: one for the room that it names, or the
+    /// language model's tempered scores. An empty list says that the person is in the house.
+    Deed {
+        /// Who.
+        who: Option<usize>,
+        /// Likelihood per room.
+        rooms: &'a [f64],
+    },
+    /// A person is present, in a room if it is known.
+    Present {
+        /// Who.
+        who: Option<usize>,
+        /// Where.
+        room: Option<usize>,
+    },
+    /// A person left the house.
+    Away {
+        /// Who.
+        who: Option<usize>,
+    },
+    /// A person left for good.
+    Gone {
+        /// Who; if unknown, a visitor.
+        who: Option<usize>,
+    },
+    /// A room has no persons.
+    Empty {
+        /// Which.
+        room: usize,
+    },
+    /// So many persons, at least, are in a room.
+    Count {
+        /// Which.
+        room: usize,
+        /// How many.
+        persons: usize,
+    },
+    /// The robot is in these rooms, or on its way through them, until the next report.
+    Robot {
+        /// Which.
+        rooms: &'a [usize],
+    },
+}
+
+/// Probability that the filter lost a person, given a report about that person by name: the person is then placed anew.
+const LOST_PRESENT: f64 = 0.3;
+/// The same for an action.
+const LOST_DEED: f64 = 0.1;
+/// States below this probability are not placed anew.
+const LIGHT: f64 = 1e-5;
+/// A robot explains what sensors see for this long after it left, in seconds.
+const ROBOT_S: f64 = 30.0;
+/// Chance that a held phone or bed is wrong about its person at the moment of an anonymous departure.
+const HELD_WRONG: f64 = 0.003;
+/// Weight of a departure by an unseen visitor, next to a person at the door with weight 1.
+const UNSEEN: f64 = 0.1;
+/// Each door between a person and the way out makes a departure less probable by this factor.
+const PER_DOOR: f64 = 0.2;
+/// A person beside a door opens it without passing through this often, per second.
+const OPENS_ONLY: f64 = 1.0 / 7_200.0;
+
+/// Weighs the belief. `None` if the observation changes nothing.
+pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64) -> Option<Cause> {
+    let rooms = own.home.rooms();
+    let has = |room: usize| room < rooms;
+    match *observation {
+        Observation::Sensor { sensor, on } => return sensor_reports(own, sensor, on),
+        Observation::Deed { who, rooms: list } => deed(own, who, list, trust)?,
+        Observation::Present { who: Some(person), room } => {
+            let slot = own.slot(person)?;
+            let targets: Vec<usize> = room.map_or_else(|| (0..rooms).collect(), |room| vec![room]);
+            if !targets.iter().all(|room| has(*room)) {
+                return None;
+            }
+            let share = 0.5 / targets.len() as f64;
+            let places: Vec<(Place, f64)> =
+                targets.iter().flat_map(|room| [(moving(*room), share), (settled(*room), share)]).collect();
+            if own.probability(person, None) > 0.5 || room.is_some() {
+                relocate(own, slot, LOST_PRESENT, &places);
+            }
+            let is_there = |place: Place| if room.is_some() { room_of(place) == room } else { place != ELSEWHERE };
+            own.belief.weigh(|key| if is_there(place(key, slot)) { trust } else { 1.0 - trust });
+        }
+        Observation::Present { who: None, room } => {
+            if room.is_some_and(|room| !has(room)) {
+                return None;
+            }
+            let slots = own.belief.slots();
+            own.belief.weigh(|key| {
+                let any = Occupied::of(key, slots).any;
+                let is_so = room.map_or(any != 0, |room| any >> room & 1 == 1);
+                if is_so { trust } else { 1.0 - trust }
+            });
+        }
+        Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
+            let slot = own.slot(person)?;
+            relocate(own, slot, LOST_PRESENT, &[(ELSEWHERE, 1.0)]);
+            own.belief.weigh(|key| if place(key, slot) == ELSEWHERE { trust } else { 1.0 - trust });
+        }
+        Observation::Away { who: None } => departure(own, trust, false),
+        Observation::Gone { who: None } => departure(own, trust, true),
+        Observation::Empty { room } => {
+            let slots = own.belief.slots();
+            let is_free = |key: Key| Occupied::of(key, slots).any >> room & 1 == 0;
+            has(room).then(|| own.belief.weigh(|key| if is_free(key) { trust } else { 1.0 - trust }))?;
+        }
+        Observation::Count { room, persons } => {
+            if !has(room) {
+                return None;
+            }
+            let slots = own.belief.slots();
+            own.belief.weigh(|key| {
+                let here = (0..slots).filter(|slot| room_of(place(key, *slot)) == Some(room)).count();
+                trust * (1.0 - trust).powi(persons.saturating_sub(here).min(4) as i32)
+            });
+        }
+        Observation::Robot { rooms: list } => {
+            for (room, until_s) in own.robot_until_s.iter_mut().enumerate() {
+                if list.contains(&room) {
+                    *until_s = f64::INFINITY;
+                } else if *until_s == f64::INFINITY {
+                    *until_s = own.now_s + ROBOT_S;
+                }
+            }
+            return None;
+        }
+    }
+    Some(match observation {
+        Observation::Deed { .. } => Cause::Deed,
+        Observation::Present { .. } => Cause::Present,
+        Observation::Empty { .. } => Cause::Empty,
+        Observation::Count { .. } => Cause::Count,
+        _ => Cause::Away,
+    })
+}
+
+/// The filter may have lost a person: with this probability the person is placed anew.
+fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) {
+    let light: f64 = own.belief.states().iter().filter(|state| state.weight < LIGHT).map(|state| state.weight).sum();
+    // Light states weigh little, but all of them may be light.
+    let least = if light > 0.5 { 0.0 } else { LIGHT };
+    own.belief.transfer(|State { key, weight }, add| {
+        if weight < least {
+            add(key, 1.0);
+            return;
+        }
+        add(key, 1.0 - lost);
+        for (to, share) in places {
+            add(with(key, slot, *to), lost * share);
+        }
+    });
+}
+
+/// An action: the likelihood of its text where the person is. Of an unknown person, where the most probable person is.
+fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], trust: f64) -> Option<()> {
+    let rooms = own.home.rooms();
+    let raw = |room: usize| list.get(room).copied().filter(|own| own.is_finite() && *own > 0.0).unwrap_or(0.0);
+    let sum: f64 = (0..rooms).map(raw).sum();
+    let share = |room: usize| if sum > 0.0 { raw(room) / sum } else { 1.0 / rooms as f64 };
+    let even = 1.0 / rooms as f64;
+    let at = |place: Place| room_of(place).map_or(0.0, share);
+    let slots = own.belief.slots();
+    match who {
+        Some(person) => {
+            let slot = own.slot(person)?;
+            let places: Vec<(Place, f64)> = (0..rooms)
+                .flat_map(|room| [(moving(room), 0.5 * share(room)), (settled(room), 0.5 * share(room))])
+                .filter(|(_, p)| *p > 0.01)
+                .collect();
+            if list.is_empty() {
+                // No place: the person is in.
+                relocate(own, slot, LOST_DEED * own.probability(person, None), &places);
+                own.belief.weigh(|key| if place(key, slot) == ELSEWHERE { 1.0 - trust } else { trust });
+            } else {
+                relocate(own, slot, LOST_DEED, &places);
+                own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
+            }
+        }
+        None => own.belief.weigh(|key| {
+            let best = (0..slots).map(|slot| at(place(key, slot))).fold(0.0, f64::max);
+            trust * best + (1.0 - trust) * even
+        }),
+    }
+    Some(())
+}
+
+/// How probable it is that a person at this place walks out of the house now.
+fn departs(own: &Tracker, slot: usize, place: Place) -> f64 {
+    let Some(room) = room_of(place) else { return 0.0 };
+    let doors = own.home.steps_out(room);
+    if doors == usize::MAX {
+        return 0.0;
+    }
+    let is_held = |sensor: &Sensor| {
+        let binds = matches!(sensor.spec.kind, SensorKind::Phone | SensorKind::Bed) && sensor.slot == Some(slot);
+        binds && sensor.evidence(own.now_s) == Some(true)
+    };
+    let held = if own.sensors.iter().any(is_held) { HELD_WRONG } else { 1.0 };
+    let walks = if is_moving(place) { 1.0 } else { 0.1 };
+    held * walks * PER_DOOR.powi(doors.min(8) as i32)
+}
+
+/// An unknown person leaves: each person who can be at the door, or a visitor whom no sensor saw.
+fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
+    let slots = if only_unknown { own.unknown() } else { own.belief.slots() };
+    let places = 1 + 2 * own.home.rooms();
+    let mut weights = [0.0; SLOTS_MAX * 256];
+    for slot in 0..slots {
+        for place in 0..places {
+            weights[slot * 256 + place] = departs(own, slot, place as Place);
+        }
+    }
+    own.belief.transfer(|State { key, .. }, add| {
+        add(key, 1.0 - trust + trust * UNSEEN);
+        for slot in 0..slots {
+            let weight = weights[slot * 256 + usize::from(place(key, slot))];
+            if weight > 0.0 {
+                add(with(key, slot, ELSEWHERE), trust * weight);
+            }
+        }
+    });
+}
+
+/// A sensor reports its state.
+fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<Cause> {
+    let now_s = own.now_s;
+    let sensor = own.sensors.get_mut(number)?;
+    let before = sensor.on;
+    let Some(on) = on else {
+        sensor.on = None;
+        return None;
+    };
+    // A device that reports no "off" speaks again: it was off in between.
+    let again = !sensor.spec.holds && before == Some(true) && on;
+    if before == Some(on) && !again {
+        return None;
+    }
+    let cause = Cause::Sensor { sensor: number, on };
+    let sensor = sensor.clone();
+    let slots = own.belief.slots();
+    if sensor.slot.is_some_and(|slot| slot >= slots) {
+        return None;
+    }
+    match (sensor.spec.kind, before) {
+        (SensorKind::Door, Some(false)) if on => door_opens(own, &sensor),
+        (SensorKind::Door, _) => {}
+        (_, None) => own.belief.weigh(|key| {
+            let share = sensor.is_on(sensor.class(key, Occupied::of(key, slots)));
+            if on { share } else { 1.0 - share }
+        }),
+        (_, Some(was)) => {
+            let robot = sensor.spec.room.is_some_and(|room| now_s < own.robot_until_s[room]);
+            let flips = sensor.flips(was && !again, robot);
+            own.belief.weigh(|key| flips[sensor.class(key, Occupied::of(key, slots))]);
+            learn_flip(own, number, was && !again);
+        }
+    }
+    let sensor = &mut own.sensors[number];
+    (sensor.on, sensor.since_s) = (Some(on), now_s);
+    Some(cause)
+}
+
+fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
+    if own.options.learns {
+        own.summarise();
+        if let Some(classes) = own.classes_of(number) {
+            own.sensors[number].learn_flip(was, classes);
+        }
+    }
+}
+
+/// A door opens: a person passes through, at that person's rate; or it opens without a passage.
+fn door_opens(own: &mut Tracker, door: &Sensor) {
+    let Some(room) = door.spec.room else { return };
+    let (slots, places) = (own.belief.slots(), 1 + 2 * own.home.rooms());
+    let inside = moving(room);
+    let outside = door.spec.beyond.map_or(ELSEWHERE, moving);
+    let is_side =
+        |place: Place| room_of(place) == Some(room) || door.spec.beyond.is_some_and(|own| room_of(place) == Some(own));
+    let false_alarm = door.flips(false, false)[0];
+    let mut rates = [0.0; SLOTS_MAX * 256];
+    for slot in 0..slots {
+        let own = &own.transitions[1][own.of_slot[slot]];
+        for from in (0..places).map(|from| from as Place) {
+            let to = if from != ELSEWHERE && room_of(from) == Some(room) { outside } else { inside };
+            let is_other = if outside == ELSEWHERE { from == ELSEWHERE } else { room_of(from) == room_of(outside) };
+            if room_of(from) == Some(room) || is_other {
+                rates[slot * 256 + usize::from(from)] = own.rate(from, to);
+            }
+        }
+    }
+    own.belief.transfer(|State { key, .. }, add| {
+        let beside = (0..slots).any(|slot| is_side(place(key, slot)));
+        add(key, false_alarm + if beside { OPENS_ONLY } else { 0.0 });
+        for slot in 0..slots {
+            let from = place(key, slot);
+            let rate = rates[slot * 256 + usize::from(from)];
+            if rate > 0.0 {
+                add(with(key, slot, if room_of(from) == Some(room) { outside } else { inside }), rate);
+            }
+        }
+    });
+}
+
+/// Who caused the observation: per slot, the posterior probability. What remains belongs to the sensor's or the narrator's errors.
+pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; SLOTS_MAX] {
+    let slots = own.belief.slots();
+    let rooms = own.home.rooms();
+    let mut shares = [0.0; SLOTS_MAX];
+    let named = |who: Option<usize>| who.and_then(|person| own.slot(person));
+    let mut spread = |weight: &dyn Fn(usize, Place) -> f64| {
+        for state in own.belief.states() {
+            let all: f64 = (0..slots).map(|slot| weight(slot, place(state.key, slot))).sum();
+            if all > 0.0 {
+                for (slot, share) in shares.iter_mut().enumerate().take(slots) {
+                    *share += state.weight * weight(slot, place(state.key, slot)) / all;
+                }
+            }
+        }
+    };
+    match *observation {
+        Observation::Sensor { sensor, .. } => {
+            let Some(sensor) = own.sensors.get(sensor) else { return shares };
+            if let Some(slot) = sensor.slot {
+                shares[slot.min(SLOTS_MAX - 1)] = 1.0;
+            } else if sensor.spec.kind == SensorKind::Door {
+                let (room, beyond) = (sensor.spec.room, sensor.spec.beyond);
+                let moved = |slot: usize, place: Place| {
+                    let column = slot * (rooms + 1) + room_of(place).unwrap_or(rooms);
+                    let is_side = room_of(place) == room || room_of(place) == beyond;
+                    if is_side { (own.marginals[column] - own.earlier[column]).max(0.0) } else { 0.0 }
+                };
+                spread(&moved);
+            } else {
+                let flips: [f64; CLASSES] = sensor.flips(false, false);
+                spread(&|_, place| {
+                    let class = sensor.class_of(place, sensor.spec.room);
+                    if class == 0 { 0.0 } else { flips[class] }
+                });
+            }
+        }
+        Observation::Deed { who, rooms: list } => match named(who) {
+            Some(slot) => shares[slot] = 1.0,
+            None => {
+                spread(&|_, place| room_of(place).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)))
+            }
+        },
+        Observation::Present { who, room } => match named(who) {
+            Some(slot) => shares[slot] = 1.0,
+            None => spread(&|_, place| {
+                f64::from(u8::from(place != ELSEWHERE && (room.is_none() || room_of(place) == room)))
+            }),
+        },
+        Observation::Away { who } | Observation::Gone { who } => match named(who) {
+            Some(slot) => shares[slot] = 1.0,
+            None => {
+                for (slot, share) in shares.iter_mut().enumerate().take(slots) {
+                    let column = slot * (rooms + 1) + rooms;
+                    *share = (own.marginals[column] - own.earlier[column]).max(0.0);
+                }
+            }
+        },
+        Observation::Count { room, .. } => spread(&|_, place| f64::from(u8::from(room_of(place) == Some(room)))),
+        Observation::Empty { .. } | Observation::Robot { .. } => {}
+    }
+    shares
+}
