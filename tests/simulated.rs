@@ -1192,7 +1192,8 @@ impl World {
                 format!("person {number} was last said to be {last:?}, and has the presence {}", person.presence)
             })?;
             let sentences: Vec<_> = own.iter().copied().filter(|o| o.sentence().is_some()).collect();
-            let since = own.iter().rposition(|o| o.event.person_presence() != Presence::Present).map_or(0, |place| place + 1);
+            let since =
+                own.iter().rposition(|o| o.event.person_presence() != Presence::Present).map_or(0, |place| place + 1);
             let window = usize::try_from(person.window).unwrap_or(usize::MAX);
             let most = own[since..].iter().filter(|o| o.sentence().is_some()).count();
             ensure(window <= most.min(limits.observations + limits.slack), || {

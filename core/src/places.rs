@@ -44,8 +44,7 @@ const ANNOUNCES: [&str; 25] = [
 ];
 
 /// Words that end a noun: an adjective may stand between an article and a thing, these may not.
-const NO_ADJECTIVES: [&str; 12] =
-    ["and", "or", "is", "are", "was", "of", "with", "while", "then", "they", "he", "she"];
+const NO_ADJECTIVES: [&str; 12] = ["and", "or", "is", "are", "was", "of", "with", "while", "then", "they", "he", "she"];
 
 /// Words for the subject of a sentence; a verb follows.
 const PRONOUNS: [&str; 10] = ["they", "he", "she", "i", "we", "you", "somebody", "someone", "who", "person"];
@@ -258,7 +257,18 @@ mod tests {
         for scene in SHIPPED {
             let (_, grounding, mut matcher) = matcher(scene);
             for (index, label) in grounding.scored_labels.iter().enumerate() {
-                for verb in ["walks to", "goes to", "is at", "stands near", "opens", "cleans", "is in", "works at", "drives to", "sits in"] {
+                for verb in [
+                    "walks to",
+                    "goes to",
+                    "is at",
+                    "stands near",
+                    "opens",
+                    "cleans",
+                    "is in",
+                    "works at",
+                    "drives to",
+                    "sits in",
+                ] {
                     let text = format!("The nurse {verb} the {}.", label.text);
                     let found = matcher.last(&text);
                     assert_eq!(found, Some(index.into()), "{text}");
@@ -286,7 +296,13 @@ mod tests {
         ] {
             assert_eq!(label(text).as_deref(), Some("kitchen"), "{text}");
         }
-        for text in ["She's opening the fridge.", "opens fridge", "opening fridge", "Person opens the fridge.", "The video shows a person opening a fridge."] {
+        for text in [
+            "She's opening the fridge.",
+            "opens fridge",
+            "opening fridge",
+            "Person opens the fridge.",
+            "The video shows a person opening a fridge.",
+        ] {
             assert_eq!(label(text).as_deref(), Some("fridge"), "{text}");
         }
     }
@@ -310,7 +326,9 @@ mod tests {
 
     #[test]
     fn plurals_and_singulars_are_one_name() {
-        for (name, other) in [("shelf", "shelves"), ("mug", "mugs"), ("glasses", "glass"), ("box", "boxes"), ("berries", "berry")] {
+        for (name, other) in
+            [("shelf", "shelves"), ("mug", "mugs"), ("glasses", "glass"), ("box", "boxes"), ("berries", "berry")]
+        {
             assert!(other_numbers(name).into_iter().flatten().any(|form| form == other), "{name} {other}");
         }
     }

@@ -7,6 +7,7 @@ use roomcast_core::narration::{Observation, SOMEBODY};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::narration_kind;
 use serde::Serialize;
 
 use crate::config::Config;
@@ -112,7 +113,8 @@ impl DryRun {
     fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: u64) -> Result<Self, DryRunError> {
         let grounding = Grounding::new(&map, &config.grounding)?;
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
-        let board = Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
+        let board =
+            Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
         Ok(Self { board, sequence: 0, now_ns: 1_000_000_000_000, unix_ns: now_unix_ns })
     }
 
@@ -122,7 +124,8 @@ impl DryRun {
     /// When a step fails.
     pub fn take(&mut self, item: &Item) -> Result<Option<DryLine>, DryRunError> {
         let Ok(event) = event_of(item.kind, &item.text) else { return Ok(None) };
-        let apart_ns = item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.saturating_sub(self.unix_ns));
+        let apart_ns =
+            item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.saturating_sub(self.unix_ns));
         (self.sequence, self.now_ns) = (self.sequence + 1, self.now_ns + apart_ns);
         self.unix_ns += apart_ns;
         let (person, name) = match &item.person {
@@ -138,6 +141,7 @@ impl DryRun {
             observed_ns: self.now_ns,
             observed_unix_ns: self.unix_ns,
             count: item.count,
+            may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&item.kind),
             ..Observation::saying(self.sequence, event)
         };
         let before = self.places();
@@ -152,7 +156,11 @@ impl DryRun {
                 let earlier = before.iter().find(|(number, _)| *number == person).map(|(_, own)| own);
                 let of_place = |own: &Vec<(String, f32)>| own.iter().find(|(other, _)| other == place).map(|(_, p)| *p);
                 Some(Belief {
-                    person: self.board.persons().name_of(person).map_or_else(|| format!("person {person}"), str::to_owned),
+                    person: self
+                        .board
+                        .persons()
+                        .name_of(person)
+                        .map_or_else(|| format!("person {person}"), str::to_owned),
                     place: place.clone(),
                     probability: *probability,
                     before: earlier.and_then(of_place).unwrap_or_default(),

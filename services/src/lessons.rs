@@ -116,7 +116,12 @@ impl Lessons {
     }
 
     /// Takes it if it may be learned.
-    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, told: Result<(u32, Option<Box<str>>, u8, Event), Unfit>) {
+    fn admit(
+        &mut self,
+        place: impl Display,
+        at_ns: Option<u64>,
+        told: Result<(u32, Option<Box<str>>, u8, Event), Unfit>,
+    ) {
         let lesson = told.and_then(|(person, name, count, event)| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
             match at_ns.saturating_sub(self.now_ns) {
@@ -249,6 +254,7 @@ pub fn teach<M: LanguageModel>(
             observed_ns,
             observed_unix_ns: now_ns,
             count,
+            may_be_form: true,
             event,
         };
         board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;

@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use roomcast_core::narration::forms::form_of;
 use serde_json::{Map, Value};
 
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
@@ -57,7 +58,7 @@ pub(crate) struct Saying {
     keys: Map<String, Value>,
     quiet: Option<Duration>,
     /// The presence form of a sentence with placeholders that all stand for a name or a room.
-    form: Option<Form>,
+    form: Option<&'static str>,
 }
 
 impl Saying {
@@ -101,7 +102,7 @@ impl Saying {
             let quiet = Duration::try_from_secs_f64(quiet_s).ok().filter(|_| allowed);
             quiet.ok_or_else(|| format!("quiet_s is {quiet_s}; give seconds above 0, at most {QUIET_S_MAX}"))
         });
-        let form = say.and_then(|say| Form::of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
+        let form = say.and_then(|say| form_of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
         let saying = Self { keys: written, quiet: quiet.transpose()?, form };
         // What can be narrated at all is checked here, where the rule can be named.
         line_item(&saying.line(|_| "1".to_owned()), &Who::Somebody).map_err(|error| error.to_string())?;
@@ -143,7 +144,7 @@ impl Saying {
             let value = match value.as_str() {
                 Some(say) if key == "text" => {
                     let text = filled(say, most, &|name| inside(&value_of(name)))?;
-                    let is_form = self.form.is_some() && Form::of(&text) == self.form;
+                    let is_form = self.form.is_some() && form_of(&text) == self.form;
                     // An action's notation is never a presence.
                     if say.contains('{') && !say.starts_with('[') && !is_form {
                         keys.insert("kind".to_owned(), FILLED_KIND.into());
@@ -156,54 +157,6 @@ impl Saying {
             keys.insert(key.clone(), value);
         }
         Some(Value::Object(keys).to_string())
-    }
-}
-
-/// A presence form, by the words that are fixed in it. A value can make another form of a rule's: "everybody" in "{1} leaves the house".
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Form {
-    /// Of everybody, without a name or a room.
-    All,
-    /// "Nobody is in the ROOM", "The ROOM is empty".
-    Empty,
-    /// "NAME is in the ROOM".
-    In,
-    /// NAME and these words.
-    Name(&'static str),
-}
-
-impl Form {
-    fn of(text: &str) -> Option<Self> {
-        const ALL: [&str; 2] = ["everybody leaves the house", "nobody is home"];
-        const NAME: [&str; 14] = [
-            " leaves the house",
-            " leave the house",
-            " goes out",
-            " go out",
-            " is away",
-            " are away",
-            " comes home",
-            " come home",
-            " is home",
-            " are home",
-            " is back",
-            " are back",
-            " leaves for good",
-            " leave for good",
-        ];
-        let lower = text.trim().to_lowercase();
-        let lower = lower.strip_suffix('.').unwrap_or(&lower).trim_end();
-        if ALL.contains(&lower) {
-            return Some(Self::All);
-        }
-        let is_empty = lower.strip_prefix("the ").is_some_and(|rest| rest.ends_with(" is empty"));
-        if is_empty || lower.starts_with("nobody is in the ") {
-            return Some(Self::Empty);
-        }
-        if lower.contains(" is in the ") || lower.contains(" are in the ") {
-            return Some(Self::In);
-        }
-        NAME.into_iter().find(|words| lower.ends_with(words)).map(Self::Name)
     }
 }
 

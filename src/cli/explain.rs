@@ -238,8 +238,12 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let presence = |is_here: bool| if is_here { Event::Present(None) } else { Event::Away };
     let silent = silent.iter().map(|&(person, is_here)| (person, presence(is_here)));
     let events = silent.chain(narration.into_iter().map(|(person, sentence)| (person, Event::Did(sentence))));
-    let observations = (1..).zip(events).map(|(sequence, (person, event))| {
-        Observation { person, source: 1, epoch: 1, observed_ns: sequence, ..Observation::saying(sequence, event) }
+    let observations = (1..).zip(events).map(|(sequence, (person, event))| Observation {
+        person,
+        source: 1,
+        epoch: 1,
+        observed_ns: sequence,
+        ..Observation::saying(sequence, event)
     });
     pipeline.step(observations).map_err(failed)?;
     let again = &pipeline.scores().grounded.partition_probability;

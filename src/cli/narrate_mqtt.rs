@@ -4,8 +4,8 @@ use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
+use roomcast_core::places::PlaceMatcher;
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{Persons, PersonsFile};
 use roomcast_services::mqtt::tally::Tally;

@@ -77,7 +77,9 @@ pub enum Event {
 
 /// A text that is no presence.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`")]
+#[error(
+    "{text:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`"
+)]
 pub struct PresenceError {
     text: String,
 }
@@ -173,7 +175,15 @@ mod tests {
         for text in ["present", "present in the tea kitchen", "away", "gone", "everybody away", "nobody in the hall"] {
             assert_eq!(Event::presence(text).map(|event| event.to_string()).as_deref(), Ok(text));
         }
-        for text in ["", "in the kitchen", "present in the", "present in the  ", "nobody in the !", "present in a\u{7}b", "Away"] {
+        for text in [
+            "",
+            "in the kitchen",
+            "present in the",
+            "present in the  ",
+            "nobody in the !",
+            "present in a\u{7}b",
+            "Away",
+        ] {
             Event::presence(text).unwrap_err();
         }
         RoomName::new(&"x".repeat(SENTENCE_BYTES_MAX)).unwrap_err();

@@ -106,6 +106,20 @@ pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -
     })
 }
 
+/// The form of a text for any name and any room, as the manual shows it.
+#[must_use]
+pub fn form_of(text: &str) -> Option<&'static str> {
+    let (_, event) = read(text, |name| super::check_name(name).is_ok(), |_| true)?;
+    let text = text.trim().trim_end_matches('.').to_lowercase();
+    let has = |form: &&Form| match event {
+        Event::AllAway => text == form.sentence.to_lowercase(),
+        Event::Present(Some(_)) => form.kind == Kind::PresentIn,
+        Event::Empty(_) => form.kind == Kind::Empty && text.starts_with(form.verbs.0) && text.ends_with(form.verbs.1),
+        _ => [form.verbs.0, form.verbs.1].iter().any(|verb| !verb.is_empty() && text.ends_with(&format!(" {verb}"))),
+    };
+    FORMS.iter().find(has).map(|form| form.sentence)
+}
+
 /// Words of a sentence that speaks of presence without being a form.
 const NEAR: [(&str, usize); 12] = [
     (" leaves", 0),
@@ -133,7 +147,8 @@ pub fn near_miss(text: &str) -> Option<&'static Form> {
     if lower.starts_with("everyone ") || lower.starts_with("everybody ") {
         return FORMS.get(7);
     }
-    let exact = FORMS.iter().find(|form| !form.verbs.0.is_empty() && lower.trim_end().ends_with(&format!(" {}", form.verbs.0)));
+    let exact =
+        FORMS.iter().find(|form| !form.verbs.0.is_empty() && lower.trim_end().ends_with(&format!(" {}", form.verbs.0)));
     exact.or_else(|| NEAR.iter().find(|(words, _)| lower.contains(words)).and_then(|(_, form)| FORMS.get(*form)))
 }
 
@@ -159,8 +174,21 @@ pub const COUNT_MAX: u8 = 8;
 #[must_use]
 pub fn count_of_persons(text: &str) -> Option<u8> {
     const NUMBERS: [(&str, u8); 15] = [
-        ("two", 2), ("three", 3), ("four", 4), ("five", 5), ("six", 6), ("seven", 7), ("eight", 8), ("2", 2), ("3", 3),
-        ("4", 4), ("5", 5), ("6", 6), ("7", 7), ("8", 8), ("both", 2),
+        ("two", 2),
+        ("three", 3),
+        ("four", 4),
+        ("five", 5),
+        ("six", 6),
+        ("seven", 7),
+        ("eight", 8),
+        ("2", 2),
+        ("3", 3),
+        ("4", 4),
+        ("5", 5),
+        ("6", 6),
+        ("7", 7),
+        ("8", 8),
+        ("both", 2),
     ];
     const PERSONS: [&str; 11] =
         ["people", "persons", "men", "women", "adults", "children", "kids", "boys", "girls", "residents", "visitors"];
@@ -254,6 +282,15 @@ mod tests {
     }
 
     #[test]
+    fn a_form_is_one_for_any_name_and_room() {
+        assert_eq!(form_of("Zoë leaves the house."), Some("NAME leaves the house"));
+        assert_eq!(form_of("value is in the attic"), Some("NAME is in the ROOM"));
+        assert_eq!(form_of("The attic is empty."), Some("The ROOM is empty"));
+        assert_eq!(form_of("everybody leaves the house"), Some("Everybody leaves the house"));
+        assert_eq!(form_of("They open the fridge."), None);
+    }
+
+    #[test]
     fn near_misses_name_the_nearest_form() {
         for (text, form) in [
             ("Ada leaves.", "NAME leaves the house"),
@@ -287,6 +324,10 @@ mod tests {
 
     #[test]
     fn the_manual_has_the_table_of_forms() {
-        assert!(include_str!("../../../docs/persons.md").contains(&table()), "put this into docs/persons.md:\n{}", table());
+        assert!(
+            include_str!("../../../docs/persons.md").contains(&table()),
+            "put this into docs/persons.md:\n{}",
+            table()
+        );
     }
 }

@@ -208,6 +208,8 @@ pub struct Observation {
     pub observed_unix_ns: u64,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
+    /// The text may be a presence form: it is a plain sentence, and no action, device state or filled template of a rule.
+    pub may_be_form: bool,
     /// The report.
     pub event: Event,
 }
@@ -223,7 +225,19 @@ impl Observation {
     #[must_use]
     pub fn saying(sequence: u64, event: Event) -> Self {
         let (person, name, by_fit, count) = (0, None, false, 0);
-        Self { person, name, by_fit, source: 0, epoch: 0, sequence, observed_ns: 0, observed_unix_ns: 0, count, event }
+        Self {
+            person,
+            name,
+            by_fit,
+            source: 0,
+            epoch: 0,
+            sequence,
+            observed_ns: 0,
+            observed_unix_ns: 0,
+            count,
+            may_be_form: true,
+            event,
+        }
     }
 
     /// The sentence for the prompt; none where only presence is said.

@@ -149,8 +149,31 @@ impl<'a> Named<'a> {
 
 /// Words that stand for any person.
 const NO_NAMES: [&str; 25] = [
-    "nobody", "me", "who", "i", "you", "he", "she", "it", "we", "they", "him", "her", "us", "them", "somebody", "someone",
-    "anybody", "anyone", "everybody", "everyone", "all", "both", "no one", "none", "everybody else",
+    "nobody",
+    "me",
+    "who",
+    "i",
+    "you",
+    "he",
+    "she",
+    "it",
+    "we",
+    "they",
+    "him",
+    "her",
+    "us",
+    "them",
+    "somebody",
+    "someone",
+    "anybody",
+    "anyone",
+    "everybody",
+    "everyone",
+    "all",
+    "both",
+    "no one",
+    "none",
+    "everybody else",
 ];
 
 /// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::{Counts, Guesser, Thread};
 use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;

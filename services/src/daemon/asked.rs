@@ -179,7 +179,9 @@ mod tests {
             reason: asked.err(),
             failed: false,
             kept: false,
-            persons: Vec::new(), understood: Vec::new() };
+            persons: Vec::new(),
+            understood: Vec::new(),
+        };
         let answer = Answered::default().answer(Ok::<_, String>(long.as_str()), why);
         assert!(answer.contains("xxx") && answer.len() < REASON_CHARS_MAX + 100, "{} bytes", answer.len());
     }

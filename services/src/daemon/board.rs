@@ -19,17 +19,17 @@ use crate::config::May;
 use crate::habits_reason::{ELSEWHERE, HorizonLine, PersonHabits, RoomReason, ThingReason};
 use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
-use roomcast_core::places::{Mention, PlaceMatcher};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
 use roomcast_core::narration::{Event, Observation, Presence, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
+use roomcast_core::places::{Mention, PlaceMatcher};
 use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
 use roomcast_core::semantic_map::SemanticMap;
 
-use messages::{NamedRooms, named_rooms};
 use attribution::{Reporter, ways_out};
+use messages::{NamedRooms, named_rooms};
 
 mod attribution;
 mod messages;

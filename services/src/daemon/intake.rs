@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
-use roomcast_ipc::{Message, MessageError, NarrationV1, Sender};
+use roomcast_ipc::{Message, MessageError, NarrationV1, Sender, narration_kind};
 
 use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
@@ -372,6 +372,7 @@ impl Intake {
             },
             observed_unix_ns: message.observed_unix_ns,
             count: message.counted(),
+            may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&message.kind),
             event,
         };
         Taken::Accepted { observation, missed, voice, leaves, binds }
@@ -609,7 +610,14 @@ mod tests {
     fn nothing_that_a_relayed_narrator_says_too_fast_is_lost() {
         const S: u64 = 1_000_000_000;
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: Some(1.0), relayed };
+        let known = |relayed| KnownNarrator {
+            name: "hall".into(),
+            trust: 1,
+            share: 1,
+            may: May::ALL,
+            rate_per_s: Some(1.0),
+            relayed,
+        };
         for relayed in [false, true] {
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 2.0 };
             let mut intake = Intake::new(limits).with_narrators(&[known(relayed)]);
@@ -651,7 +659,14 @@ mod tests {
         const S: u64 = 1_000_000_000;
         let hall = source_of_name("hall");
         for gap_ms in [300, 700, 1_000, 1_100, 1_300, 2_000, 3_000, 4_500, 6_000] {
-            let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: Some(1.0), relayed: true };
+            let known = KnownNarrator {
+                name: "hall".into(),
+                trust: 1,
+                share: 1,
+                may: May::ALL,
+                rate_per_s: Some(1.0),
+                relayed: true,
+            };
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 5.0 };
             let mut intake = Intake::new(limits).with_narrators(&[known]);
             intake.note_alive([PORT]);
@@ -696,7 +711,8 @@ mod tests {
         const S: u64 = 1_000_000_000;
         assert_eq!(STARTS_UNDER_WAY_MAX, SOURCES_OF_A_PORT);
         let (hall, starts) = (source_of_name("hall"), 40);
-        let known = KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed: true };
+        let known =
+            KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed: true };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1000.0, burst: 100.0 }).with_narrators(&[known]);
         intake.note_alive([PORT]);
         let mut relay = Relay::new("hall", 100.0);
@@ -795,7 +811,8 @@ mod tests {
     /// A name is no password, but who uses one that is in use has none of its places.
     #[test]
     fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: None, relayed: false };
+        let named =
+            KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: None, relayed: false };
         let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let mut voice = |epoch, port, alive: &[Sender]| {
@@ -848,7 +865,14 @@ mod tests {
     #[test]
     fn a_bridge_that_starts_again_goes_on_for_the_narrator_elsewhere() {
         let hall = source_of_name("hall");
-        let known = |relayed| KnownNarrator { name: "hall".into(), trust: 1, share: 1, may: May::ALL, rate_per_s: None, relayed };
+        let known = |relayed| KnownNarrator {
+            name: "hall".into(),
+            trust: 1,
+            share: 1,
+            may: May::ALL,
+            rate_per_s: None,
+            relayed,
+        };
         let third = Sender::simulated(3);
         for relayed in [false, true] {
             let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(relayed)]);
@@ -912,7 +936,14 @@ mod tests {
     /// Whoever is not named counts as one voice with all others, so that more processes have no more of a window.
     #[test]
     fn narrators_that_are_named_have_voices_of_their_own() {
-        let named = KnownNarrator { name: "hall".into(), trust: 3, share: 4, may: May::ALL, rate_per_s: Some(0.0), relayed: false };
+        let named = KnownNarrator {
+            name: "hall".into(),
+            trust: 3,
+            share: 4,
+            may: May::ALL,
+            rate_per_s: Some(0.0),
+            relayed: false,
+        };
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let voice = |taken| accepted(taken).1;

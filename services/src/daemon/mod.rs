@@ -72,10 +72,10 @@ pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{PersonAnswer, PersonLine, PersonQuestion, UnderstoodLine, UnderstoodPerson};
-pub use understood::{By, UNDERSTOOD_MAX};
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
 pub use roomcast_ipc::presence::word as presence_word;
+pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread looks after the others.
 const SUPERVISE: Duration = Duration::from_millis(500);

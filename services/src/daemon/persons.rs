@@ -288,8 +288,7 @@ impl Persons {
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
         let number = observation.person;
         // Who comes back is known afresh, whether or not it was told meanwhile that they were gone.
-        let is_back =
-            |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
+        let is_back = |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
         if self.known.get(&number).filter(is_back).is_some() {
             self.known.remove(&number);
         }
@@ -432,7 +431,13 @@ impl Persons {
     /// The persons that an event without a name may be about, the best first. `fit` says how well a person in the house fits. Of equal ones,
     /// the person with the newest event comes first. An arrival is first about the person that was away for longest; a departure is about
     /// a person that is awake. An unknown house has its residents, or person 0.
-    pub(super) fn fitting(&self, event: &Event, now_ns: i64, is_strange: bool, mut fit: impl FnMut(u32) -> f64) -> Vec<u32> {
+    pub(super) fn fitting(
+        &self,
+        event: &Event,
+        now_ns: i64,
+        is_strange: bool,
+        mut fit: impl FnMut(u32) -> f64,
+    ) -> Vec<u32> {
         let leaves = event.person_presence() != Presence::Present;
         let candidates = self.candidates(is_strange);
         let of = |presence: Presence| candidates.iter().filter(move |(_, known)| known.presence == presence);

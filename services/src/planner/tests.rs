@@ -1,6 +1,6 @@
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
-use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::places::PlaceMatcher;
 use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
 
 use super::*;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use roomcast_core::places::PlaceMatcher;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::names::Names;
-use roomcast_core::narration::forms::{self, near_miss};
 use roomcast_core::narration::Sentence;
+use roomcast_core::narration::forms::{self, near_miss};
+use roomcast_core::places::PlaceMatcher;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use roomcast_services::daemon::Persons;

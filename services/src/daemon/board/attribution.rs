@@ -97,7 +97,8 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// How the events of a narrator's start were understood, from a sequence on.
-    pub(in super::super) fn understood_lines(&mut self, source: u64, epoch: u64, from: u64) -> Vec<UnderstoodLine> {
+    #[must_use]
+    pub fn understood_lines(&mut self, source: u64, epoch: u64, from: u64) -> Vec<UnderstoodLine> {
         let Self { understood, mentions, pipeline, map, persons, .. } = self;
         let grounding = pipeline.grounding();
         let line = |own: &Understood| {
@@ -107,13 +108,13 @@ impl<M: LanguageModel> Board<M> {
             let place = thing.or_else(|| room.map(|room| grounding.partitions()[room].id.clone()));
             let why = own.reason.map(Reason::text).or(match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
-                Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => Some("the map has no single room of this name"),
+                Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => {
+                    Some("the map has no single room of this name")
+                }
                 _ => None,
             });
-            let person = |person: &u32| UnderstoodPerson {
-                person: *person,
-                name: persons.name_of(*person).map(str::to_owned),
-            };
+            let person =
+                |person: &u32| UnderstoodPerson { person: *person, name: persons.name_of(*person).map(str::to_owned) };
             UnderstoodLine {
                 sequence: own.id.2,
                 event: kind(&own.event).to_owned(),
@@ -142,6 +143,7 @@ impl<M: LanguageModel> Board<M> {
         };
         let text = sentence.as_str();
         if reporter.may.presence
+            && observation.may_be_form
             && let Some(read) = self.read_form(observation, text)
         {
             return Ok(read);
@@ -218,12 +220,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes in again the part of one person that a former run read in an event, in any company. An empty room gives nothing.
-    pub(super) fn retake(
-        &mut self,
-        own: Observation,
-        reporter: Reporter,
-        at_ns: Option<i64>,
-    ) -> Option<Observation> {
+    pub(super) fn retake(&mut self, own: Observation, reporter: Reporter, at_ns: Option<i64>) -> Option<Observation> {
         if own.person == SOMEBODY {
             self.exclude(&own, reporter, at_ns);
             return None;

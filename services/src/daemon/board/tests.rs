@@ -199,7 +199,8 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
 fn a_guard_ends() {
     let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
     for (guard_s, later_s, is_heard) in [(0.0, 1, true), (600.0, 599, false), (600.0, 602, true)] {
-        let mut board = board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
+        let mut board =
+            board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
         let at_ns = 1000 * S;
         let later_ns = at_ns + later_s * S;
         let own = Entry::new(observation(0, at_ns, "They open the fridge."), at_ns);

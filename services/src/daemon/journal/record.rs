@@ -6,7 +6,7 @@
 //! | letters | payload |
 //! | --- | --- |
 //! | `RCJ1` | a sentence: source, epoch, sequence, observed_ns, observed_unix_ns (u64 each), person (u32), the machine's boot id (16 bytes), the sentence |
-//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit) and the person's name (u8 of bytes, the bytes). Former versions wrote more behind a presence and before it, which is not read |
+//! | `RCJ3` | the same with a name, presence or an attribution: before the text come what it is (u8; bit 0: presence, bit 1: the person was found by fit, bit 4: the text is no plain sentence) and the person's name (u8 of bytes, the bytes). Former versions wrote more behind a presence and before it, which is not read |
 //! | `RCJ2`, `RCJ4` | `RCJ1` and `RCJ3` carried over, see below |
 //! | `RCJ5` | what became of an observation that was written before: its source, epoch, sequence (u64 each), the person that it is of (u32), whether that was found by fit (u8), the map's fingerprint (its first 8 bytes), and per room the probability that the model then gave (f32) |
 //! | `RCJ6` | whose a start of a source is: its source and epoch (u64 each), and the port that speaks for it (16 bytes) |
@@ -66,6 +66,8 @@ const OUTCOME_BYTES: usize = 3 * 8 + 4 + 1 + 8;
 /// Bits of what a named record is.
 const IS_PRESENCE: u8 = 1;
 const IS_BY_FIT: u8 = 1 << 1;
+/// The text is no plain sentence, so it is no presence form.
+const IS_NO_FORM: u8 = 1 << 4;
 /// The same of whom an observation moved: what it says of them is what was observed, or what it says of the one before.
 const IS_AS_OBSERVED: u8 = 1 << 2;
 const IS_AS_BEFORE: u8 = 1 << 3;
@@ -169,7 +171,8 @@ pub struct Outcome<'a> {
 pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     let name = observation.name.as_deref().unwrap_or_default().as_bytes();
     let (is_presence, text) = text_of(&observation.event);
-    let kind = is_presence | if observation.by_fit { IS_BY_FIT } else { 0 };
+    let no_form = if observation.may_be_form || is_presence != 0 { 0 } else { IS_NO_FORM };
+    let kind = is_presence | no_form | if observation.by_fit { IS_BY_FIT } else { 0 };
     let text = text.as_bytes();
     let named = kind != 0 || !name.is_empty();
     let mut payload = Vec::with_capacity(HEADER_BYTES + FIXED_BYTES + 2 + name.len() + text.len());
@@ -388,7 +391,19 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
     let event = event_of(std::str::from_utf8(text).ok()?, kind)?;
     let observed_ns = if boot == boot_id { observed_ns } else { 0 };
     let by_fit = kind & IS_BY_FIT != 0;
-    Some(Observation { person, name, by_fit, source, epoch, sequence, observed_ns, observed_unix_ns, count: 0, event })
+    Some(Observation {
+        person,
+        name,
+        by_fit,
+        source,
+        epoch,
+        sequence,
+        observed_ns,
+        observed_unix_ns,
+        count: 0,
+        may_be_form: kind & IS_NO_FORM == 0,
+        event,
+    })
 }
 
 /// What somebody's part of a record is, and their name, if they have one there.

@@ -494,7 +494,9 @@ fn a_name_outlives_the_half_that_had_it() {
         assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
     };
     let [anna, tom] = ["anna", "tom"].map(person_number);
-    for (person, name, text) in [(anna, "Anna", "Anna opens the fridge."), (tom, "Tom", "Tom sits on the sofa and yawns.")] {
+    for (person, name, text) in
+        [(anna, "Anna", "Anna opens the fridge."), (tom, "Tom", "Tom sits on the sofa and yawns.")]
+    {
         let of_them = Move { person, name: Some(name.into()), by_fit: false, event: None };
         say(&mut journal, text, &[person], vec![of_them]);
     }

@@ -35,7 +35,8 @@ impl Called {
         let firsts = names.iter().filter_map(|name| ReadName::new(name).first().filter(is_first).map(str::to_owned));
         own.extend(firsts.collect::<Vec<_>>());
         own.retain(|name| !name.is_empty());
-        let others = persons.all_names().map(|name| without_the(bare(name))).filter(|name| !own.contains(name)).collect();
+        let others =
+            persons.all_names().map(|name| without_the(bare(name))).filter(|name| !own.contains(name)).collect();
         let words_max = own.iter().chain(&others).map(|name| name.split(' ').count()).max().unwrap_or_default();
         Self { person, own, others, words_max: words_max.max(FORMER_WORDS), has_unknown_name }
     }
@@ -87,7 +88,9 @@ mod tests {
         ] {
             assert!(is_in(who, text), "{who}: {text}");
         }
-        for (who, text) in [("Anna", "Anna Maria sits."), ("Ben", "They sit on the bench."), ("Anna Maria", "Anna sits.")] {
+        for (who, text) in
+            [("Anna", "Anna Maria sits."), ("Ben", "They sit on the bench."), ("Anna Maria", "Anna sits.")]
+        {
             assert!(!is_in(who, text), "{who}: {text}");
         }
         let former = person_number("Igor");

@@ -1178,7 +1178,9 @@ fn narrators_that_may_only_report_actions_set_no_presence() {
     let mut house = House::new(&["Ada"]);
     house.board = std::mem::replace(&mut house.board, board(&house.config)).with_named([(7, May::DID)]);
     house.after(1, "Ada", "They open the fridge.");
-    for (who, text) in [("Ada", "away"), ("somebody", "Ada leaves the house."), ("somebody", "Everybody leaves the house.")] {
+    for (who, text) in
+        [("Ada", "away"), ("somebody", "Ada leaves the house."), ("somebody", "Everybody leaves the house.")]
+    {
         house.after(1, who, text);
         assert_eq!(house.presence("Ada"), Some(presence::PRESENT), "{text}");
     }
