@@ -8,6 +8,7 @@
     reason = "each driver uses its own; a panic is the report"
 )]
 
+use std::cell::RefCell;
 use std::io::{Read, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -22,8 +23,9 @@ use roomcast_ipc::{
     RoomScoresV1, Sender, sequence,
 };
 use roomcast_llama::gguf::Header;
-use roomcast_services::config::{Config, IntakeLimits, PlannerConfig};
+use roomcast_services::config::{Config, IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
+use roomcast_services::dry_run::DryRun;
 use roomcast_services::mqtt::{Listener, Rules};
 use roomcast_services::narrator::{Who, line_item};
 use roomcast_services::planner::Planner;
@@ -49,6 +51,7 @@ pub const ALL: &[(&str, Target)] = &[
     ("line", line),
     ("message", message),
     ("mqtt", mqtt),
+    ("presence", presence),
     ("program", program),
     ("recording", recording),
     ("scene", scene),
@@ -158,6 +161,26 @@ pub fn line(bytes: &[u8]) {
     message.check().expect("what the narrator sends passes the daemon's check");
     let taken = Intake::new(IntakeLimits::default()).take(&message, Sender::simulated(1), 1);
     assert!(matches!(taken, Taken::Accepted { .. }), "{taken:?}");
+}
+
+thread_local! {
+    static HOME: RefCell<DryRun> = RefCell::new(home_of_two());
+}
+
+fn home_of_two() -> DryRun {
+    let residents = ["Ada", "Ben"].map(str::to_owned).to_vec();
+    let persons = PersonsConfig { residents, ..PersonsConfig::default() };
+    DryRun::new(&Config { persons, ..Config::default() }, 1_000_000_000_000_000_000).expect("the shipped scene is a home")
+}
+
+/// A text that a camera reads from a poster or a screen sets no presence.
+pub fn presence(bytes: &[u8]) {
+    let Ok(poster) = std::str::from_utf8(bytes) else { return };
+    for text in [format!("A poster reads: {poster}"), format!("On TV, {poster} Bye"), format!("Ada says {poster}")] {
+        let Ok(item) = line_item(&text, &Who::Somebody) else { continue };
+        let line = HOME.with_borrow_mut(|home| home.take(&item)).expect("the table model never fails");
+        assert!(line.is_none_or(|line| line.understood.event == "did"), "{text}");
+    }
 }
 
 /// A configuration that is accepted can be written and read again.
