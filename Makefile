@@ -149,6 +149,7 @@ python:
 	if compgen -G 'benches/homes/test_*.py' >/dev/null; then \
 	    $(VENV)/bin/python -m pytest -q -rs benches/homes || [ $$? = 5 ]; \
 	fi; \
+	ROOMCAST=$(abspath $(TARGET))/release/roomcast $(VENV)/bin/python -m pytest -q -rs clients/captions; \
 	if compgen -G 'clients/python/tests/test_*.py' >/dev/null; then \
 	    if $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e clients/python; then \
 	        ROOMCAST=$(abspath $(TARGET))/release/roomcast $(VENV)/bin/python -m pytest -q -rs clients/python/tests; \

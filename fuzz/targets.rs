@@ -170,7 +170,8 @@ thread_local! {
 fn home_of_two() -> DryRun {
     let residents = ["Ada", "Ben"].map(str::to_owned).to_vec();
     let persons = PersonsConfig { residents, ..PersonsConfig::default() };
-    DryRun::new(&Config { persons, ..Config::default() }, 1_000_000_000_000_000_000).expect("the shipped scene is a home")
+    DryRun::new(&Config { persons, ..Config::default() }, 1_000_000_000_000_000_000)
+        .expect("the shipped scene is a home")
 }
 
 /// A text that a camera reads from a poster or a screen sets no presence.

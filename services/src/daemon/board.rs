@@ -174,6 +174,8 @@ pub struct Board<M> {
     unscored_gap: bool,
     /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
     strange_rooms: BTreeSet<String>,
+    /// Texts that resemble a presence form and are none, as they were logged.
+    near_misses: BTreeSet<String>,
     /// Working memory of a step: the sources that the scores name, in the order of the message, each with how many newer ones of its voice
     /// there are.
     newest_sources: Vec<(usize, Included)>,
@@ -209,6 +211,9 @@ pub struct PreparedTally {
 
 /// Names of rooms that the map does not have which are logged, until the map changes.
 const STRANGE_ROOMS_LOGGED: usize = 16;
+
+/// Texts that resemble a presence form and are none which are logged, until a restart.
+const NEAR_MISSES_LOGGED: usize = 16;
 
 /// Things whose probability is explained by habits.
 const REASONS: usize = 12;
@@ -268,6 +273,7 @@ impl<M: LanguageModel> Board<M> {
             unscored_ns: None,
             unscored_gap: false,
             strange_rooms: BTreeSet::new(),
+            near_misses: BTreeSet::new(),
             newest_sources: Vec::new(),
             named_turn: 0,
             followed: BTreeMap::new(),

@@ -12,7 +12,7 @@ use roomcast_ipc::RoomV1;
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
 use super::super::understood::{By, Reason, Understood};
-use super::{Attributed, Board, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
+use super::{Attributed, Board, NEAR_MISSES_LOGGED, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
 use crate::config::May;
 
 /// A narrator as far as its events are concerned.
@@ -62,6 +62,7 @@ impl<M: LanguageModel> Board<M> {
             }
         };
         let is_read_alone = who == Who::Key && event == observation.event;
+        self.note_near_miss(&observation, &event);
         understood.event = event.clone();
         understood.by = match who {
             Who::Key => By::Key,
@@ -191,6 +192,23 @@ impl<M: LanguageModel> Board<M> {
             (true, Event::AllAway) => None,
             (true, _) => Some((Who::Key, event)),
             (false, _) => Some((who, event)),
+        }
+    }
+
+    /// Logs once that a sentence resembles a presence form and is none.
+    fn note_near_miss(&mut self, observation: &Observation, event: &Event) {
+        let Event::Did(text) = event else { return };
+        if !observation.may_be_form || self.near_misses.len() >= NEAR_MISSES_LOGGED {
+            return;
+        }
+        if let Some(form) = forms::near_miss(text.as_str())
+            && self.near_misses.insert(text.to_string())
+        {
+            tracing::info!(
+                text = text.as_str(),
+                nearest = form.sentence,
+                "this text sets no presence; write the nearest form, or send presence"
+            );
         }
     }
 
