@@ -76,7 +76,7 @@ fn is_presence(number: usize) -> bool {
 fn household_line(number: usize) -> String {
     let person = whose(number).unwrap_or_default();
     match number % 40 {
-        7 => format!("{{\"person\": {person:?}, \"text\": \"They leave the house.\"}}"),
+        7 => format!("{{\"person\": {person:?}, \"presence\": \"away\"}}"),
         9 => format!("{{\"person\": {person:?}, \"presence\": \"present\", \"room\": \"kitchen\"}}"),
         13 => format!("{{\"person\": {person:?}, \"text\": \"They come home.\"}}"),
         19 => format!("{{\"person\": {person:?}, \"presence\": \"gone\"}}"),
@@ -93,7 +93,7 @@ fn leaves(number: usize) -> bool {
 /// The narrator has said this line; the text names it, unless it says that the person leaves.
 fn line(number: usize) -> String {
     if leaves(number) {
-        return "They leave the house.".to_owned();
+        return r#"{"presence": "away"}"#.to_owned();
     }
     said(number)
 }

@@ -246,7 +246,7 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     fs::create_dir(&state).unwrap();
     // The disk holds 256 KiB, of which something else has taken all but some pages.
     let mount = format!(
-        "mount -t tmpfs -o size=256k tmpfs {0} && head -c 240k /dev/zero > {0}/other && exec \"$@\"",
+        "mount -t tmpfs -o size=256k,mode=0700 tmpfs {0} && head -c 240k /dev/zero > {0}/other && exec \"$@\"",
         state.display()
     );
     let prefix = ["unshare", "-m", "sh", "-c", &mount, "sh"];

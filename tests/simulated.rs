@@ -627,7 +627,7 @@ impl World {
                 let statement = ["away", "gone", "present", "present in the a", "present in the b"];
                 (narration_kind::PRESENCE, statement[self.rng.random_range(0..5)].to_owned())
             }
-            3 if self.rng.random_bool(0.1) => (narration_kind::SENTENCE, "They leave the house.".to_owned()),
+            3 if self.rng.random_bool(0.1) => (narration_kind::PRESENCE, "away".to_owned()),
             0 => (narration_kind::ACTION, format!("[Grab] <thing_{}> (1)", self.said)),
             // Of nothing that is on the map it would bring nobody home.
             1 => (narration_kind::DEVICE, format!("the pan {} is on", self.said)),

@@ -136,20 +136,35 @@ const NEAR: [(&str, usize); 12] = [
     (" is in the ", 6),
 ];
 
-/// The nearest form of a short text that speaks of presence and is no form: "Ada leaves." is near "NAME leaves the house".
+/// The nearest form of a short text that speaks of presence and is no form: "Ada leaves." is near "NAME leaves the house". It allocates nothing.
 #[must_use]
 pub fn near_miss(text: &str) -> Option<&'static Form> {
     const WORDS_MAX: usize = 6;
-    let lower = format!("{} ", text.trim().trim_end_matches(['.', '!']).to_lowercase());
-    if lower.split_whitespace().count() > WORDS_MAX {
+    let text = text.trim().trim_end_matches(['.', '!']);
+    if text.split_whitespace().count() > WORDS_MAX {
         return None;
     }
-    if lower.starts_with("everyone ") || lower.starts_with("everybody ") {
+    let has = |words: &str| {
+        let is_at = |at: &[u8]| at.eq_ignore_ascii_case(words.trim_end().as_bytes());
+        let found = text.as_bytes().windows(words.trim_end().len()).rposition(is_at);
+        // A word that ends there, unless more words follow.
+        found.is_some_and(|at| {
+            let rest = &text[at..].get(words.trim_end().len()..);
+            rest.is_none_or(|rest| rest.is_empty() || rest.starts_with(' '))
+        })
+    };
+    let begins = |word: &str| text.split(' ').next().is_some_and(|first| first.eq_ignore_ascii_case(word));
+    if begins("everyone") || begins("everybody") {
         return FORMS.get(7);
     }
-    let exact =
-        FORMS.iter().find(|form| !form.verbs.0.is_empty() && lower.trim_end().ends_with(&format!(" {}", form.verbs.0)));
-    exact.or_else(|| NEAR.iter().find(|(words, _)| lower.contains(words)).and_then(|(_, form)| FORMS.get(*form)))
+    let ends = |words: &str| {
+        let start = text.len().checked_sub(words.len() + 1);
+        start
+            .and_then(|start| text.get(start..))
+            .is_some_and(|end| end.starts_with(' ') && end[1..].eq_ignore_ascii_case(words))
+    };
+    let exact = FORMS.iter().find(|form| !form.verbs.0.is_empty() && ends(form.verbs.0));
+    exact.or_else(|| NEAR.iter().find(|(words, _)| has(words)).and_then(|(_, form)| FORMS.get(*form)))
 }
 
 /// The forms as a table for the manual.

@@ -852,7 +852,6 @@ mod tests {
             "They walk to the living room.",
             "They leave the house.",
             "They come home.",
-            "They are in the house.",
             "They wake up.",
             "They go to sleep.",
             "They go for a walk.",

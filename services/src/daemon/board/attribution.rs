@@ -81,17 +81,21 @@ impl<M: LanguageModel> Board<M> {
             self.understood.add(understood);
             return (false, moves);
         }
-        for own in self.each(own, &who, reporter, at_ns) {
-            match self.take(own, voice, (reporter, false), at_ns) {
-                Ok(own) => {
-                    understood.add_person(own.person);
-                    if !is_read_alone {
-                        moves.push(Move::of(&own, &observed));
-                    }
-                    enter(self, own);
+        let mut take = |board: &mut Self, own: Observation| match board.take(own, voice, (reporter, false), at_ns) {
+            Ok(own) => {
+                understood.add_person(own.person);
+                if !is_read_alone {
+                    moves.push(Move::of(&own, &observed));
                 }
-                Err(reason) => understood.reason = Some(reason),
+                enter(board, own);
             }
+            Err(reason) => understood.reason = Some(reason),
+        };
+        if who == Who::Key {
+            let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
+            take(self, Observation { person, ..own });
+        } else {
+            self.each(own, &who, reporter, at_ns).into_iter().for_each(|own| take(self, own));
         }
         self.understood.add(understood);
         (is_read_alone, moves)
@@ -215,10 +219,7 @@ impl<M: LanguageModel> Board<M> {
     /// One observation for each person of an event.
     fn each(&mut self, own: Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Vec<Observation> {
         match who {
-            Who::Key => {
-                let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
-                vec![Observation { person, ..own }]
-            }
+            Who::Key => vec![own],
             Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
             Who::House => {
                 let away = Observation { event: Event::Away, ..own };
