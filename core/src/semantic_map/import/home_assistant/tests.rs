@@ -436,6 +436,7 @@ fn settings_counters_and_alarms_are_no_things() {
         ("switch.fridge_vacation_mode", "kitchen", ""),
         ("switch.waschmaschine_kindersicherung", "kitchen", ""),
         ("switch.adaptive_lighting_kitchen", "kitchen", ""),
+        ("switch.dishwasher_child_lock", "kitchen", ""),
         ("light.printer_status_led", "kitchen", ""),
         ("button.coffee_maker", "kitchen", ""),
         ("camera.fridge", "kitchen", ""),
