@@ -837,7 +837,7 @@ mod tests {
         assert_eq!(named, ["kitchen-1"], "{text}");
         assert_eq!((rules_in(&text), notes.len()), (1, 1), "{text}{notes:?}");
         assert!(
-            notes[0].starts_with("4 rules of the areas \"bad\", \"bad gäste\", \"hallway\", \"turm\" written"),
+            notes[0].starts_with("4 rules of the areas \"bad\", \"bad_gaste\", \"flur\", \"turm\" written"),
             "{notes:?}"
         );
         assert!(

@@ -305,13 +305,23 @@ impl SemanticMap {
         (is_its_id || is_one()).then_some(found)
     }
 
-    /// A name of a room for people: its label where no other room has it, else an alias of its own, else its id.
+    /// A name of a room for people: its label if no other room has it, else an alias of the room, else its id.
     #[must_use]
     pub fn room_name(&self, room: usize) -> &str {
         let own = &self.rooms[room];
         let is_only = self.rooms.iter().filter(|other| other.label == own.label).count() == 1;
         let alias = || self.aliases.get(&own.id).and_then(|names| names.first());
         if is_only { &own.label } else { alias().unwrap_or(&own.id) }
+    }
+
+    /// A room for people who may write it into a file: its id, or its name if the id is one of Home Assistant's before 2022, 32 digits.
+    #[must_use]
+    pub fn room_key(&self, room: usize) -> &str {
+        const DIGITS: usize = 32;
+        let id = &self.rooms[room].id;
+        let is_digits = id.len() == DIGITS && id.chars().all(|c| c.is_ascii_hexdigit());
+        let name = self.room_name(room);
+        if is_digits && self.find_one_room(name).is_some_and(|found| found.0 as usize == room) { name } else { id }
     }
 
     fn find<T>(&self, name: &str, known: impl Fn(&str) -> Option<T>) -> Option<T> {

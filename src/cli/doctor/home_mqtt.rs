@@ -122,7 +122,7 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
 
 /// Rules with a room that the map does not have.
 fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
-    let known: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+    let known: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
     let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
     let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_one_room(room).is_none()).collect();
     let (number, room) = unknown.first()?;
@@ -209,7 +209,7 @@ pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Place
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
     if let Some(room) = of("room").filter(|room| map.find_one_room(room).is_none()) {
-        let rooms: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
+        let rooms: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
         let has = if map.find_room(room).is_some() { "several rooms called" } else { "no room" };
         return Some(format!("the map has {has} {room:?}; its rooms are {}", rooms.join(", ")));
     }

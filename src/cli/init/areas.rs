@@ -42,7 +42,7 @@ impl Areas {
         notes.push(format!(
             "{} of other floors than the robot's map put beside it, boxes of which nothing is measured: {}. The robot cannot go there.",
             count(elsewhere.len(), "area"),
-            elsewhere.iter().map(|area| areas.room_name(area.0 as usize)).collect::<Vec<_>>().join(", ")
+            elsewhere.iter().map(|area| areas.room_key(area.0 as usize)).collect::<Vec<_>>().join(", ")
         ));
         Ok((Imported { map, notes, ..imported }, Self { rooms }))
     }

@@ -97,7 +97,7 @@ pub(super) fn in_rooms_of(
 ) -> String {
     let name_of = |id: &str| {
         let place = areas.rooms().iter().position(|room| room.id == id);
-        place.map_or_else(|| id.to_owned(), |place| areas.room_name(place).to_owned())
+        place.map_or_else(|| id.to_owned(), |place| areas.room_key(place).to_owned())
     };
     let ids: Vec<&str> = map.rooms().iter().map(|room| room.id.as_str()).collect();
     let ids = ids.join(", ");

@@ -104,15 +104,12 @@ pub(super) fn no_rooms(areas: &[Area], has_things: &[bool]) -> Option<String> {
     };
     let found: Vec<String> =
         areas.iter().zip(has_things).filter(is_none).map(|(area, _)| super::comment(area.name.trim())).collect();
-    let (options, is_one): (String, bool) =
-        (found.iter().map(|name| format!(" --leave-out {name:?}")).collect(), found.len() == 1);
+    let options: String = found.iter().map(|name| format!(" --leave-out {name:?}")).collect();
+    let looks = if found.len() == 1 { "looks like no room" } else { "look like no rooms" };
     (!found.is_empty()).then(|| {
         format!(
-            "{} {}: no robot and no forecast needs {}. To leave {} out, import again with{options}.",
+            "{} {looks}. Every room takes part in the forecasts: if the robot never works there and no person is ever there, import again with{options}.",
             found.join(", "),
-            if is_one { "looks like no room" } else { "look like no rooms" },
-            if is_one { "it" } else { "them" },
-            if is_one { "it" } else { "them" },
         )
     })
 }

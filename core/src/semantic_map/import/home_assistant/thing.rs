@@ -229,7 +229,7 @@ impl Sensor {
         let all = || own.iter().flatten().map(String::as_str);
         let words_of_entities = Names::built_in().entities();
         let is_silent = match kind {
-            Kind::Switch | Kind::Used | Kind::Measured => all().any(|word| words_of_entities.is_setting(word)),
+            Kind::Switch | Kind::Used | Kind::Measured => own.iter().any(|words| has_setting(words)),
             Kind::Lamp => all().any(|word| ["indicator", "status"].contains(&word)),
             Kind::Motion | Kind::Occupancy => all().any(|word| words_of_entities.is_creature(word)),
             _ => false,
@@ -264,6 +264,13 @@ impl Sensor {
     pub(super) fn is_seat(&self) -> bool {
         self.kind == Kind::Occupancy && self.thing.is_some()
     }
+}
+
+/// Whether a name has a word of settings, or two ("child lock").
+fn has_setting(words: &[String]) -> bool {
+    let entities = Names::built_in().entities();
+    let is_setting = |run: &[String]| entities.is_setting(&run.join(" "));
+    words.windows(1).any(is_setting) || words.windows(2).any(is_setting)
 }
 
 /// The words of a name in the order of the name, without numbers and without an abbreviation of the area at the front ("bed_window_1").
