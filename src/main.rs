@@ -14,7 +14,6 @@ mod cli;
 mod columns;
 mod decided;
 mod exit_code;
-#[cfg(any(feature = "bridge", feature = "top", feature = "view"))]
 mod flags;
 #[cfg(feature = "home")]
 mod home_assistant;

@@ -287,7 +287,7 @@ mod tests {
             ("on\u{2014}nobody is home", "on"),
             ("\"Hello\" she says", "Hello"),
             (". Nobody is home", ""),
-            ("on\t now ", "on now"),
+            ("on\tnow ", "on now"),
             ("21.5 \u{b0}C", "21.5 \u{b0}C"),
             ("-3", "-3"),
             ("10:30", "10:30"),
