@@ -48,6 +48,14 @@ pub enum SpoolError {
         /// The folder.
         path: PathBuf,
     },
+    /// Another user could have put it there, or may write to it.
+    #[error("{path}: {source}")]
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// The reason and the remedy.
+        source: io::Error,
+    },
     /// The system refuses it.
     #[error("{path}: {what}: {source}; is the folder this program's, and the disk not full?")]
     Failed {
@@ -189,7 +197,7 @@ impl Spool {
         fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed("cannot make its folder"))?;
         for file in [FILE, LOCK] {
             let path = folder.join(file);
-            require_own(&path).map_err(|source| SpoolError::Failed { path, what: "cannot use it", source })?;
+            require_own(&path).map_err(|source| SpoolError::Refused { path, source })?;
         }
         let mut to_lock = OpenOptions::new();
         to_lock.create(true).append(true).mode(0o600);
@@ -546,7 +554,7 @@ mod tests {
             ] {
                 make(&path);
                 let error = Spool::open(folder.path(), 10).unwrap_err().to_string();
-                assert!(error.contains(&format!("/{name}: cannot use it: it is ")), "{error}");
+                assert!(error.contains(&format!("/{name}: it is ")), "{error}");
                 assert!(
                     error.contains("no plain file: remove it") || error.contains("a symbolic link: remove it"),
                     "{error}"

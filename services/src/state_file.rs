@@ -200,7 +200,9 @@ mod tests {
         assert!(read(&path, 3).unwrap_err().to_string().contains("more than 3 bytes"));
         std::fs::write(&path, [0xff]).unwrap();
         read(&path, 3).unwrap_err();
-        assert!(read(directory.path(), 3).unwrap_err().to_string().contains("no plain file"));
+        let folder = directory.path().join("folder");
+        make_folder(&folder).unwrap();
+        assert!(read(&folder, 3).unwrap_err().to_string().contains("no plain file"));
     }
 
     #[test]

@@ -47,13 +47,16 @@ pub(super) fn segment_names(path: &Path) -> Result<HashMap<String, String>, Fail
     import::segment_names(&text).map_err(|error| in_file("names", path, &error))
 }
 
-/// Writes beside the target and renames, so that no reader sees half a file. A link, a device or a pipe stays one.
+/// Writes beside the target and renames, so that no reader sees half a file. A link and a FIFO are refused.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
     let fail = |error: std::io::Error| {
+        let is_refused = error.kind() == std::io::ErrorKind::Other;
         // tempfile's errors end with the name of its file, which nobody has asked for.
         let said = error.to_string();
         let (path, error) = (path.display(), said.rsplit_once(" at path ").map_or(&said[..], |(said, _)| said));
-        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}; check the folder and its permissions"))
+        // A refused place has its own remedy.
+        let remedy = if is_refused { "" } else { "; check the folder and its permissions" };
+        Failure::new(exit_code::FAILURE, format!("cannot write {path}: {error}{remedy}"))
     };
     state_file::write_out(path, bytes).map_err(fail)
 }
@@ -76,5 +79,12 @@ mod tests {
         let path = path.display();
         let fault = "No such file or directory (os error 2); check the folder and its permissions";
         assert_eq!(error, format!("cannot write {path}: {fault}"));
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("plan.svg", &link).unwrap();
+        let error = write(&link, b"<svg/>").unwrap_err().to_string();
+        assert_eq!(
+            error,
+            format!("cannot write {}: a symbolic link is there; give the name of a file", link.display())
+        );
     }
 }

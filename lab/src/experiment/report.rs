@@ -170,6 +170,10 @@ mod tests {
         assert!(read("chart.svg").starts_with(b"<svg"));
         #[cfg(feature = "png")]
         assert!(read("chart.png").starts_with(b"\x89PNG"));
+        // A link is not followed.
+        std::fs::rename(folder.path().join("out/chart.svg"), folder.path().join("victim")).unwrap();
+        std::os::unix::fs::symlink("../victim", folder.path().join("out/chart.svg")).unwrap();
+        assert!(matches!(report.write(&folder.path().join("out")), Err(ReportError::Write { .. })));
         let html = String::from_utf8(read("report.html")).unwrap();
         assert!(html.contains("Numbers &amp; more") && html.contains("&lt;1&gt;") && html.contains("<svg"));
         assert!(

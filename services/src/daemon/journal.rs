@@ -70,6 +70,14 @@ pub enum JournalError {
         /// The system's word.
         source: io::Error,
     },
+    /// Another user could have put it there, or may write to it.
+    #[error("journal {}: {source}", path.display())]
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// The reason and the remedy.
+        source: io::Error,
+    },
     /// Another daemon has it.
     #[error("journal {}: another daemon is using it; stop that one, or set daemon.state to another directory", path.display())]
     Locked {
@@ -142,6 +150,7 @@ impl Journal {
         let folder = Folder::open(directory, options.bytes_max).map_err(|(path, operation, source)| {
             match (operation, source.kind()) {
                 ("lock", io::ErrorKind::WouldBlock) => JournalError::Locked { path },
+                (disk::USE, _) => JournalError::Refused { path, source },
                 _ => JournalError::File { path, operation, source },
             }
         })?;

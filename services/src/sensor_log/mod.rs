@@ -365,7 +365,7 @@ impl SensorRules {
             if bytes.len() as u64 > LINE_BYTES_MAX {
                 return Some((line, Err(format!("it has more than {LINE_BYTES_MAX} bytes"))));
             }
-            // Seek last: a reader that seeks first takes its buffer for headings.
+            // Seek before the reader gets the line: its first seek reads headings.
             let begun = reader.seek_raw(SeekFrom::Start(0), Position::new());
             *reader.get_mut() = Line(bytes);
             match begun.and_then(|()| reader.read_byte_record(&mut record)) {
@@ -385,7 +385,7 @@ impl SensorRules {
         let as_it_is = self.interval_of(record.iter());
         let is_closed = as_it_is.as_ref().is_ok_and(|interval| !interval.is_open);
         let not_empty = || record.iter().filter(|field| !field.is_empty());
-        if is_closed || !tabs || not_empty().count() < self.columns.len().min(record.len()) {
+        if is_closed || !tabs || not_empty().count() < self.columns.len() {
             return as_it_is;
         }
         // An end that seems missing may stand behind several tabs.
@@ -429,6 +429,10 @@ impl SensorRules {
                 Column::Place => interval.place = field,
                 Column::Other => {}
             }
+        }
+        // Numbers may be names of sensors; dates are not.
+        if interval.is_open && interval.sensor.parse::<f64>().is_err() && seconds(&interval.sensor).is_some() {
+            return Err(format!("{} is no sensor; name the columns in the rules file", quoted(&interval.sensor)));
         }
         if interval.end_s.is_nan() {
             (interval.end_s, ends_local) = (interval.start_s, is_local);

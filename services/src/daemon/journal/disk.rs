@@ -121,6 +121,8 @@ impl Debug for Folder {
 
 /// More than a half of the journal can have.
 const HALF_MARGIN: u64 = 1 << 20;
+/// The operation of a file that another user could have put there.
+pub(super) const USE: &str = "use";
 /// Most halves that were too large and are kept aside.
 const ASIDE_MAX: usize = 64;
 
@@ -141,7 +143,7 @@ impl Folder {
             move |error| (path, operation, error)
         };
         for path in [&current, &older, &next] {
-            state_file::require_own(path).map_err(failed(path, "use"))?;
+            state_file::require_own(path).map_err(failed(path, USE))?;
         }
         // Whoever is in the middle of it has the next file locked, and so this one after it.
         if fs::symlink_metadata(&current).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {

@@ -967,12 +967,12 @@ fn a_journal_in_a_folder_that_others_may_write_to_is_refused() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("narration.journal");
-    std::fs::write(&path, "theirs").unwrap();
-    std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o1777)).unwrap();
+    fs::write(&path, "theirs").unwrap();
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o1777)).unwrap();
     let options = JournalOptions { directory: folder.path().to_owned(), bytes_max: 8192, sync_ms: 1000 };
     let error = Journal::open(&options).unwrap_err().to_string();
     assert!(error.contains("other users may write to its folder (mode 1777): run `chmod go-w "), "{error}");
-    assert_eq!(std::fs::read_to_string(&path).unwrap(), "theirs");
+    assert_eq!(fs::read_to_string(&path).unwrap(), "theirs");
 }
 
 /// Row "fsync that fails once" of the attacks: what was written before it is lost with the power, if it is not written again.
