@@ -28,6 +28,7 @@ use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
 use roomcast_core::narration::Program;
+use roomcast_core::text::odd_name;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
@@ -35,6 +36,8 @@ const TICK: Duration = Duration::from_millis(100);
 /// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
+/// The log says once in this time that a person's name is odd.
+const ODD_NAME_NS: u64 = 60_000_000_000;
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
@@ -406,6 +409,7 @@ pub fn run(
     let mut warned = false;
     while let Some((read_ns, item)) = next(&items, &mut sender, stop)? {
         let item = match item {
+    let mut log_odd = Limiter::new(ODD_NAME_NS);
             Ok(item) => item,
             Err(error) => {
                 sender.account.outcome.refused += 1;
@@ -419,6 +423,12 @@ pub fn run(
         let pause = pace.before(&item);
         let due = Instant::now() + pause;
         while !stop.requested() && Instant::now() < due {
+        if let Who::Name(name) = &item.person
+            && let Some(odd) = odd_name(name, [])
+            && let Some(not_told) = log_odd.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(not_told, "a person's name is odd: {odd}");
+        }
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
         // However long it then waits for the daemon: that is no later observation. What is played is observed when its turn comes.

@@ -234,6 +234,9 @@ fn load<M: LanguageModel + Send + 'static>(
             let _removed = crate::state_file::remove_unfinished(&directory.join(file));
         }
     }
+    for odd in config.persons.odd_names([]) {
+        tracing::warn!("persons.residents: {odd}");
+    }
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);

@@ -150,6 +150,13 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let is_resident = |name: &str| residents.iter().any(|resident| Said::may_be_one(resident, name));
     let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
     let shown = place.shown();
+    if let [odd, ..] = &config.persons.odd_names(named.iter().map(String::as_str))[..] {
+        return Finding::limited(
+            check,
+            odd.clone(),
+            format!("correct it in persons.residents of {shown}, or in the rules"),
+        );
+    }
     match (residents.is_empty(), named.is_empty()) {
         (true, true) => Finding::good(check, format!("{shown} names nobody: whoever is observed lives here")),
         (true, false) => Finding::good(
