@@ -200,15 +200,18 @@ impl Account {
     /// [`MessageError`] when the text cannot be a message; no number is used up then.
     pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
         let message = item.message()?;
+        let observed_unix_ns = item.observed_unix_ns.unwrap_or(now_unix_ns);
+        // If the input's clock is fast, both times say so: the daemon corrects and counts it.
+        let ahead_ns = observed_unix_ns.saturating_sub(now_unix_ns);
         // What was observed before the machine's start has no monotonic time: 0, as the contract has it.
-        let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| now_unix_ns.saturating_sub(observed_ns));
+        let age_ns = now_unix_ns.saturating_sub(observed_unix_ns);
         self.outcome.sent += 1;
         Ok(NarrationV1 {
             source: self.source,
             epoch: self.epoch,
             sequence: self.outcome.sent,
-            observed_ns: now_ns.saturating_sub(age_ns),
-            observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
+            observed_ns: now_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
+            observed_unix_ns,
             source_name: self.source_name,
             ..message
         })
@@ -406,10 +409,10 @@ pub fn run(
     }
     notify(&[NotifyState::Ready]);
     let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);
+    let mut log_odd = Limiter::new(ODD_NAME_NS);
     let mut warned = false;
     while let Some((read_ns, item)) = next(&items, &mut sender, stop)? {
         let item = match item {
-    let mut log_odd = Limiter::new(ODD_NAME_NS);
             Ok(item) => item,
             Err(error) => {
                 sender.account.outcome.refused += 1;
@@ -420,15 +423,15 @@ pub fn run(
                 continue;
             }
         };
-        let pause = pace.before(&item);
-        let due = Instant::now() + pause;
-        while !stop.requested() && Instant::now() < due {
         if let Who::Name(name) = &item.person
             && let Some(odd) = odd_name(name, [])
             && let Some(not_told) = log_odd.pass(clock::monotonic_ns())
         {
             tracing::warn!(not_told, "a person's name is odd: {odd}");
         }
+        let pause = pace.before(&item);
+        let due = Instant::now() + pause;
+        while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
         // However long it then waits for the daemon: that is no later observation. What is played is observed when its turn comes.
@@ -628,9 +631,9 @@ mod tests {
         };
         assert_eq!(times(&sat(None), 500, 10_000), (500, 10_000));
         assert_eq!(times(&sat(Some(9_900)), 500, 10_000), (400, 9_900));
-        // Before the machine's start, and a little ahead by another clock.
+        // Before the machine's start, and by a clock that is fast, which the daemon corrects.
         assert_eq!(times(&sat(Some(1_000)), 500, 10_000), (0, 1_000));
-        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (500, 10_000));
+        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (501, 10_001));
     }
 
     /// Gives a line at a time, and counts them.

@@ -304,7 +304,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
         model_fingerprint: snapshot.model_fingerprint,
         map_fingerprint: snapshot.map_fingerprint,
         process: std::process::id(),
-        minor: 2,
+        minor: 3,
         version: text::encode_cut(env!("CARGO_PKG_VERSION")),
         map: text::encode_cut(board.map().name()),
         model: text::encode_cut(&board.pipeline().model().name),
