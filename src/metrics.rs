@@ -111,6 +111,8 @@ struct Metrics {
     daemon_up: Gauge,
     daemon_start: Ratio,
     narrations: Family<NarrationOutcome, Counter>,
+    ahead: Counter,
+    ahead_s: Ratio,
     waiting: Gauge,
     steps: Counter,
     failed_steps: Counter,
@@ -162,6 +164,8 @@ impl Metrics {
             daemon_up: Gauge::default(),
             daemon_start: Ratio::default(),
             narrations: Family::default(),
+            ahead: Counter::default(),
+            ahead_s: Ratio::default(),
             waiting: Gauge::default(),
             steps: Counter::default(),
             failed_steps: Counter::default(),
@@ -236,6 +240,16 @@ impl Metrics {
             "narrations",
             "Narrations by what became of them, since the daemon's start",
             self.narrations.clone(),
+        );
+        r.register(
+            "narrations_ahead",
+            "Narrations from a fast clock: they count as observed when they came",
+            self.ahead.clone(),
+        );
+        r.register(
+            "narration_ahead_seconds",
+            "How far the newest narration from a fast clock lay ahead",
+            self.ahead_s.clone(),
         );
         r.register("narrations_waiting", "Narrations that wait for the next step", self.waiting.clone());
         r.register("steps", "Scoring steps since the daemon's start", self.steps.clone());
@@ -337,6 +351,8 @@ impl Metrics {
         ] {
             set(&self.narrations.get_or_create(&NarrationOutcome { outcome }), count);
         }
+        set(&self.ahead, status.ahead);
+        self.ahead_s.set(seconds(status.ahead_ns));
         set(&self.steps, status.steps);
         set(&self.failed_steps, status.failed_steps);
         set(&self.merged, status.merged);

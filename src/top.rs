@@ -360,6 +360,7 @@ impl View {
                 let lost: Vec<String> = [
                     (status.missed, "missed"),
                     (status.malformed, "malformed"),
+                    (status.ahead, "from a fast clock"),
                     (status.failed_steps, "failed steps"),
                     (self.snapshots_missed, "snapshots missed here"),
                     (self.malformed, "malformed here"),
@@ -597,6 +598,7 @@ mod tests {
             accepted: MOST,
             missed: MOST,
             malformed: MOST,
+            ahead: MOST,
             failed_steps: MOST,
             learned: MOST,
             habits_bytes: MOST,

@@ -759,7 +759,7 @@ impl World {
             format!("the counters do not add up: {counted:?}")
         })?;
         match taken {
-            Taken::Accepted { observation, missed, voice, leaves, binds } => {
+            Taken::Accepted { observation, missed, voice, leaves, binds, .. } => {
                 ensure(!observation.event.to_string().contains(FORGED), || {
                     format!("a stranger is heard: {}", observation.event)
                 })?;

@@ -146,7 +146,7 @@ mod tests {
         let answer = r#"{"done":true,"persons":[{"person":7,"name":"Ada","observations":3}],"export":"They sit.",
             "visits":[{"room":"kitchen","by_part":[0,0,1.5,0,0,0,0,2]}]}"#;
         let visits = answered(answer).unwrap();
-        let bytes = told::habits(&visits).bytes(Teller { start: 1, number: 2, clock: 3 });
+        let bytes = told::habits(&visits).bytes(Teller { start: 1, number: 2, clock: 3, started_ns: 0 });
         assert_eq!(read(&bytes).unwrap(), visits);
         let text = String::from_utf8(bytes).unwrap();
         for private in ["Ada", "person", "They sit"] {
@@ -154,14 +154,18 @@ mod tests {
         }
         let keys: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();
         let keys: Vec<&str> = keys.keys().map(String::as_str).collect();
-        assert_eq!(keys, ["age_ns", "clock", "number", "part_hours", "rooms", "sent_ns", "sent_unix_ns", "teller"]);
+        assert_eq!(
+            keys,
+            ["age_ns", "clock", "number", "part_hours", "rooms", "sent_ns", "sent_unix_ns", "teller", "up_ns"]
+        );
     }
 
     #[test]
     fn the_most_that_a_map_can_have_fits() {
         let long = |room: usize| (format!("{}{room:02}", "\"".repeat(NAME_BYTES - 2)), [COUNT_MAX - 0.25; PARTS]);
         let visits: Vec<Visits> = (0..MAX_ROOMS).map(long).collect();
-        let bytes = told::habits(&visits).bytes(Teller { start: u64::MAX, number: u64::MAX, clock: u64::MAX });
+        let bytes =
+            told::habits(&visits).bytes(Teller { start: u64::MAX, number: u64::MAX, clock: u64::MAX, started_ns: 0 });
         assert_eq!(read(&bytes).unwrap().len(), MAX_ROOMS);
     }
 

@@ -19,8 +19,9 @@ use crate::delay::clock_id;
 use crate::delivery::Delivery;
 use crate::keys::Keys;
 use crate::limiter::Limiter;
-use crate::line::{LINE_BYTES_MAX, line_of};
+use crate::line::{Age, LINE_BYTES_MAX, line_of};
 use crate::link::{Declare, Link, LinkError};
+use crate::namesake::{Order, Rival};
 use crate::robot::notify;
 use crate::spool::{Dated, Place, Spool, SpoolError, open_plain};
 use crate::stop::Stop;
@@ -37,6 +38,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// until it is told of the other one.
 const LEAVE: Duration = Duration::from_secs(1);
 
+const NAMESAKE: &str = "another hub narrates in this hub's name; this one was first, and the other one ends: give each hub of the site a name of its own (hub.name)";
+
 /// Why a hub ends.
 #[derive(Debug, thiserror::Error)]
 pub enum HubError {
@@ -49,6 +52,11 @@ pub enum HubError {
     /// What is kept.
     #[error(transparent)]
     Spool(#[from] SpoolError),
+    /// Another hub narrates in this one's name.
+    #[error(
+        "another hub narrates as {0:?} at this site, and was first: give each hub of the site a name of its own (hub.name), or end the other one"
+    )]
+    Namesake(String),
     /// The input.
     #[error("cannot read {path}: {source}")]
     Input {
@@ -73,7 +81,7 @@ impl HubError {
     #[must_use]
     pub fn is_of_configuration(&self) -> bool {
         match self {
-            Self::Config(_) | Self::Link(LinkError::Config(_)) => true,
+            Self::Config(_) | Self::Namesake(_) | Self::Link(LinkError::Config(_)) => true,
             Self::Input { source, .. } => matches!(
                 source.kind(),
                 io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied | io::ErrorKind::IsADirectory
@@ -333,7 +341,7 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
     let mut ended = false;
     while !(stop.requested() || ended && hub.is_done(&spool)) {
         ended |= hub.keep(&lines, &mut spool)?;
-        hub.hear(&heard, &mut spool);
+        hub.hear(&heard, &mut spool)?;
         hub.send(&link, &mut spool);
         notify(&[NotifyState::Watchdog]);
     }
@@ -363,6 +371,7 @@ struct Robot {
     name: String,
     key: String,
     delivery: Delivery,
+    rival: Rival,
     /// It was told that nothing is heard of it.
     is_told: bool,
     log: Limiter,
@@ -384,7 +393,8 @@ impl Hub {
         let robots = config.hub.robots.iter().map(|robot| {
             let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
             let delivery = Delivery::from(spool.first(), spool.last(), spool.confirmed());
-            Robot { name: robot.clone(), key, delivery, is_told: false, log: Limiter::default() }
+            let (rival, log) = (Rival::default(), Limiter::default());
+            Robot { name: robot.clone(), key, delivery, rival, is_told: false, log }
         });
         let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
         let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
@@ -436,13 +446,15 @@ impl Hub {
     fn read(bytes: &[u8], at: Place) -> Result<Option<Dated>, Fault> {
         let is_first = at.at == bytes.len() as u64;
         let read = line_of(bytes, is_first, clock::unix_ns())?;
-        Ok(read.map(|(observation, age_ns)| Dated::new(observation, age_ns, Some(at))))
+        let dated =
+            |(observation, Age { age_ns, ahead_ns })| Dated::new(observation, age_ns, Some(at)).with_ahead(ahead_ns);
+        Ok(read.map(dated))
     }
 
     /// Takes what robots say of how far they are.
-    fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) {
+    fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) -> Result<(), HubError> {
         for (robot, bytes) in heard.try_iter() {
-            let Some(Robot { name, delivery, log, .. }) = self.robots.get_mut(robot) else { continue };
+            let Some(Robot { name, delivery, rival, log, .. }) = self.robots.get_mut(robot) else { continue };
             let now_ns = clock::monotonic_ns();
             let said = match wire::read::<Confirmed>(&bytes) {
                 Ok(said) => said,
@@ -453,6 +465,15 @@ impl Hub {
                     continue;
                 }
             };
+            match rival.hear(said.epoch.0, spool.epoch()) {
+                Some(Order::Second) => return Err(HubError::Namesake(self.name.clone())),
+                Some(Order::First) => {
+                    if let Some(not_told) = log.pass("namesake", now_ns) {
+                        tracing::error!(robot = name, not_told, "{NAMESAKE}");
+                    }
+                }
+                None => {}
+            }
             let refused = delivery.refused();
             delivery.hear(said, spool.epoch(), spool.last(), now_ns);
             if delivery.refused() > refused
@@ -470,6 +491,7 @@ impl Hub {
                 self.number_on(robot, said, spool);
             }
         }
+        Ok(())
     }
 
     /// A robot has numbers that this spool has not: its end was lost.
@@ -511,7 +533,7 @@ impl Hub {
     /// Sends what may be sent, and forgets what every robot has.
     fn send(&mut self, link: &Link, spool: &mut Spool) {
         let last = spool.last();
-        for Robot { name: robot, key, delivery, is_told, log } in &mut self.robots {
+        for Robot { name: robot, key, delivery, is_told, log, .. } in &mut self.robots {
             let waited_ns = clock::monotonic_ns().saturating_sub(self.started_ns);
             if !delivery.is_known()
                 && waited_ns >= UNHEARD_NS
@@ -539,6 +561,7 @@ impl Hub {
                     sequence: number,
                     first: delivery.first(),
                     age_ns: spool.age_ns(kept),
+                    ahead_ns: kept.ahead_ns,
                     sent_ns: clock::monotonic_ns(),
                     clock: self.clock,
                     observation: kept.observation.clone(),

@@ -10,7 +10,7 @@ use zenoh::bytes::ZBytes;
 use crate::config::{Config, ROS2_NARRATOR};
 use crate::keys::Keys;
 use crate::limiter::Limiter;
-use crate::line::line;
+use crate::line::{Age, line};
 use crate::link::Link;
 use crate::relay::{Offered, Relay};
 use crate::stop::Stop;
@@ -172,9 +172,9 @@ impl Narrator {
     fn hear_ros2(&mut self, heard: &Heard, (epoch, sequence): (u64, u64)) {
         let observed = types::decode_string(&heard.bytes).map_err(|error| Fault(error.to_string()));
         let observed = observed.and_then(|text| line(&text, clock::unix_ns()));
-        let message = observed.and_then(|(observation, age_ns)| {
-            let narrated =
-                Narrated { epoch: Hex(epoch), sequence, first: 1, age_ns, sent_ns: 0, clock: Hex(0), observation };
+        let message = observed.and_then(|(observation, Age { age_ns, ahead_ns })| {
+            let (epoch, clock) = (Hex(epoch), Hex(0));
+            let narrated = Narrated { epoch, sequence, first: 1, age_ns, ahead_ns, sent_ns: 0, clock, observation };
             let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns: 0 };
             narrated.message(&self.name, arrived)
         });

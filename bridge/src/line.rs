@@ -5,17 +5,29 @@ use roomcast_core::narration::line::{self, Line, Who};
 
 use crate::wire::{Fault, Observation};
 
-/// A line as an observation, and how long ago it was.
+/// When a line was observed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Age {
+    /// How long ago.
+    pub age_ns: u64,
+    /// How far ahead its time lies: the clock of the input's machine is fast, and the event counts as observed now.
+    pub ahead_ns: u64,
+}
+
+/// A line as an observation, and when it was.
 ///
 /// # Errors
 ///
 /// [`Fault`] for what is no narration.
-pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, u64), Fault> {
+pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, Age), Fault> {
     let read = Line::read(text, &Who::Somebody).and_then(|line| line.observed_by(now_unix_ns));
     let Line { kind, text, person, observed_unix_ns, count } = read.map_err(|error| Fault(error.to_string()))?;
     let observation = Observation { text, kind, person, count };
     observation.message()?;
-    Ok((observation, observed_unix_ns.map_or(0, |observed_ns| now_unix_ns.saturating_sub(observed_ns))))
+    let observed_ns = observed_unix_ns.unwrap_or(now_unix_ns);
+    let age =
+        Age { age_ns: now_unix_ns.saturating_sub(observed_ns), ahead_ns: observed_ns.saturating_sub(now_unix_ns) };
+    Ok((observation, age))
 }
 
 /// The same of a line's bytes; none of a blank line.
@@ -23,7 +35,7 @@ pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, u64), Fault> {
 /// # Errors
 ///
 /// As [`line()`].
-pub fn line_of(bytes: &[u8], is_first: bool, now_unix_ns: u64) -> Result<Option<(Observation, u64)>, Fault> {
+pub fn line_of(bytes: &[u8], is_first: bool, now_unix_ns: u64) -> Result<Option<(Observation, Age)>, Fault> {
     let text = line::text_of(bytes, is_first).map_err(|error| Fault(error.to_string()))?;
     text.map(|text| line(text, now_unix_ns)).transpose()
 }
@@ -43,9 +55,9 @@ mod tests {
                 (row["line"].as_str().unwrap().as_bytes(), row["now_s"].as_u64().unwrap() * 1_000_000_000);
             let taken = line_of(bytes, row["first"] == true, now_ns);
             let says = match &taken {
-                Ok(Some((observation, age_ns))) => json!({
+                Ok(Some((observation, age))) => json!({
                     "kind": observation.kind, "text": observation.text, "person": observation.person.json(),
-                    "age_s": *age_ns as f64 / 1e9,
+                    "age_s": age.age_ns as f64 / 1e9,
                 }),
                 Ok(None) => json!("blank"),
                 Err(_) => json!("refused"),
@@ -58,8 +70,10 @@ mod tests {
     fn a_line_is_told_with_its_age() {
         let read = |text: &str| line(text, 100_000_000_000);
         assert_eq!(read(" They sit. \n").unwrap().0.text, "They sit.");
-        let (observation, age_ns) = read(r#"{"presence":"away","person":"Ada","observed_unix_s":98.5}"#).unwrap();
-        assert_eq!((observation.text.as_str(), observation.person.name(), age_ns), ("away", "Ada", 1_500_000_000));
+        let (observation, age) = read(r#"{"presence":"away","person":"Ada","observed_unix_s":98.5}"#).unwrap();
+        assert_eq!((observation.text.as_str(), observation.person.name(), age.age_ns), ("away", "Ada", 1_500_000_000));
+        let (_, age) = read(r#"{"text":"They sit.","observed_unix_s":102}"#).unwrap();
+        assert_eq!(age, Age { age_ns: 0, ahead_ns: 2_000_000_000 });
         for bad in ["[Fly] <mug> (1)", "{", r#"{"text":"a","txt":1}"#, r#"{"text":"They sit.","person":"who"}"#] {
             read(bad).unwrap_err();
         }

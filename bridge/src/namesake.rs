@@ -1,57 +1,105 @@
-//! Whether another bridge tells in this robot's name. Hubs and operators take the two for one robot: a hub counts as confirmed what either of them
-//! has taken, and the other one never gets it. Pure: time comes in as a number.
+//! Whether another bridge or hub uses this one's name. Hubs and operators take two bridges of one name for one robot, and lines of a home reach
+//! both. The second one ends. Pure: time comes in as a number.
 
 use serde::Deserialize;
 use zenoh::sample::Sample;
 
 use crate::wire::{self, Hex};
 
-/// What a bridge that was killed a moment ago has said may still come in. Whoever is heard for longer is there.
+/// A message of a bridge that was killed a moment ago may still come in. A bridge that is heard for longer runs.
 const STAYS_NS: u64 = 2_000_000_000;
-/// It is said once in so long.
+/// The log says it once in this time.
 const QUIET_NS: u64 = 60_000_000_000;
 
-#[derive(Deserialize)]
-struct Stamp {
-    teller: Hex,
+/// Which of two this one is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// It was there before the other one.
+    First,
+    /// The other one was there before.
+    Second,
 }
 
-/// The random number of the start that tells something.
+/// The start of a bridge that sends something.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub struct Other {
+    teller: Hex,
+    /// Counts its messages.
+    number: u64,
+    /// How long it has run; an earlier version does not say.
+    up_ns: Option<u64>,
+}
+
+impl Other {
+    /// Whether it has spoken again since: what a router's storage repeats has the same number.
+    #[must_use]
+    pub fn speaks_after(&self, before: &Self) -> bool {
+        self.teller == before.teller && self.number > before.number
+    }
+}
+
+/// The start of a bridge that sends something.
 #[must_use]
-pub fn teller(sample: &Sample) -> Option<u64> {
+pub fn teller(sample: &Sample) -> Option<Other> {
     // More bytes are read by nobody.
     let bytes = Some(sample.payload()).filter(|payload| payload.len() <= wire::BYTES_MAX)?.to_bytes();
-    wire::read::<Stamp>(&bytes).ok().map(|stamp| stamp.teller.0)
+    wire::read(&bytes).ok()
 }
 
 /// Listens for others of this robot's name.
 #[derive(Debug)]
 pub struct Namesake {
     own: u64,
+    started_ns: u64,
     /// When another was heard first.
     since_ns: Option<u64>,
     said_ns: Option<u64>,
 }
 
 impl Namesake {
-    /// Nobody heard yet; `own` is the random number of this start.
+    /// None heard yet; `own` is the random number of this start.
     #[must_use]
-    pub fn new(own: u64) -> Self {
-        Self { own, since_ns: None, said_ns: None }
+    pub fn new(own: u64, started_ns: u64) -> Self {
+        Self { own, started_ns, since_ns: None, said_ns: None }
     }
 
-    /// Takes who tells in this robot's name; whether it is to be said now that there is another.
-    pub fn hear(&mut self, teller: u64, now_ns: u64) -> bool {
-        if teller == self.own {
-            return false;
-        }
+    /// The order of this start and another one that runs now; none for this start itself. An earlier version never ends by itself, so it counts as first.
+    #[must_use]
+    pub fn judge(&self, other: Other, now_ns: u64) -> Option<Order> {
+        let up_ns = now_ns.saturating_sub(self.started_ns);
+        let is_second = other.up_ns.is_none_or(|other_ns| other_ns > up_ns);
+        (other.teller.0 != self.own).then_some(if is_second { Order::Second } else { Order::First })
+    }
+
+    /// Takes a message of this robot's name; gives the order, if another bridge runs and the log has not just said so.
+    pub fn hear(&mut self, other: Other, now_ns: u64) -> Option<Order> {
+        let order = self.judge(other, now_ns)?;
         let since_ns = *self.since_ns.get_or_insert(now_ns);
         let stays = now_ns.saturating_sub(since_ns) >= STAYS_NS;
         let says = stays && self.said_ns.is_none_or(|said_ns| now_ns.saturating_sub(said_ns) >= QUIET_NS);
         if says {
             self.said_ns = Some(now_ns);
         }
-        says
+        says.then_some(order)
+    }
+}
+
+/// Listens to a robot for another hub of this hub's name: the robot says which start it has heard last.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Rival {
+    /// The start that the robot had heard when this hub came.
+    before: Option<u64>,
+    is_heard: bool,
+}
+
+impl Rival {
+    /// Takes the start that a robot has heard last, 0 for none; gives the order, if another hub speaks. A start before this one, of a
+    /// hub that has lost its spool for instance, is heard no more once this one is.
+    pub fn hear(&mut self, start: u64, own: u64) -> Option<Order> {
+        let before = *self.before.get_or_insert(start);
+        self.is_heard |= start == own;
+        let is_other = self.is_heard && start != own && start != 0;
+        is_other.then_some(if before == own || before == 0 { Order::First } else { Order::Second })
     }
 }
 
@@ -61,11 +109,15 @@ mod tests {
 
     const S: u64 = 1_000_000_000;
 
+    fn other(teller: u64, up_s: impl Into<Option<u64>>) -> Other {
+        Other { teller: Hex(teller), number: 1, up_ns: up_s.into().map(|up_s| up_s * S) }
+    }
+
     #[test]
-    fn another_of_the_name_is_told_of_once_in_a_while_and_what_a_killed_one_left_is_none() {
-        let mut namesake = Namesake::new(7);
+    fn another_bridge_of_the_name_is_told_once_a_minute_and_what_a_killed_one_left_is_ignored() {
+        let mut namesake = Namesake::new(7, 0);
         let mut at = |teller: u64, times: std::ops::Range<u64>| {
-            times.filter(|second| namesake.hear(teller, second * S)).collect::<Vec<_>>()
+            times.filter(|second| namesake.hear(other(teller, 1), second * S).is_some()).collect::<Vec<_>>()
         };
         assert!(at(7, 0..200).is_empty(), "it is this one");
         assert!(at(8, 200..201).is_empty(), "it may be the start before this one");
@@ -73,5 +125,32 @@ mod tests {
         assert_eq!(at(8, 201..300), [202, 262]);
         // A third one, or another start of the second.
         assert_eq!(at(9, 300..400), [322, 382]);
+    }
+
+    #[test]
+    fn of_two_bridges_of_one_name_the_younger_is_the_second() {
+        let namesake = Namesake::new(7, 100 * S);
+        for (heard, order) in [
+            (other(7, 500), None),
+            (other(8, 50), Some(Order::First)),
+            (other(8, 150), Some(Order::Second)),
+            (other(8, None), Some(Order::Second)),
+        ] {
+            assert_eq!(namesake.judge(heard, 200 * S), order, "{heard:?}");
+        }
+        // Both started at once: the moment that a message takes makes neither the second.
+        assert_eq!(namesake.judge(other(8, 100), 200 * S + 1), Some(Order::First));
+    }
+
+    #[test]
+    fn of_two_hubs_of_one_name_the_later_one_is_the_second() {
+        let heard = |starts: &[u64]| {
+            let mut rival = Rival::default();
+            starts.iter().filter_map(|start| rival.hear(*start, 7)).collect::<Vec<_>>()
+        };
+        assert!(heard(&[0, 7, 7, 0, 7]).is_empty(), "the robot's bridge has started again");
+        assert!(heard(&[8, 8, 7, 7]).is_empty(), "this hub has lost its spool");
+        assert_eq!(heard(&[0, 7, 8, 7, 8]), [Order::First, Order::First]);
+        assert_eq!(heard(&[8, 7, 8]), [Order::Second]);
     }
 }

@@ -39,13 +39,15 @@ pub struct Last {
     start: u64,
     number: AtomicU64,
     clock: u64,
+    started_ns: u64,
 }
 
 impl Last {
     /// Nothing told yet.
     #[must_use]
     pub fn new() -> Arc<Self> {
-        Arc::new(Self { start: sequence::random_epoch(), clock: clock_id(), ..Self::default() })
+        let (start, clock, started_ns) = (sequence::random_epoch(), clock_id(), clock::monotonic_ns());
+        Arc::new(Self { start, clock, started_ns, ..Self::default() })
     }
 
     /// The random number of this start, which every message has.
@@ -54,13 +56,19 @@ impl Last {
         self.start
     }
 
+    /// When this start was, by the monotonic clock.
+    #[must_use]
+    pub fn started_ns(&self) -> u64 {
+        self.started_ns
+    }
+
     fn told(&self) -> MutexGuard<'_, BTreeMap<String, Told>> {
         self.told.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn teller(&self) -> Teller {
         let number = self.number.fetch_add(1, Ordering::Relaxed) + 1;
-        Teller { start: self.start(), number, clock: self.clock }
+        Teller { start: self.start(), number, clock: self.clock, started_ns: self.started_ns }
     }
 
     /// Keeps a topic's value for who asks later; gives its bytes of now.

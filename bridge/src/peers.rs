@@ -365,7 +365,7 @@ mod tests {
     }
 
     fn told(sequence: u64, to: &str) -> Vec<u8> {
-        told::decision(&decided(sequence, to)).bytes(Teller { start: 1, number: sequence, clock: 1 })
+        told::decision(&decided(sequence, to)).bytes(Teller { start: 1, number: sequence, clock: 1, started_ns: 0 })
     }
 
     /// All that another robot's planner says of its decision is known here: a probability of 0 was said that nobody had told.
@@ -419,7 +419,12 @@ mod tests {
                     here.tick().unwrap();
                     // Robots that are there say so.
                     for robot in ["robot-2", "robot-3", "robot-4"] {
-                        let status = told::status(robot, None, None).bytes(Teller { start: 1, number: 1, clock: 1 });
+                        let status = told::status(robot, None, None).bytes(Teller {
+                            start: 1,
+                            number: 1,
+                            clock: 1,
+                            started_ns: 0,
+                        });
                         ear.0.send(heard(robot, "status", status, clock::monotonic_ns())).unwrap();
                     }
                     std::thread::sleep(Duration::from_millis(10));
@@ -448,7 +453,7 @@ mod tests {
         assert_eq!((gone.action, gone.to(), gone.sequence), (action::PAUSE, "", 1));
         assert!(peers.fallen_silent(now_ns + 9 * S).is_empty(), "said once");
         // It comes back with what it was told last.
-        let status = told::status("robot-2", None, None).bytes(Teller { start: 1, number: 3, clock: 1 });
+        let status = told::status("robot-2", None, None).bytes(Teller { start: 1, number: 3, clock: 1, started_ns: 0 });
         let back = peers.hear(&heard("robot-2", "status", status, now_ns + 1)).unwrap().unwrap();
         assert_eq!((back.to(), back.action), ("kitchen", action::GO));
     }

@@ -1,9 +1,11 @@
 //! The bridge of a robot: its threads, and what it declares at a router.
 
 use std::any::Any;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
+use std::time::Duration;
 
 use roomcast_ipc::{IpcError, clock};
 use sd_notify::NotifyState;
@@ -14,14 +16,16 @@ use zenoh::{Session, Wait};
 use crate::config::{Config, ConfigError};
 use crate::keys::Keys;
 use crate::link::{Declare, Link, LinkError};
-use crate::namesake::{self, Namesake};
+use crate::namesake::{self, Namesake, Order, Other};
 use crate::outward::{self, Last};
 use crate::ros2::run::{Places, Ros2Error};
 use crate::stop::Stop;
 use crate::{ask, habits, inward, peers, ros2};
 
-const NAMESAKE: &str = "another bridge tells in this robot's name: hubs and operators take both for one robot, and narration that one of them \
-    has taken never reaches the other: give each robot of the site a name of its own (robot.key, else robot.name)";
+const NAMESAKE: &str = "another bridge uses this robot's name; this one was first, and the other one ends: give each robot of the site a name of \
+    its own (robot.key, else robot.name)";
+/// How long other bridges of this robot's name have to answer. One that was killed a moment ago does not.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why a bridge ends.
 #[derive(Debug, thiserror::Error)]
@@ -38,6 +42,11 @@ pub enum BridgeError {
     /// ROS 2.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
+    /// Another bridge was here first.
+    #[error(
+        "another bridge uses the robot's name {0:?} at this site, and was first: give each robot of the site a name of its own (robot.key, else robot.name), or end the other one"
+    )]
+    Namesake(String),
     /// A thread.
     #[error("the program has a fault: its thread {0} has ended by a panic, which the log has")]
     Panic(String),
@@ -51,7 +60,7 @@ impl BridgeError {
     #[must_use]
     pub fn is_of_configuration(&self) -> bool {
         match self {
-            Self::Config(_) => true,
+            Self::Config(_) | Self::Namesake(_) => true,
             Self::Ros2(error) => !matches!(error, Ros2Error::Ipc(_)),
             Self::Link(error) => matches!(error, LinkError::Config(_)),
             Self::Ipc(_) | Self::Panic(_) | Self::Thread(_) => false,
@@ -74,7 +83,8 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
     let site = !config.router.connect.is_empty();
-    let declare = || declare(config, &last, ear, asking, peer_ear.clone());
+    let second = Second { found: Arc::default(), stop: stop.clone() };
+    let declare = || declare(config, &last, ear, asking, peer_ear.clone(), second.clone());
     let link = site.then(|| Link::start(&config.router, declare())).transpose()?;
     let ros2 = match config.ros2.router() {
         Some(router) => Some((Places::load(&config.ros2)?, Link::start(&router, Box::new(|_| Ok(Vec::new())))?)),
@@ -82,7 +92,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     };
     let (link, ros2, stopper, last_told) = (link.as_ref(), ros2.as_ref(), stop, &last);
     let peer_ear = &peer_ear;
-    thread::scope(|scope| {
+    let ended = thread::scope(|scope| {
         let start = |name: &str| thread::Builder::new().name(name.to_owned());
         // Those that run already have to end, too.
         let failed = |error| {
@@ -149,7 +159,25 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         let threads = [Some(inward), answering, spoken, listening, sharing];
         let ends: Vec<_> = threads.into_iter().flatten().map(ended).collect();
         outward.and(ends.into_iter().collect())
-    })
+    });
+    if second.found.load(Ordering::Relaxed) {
+        return Err(BridgeError::Namesake(config.robot.key().to_owned()));
+    }
+    ended
+}
+
+/// Ends this bridge if another one of its name was here first.
+#[derive(Debug, Clone)]
+struct Second {
+    found: Arc<AtomicBool>,
+    stop: Stop,
+}
+
+impl Second {
+    fn end(&self) {
+        self.found.store(true, Ordering::Relaxed);
+        self.stop.request();
+    }
 }
 
 /// How a thread ended, once it has.
@@ -171,11 +199,26 @@ fn declare(
     ear: inward::Ear,
     asking: SyncSender<ask::Asked>,
     peer_ear: peers::Ear,
+    second: Second,
 ) -> Declare {
     let (config, last) = (config.clone(), Arc::clone(last));
     Box::new(move |session: &Session| {
         let keys = Keys::new(&config.site.name, config.robot.key());
         let mut declared: Vec<Box<dyn Any + Send>> = Vec::new();
+        // Before any line reaches it.
+        let namesake = Namesake::new(last.start(), last.started_ns());
+        let ask = || -> zenoh::Result<Vec<Other>> {
+            let replies = session.get(keys.told("status")).timeout(PATIENCE).wait()?;
+            Ok(replies.into_iter().filter_map(|reply| reply.result().ok().and_then(namesake::teller)).collect())
+        };
+        let before = ask()?;
+        let others = if before.is_empty() { Vec::new() } else { ask()? };
+        let runs = |other: &&Other| before.iter().any(|before| other.speaks_after(before));
+        let judge = |other: &Other| namesake.judge(*other, clock::monotonic_ns());
+        if others.iter().filter(runs).any(|other| judge(other) == Some(Order::Second)) {
+            second.end();
+            return Ok(declared);
+        }
         for (number, narrator) in config.narrator.iter().enumerate() {
             let ear = ear.clone();
             let take = move |sample: Sample| ear.take(number, sample.payload());
@@ -184,12 +227,14 @@ fn declare(
         let own = Arc::clone(&last);
         let answer = move |query: Query| own.answer(&query);
         declared.push(Box::new(session.declare_queryable(keys.all_told()).callback(answer).wait()?));
-        let namesake = Mutex::new(Namesake::new(last.start()));
+        let (namesake, second) = (Mutex::new(namesake), second.clone());
         let robot = config.robot.key().to_owned();
         let listen = move |sample: Sample| {
             let mut namesake = namesake.lock().unwrap_or_else(PoisonError::into_inner);
-            if namesake::teller(&sample).is_some_and(|teller| namesake.hear(teller, clock::monotonic_ns())) {
-                tracing::error!(robot, "{NAMESAKE}");
+            match namesake::teller(&sample).and_then(|other| namesake.hear(other, clock::monotonic_ns())) {
+                Some(Order::First) => tracing::error!(robot, "{NAMESAKE}"),
+                Some(Order::Second) => second.end(),
+                None => {}
             }
         };
         declared.push(Box::new(session.declare_subscriber(keys.told("status")).callback(listen).wait()?));

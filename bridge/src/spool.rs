@@ -19,7 +19,7 @@ use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
 use crate::delay::clock_id;
-use crate::wire::{Hex, Kind, Observation, Who};
+use crate::wire::{Hex, Kind, Observation, Who, is_zero};
 
 /// The file's name in its folder.
 const FILE: &str = "narration";
@@ -130,6 +130,7 @@ pub struct Dated {
     observation: Observation,
     observed_ns: u64,
     observed_unix_ns: u64,
+    ahead_ns: u64,
     input: Option<Place>,
 }
 
@@ -138,7 +139,14 @@ impl Dated {
     #[must_use]
     pub fn new(observation: Observation, age_ns: u64, input: Option<Place>) -> Self {
         let observed_ns = clock::monotonic_ns().saturating_sub(age_ns);
-        Self { observation, observed_ns, observed_unix_ns: clock::unix_ns().saturating_sub(age_ns), input }
+        let observed_unix_ns = clock::unix_ns().saturating_sub(age_ns);
+        Self { observation, observed_ns, observed_unix_ns, ahead_ns: 0, input }
+    }
+
+    /// With an input that has a fast clock: its time lay so far ahead.
+    #[must_use]
+    pub fn with_ahead(self, ahead_ns: u64) -> Self {
+        Self { ahead_ns, ..self }
     }
 }
 
@@ -151,6 +159,9 @@ pub struct Kept {
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
+    /// How far ahead its time lay.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub ahead_ns: u64,
     /// How far the input was read with it; none where nobody knows.
     input: Option<Place>,
     /// What was observed.
@@ -330,8 +341,10 @@ impl Spool {
     pub fn append(&mut self, dated: Vec<Dated>) -> Result<(), SpoolError> {
         let mut lines = Vec::new();
         let mut fresh = Vec::new();
-        for (sequence, Dated { observation, observed_ns, observed_unix_ns, input }) in (self.last() + 1..).zip(dated) {
-            let kept = Kept { sequence, clock: self.clock, observed_ns, observed_unix_ns, input, observation };
+        for (sequence, dated) in (self.last() + 1..).zip(dated) {
+            let Dated { observation, observed_ns, observed_unix_ns, ahead_ns, input } = dated;
+            let kept =
+                Kept { sequence, clock: self.clock, observed_ns, observed_unix_ns, ahead_ns, input, observation };
             let entry = Entry::Kept { epoch: self.head.epoch, kept: kept.clone() };
             lines.extend(line(&entry).map_err(|error| self.failed("cannot write", error))?);
             fresh.push(kept);

@@ -34,6 +34,8 @@ pub struct Teller {
     pub number: u64,
     /// Its monotonic clock ([`crate::delay::clock_id`]).
     pub clock: u64,
+    /// When it started, by that clock.
+    pub started_ns: u64,
 }
 
 impl Told {
@@ -51,13 +53,14 @@ impl Told {
         let now_ns = clock::monotonic_ns();
         let mut bytes = Vec::with_capacity(self.content.len() + TELLING_BYTES);
         bytes.extend_from_slice(&self.content);
-        let Teller { start, number, clock } = teller;
+        let Teller { start, number, clock, started_ns } = teller;
+        let up_ns = now_ns.saturating_sub(started_ns);
         let (unix_ns, age_ns) = (clock::unix_ns(), now_ns.saturating_sub(self.made_ns));
         // Memory takes all.
         let _written = write!(
             bytes,
             ",\"teller\":\"{start:016x}\",\"number\":{number},\"sent_ns\":{now_ns},\"clock\":\"{clock:016x}\",\
-             \"sent_unix_ns\":{unix_ns},\"age_ns\":{age_ns}}}"
+             \"sent_unix_ns\":{unix_ns},\"age_ns\":{age_ns},\"up_ns\":{up_ns}}}"
         );
         bytes
     }
@@ -210,6 +213,7 @@ pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusRespon
             "version": status.version(), "map": status.map(), "model": status.model(), "epoch": hex(status.epoch),
             "received": status.received, "accepted": status.accepted, "duplicates": status.duplicates,
             "missed": status.missed, "malformed": status.malformed, "limited": status.limited, "forged": status.forged,
+            "ahead": status.ahead, "ahead_ns": status.ahead_ns,
             "published": status.published, "persons": status.persons, "sources": status.sources,
             "latency_p50_ns": status.latency_p50_ns, "latency_p99_ns": status.latency_p99_ns,
         })
@@ -225,7 +229,7 @@ mod tests {
     use super::*;
 
     fn told(told: &Told) -> Value {
-        serde_json::from_slice(&told.bytes(Teller { start: 7, number: 3, clock: 1 })).unwrap()
+        serde_json::from_slice(&told.bytes(Teller { start: 7, number: 3, clock: 1, started_ns: 0 })).unwrap()
     }
 
     #[test]

@@ -1,12 +1,16 @@
 //! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
 //! Keys that this version does not know are passed over, and so is a narration with a content that it cannot read: a later one can add some.
 
+use roomcast_core::narration::line::AHEAD_NS;
 pub use roomcast_core::narration::line::{Kind, Who};
 use roomcast_ipc::{Message, NarrationV1, sequence, text};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Most bytes of a peer's message; a narration's text has 1024, and each of them six at most in JSON.
 pub const BYTES_MAX: usize = 8 << 10;
+
+/// An event of less than this age is new.
+const NEW_NS: u64 = 1_000_000_000;
 
 /// A 64-bit number in sixteen hexadecimal digits: JSON's numbers end at 53 bits.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
@@ -47,6 +51,10 @@ fn is_none(count: &u8) -> bool {
     *count == 0
 }
 
+pub(crate) fn is_zero(number: &u64) -> bool {
+    *number == 0
+}
+
 fn is_sentence(kind: &Kind) -> bool {
     *kind == Kind::Sentence
 }
@@ -83,6 +91,9 @@ pub struct Narrated {
     pub first: u64,
     /// How long ago it was observed, when it was sent.
     pub age_ns: u64,
+    /// How far ahead its time lay when the narrator got it: the clock of its input is fast.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub ahead_ns: u64,
     /// When it was sent: the sender's monotonic clock.
     pub sent_ns: u64,
     /// Which clock that is.
@@ -134,13 +145,15 @@ impl Narrated {
     /// [`Fault`] for what the daemon would refuse.
     pub fn message(&self, narrator: &str, arrived: Arrived) -> Result<NarrationV1, Fault> {
         let age_ns = self.age_ns.saturating_add(arrived.excess_ns);
+        // The daemon measures by both times how fast that clock is, which it can only of an event that is new.
+        let ahead_ns = if age_ns < NEW_NS { self.ahead_ns.min(AHEAD_NS) } else { 0 };
         let message = NarrationV1 {
             source: sequence::source_of_name(narrator),
             epoch: self.epoch.0,
             sequence: self.sequence,
             // What was observed before this machine's start has no monotonic time: 0, as the contract has it.
-            observed_ns: arrived.now_ns.saturating_sub(age_ns),
-            observed_unix_ns: arrived.now_unix_ns.saturating_sub(age_ns),
+            observed_ns: arrived.now_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
+            observed_unix_ns: arrived.now_unix_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
             source_name: text::encode_cut(narrator),
             ..self.observation.message()?
         };
@@ -179,6 +192,18 @@ mod tests {
         assert_eq!((message.observed_ns, message.observed_unix_ns), (85, 985));
         assert_eq!((message.text(), message.source_name()), ("They grab the mug.", "hall-camera"));
         assert_eq!(serde_json::to_string(&narrated).unwrap(), GOOD);
+    }
+
+    #[test]
+    fn a_fast_clock_is_told_to_the_daemon_while_the_event_is_new() {
+        let ahead = GOOD.replace(r#""age_ns":5"#, r#""age_ns":5,"ahead_ns":2000000000"#);
+        let times = |arrived| {
+            let message = read::<Narrated>(ahead.as_bytes()).unwrap().message("hub", arrived).unwrap();
+            (message.observed_ns, message.observed_unix_ns)
+        };
+        assert_eq!(times(ARRIVED), (2_000_000_085, 2_000_000_985));
+        let late = Arrived { now_ns: 9_000_000_000, now_unix_ns: 9_000_000_000, excess_ns: 5_000_000_000 };
+        assert_eq!(times(late), (3_999_999_995, 3_999_999_995));
     }
 
     #[test]

@@ -76,6 +76,7 @@ proptest! {
             sequence,
             first: 1,
             age_ns: 5,
+            ahead_ns: 7,
             sent_ns: 9,
             clock: Hex(3),
             observation: observation(kind),

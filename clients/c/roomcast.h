@@ -858,7 +858,7 @@ typedef struct RoomcastStatusResponseV1 {
   // (Offset 232.)
   uint32_t persons;
   // Minor version of the layout: 1 has forged, costly and learned, 2 what
-  // follows learned; they are 0 before.
+  // follows learned, 3 ahead; they are 0 before.
   // (Offset 236.)
   uint32_t minor;
   // Version of the daemon, UTF-8, zero padded.
@@ -909,9 +909,15 @@ typedef struct RoomcastStatusResponseV1 {
   // Nanoseconds of the processor spent preparing.
   // (Offset 472.)
   uint64_t prepare_ns;
-  // Zero.
+  // Narrations that a fast clock dated more than a second ahead. They count as observed when they came.
   // (Offset 480.)
-  uint8_t reserved[32];
+  uint64_t ahead;
+  // How far the newest of them lay ahead, in nanoseconds.
+  // (Offset 488.)
+  uint64_t ahead_ns;
+  // Zero.
+  // (Offset 496.)
+  uint8_t reserved[16];
 } RoomcastStatusResponseV1;
 
 // How far ahead the entries of PersonForecastV1::learned_share look, in seconds.
@@ -1198,5 +1204,7 @@ _Static_assert(offsetof(RoomcastStatusResponseV1, asked) == 448, "RoomcastStatus
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepared) == 456, "RoomcastStatusResponseV1.prepared");
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepared_used) == 464, "RoomcastStatusResponseV1.prepared_used");
 _Static_assert(offsetof(RoomcastStatusResponseV1, prepare_ns) == 472, "RoomcastStatusResponseV1.prepare_ns");
-_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 480, "RoomcastStatusResponseV1.reserved");
+_Static_assert(offsetof(RoomcastStatusResponseV1, ahead) == 480, "RoomcastStatusResponseV1.ahead");
+_Static_assert(offsetof(RoomcastStatusResponseV1, ahead_ns) == 488, "RoomcastStatusResponseV1.ahead_ns");
+_Static_assert(offsetof(RoomcastStatusResponseV1, reserved) == 496, "RoomcastStatusResponseV1.reserved");
 #endif

@@ -91,6 +91,62 @@ pub fn is_hidden(character: char) -> bool {
             | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
+/// Letters of these alphabets look like one another's: Unicode's table of confusable characters.
+const ALPHABETS: [(&str, &[std::ops::RangeInclusive<char>]); 5] = [
+    ("Latin", &['A'..='Z', 'a'..='z', '\u{c0}'..='\u{24f}', '\u{1e00}'..='\u{1eff}']),
+    ("Greek", &['\u{370}'..='\u{3ff}', '\u{1f00}'..='\u{1fff}']),
+    ("Cyrillic", &['\u{400}'..='\u{52f}', '\u{1c80}'..='\u{1c8f}', '\u{a640}'..='\u{a69f}']),
+    ("Armenian", &['\u{531}'..='\u{58f}']),
+    ("Cherokee", &['\u{13a0}'..='\u{13ff}', '\u{ab70}'..='\u{abbf}']),
+];
+/// Greek and Cyrillic letters, and the Latin ones that they look like, by Unicode's table of confusable characters.
+const LOOKS: [(&str, &str); 2] = [
+    ("АВЕЅІЈКМНОРСТУХԚԜаеѕіјорсухԁԛԝһ", "ABESIJKMHOPCTYXQWaesijopcyxdqwh"),
+    ("ΑΒΕΖΗΙΚΜΝΟΡΤΥΧαινορυ", "ABEZHIKMNOPTYXaivopu"),
+];
+
+/// A name by the Latin letters that it looks like, without capitals.
+fn look_of(name: &str) -> String {
+    let looks = |letter: char| {
+        let pair = |(letters, latin): &(&str, &str)| letters.chars().zip(latin.chars()).find(|(one, _)| *one == letter);
+        LOOKS.iter().find_map(pair).map_or(letter, |(_, latin)| latin)
+    };
+    name.chars().map(looks).collect::<String>().to_lowercase()
+}
+
+/// A warning about a person's name, if a word mixes alphabets with letters that look alike, or if the name looks like a known one. A program takes
+/// such a name for another person, and its reader does not.
+///
+/// ```
+/// use roomcast_core::text::odd_name;
+///
+/// // The first letter is Cyrillic.
+/// assert!(odd_name("\u{410}da", []).is_some_and(|odd| odd.contains("mixes Latin and Cyrillic letters")));
+/// assert_eq!(odd_name("Анна", ["Ada"]), None);
+/// ```
+#[must_use]
+pub fn odd_name<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    let alphabets = |word: &str| {
+        let is_of = |(_, ranges): &&(&str, &[std::ops::RangeInclusive<char>])| {
+            word.chars().any(|letter| ranges.iter().any(|range| range.contains(&letter)))
+        };
+        ALPHABETS.iter().filter(is_of).map(|(alphabet, _)| *alphabet).collect::<Vec<_>>()
+    };
+    let words = name.split(|character: char| !character.is_alphanumeric());
+    let mixed = words.map(alphabets).find(|alphabets| alphabets.len() > 1);
+    let look = look_of(name);
+    let alike = known.into_iter().find(|other| look_of(other) == look && other.to_lowercase() != name.to_lowercase());
+    match (mixed, alike) {
+        (None, None) => None,
+        (Some(mixed), None) => {
+            Some(format!("{name:?} mixes {} letters: write it in one alphabet", mixed.join(" and ")))
+        }
+        (_, Some(other)) => {
+            Some(format!("{name:?} looks like {other:?} and is another name: write it in the same letters"))
+        }
+    }
+}
+
 /// A text from outside as a terminal or a log may have it, on one line: hidden characters stand as JSON writes them, `\u001b`.
 ///
 /// ```
@@ -173,6 +229,31 @@ mod tests {
         assert!(said.starts_with("first\nkkk\n") && said.ends_with("\nlast") && said.len() < 4_000, "{said}");
         // What is cut once is cut.
         assert_eq!(excerpt(&excerpt(&long)), excerpt(&long));
+    }
+
+    #[test]
+    fn names_of_mixed_alphabets_or_that_look_like_a_known_name_are_odd() {
+        for (name, known, odd) in [
+            ("\u{410}da", None, Some("mixes Latin and Cyrillic letters")),
+            ("B\u{3bf}b", None, Some("mixes Latin and Greek letters")),
+            ("\u{410}da", Some("Ada"), Some("looks like \"Ada\"")),
+            // A word of another alphabet as a whole, and in capitals.
+            ("\u{430}\u{441}\u{435}", Some("ace"), Some("looks like \"ace\"")),
+            ("\u{410}NN\u{410}", Some("Anna"), Some("looks like \"Anna\"")),
+            ("Ada Анна", Some("Ada"), None),
+            ("Zoë Müller", Some("Zoe"), None),
+            ("Ada", Some("ADA"), None),
+            ("Ελένη", Some("Ada"), None),
+            ("Łukasz", None, None),
+            ("美咲", None, None),
+        ] {
+            let said = odd_name(name, known);
+            assert_eq!(said.is_some(), odd.is_some(), "{name}: {said:?}");
+            assert!(said.unwrap_or_default().contains(odd.unwrap_or_default()), "{name}");
+        }
+        for (letters, latin) in LOOKS {
+            assert_eq!(letters.chars().count(), latin.chars().count());
+        }
     }
 
     /// A device says that it has no bytes, and has no end.

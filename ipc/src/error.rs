@@ -46,7 +46,7 @@ pub enum MessageError {
         /// Which field.
         field: &'static str,
     },
-    /// The same text stands twice where each is to be another one.
+    /// A list of names holds the same name twice.
     #[error("{field}: the same one twice")]
     Twice {
         /// Which field.

@@ -1,5 +1,5 @@
 //! What the binary carries with it, so that it runs without a network and without a data folder: the household model, the
-//! scenes, their activity programs and the statistics of the training split.
+//! scenes, their activity programs and the statistics of the training split. Each is a `static`: the program has a `const` as often as code uses it.
 
 use std::fs::File;
 use std::io::Write;
@@ -7,16 +7,16 @@ use std::os::fd::AsRawFd;
 use std::path::PathBuf;
 
 /// The household model, a GGUF file; `models/README.md` is its card.
-pub const MODEL: &[u8] = include_bytes!("../models/household.gguf");
+pub static MODEL: &[u8] = include_bytes!("../models/household.gguf");
 /// Scores that [`MODEL`] is known to give, JSON; `roomcast model check --record` wrote them.
-pub const MODEL_CHECK: &str = include_str!("../models/household-check.json");
+pub static MODEL_CHECK: &str = include_str!("../models/household-check.json");
 /// The name by which messages and tables call [`MODEL`].
 pub const MODEL_NAME: &str = "household (embedded)";
 /// Statistics of the training split that the forecast's baselines are fitted on, JSON.
-pub const STATISTICS: &str = include_str!("../models/household-statistics.json");
+pub static STATISTICS: &str = include_str!("../models/household-statistics.json");
 
 /// What the training split's programs narrate after what, for guesses at the next sentence, JSON.
-pub const FORMS: &str = include_str!("../models/household-forms.json");
+pub static FORMS: &str = include_str!("../models/household-forms.json");
 
 /// A text file in the binary.
 #[derive(Debug, Clone, Copy)]
@@ -28,7 +28,7 @@ pub struct EmbeddedText {
 }
 
 /// The scenes of `scenes/`; the first is the one for a first look.
-pub const SCENES: [EmbeddedText; 7] = [
+pub static SCENES: [EmbeddedText; 7] = [
     EmbeddedText { name: "studio", text: include_str!("../scenes/studio.json") },
     EmbeddedText { name: "apartment-e0", text: include_str!("../scenes/apartment-e0.json") },
     EmbeddedText { name: "apartment-e1", text: include_str!("../scenes/apartment-e1.json") },
@@ -39,7 +39,7 @@ pub const SCENES: [EmbeddedText; 7] = [
 ];
 
 /// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation; every apartment has every object that they name.
-pub const PROGRAMS: [EmbeddedText; 3] = [
+pub static PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText {
         name: "p0-breakfast-and-television",
         text: include_str!("../scenes/programs/p0-breakfast-and-television.txt"),
@@ -49,7 +49,7 @@ pub const PROGRAMS: [EmbeddedText; 3] = [
 ];
 
 /// Those for the ward, then those for the warehouse.
-pub const WORK_PROGRAMS: [EmbeddedText; 6] = [
+pub static WORK_PROGRAMS: [EmbeddedText; 6] = [
     EmbeddedText { name: "w0-medication-round", text: include_str!("../scenes/programs/w0-medication-round.txt") },
     EmbeddedText {
         name: "w1-cleaning-and-fresh-beds",

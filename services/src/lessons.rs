@@ -12,7 +12,7 @@ use roomcast_llama::LlamaModel;
 
 use crate::config::Config;
 use crate::daemon::{Board, BoardError, Entry, HomeHabits, Memory, Persons, PersonsFile, Zone};
-use crate::line::{AHEAD_NS, Faults, Item, Who, line_item};
+use crate::line::{FAST_NS, Faults, Item, Who, line_item};
 use crate::message_text::event_of;
 #[cfg(feature = "recording")]
 use crate::recording::{Recorded, Recording};
@@ -125,7 +125,7 @@ impl Lessons {
         let lesson = told.and_then(|(person, name, count, event)| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
             match at_ns.saturating_sub(self.now_ns) {
-                ahead_ns if ahead_ns > AHEAD_NS => Err(Unfit::Ahead(ahead_ns)),
+                ahead_ns if ahead_ns > FAST_NS => Err(Unfit::Ahead(ahead_ns)),
                 _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), person, name, count, event }),
             }
         });

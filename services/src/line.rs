@@ -11,6 +11,9 @@ pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
 pub use roomcast_core::narration::line::{Who, WhoError};
 use roomcast_ipc::{MessageError, NarrationV1, text};
 
+/// The clock that dated an event is fast if the time lies further ahead than this. Less is rounding and transport.
+pub(crate) const FAST_NS: u64 = 1_000_000_000;
+
 /// One narration to be.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Item {

@@ -28,6 +28,7 @@ use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
 use roomcast_core::narration::Program;
+use roomcast_core::text::odd_name;
 
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
@@ -35,6 +36,8 @@ const TICK: Duration = Duration::from_millis(100);
 /// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
+/// The log says once in this time that a person's name is odd.
+const ODD_NAME_NS: u64 = 60_000_000_000;
 
 /// The items of a program, each with the duration that its action takes.
 #[must_use]
@@ -221,15 +224,18 @@ impl Account {
     /// [`MessageError`] when the text cannot be a message; no number is used up then.
     pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
         let message = item.message()?;
+        let observed_unix_ns = item.observed_unix_ns.unwrap_or(now_unix_ns);
+        // If the input's clock is fast, both times say so: the daemon corrects and counts it.
+        let ahead_ns = observed_unix_ns.saturating_sub(now_unix_ns);
         // What was observed before the machine's start has no monotonic time: 0, as the contract has it.
-        let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| now_unix_ns.saturating_sub(observed_ns));
+        let age_ns = now_unix_ns.saturating_sub(observed_unix_ns);
         self.outcome.sent += 1;
         Ok(NarrationV1 {
             source: self.source,
             epoch: self.epoch,
             sequence: self.outcome.sent,
-            observed_ns: now_ns.saturating_sub(age_ns),
-            observed_unix_ns: now_unix_ns.saturating_sub(age_ns),
+            observed_ns: now_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
+            observed_unix_ns,
             source_name: self.source_name,
             ..message
         })
@@ -427,6 +433,7 @@ pub fn run(
     }
     notify(&[NotifyState::Ready]);
     let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);
+    let mut log_odd = Limiter::new(ODD_NAME_NS);
     let mut warned = false;
     while let Some((read_ns, item)) = next(&items, &mut sender, stop)? {
         let item = match item {
@@ -440,6 +447,12 @@ pub fn run(
                 continue;
             }
         };
+        if let Who::Name(name) = &item.person
+            && let Some(odd) = odd_name(name, [])
+            && let Some(not_told) = log_odd.pass(clock::monotonic_ns())
+        {
+            tracing::warn!(not_told, "a person's name is odd: {odd}");
+        }
         let pause = pace.before(&item);
         let due = Instant::now() + pause;
         while !stop.requested() && Instant::now() < due {
@@ -642,9 +655,9 @@ mod tests {
         };
         assert_eq!(times(&sat(None), 500, 10_000), (500, 10_000));
         assert_eq!(times(&sat(Some(9_900)), 500, 10_000), (400, 9_900));
-        // Before the machine's start, and a little ahead by another clock.
+        // Before the machine's start, and by a clock that is fast, which the daemon corrects.
         assert_eq!(times(&sat(Some(1_000)), 500, 10_000), (0, 1_000));
-        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (500, 10_000));
+        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (501, 10_001));
     }
 
     /// Gives a line at a time, and counts them.

@@ -183,6 +183,8 @@ impl Known {
                 "started_unix_s": status.started_unix_ns / 1_000_000_000,
                 "narrations": status.accepted,
                 "refused": refused,
+                "from_fast_clock": status.ahead,
+                "clock_ahead_s": status.ahead_ns as f64 / 1e9,
                 "failed_steps": status.failed_steps,
                 "journal_failures": status.journal_failures,
                 "narrators": status.sources,

@@ -6,6 +6,7 @@ use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
 use roomcast_core::narration::check_name;
+use roomcast_core::text::{odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 
 /// Arguments of `roomcast person`.
@@ -80,6 +81,12 @@ pub fn run(args: &Args) -> CommandResult {
     }
     if common.json {
         return Ok(());
+    }
+    if let Action::Rename { name, .. } = &args.action {
+        let others = answer.persons.iter().filter_map(|line| line.name.as_deref());
+        if let Some(odd) = odd_name(name, others) {
+            super::tell(format_args!("roomcast: {}", visible(&odd)));
+        }
     }
     let after_restart = if answer.kept || matches!(args.action, Action::List(_)) {
         ""

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use roomcast_ipc::RoomScoresV1;
+use roomcast_services::embedded::MODEL;
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::{World, eventually, exit_code, roomcast, scores_with};
@@ -25,6 +26,17 @@ fn signals_in_a_row_are_one_wish_to_stop() {
     drop(node);
     assert!(world.domain.clean_up().unwrap());
     assert_eq!(world.shared_memory_files(), Vec::<String>::new());
+}
+
+/// A `const` would be copied into each codegen unit that uses it.
+#[test]
+fn the_built_program_has_one_copy_of_the_model() {
+    let program = std::fs::read(roomcast(&[]).get_program()).unwrap();
+    for tenth in [1, 5, 9] {
+        let part = &MODEL[MODEL.len() * tenth / 10..][..64];
+        let copies = program.windows(part.len()).filter(|bytes| bytes == &part).count();
+        assert_eq!(copies, 1, "at {tenth} tenths of the model");
+    }
 }
 
 #[test]

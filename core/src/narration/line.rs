@@ -19,8 +19,8 @@ use crate::text::{is_hidden, without_mark};
 
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
-/// How far a time of observation may lie ahead: clocks differ, and a number of seconds is rounded.
-pub const AHEAD_NS: u64 = 1_000_000_000;
+/// How far a time of observation may lie ahead: the clocks of cameras differ. The daemon takes such an event as observed now.
+pub const AHEAD_NS: u64 = 60_000_000_000;
 
 /// How a text is read. Messages have the numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -335,15 +335,17 @@ impl Line {
         Ok(Self { kind, text, person, observed_unix_ns, count })
     }
 
-    /// The line, unless it was observed later than now.
+    /// The line, unless its time lies further ahead than clocks differ ([`AHEAD_NS`]).
     ///
     /// # Errors
     /// [`LineError`] with how far ahead that is.
     pub fn observed_by(self, now_unix_ns: u64) -> Result<Self, LineError> {
         match self.observed_unix_ns {
             Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
-                let ahead_s = (observed_ns - now_unix_ns) as f64 / 1e9;
-                Err(reason(&format!("\"observed_unix_s\" lies {ahead_s:.0} s ahead; give a time in the past")))
+                let (ahead_s, most_s) = ((observed_ns - now_unix_ns) as f64 / 1e9, AHEAD_NS / 1_000_000_000);
+                Err(reason(&format!(
+                    "\"observed_unix_s\" lies {ahead_s:.0} s ahead, at most {most_s} s are allowed: set the clock of the machine that gives it (NTP), or leave the key out for now"
+                )))
             }
             _ => Ok(self),
         }
@@ -570,14 +572,17 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_ahead_was_not_observed() {
+    fn a_time_further_ahead_than_clocks_differ_is_refused_with_the_remedy() {
         let by = |observed_s: u64, now_ns| {
             let line = item(&format!(r#"{{"text": "They sit.", "observed_unix_s": {observed_s}}}"#)).unwrap();
             line.observed_by(now_ns)
         };
-        let error = by(61, 1_000_000_000).unwrap_err().to_string();
-        assert!(error.contains("\"observed_unix_s\" lies 60 s ahead; give a time in the past"), "{error}");
-        by(2, 1_500_000_000).unwrap();
+        let error = by(62, 1_000_000_000).unwrap_err().to_string();
+        assert!(
+            error.contains("\"observed_unix_s\" lies 61 s ahead, at most 60 s are allowed: set the clock"),
+            "{error}"
+        );
+        by(61, 1_000_000_000).unwrap();
     }
 
     #[test]

@@ -192,8 +192,9 @@ impl<M: LanguageModel> Pipeline<M> {
         &self.options
     }
 
-    /// Takes a changed map. As long as it brings no label that the model was not prepared for, and under a correction lets none go, the
-    /// model is not touched: the next [`Pipeline::score`] sums the known label scores again.
+    /// Takes a changed map. The model is prepared again if the map brings a label that the model was not prepared for. It is prepared again, too,
+    /// if labels are gone and scores are corrected, or the labels leave the histories fewer tokens than was asked for. Otherwise the next
+    /// [`Pipeline::score`] sums the known label scores again.
     ///
     /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
     ///
@@ -202,8 +203,9 @@ impl<M: LanguageModel> Pipeline<M> {
     pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<Prepared, PipelineError> {
         let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
         // Corrected scores depend on the labels that there are.
-        let others_gone = self.prepared.correction() != Correction::default() && grounding.has_idle_labels();
-        let again = new_labels > 0 || others_gone;
+        let is_corrected = self.prepared.correction() != Correction::default();
+        let is_narrow = self.options.history.tokens < self.history_tokens;
+        let again = new_labels > 0 || grounding.has_idle_labels() && (is_corrected || is_narrow);
         let prepared = Prepared { again, new_labels };
         if !again {
             self.grounding = grounding;

@@ -324,6 +324,17 @@ fn a_smaller_map_gives_the_history_its_tokens_back() {
     let before = pipeline.options().history.tokens;
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     assert!(pipeline.options().history.tokens < before);
+    // Without a correction, idle labels change no score. They take tokens all the same.
+    let observe = |pipeline: &mut Pipeline<_>, sequences: std::ops::Range<u64>| {
+        pipeline.step(sequences.map(|sequence| observation(sequence, 0))).unwrap();
+        pipeline.histories().get(0).unwrap().len()
+    };
+    let narrow = observe(&mut pipeline, 1..20);
+    assert!(pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again);
+    assert_eq!(pipeline.options().history.tokens, before);
+    assert!(observe(&mut pipeline, 20..40) > narrow, "the window grows again");
+    assert!(!pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again, "no label is idle");
+    pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     // A label that the large list does not know, so that the list is prepared again.
     let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
     let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();

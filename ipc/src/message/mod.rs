@@ -216,7 +216,7 @@ fn in_range(field: &'static str, value: f64, low: f64, high: f64, allowed: &'sta
     if value >= low && value <= high { Ok(()) } else { Err(MessageError::OutOfRange { field, value, allowed }) }
 }
 
-/// Refuses names of which two are the same: a reader who looks one up would get either.
+/// Refuses a list that holds the same name twice: a look-up would give either.
 fn distinct<'a>(
     field: &'static str,
     names: impl Iterator<Item = &'a [u8; NAME_BYTES]> + Clone,

@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn two_rooms_of_one_id_are_refused() {
         let mut scores = good();
-        // What is behind the last room does not count.
+        // Bytes behind the last room do not count.
         scores.room[2].id = scores.room[0].id;
         scores.check().unwrap();
         scores.room[1].id = scores.room[0].id;

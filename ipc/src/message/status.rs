@@ -69,7 +69,7 @@ layout! {
         /// Persons known.
         232 => persons: u32,
         /// Minor version of the layout: 1 has `forged`, `costly` and `learned`, 2 what
-        /// follows `learned`; they are 0 before.
+        /// follows `learned`, 3 `ahead`; they are 0 before.
         236 => minor: u32,
         /// Version of the daemon, UTF-8, zero padded.
         240 => version: [u8; NAME_BYTES],
@@ -103,8 +103,12 @@ layout! {
         464 => prepared_used: u64,
         /// Nanoseconds of the processor spent preparing.
         472 => prepare_ns: u64,
+        /// Narrations that a fast clock dated more than a second ahead. They count as observed when they came.
+        480 => ahead: u64,
+        /// How far the newest of them lay ahead, in nanoseconds.
+        488 => ahead_ns: u64,
         /// Zero.
-        480 => reserved: [u8; 32],
+        496 => reserved: [u8; 16],
     }
 }
 

@@ -832,6 +832,17 @@ mod tests {
 
     /// More than are ever known are refused before each is compared with each.
     #[test]
+    fn residents_whose_names_look_alike_are_told() {
+        let mut persons =
+            PersonsConfig { residents: vec!["Ada".to_owned(), "Bob".to_owned()], ..PersonsConfig::default() };
+        assert_eq!(persons.odd_names(["Cem"]), Vec::<String>::new());
+        // The first letter is Cyrillic.
+        persons.residents.push("\u{410}da".to_owned());
+        let told = persons.odd_names(["Cem"]);
+        assert!(told.len() == 1 && told[0].contains("looks like \"Ada\""), "{told:?}");
+    }
+
+    #[test]
     fn residents_are_as_many_as_can_be_known() {
         let config = |residents: usize, others: usize| {
             let names = |of: &str, count| (0..count).map(|number| format!("{of}{number}")).collect();

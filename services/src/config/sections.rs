@@ -5,8 +5,10 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use roomcast_core::habits::{HabitsOptions, SetOptions};
+use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
 use roomcast_core::policy::PolicyName;
+use roomcast_core::text::odd_name;
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 /// The section `[daemon]`.
@@ -164,6 +166,17 @@ pub struct PersonsConfig {
     /// For so many seconds after a narrator that the configuration names has told of a person, nobody else is heard of that person; 0: everybody
     /// is heard of everybody. Where it names none, everybody is heard of everybody, too.
     pub guard_s: f64,
+}
+
+impl PersonsConfig {
+    /// Warnings about the names of residents, and about these: words of mixed alphabets, and names that look alike.
+    #[must_use]
+    pub fn odd_names<'a>(&'a self, more: impl IntoIterator<Item = &'a str>) -> Vec<String> {
+        let residents = || self.residents.iter().map(String::as_str);
+        let odd = |(place, name): (usize, &str)| odd_name(name, residents().take(place));
+        // The warning names the later one of two names that look alike. Each is compared with each, so the number is bounded.
+        residents().take(PERSONS_MAX).chain(more.into_iter().take(PERSONS_MAX)).enumerate().filter_map(odd).collect()
+    }
 }
 
 impl Default for PersonsConfig {

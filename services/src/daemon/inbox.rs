@@ -23,6 +23,9 @@ const AT_ONCE: usize = 2048;
 /// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
 
+const FAST_CLOCK: &str = "the clock of this narrator's input is fast: its events count as observed now, and older ones as newer than they \
+    are; set the clock of the machine that dates them (NTP)";
+
 /// Counters of the intake, and sources known.
 pub(super) type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
@@ -38,6 +41,7 @@ pub(super) struct Inbox {
     more: bool,
     log_refused: Limiter,
     log_costly: Limiter,
+    log_ahead: Limiter,
     log_port: Limiter,
 }
 
@@ -58,6 +62,7 @@ impl Inbox {
             more: false,
             log_refused: limiter(),
             log_costly: limiter(),
+            log_ahead: limiter(),
             log_port: limiter(),
         }
     }
@@ -96,7 +101,13 @@ impl Inbox {
             }
             let name = self.message.source_name();
             let refused = match self.intake.receive(received, sender, now_ns) {
-                Taken::Accepted { observation, missed, voice, leaves, binds } => {
+                Taken::Accepted { observation, missed, voice, leaves, binds, ahead_ns } => {
+                    if let Some(ahead_ns) = ahead_ns
+                        && let Some(not_told) = self.log_ahead.pass(now_ns)
+                    {
+                        let ahead_s = ahead_ns as f64 / 1e9;
+                        tracing::warn!(source, name, ahead_s, not_told, "{FAST_CLOCK}");
+                    }
                     let number = self.journal.as_mut().map_or(0, |journal| {
                         if binds {
                             journal.bind((observation.source, observation.epoch), sender);

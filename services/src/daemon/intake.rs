@@ -19,6 +19,7 @@ use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
 
 use crate::config::{IntakeLimits, KnownNarrator};
+use crate::line::{AHEAD_NS, FAST_NS};
 use crate::message_text::event_of;
 use crate::token_bucket::TokenBucket;
 
@@ -52,6 +53,8 @@ pub enum Taken {
         leaves: Option<(u64, u64)>,
         /// The first of its start that this port says, so that a successor has to be told whose it is.
         binds: bool,
+        /// How far its time lay ahead, if that is more than a second; it counts as observed now.
+        ahead_ns: Option<u64>,
     },
     /// It was taken before.
     Duplicate,
@@ -91,6 +94,10 @@ pub struct IntakeCounters {
     pub forged: u64,
     /// Those that cost more tokens than a window holds.
     pub costly: u64,
+    /// Those that a clock dated more than a second ahead.
+    pub ahead: u64,
+    /// How far ahead the newest of them was dated.
+    pub ahead_ns: u64,
 }
 
 /// What a sentence costs, and what it may cost: as many tokens as the map's labels leave a window.
@@ -277,9 +284,12 @@ impl Intake {
         let counters = &mut self.counters;
         counters.received += 1;
         match &taken {
-            Taken::Accepted { missed, .. } => {
+            Taken::Accepted { missed, ahead_ns, .. } => {
                 counters.missed = counters.missed.saturating_add(*missed);
                 counters.accepted += 1;
+                if let Some(ahead_ns) = ahead_ns {
+                    (counters.ahead, counters.ahead_ns) = (counters.ahead + 1, *ahead_ns);
+                }
             }
             Taken::Duplicate => counters.duplicates += 1,
             Taken::Limited => counters.limited += 1,
@@ -358,6 +368,7 @@ impl Intake {
             None if self.narrators.is_empty() => Voice { number: port_voice, share: 1 },
             _ => Voice { number: OTHERS, share: 1 },
         };
+        let ahead_ns = message.observed_ns.saturating_sub(now_ns);
         let observation = Observation {
             person: message.person,
             name: name.map(Into::into),
@@ -370,12 +381,14 @@ impl Intake {
                 (0, 0) => now_ns,
                 (observed_ns, _) => observed_ns.min(now_ns),
             },
-            observed_unix_ns: message.observed_unix_ns,
+            // Further ahead, the two times are of no one clock.
+            observed_unix_ns: message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS { 0 } else { ahead_ns }),
             count: message.counted(),
             may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&message.kind),
             event,
         };
-        Taken::Accepted { observation, missed, voice, leaves, binds }
+        let ahead_ns = Some(ahead_ns).filter(|ahead_ns| *ahead_ns > FAST_NS);
+        Taken::Accepted { observation, missed, voice, leaves, binds, ahead_ns }
     }
 
     /// The counters.
@@ -979,6 +992,29 @@ mod tests {
         most.store(20, Ordering::Relaxed);
         assert!(matches!(intake.take(&message(7, 1, 5, &"abc ".repeat(10)), PORT, 0), Taken::Costly { .. }));
         assert_eq!(intake.counters().costly, 3);
+    }
+
+    #[test]
+    fn an_event_of_a_fast_clock_counts_as_observed_now_and_is_counted() {
+        let (now_ns, unix_ns) = (100 * S, 1_000_000 * S);
+        let mut intake = Intake::new(IntakeLimits::default());
+        // By how many seconds the clock is fast, the event's age by a right one, and how far ahead its time lies.
+        for (sequence, (fast_s, age_s, ahead_s)) in (1..).zip([(0, 0, 0), (2, 0, 2), (2, 1, 1), (59, 0, 59), (2, 5, 0)])
+        {
+            let dated = NarrationV1 {
+                observed_ns: now_ns + fast_s * S - age_s * S,
+                observed_unix_ns: unix_ns + fast_s * S - age_s * S,
+                ..message(7, 1, sequence, "A.")
+            };
+            let before = intake.counters();
+            let (observation, ..) = accepted(intake.take(&dated, PORT, now_ns));
+            let late_s = (age_s.saturating_sub(fast_s)) * S;
+            assert_eq!((observation.observed_ns, observation.observed_unix_ns), (now_ns - late_s, unix_ns - late_s));
+            let counters = intake.counters();
+            let is_told = ahead_s > 1;
+            assert_eq!(counters.ahead - before.ahead, u64::from(is_told), "{fast_s} s fast");
+            assert!(!is_told || counters.ahead_ns == ahead_s * S);
+        }
     }
 
     #[test]

@@ -237,6 +237,9 @@ fn load<M: LanguageModel + Send + 'static>(
             let _removed = crate::state_file::remove_unfinished(&directory.join(file));
         }
     }
+    for odd in config.persons.odd_names([]) {
+        tracing::warn!("persons.residents: {odd}");
+    }
     let configured = setup::load_map(config.scene.path.as_deref())?;
     let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
@@ -304,7 +307,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
         model_fingerprint: snapshot.model_fingerprint,
         map_fingerprint: snapshot.map_fingerprint,
         process: std::process::id(),
-        minor: 2,
+        minor: 3,
         version: text::encode_cut(env!("CARGO_PKG_VERSION")),
         map: text::encode_cut(board.map().name()),
         model: text::encode_cut(&board.pipeline().model().name),

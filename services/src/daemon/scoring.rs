@@ -535,6 +535,8 @@ impl<M: LanguageModel> Scoring<M> {
             limited: counters.limited,
             forged: counters.forged,
             costly: counters.costly,
+            ahead: counters.ahead,
+            ahead_ns: counters.ahead_ns,
             sources: sources as u32,
             persons: self.cycle.board().snapshot().persons,
             waiting: (self.inbox.waiting() + self.cycle.waiting()) as u64,

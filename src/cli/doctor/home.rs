@@ -150,6 +150,13 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let is_resident = |name: &str| residents.iter().any(|resident| same_but_for_accents(resident, name));
     let visitors: Vec<&str> = named.iter().map(String::as_str).filter(|name| !is_resident(name)).collect();
     let shown = place.shown();
+    if let [odd, ..] = &config.persons.odd_names(named.iter().map(String::as_str))[..] {
+        return Finding::limited(
+            check,
+            odd.clone(),
+            format!("correct it in persons.residents of {shown}, or in the rules"),
+        );
+    }
     match (residents.is_empty(), named.is_empty()) {
         (true, true) => Finding::good(check, format!("{shown} names nobody: whoever is observed lives here")),
         (true, false) => Finding::good(
@@ -231,6 +238,17 @@ fn name_of(service: &str) -> &'static str {
     }
 }
 
+/// A fast clock of a narrator, as the daemon has measured it.
+fn fast_clock(ahead: u64, ahead_ns: u64) -> Option<Finding> {
+    let found = format!(
+        "the clock of a narrator's input is {:.0} s fast: {} were taken as observed when they came",
+        ahead_ns as f64 / 1e9,
+        count(ahead as usize, "narration")
+    );
+    let remedy = "set the clock of the camera or machine that dates them (NTP); the daemon's log names the narrator";
+    (ahead > 0).then(|| Finding::limited("daemon", found, remedy))
+}
+
 /// What the running daemon says of itself.
 fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> Finding {
     let check = "daemon";
@@ -258,6 +276,9 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
         let found = format!("its journal could not be written {} times since it started", status.journal_failures);
         return Finding::limited(check, found, "its log says why; a restart would know less of who is where");
     }
+    if let Some(finding) = fast_clock(status.ahead, status.ahead_ns) {
+        return finding;
+    }
     let found = format!(
         "{} accepted, {}",
         count(status.accepted as usize, "narration"),
@@ -270,5 +291,19 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
             "do something that a sensor sees, or look at the narrator's log",
         ),
         _ => Finding::good(check, found),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::finding::Verdict;
+    use super::*;
+
+    #[test]
+    fn a_fast_clock_of_a_narrator_is_found_with_its_offset() {
+        assert!(fast_clock(0, 0).is_none());
+        let finding = fast_clock(12, 2_000_000_000).unwrap();
+        assert_eq!(finding.verdict, Verdict::Limited);
+        assert!(finding.found.contains("is 2 s fast: 12 narrations"), "{}", finding.found);
     }
 }

@@ -52,7 +52,7 @@ class Layout(ctypes.Structure):
 class Message(Layout):
     """The payload of a publish-subscribe service."""
 
-    #: The field that says when it was made; empty where no age is told of it.
+    #: The field with the time at which it was made; empty if the message has no age.
     MADE: ClassVar[str] = ""
 
     def check(self) -> None:
@@ -68,7 +68,7 @@ class Message(Layout):
 
 
 def _distinct(field: str, names: Iterable[ctypes.Array[ctypes.c_uint8]]) -> None:
-    """Refuses names of which two are the same: a reader who looks one up would get either."""
+    """Refuses a list that holds the same name twice: a look-up would give either."""
     seen = [bytes(name) for name in names]
     if len(set(seen)) < len(seen):
         raise MessageError(f"{field}: the same one twice")
@@ -566,7 +566,9 @@ class StatusResponseV1(Layout):
         ("prepared", ctypes.c_uint64),
         ("prepared_used", ctypes.c_uint64),
         ("prepare_ns", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint8 * 32),
+        ("ahead", ctypes.c_uint64),
+        ("ahead_ns", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 16),
     ]
 
 

@@ -645,6 +645,9 @@ class Status:
     prepared: int
     prepared_used: int
     prepare_ns: int
+    #: Narrations that a fast clock dated more than a second ahead, and how far ahead the newest was dated. They count as observed when they came.
+    ahead: int
+    ahead_ns: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
@@ -691,4 +694,6 @@ class Status:
             prepared=message.prepared,
             prepared_used=message.prepared_used,
             prepare_ns=message.prepare_ns,
+            ahead=message.ahead,
+            ahead_ns=message.ahead_ns,
         )

@@ -363,7 +363,7 @@ class Node(_Held):
     def __init__(self, inner: Any, domain: Domain) -> None:
         self.inner = inner
         self.domain = domain
-        # A tuple lets go of its last part first: `inner` leaves before the look at who is left.
+        # A tuple deletes its last part first: `inner` leaves before `_LastOut` counts the others.
         super().__init__(f"domain at {domain.root}", _LastOut(domain), inner)
 
     def retry(self, service: str, open_port: Callable[[], T]) -> T:
