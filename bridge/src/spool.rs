@@ -74,6 +74,7 @@ impl SpoolError {
     pub fn is_of_configuration(&self) -> bool {
         match self {
             Self::InUse { .. } => false,
+            Self::Refused { .. } => true,
             Self::Failed { source, .. } => matches!(
                 source.kind(),
                 io::ErrorKind::NotFound

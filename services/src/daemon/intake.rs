@@ -547,6 +547,8 @@ mod tests {
     use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
     use super::*;
 
+    const S: u64 = 1_000_000_000;
+
     const PORT: Sender = Sender::simulated(1);
     const OTHER: Sender = Sender::simulated(2);
 

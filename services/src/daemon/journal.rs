@@ -27,8 +27,6 @@ use roomcast_ipc::Sender as Port;
 use self::disk::Folder;
 pub use self::disk::{Disk, Half};
 use self::forget::IsTheirs;
-#[cfg(test)]
-pub(super) use self::record::each_record;
 pub use self::record::{Believed, Expectation, Move, Moved, Outcome, encode, encode_outcome, encode_port};
 pub(super) use self::record::{encode_believed, encode_forgotten, encode_moved};
 pub use self::recovered::{Recovered, read_records};
