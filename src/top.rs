@@ -156,7 +156,7 @@ impl View {
             }
             for word in flag_words(person.flags) {
                 line.push_str(", ");
-                line.push_str(plain(word));
+                line.push_str(crate::flags::plain(word));
             }
             self.persons.push(line);
             // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
