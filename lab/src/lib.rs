@@ -18,6 +18,8 @@ pub mod drawing;
 
 pub mod simulation;
 
+pub mod home_simulation;
+
 pub mod experiment;
 
 #[cfg(feature = "png")]

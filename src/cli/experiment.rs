@@ -27,6 +27,7 @@ mod card;
 mod folds;
 mod guesses;
 mod habits;
+mod persons;
 mod study;
 
 pub(super) use habits::days;
@@ -62,6 +63,8 @@ enum Experiment {
     Habits(habits::HabitsArgs),
     /// How often the next sentence is among those that are scored ahead.
     Guesses(guesses::GuessesArgs),
+    /// How well the tracker knows who is where, in simulated homes with sensors.
+    Persons(persons::PersonsArgs),
 }
 
 /// What all experiments share: model, window and cache.
@@ -216,6 +219,7 @@ pub fn run(args: &Args) -> CommandResult {
         Experiment::Horizon(args) => study::run_horizon(args),
         Experiment::Habits(args) => habits::run(args),
         Experiment::Guesses(args) => guesses::run(args),
+        Experiment::Persons(args) => persons::run(args),
     }
 }
 

@@ -6,7 +6,7 @@
 //! dropped probability is known.
 
 use super::TrackerError;
-use super::motion::{Place, Transitions, is_moving, room_of};
+use super::motion::{Place, Transitions, room_of, visibility};
 
 /// Most persons, known and unknown.
 pub const SLOTS_MAX: usize = 16;
@@ -38,22 +38,29 @@ pub(super) struct State {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Occupied {
     /// Rooms with at least one person.
-    pub(super) any: u128,
+    pub(super) any: u64,
+    /// Rooms with at least one person who is not still.
+    pub(super) seen: u64,
     /// Rooms in which at least one person walks.
-    pub(super) moving: u128,
+    pub(super) moving: u64,
 }
 
 impl Occupied {
     pub(super) fn of(key: Key, slots: usize) -> Self {
-        let mut own = Self { any: 0, moving: 0 };
-        for slot in 0..slots {
-            let place = place(key, slot);
+        let mut own = Self { any: 0, seen: 0, moving: 0 };
+        for place in key.to_le_bytes().into_iter().take(slots) {
             if let Some(room) = room_of(place) {
                 own.any |= 1 << room;
-                own.moving |= u128::from(is_moving(place)) << room;
+                own.seen |= u64::from(visibility(place) >= 2) << room;
+                own.moving |= u64::from(visibility(place) >= 3) << room;
             }
         }
         own
+    }
+
+    /// How well sensors see the most visible person of a room: 0 for an empty room, 1 still, 2 settled, 3 moving.
+    pub(super) fn class(&self, room: usize) -> usize {
+        [self.any, self.seen, self.moving].iter().map(|bits| (bits >> room & 1) as usize).sum()
     }
 }
 
@@ -66,6 +73,8 @@ pub(super) struct Belief {
     most: usize,
     /// Smaller weights are not kept, and smaller flows do not move.
     floor: f64,
+    /// The lightest weight of a full belief: much smaller flows would be dropped at once, so they stay.
+    lightest: f64,
     states: Vec<State>,
     gains: Vec<f64>,
     /// Open addressing: index into `states` plus one; 0 is free. Its length is a power of two.
@@ -83,6 +92,7 @@ impl Belief {
             unknown,
             most,
             floor,
+            lightest: 0.0,
             states,
             gains: Vec::with_capacity(room),
             index: vec![0; (2 * room + 2).next_power_of_two()],
@@ -196,6 +206,7 @@ impl Belief {
         self.reindex();
         self.gains.clear();
         self.gains.resize(self.states.len(), 0.0);
+        let least = self.floor.max(0.05 * self.lightest);
         for slot in 0..self.slots {
             let own = &transitions[of_slot[slot]];
             for at in 0..self.states.len() {
@@ -203,7 +214,7 @@ impl Belief {
                 let mut moved = 0.0;
                 for &(to, p) in own.row(level, place(key, slot)) {
                     let flow = weight * p;
-                    if flow <= self.floor {
+                    if flow <= least {
                         break;
                     }
                     let next = with(key, slot, to);
@@ -259,8 +270,11 @@ impl Belief {
         }
         let least = self.floor * total;
         self.states.retain(|state| state.weight > least);
+        self.lightest = 0.0;
         if self.states.len() > self.most {
-            self.states.select_nth_unstable_by(self.most, |a, b| b.weight.total_cmp(&a.weight).then(a.key.cmp(&b.key)));
+            let by_weight = |a: &State, b: &State| b.weight.total_cmp(&a.weight).then(a.key.cmp(&b.key));
+            let (_, last, _) = self.states.select_nth_unstable_by(self.most, by_weight);
+            self.lightest = last.weight / total;
             self.states.truncate(self.most);
         }
         let kept: f64 = self.states.iter().map(|state| state.weight).sum();

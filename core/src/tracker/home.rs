@@ -4,8 +4,8 @@ use super::TrackerError;
 use crate::grounding::Partition;
 use crate::semantic_map::SemanticMap;
 
-/// Most rooms of a home: a place of a person is one byte.
-pub const ROOMS_MAX: usize = 127;
+/// Most rooms of a home: occupancy is a set of 64 bits.
+pub const ROOMS_MAX: usize = 64;
 /// Walking speed inside a home, in metres per second.
 const WALKING_M_S: f64 = 1.0;
 /// Shortest and longest time to cross a room, in seconds.
@@ -177,8 +177,9 @@ impl Home {
     }
 
     /// The next room on the way to another room. The room itself if the destination is elsewhere (`None`) and the room has a way out.
-    pub(super) fn hop(&self, from: usize, to: Option<usize>) -> Option<usize> {
-        self.hops[from * (self.rooms() + 1) + to.unwrap_or(self.rooms())]
+    #[must_use]
+    pub fn hop(&self, from: usize, to: Option<usize>) -> Option<usize> {
+        self.hops.get(from * (self.rooms() + 1) + to.unwrap_or(self.rooms())).copied().flatten()
     }
 
     /// Doors on the way from a room to the nearest way out.
@@ -241,7 +242,7 @@ mod tests {
     fn homes_without_rooms_and_doors_to_unknown_rooms_are_refused() {
         assert!(Home::new(&[], &[], &[]).is_err());
         assert!(Home::new(&[RoomUse::Hall], &[(0, 1)], &[]).is_err());
-        assert!(Home::new(&[RoomUse::Other; 128], &[], &[]).is_err());
+        assert!(Home::new(&[RoomUse::Other; 65], &[], &[]).is_err());
     }
 
     #[test]

@@ -51,7 +51,9 @@ pub use sensors::{SensorKind, SensorSpec};
 pub use trace::{Cause, Reason};
 
 use belief::{Belief, Key, Occupied, SLOTS_MAX as SLOTS, place};
-use motion::{ELSEWHERE, LEVELS, Place, STEP_S, Transitions, level_of, moving, room_of, settled, step_s};
+use motion::{
+    ELSEWHERE, LEVELS, PHONELESS, Place, STEP_S, Transitions, level_of, moving, places, room_of, settled, step_s, still,
+};
 use sensors::{CLASSES, Sensor};
 use trace::Trace;
 
@@ -95,7 +97,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { states: 1_024, floor: 1e-9, unknown: 1, door_misses: 0.05, learns: true }
+        Self { states: 1_024, floor: 1e-7, unknown: 1, door_misses: 0.05, learns: true }
     }
 }
 
@@ -121,7 +123,7 @@ pub struct Tracker {
     now_s: f64,
     /// Level of the next step.
     level: usize,
-    /// Seconds whose silence has not been weighed yet.
+    /// Seconds of silence that are not weighed yet.
     silent_s: f64,
     /// Per room: until when the robot explains what sensors see.
     robot_until_s: Vec<f64>,
@@ -153,10 +155,10 @@ impl Tracker {
             silent_s: 0.0,
             robot_until_s: vec![f64::NEG_INFINITY; rooms],
             room_rates: vec![[0.0; CLASSES]; rooms],
-            slot_rates: Vec::with_capacity(SLOTS * (1 + 2 * rooms)),
+            slot_rates: Vec::with_capacity(SLOTS * places(rooms)),
             marginals: Vec::with_capacity(SLOTS * (1 + rooms)),
             earlier: Vec::with_capacity(SLOTS * (1 + rooms)),
-            classes: vec![[1.0, 0.0, 0.0]; rooms],
+            classes: vec![EMPTY_ROOM; rooms],
             empty: 1.0,
             trace: Trace::new(rooms),
             options,
@@ -232,6 +234,22 @@ impl Tracker {
         (slot < self.belief.slots()).then_some(slot)
     }
 
+    /// The usual movement of a person at a local hour. A bedroom in which only other persons have a bed sensor is seldom a destination.
+    #[must_use]
+    pub fn usual(&self, person: usize, hour: u8) -> Movement {
+        const OTHERS: f64 = 0.1;
+        let mut own = Movement::usual(&self.home, hour);
+        let slot = self.slot(person);
+        for (room, weight) in own.destination.iter_mut().enumerate() {
+            let has_bed = |sensor: &&Sensor| sensor.spec.kind == SensorKind::Bed && sensor.spec.room == Some(room);
+            let mut beds = self.sensors.iter().filter(has_bed).peekable();
+            if beds.peek().is_some() && beds.all(|bed| bed.slot.is_some() && bed.slot != slot) {
+                *weight *= OTHERS;
+            }
+        }
+        own
+    }
+
     /// Sets how a person moves from now on: habits, the hour, or a forecast.
     pub fn set_movement(&mut self, person: usize, movement: &Movement) {
         let rooms = self.home.rooms();
@@ -292,6 +310,7 @@ impl Tracker {
         if !now_s.is_finite() {
             return;
         }
+        let began_s = self.now_s;
         while now_s - self.now_s >= STEP_S {
             self.release();
             let level = level_of(now_s - self.now_s).min(self.level);
@@ -306,6 +325,9 @@ impl Tracker {
         self.weigh_silence(self.silent_s);
         self.silent_s = 0.0;
         self.summarise();
+        if self.options.learns {
+            self.learn_time(self.now_s - began_s);
+        }
     }
 
     /// Sensors that never report "off" are off after their hold time.
@@ -324,7 +346,7 @@ impl Tracker {
             return;
         }
         self.fill_rates();
-        let places = 1 + 2 * self.home.rooms();
+        let places = places(self.home.rooms());
         let slots = self.belief.slots();
         let (rooms, own) = (&self.room_rates, &self.slot_rates);
         self.belief.weigh(|key| {
@@ -333,24 +355,20 @@ impl Tracker {
             let mut any = occupied.any;
             while any != 0 {
                 let room = any.trailing_zeros() as usize;
-                rate += rooms[room][1 + (occupied.moving >> room & 1) as usize];
+                rate += rooms[room][occupied.class(room)];
                 any &= any - 1;
             }
-            for slot in 0..slots {
-                rate += own[slot * places + usize::from(place(key, slot))];
+            for (slot, place) in key.to_le_bytes().into_iter().take(slots).enumerate() {
+                rate += own[slot * places + usize::from(place)];
             }
             // Rates are relative to empty rooms: a held sensor makes an occupied room more probable.
             (-rate * seconds).clamp(-60.0, 60.0).exp()
         });
-        if self.options.learns {
-            self.summarise();
-            self.learn_time(seconds);
-        }
     }
 
     /// Sums the flip rates of all sensors, relative to empty rooms.
     fn fill_rates(&mut self) {
-        let places = 1 + 2 * self.home.rooms();
+        let places = places(self.home.rooms());
         self.room_rates.fill([0.0; CLASSES]);
         self.slot_rates.clear();
         self.slot_rates.resize(self.belief.slots() * places, 0.0);
@@ -397,11 +415,11 @@ impl Tracker {
         let (rooms, slots) = (self.home.rooms(), self.belief.slots());
         self.marginals.clear();
         self.marginals.resize(slots * (rooms + 1), 0.0);
-        self.classes.fill([1.0, 0.0, 0.0]);
+        self.classes.fill(EMPTY_ROOM);
         self.empty = 0.0;
         for state in self.belief.states() {
-            for slot in 0..slots {
-                let room = room_of(place(state.key, slot)).unwrap_or(rooms);
+            for (slot, place) in state.key.to_le_bytes().into_iter().take(slots).enumerate() {
+                let room = room_of(place).unwrap_or(rooms);
                 self.marginals[slot * (rooms + 1) + room] += state.weight;
             }
             let occupied = Occupied::of(state.key, slots);
@@ -411,12 +429,12 @@ impl Tracker {
             let mut any = occupied.any;
             while any != 0 {
                 let room = any.trailing_zeros() as usize;
-                self.classes[room][1 + (occupied.moving >> room & 1) as usize] += state.weight;
+                self.classes[room][occupied.class(room)] += state.weight;
                 any &= any - 1;
             }
         }
         for own in &mut self.classes {
-            own[0] = (1.0 - own[1] - own[2]).max(0.0);
+            own[0] = (1.0 - own[1..].iter().sum::<f64>()).max(0.0);
         }
     }
 
@@ -457,7 +475,7 @@ impl Tracker {
     /// Probability that an unknown person is in the house.
     #[must_use]
     pub fn visited(&self) -> f64 {
-        let is_in = |key: Key| (0..self.unknown()).any(|slot| place(key, slot) != ELSEWHERE);
+        let is_in = |key: Key| (0..self.unknown()).any(|slot| room_of(place(key, slot)).is_some());
         self.belief.states().iter().filter(|state| is_in(state.key)).map(|state| state.weight).sum()
     }
 
@@ -476,7 +494,7 @@ impl Tracker {
         self.trace.strongest((slot, room.unwrap_or(rooms).min(rooms)), self.now_s, self.unknown(), held)
     }
 
-    /// Sensors whose learned false alarms exceed five times the usual and three a day, with both numbers per day.
+    /// Sensors with learned false alarms above five times the usual and three a day. Both numbers are per day.
     pub fn noisy(&self) -> impl Iterator<Item = (usize, f64, f64)> {
         self.sensors.iter().enumerate().filter_map(|(number, sensor)| {
             let (learned, usual) = sensor.false_alarms_per_day();
@@ -495,7 +513,7 @@ impl Tracker {
     #[must_use]
     pub fn forecast(&self, horizon_s: f64) -> Forecast {
         let (rooms, slots) = (self.home.rooms(), self.belief.slots());
-        let places = 1 + 2 * rooms;
+        let places = places(rooms);
         let set = &self.transitions[usize::from(self.is_open())];
         let mut later: Vec<Option<Vec<f64>>> = vec![None; slots * places];
         let (mut own, mut spare) = (Vec::new(), vec![0.0; places]);
@@ -516,8 +534,13 @@ impl Tracker {
                     own.resize(places, 0.0);
                     own[from] = 1.0;
                     set[self.of_slot[slot]].run(horizon_s.min(HORIZON_S), &mut own, &mut spare);
-                    let room = |room: usize| own[usize::from(moving(room))] + own[usize::from(settled(room))];
-                    (0..rooms).map(room).chain([own[usize::from(ELSEWHERE)]]).collect()
+                    let room = |room: usize| {
+                        [moving(room), settled(room), still(room)]
+                            .map(|place| own[usize::from(place)])
+                            .iter()
+                            .sum::<f64>()
+                    };
+                    (0..rooms).map(room).chain([own[usize::from(ELSEWHERE)] + own[usize::from(PHONELESS)]]).collect()
                 });
                 for (room, p) in ahead.iter().enumerate() {
                     if let Some(person) = slot.checked_sub(self.unknown()) {
@@ -535,6 +558,9 @@ impl Tracker {
         forecast
     }
 }
+
+/// The classes of an empty room.
+const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
 
 /// Farther ahead the forecast no longer changes, in seconds.
 const HORIZON_S: f64 = 86_400.0;

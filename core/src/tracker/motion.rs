@@ -1,43 +1,67 @@
 //! How one person moves: a Markov chain in continuous time over places.
 //!
-//! Each room has two places, because a person who walks and a person who sits differ in what sensors see and in what they do next:
+//! Each room has three places, because people who walk, sit or lie still differ in what sensors see and in what they do next:
 //!
 //! ```text
-//! elsewhere ----- comes home ----> moving in a room with a way out
-//! moving   in r -- 1/crossing ---> settled in r               with probability settle(r)
+//! elsewhere ----- comes home ----> moving in a room with a way out; a person elsewhere has their phone, or left it at home
+//! moving   in r -- 1/crossing ---> settled or still in r      with probability settle(r)
 //!                                  moving in the next room    else, by destination
 //! settled  in r -- stands up ----> moving in r                at leave(r) / (1 - settle(r)), so that people leave r at leave(r)
+//! still    in r -- stands up ----> moving in r                at leave(r)
 //! ```
 //!
+//! Motion sensors miss a still person for the whole stay: their silence must not outweigh everything else.
 //! The destination is a weight per room. A way leads through the rooms between, and each takes its crossing time: this bounds the walking speed.
-//! Two phases make the stay in a room a mixture of exponentials, which ages: the longer a person stayed, the longer they will.
+//! The phases make the stay in a room a mixture of exponentials, which ages: the longer a person stayed, the longer they will.
 
 use super::home::{Home, RoomUse};
 
-/// A place of a person: 0 is elsewhere, then two per room.
+/// A place of a person: two elsewhere, then three per room.
 pub(super) type Place = u8;
-/// Out of the house.
+/// Out of the house, with the phone.
 pub(super) const ELSEWHERE: Place = 0;
+/// Out of the house without the phone: a phone that stays at home must not hold its person there forever.
+pub(super) const PHONELESS: Place = 1;
+/// Share of departures without the phone.
+pub(super) const FORGETS: f64 = 0.02;
+
+/// Number of places in a home.
+pub(super) fn places(rooms: usize) -> usize {
+    2 + 3 * rooms
+}
 
 /// A person who walks in a room.
 pub(super) fn moving(room: usize) -> Place {
-    (1 + 2 * room) as Place
+    (2 + 3 * room) as Place
 }
 
 /// A person who stays in a room.
 pub(super) fn settled(room: usize) -> Place {
-    (2 + 2 * room) as Place
+    (3 + 3 * room) as Place
+}
+
+/// A person who stays in a room and is hardly seen: asleep, or in a blind spot.
+pub(super) fn still(room: usize) -> Place {
+    (4 + 3 * room) as Place
 }
 
 /// The room of a place; `None` for elsewhere.
 pub(super) fn room_of(place: Place) -> Option<usize> {
-    place.checked_sub(1).map(|own| usize::from(own / 2))
+    place.checked_sub(2).map(|own| usize::from(own / 3))
+}
+
+/// How well sensors see a person at this place: 0 elsewhere, 1 still, 2 settled, 3 moving.
+pub(super) fn visibility(place: Place) -> usize {
+    if place <= PHONELESS { 0 } else { 3 - usize::from((place - 2) % 3).clamp(0, 2) }
 }
 
 /// Whether a person at this place walks.
 pub(super) fn is_moving(place: Place) -> bool {
-    place % 2 == 1
+    visibility(place) == 3
 }
+
+/// Share of stays that motion sensors miss; and of stays in a bedroom.
+const STILL: (f64, f64) = (0.12, 0.4);
 
 /// Rates of one person. Habits, the hour and the language model's forecast supply them; [`Movement::usual`] is the default.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,7 +80,7 @@ pub struct Movement {
 
 /// Seconds of an hour.
 const HOUR_S: f64 = 3_600.0;
-/// A person who is out comes home after this time on average.
+/// Mean time out of the house, in seconds.
 const OUT_S: f64 = 5.0 * HOUR_S;
 
 impl Movement {
@@ -101,8 +125,12 @@ impl Movement {
         for room in 0..count {
             let crossing = 1.0 / home.crossing_s(room);
             let settle = self.settle[room].clamp(0.01, 0.99);
-            visit(settled(room), moving(room), self.leave_per_s[room].clamp(1e-7, 0.5) / (1.0 - settle));
-            visit(moving(room), settled(room), crossing * settle);
+            let stands_up = self.leave_per_s[room].clamp(1e-7, 0.5) / (1.0 - settle);
+            visit(settled(room), moving(room), stands_up);
+            visit(still(room), moving(room), self.leave_per_s[room].clamp(1e-7, 0.5));
+            let unseen = if home.usage(room) == RoomUse::Bedroom { STILL.1 } else { STILL.0 };
+            visit(moving(room), settled(room), crossing * settle * (1.0 - unseen));
+            visit(moving(room), still(room), crossing * settle * unseen);
             let goes = crossing * (1.0 - settle);
             let mut total = 0.0;
             for destination in (0..count).filter(|to| *to != room && home.hop(room, Some(*to)).is_some()) {
@@ -120,12 +148,18 @@ impl Movement {
                 }
             }
             match way_out {
-                Some(next) if next == room => visit(moving(room), ELSEWHERE, goes * leak[room] * outside / total),
+                Some(next) if next == room => {
+                    let leaves = goes * leak[room] * outside / total;
+                    visit(moving(room), ELSEWHERE, leaves * (1.0 - FORGETS));
+                    visit(moving(room), PHONELESS, leaves * FORGETS);
+                }
                 Some(next) => visit(moving(room), moving(next), goes * outside / total),
                 None => {}
             }
             if home.way_out(room) > 0.0 {
-                visit(ELSEWHERE, moving(room), self.home_per_s * leak[room] * home.way_out(room) / exits);
+                let returns = self.home_per_s * leak[room] * home.way_out(room) / exits;
+                visit(ELSEWHERE, moving(room), returns);
+                visit(PHONELESS, moving(room), returns);
             }
         }
     }
@@ -155,7 +189,7 @@ pub(super) struct Transitions {
 
 impl Transitions {
     pub(super) fn new(home: &Home) -> Self {
-        let places = 1 + 2 * home.rooms();
+        let places = places(home.rooms());
         let level = || Level { dense: vec![0.0; places * places], rows: vec![Vec::with_capacity(places); places] };
         Self { places, levels: (0..LEVELS).map(|_| level()).collect(), rates: vec![0.0; places * places] }
     }
@@ -191,10 +225,10 @@ impl Transitions {
     /// Rate from a place to another, per second. A settled person stands up first: their rate is the rate at which they leave.
     pub(super) fn rate(&self, from: Place, to: Place) -> f64 {
         let own = |from: Place, to: Place| self.rates[usize::from(from) * self.places + usize::from(to)];
-        if from == ELSEWHERE || is_moving(from) {
+        if from <= PHONELESS || is_moving(from) {
             return own(from, to);
         }
-        let walking = from - 1;
+        let walking = from - (from - 2) % 3;
         let all: f64 = (0..self.places).map(|to| own(walking, to as Place)).sum();
         if all > 0.0 { own(from, walking) * own(walking, to) / all } else { 0.0 }
     }
@@ -303,8 +337,8 @@ mod tests {
         own.fill(&home, &movement, &[1.0; 3]);
         let mut start = vec![0.0; own.places];
         start[usize::from(settled(0))] = 1.0;
-        own.run(60.0, &mut start, &mut vec![0.0; 7]);
-        let left = 1.0 - start[usize::from(settled(0))] - start[usize::from(moving(0))];
+        own.run(60.0, &mut start, &mut vec![0.0; 11]);
+        let left = 1.0 - [settled(0), still(0), moving(0)].map(|place| start[usize::from(place)]).iter().sum::<f64>();
         // Some of them came back.
         assert!(left > 0.5 * 60.0 / 1_800.0 && left < 60.0 / 1_800.0, "{left}");
     }

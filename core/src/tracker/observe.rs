@@ -1,7 +1,7 @@
 //! The likelihood of each observation over joint states, and the attribution to persons afterwards.
 
 use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
-use super::motion::{ELSEWHERE, Place, is_moving, moving, room_of, settled};
+use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, is_moving, moving, places, room_of, settled, still};
 use super::sensors::{CLASSES, Sensor};
 use super::{Cause, SensorKind, Tracker};
 
@@ -59,11 +59,11 @@ pub enum Observation<'a> {
     },
 }
 
-/// Probability that the filter lost a person, given a report about that person by name: the person is then placed anew.
+/// Probability that the filter lost a person, given a report about that person by name. The person is then placed again.
 const LOST_PRESENT: f64 = 0.3;
 /// The same for an action.
 const LOST_DEED: f64 = 0.1;
-/// States below this probability are not placed anew.
+/// In states below this probability the person stays.
 const LIGHT: f64 = 1e-5;
 /// A robot explains what sensors see for this long after it left, in seconds.
 const ROBOT_S: f64 = 30.0;
@@ -73,7 +73,11 @@ const HELD_WRONG: f64 = 0.003;
 const UNSEEN: f64 = 0.1;
 /// Each door between a person and the way out makes a departure less probable by this factor.
 const PER_DOOR: f64 = 0.2;
-/// A person beside a door opens it without passing through this often, per second.
+/// A person is out for sure from this probability on.
+const SURELY: f64 = 0.95;
+/// Most probability that a flip in a house without residents has for a person, when the sensor learns from it.
+const ALONE: f64 = 0.5;
+/// A person at a door opens it without passing through this often, per second.
 const OPENS_ONLY: f64 = 1.0 / 7_200.0;
 
 /// Weighs the belief. `None` if the observation changes nothing.
@@ -89,13 +93,16 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
             if !targets.iter().all(|room| has(*room)) {
                 return None;
             }
-            let share = 0.5 / targets.len() as f64;
-            let places: Vec<(Place, f64)> =
-                targets.iter().flat_map(|room| [(moving(*room), share), (settled(*room), share)]).collect();
+            let share = 1.0 / (3 * targets.len()) as f64;
+            let places: Vec<(Place, f64)> = targets
+                .iter()
+                .flat_map(|room| [moving(*room), settled(*room), still(*room)].map(|place| (place, share)))
+                .collect();
             if own.probability(person, None) > 0.5 || room.is_some() {
                 relocate(own, slot, LOST_PRESENT, &places);
             }
-            let is_there = |place: Place| if room.is_some() { room_of(place) == room } else { place != ELSEWHERE };
+            let is_there =
+                |place: Place| if room.is_some() { room_of(place) == room } else { room_of(place).is_some() };
             own.belief.weigh(|key| if is_there(place(key, slot)) { trust } else { 1.0 - trust });
         }
         Observation::Present { who: None, room } => {
@@ -111,8 +118,8 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         }
         Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
             let slot = own.slot(person)?;
-            relocate(own, slot, LOST_PRESENT, &[(ELSEWHERE, 1.0)]);
-            own.belief.weigh(|key| if place(key, slot) == ELSEWHERE { trust } else { 1.0 - trust });
+            relocate(own, slot, LOST_PRESENT, &[(ELSEWHERE, 1.0 - FORGETS), (PHONELESS, FORGETS)]);
+            own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { trust } else { 1.0 - trust });
         }
         Observation::Away { who: None } => departure(own, trust, false),
         Observation::Gone { who: None } => departure(own, trust, true),
@@ -151,7 +158,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     })
 }
 
-/// The filter may have lost a person: with this probability the person is placed anew.
+/// The filter may have lost a person: with this probability the person is placed again.
 fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) {
     let light: f64 = own.belief.states().iter().filter(|state| state.weight < LIGHT).map(|state| state.weight).sum();
     // Light states weigh little, but all of them may be light.
@@ -187,7 +194,7 @@ fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], trust: f64) -> Opti
             if list.is_empty() {
                 // No place: the person is in.
                 relocate(own, slot, LOST_DEED * own.probability(person, None), &places);
-                own.belief.weigh(|key| if place(key, slot) == ELSEWHERE { 1.0 - trust } else { trust });
+                own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { 1.0 - trust } else { trust });
             } else {
                 relocate(own, slot, LOST_DEED, &places);
                 own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
@@ -217,10 +224,10 @@ fn departs(own: &Tracker, slot: usize, place: Place) -> f64 {
     held * walks * PER_DOOR.powi(doors.min(8) as i32)
 }
 
-/// An unknown person leaves: each person who can be at the door, or a visitor whom no sensor saw.
+/// An unknown person leaves: each person near the door, or a visitor that no sensor saw.
 fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
     let slots = if only_unknown { own.unknown() } else { own.belief.slots() };
-    let places = 1 + 2 * own.home.rooms();
+    let places = places(own.home.rooms());
     let mut weights = [0.0; SLOTS_MAX * 256];
     for slot in 0..slots {
         for place in 0..places {
@@ -280,7 +287,17 @@ fn sensor_reports(own: &mut Tracker, number: usize, on: Option<bool>) -> Option<
 fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
     if own.options.learns {
         own.summarise();
-        if let Some(classes) = own.classes_of(number) {
+        if let Some(mut classes) = own.classes_of(number) {
+            // All residents were out: a noisy sensor explains the flip at least as well as an unknown person.
+            let rooms = own.home.rooms();
+            let out = |slot: usize| own.earlier.get(slot * (rooms + 1) + rooms).copied().unwrap_or(0.0);
+            let slots = own.unknown()..own.belief.slots();
+            if !was && !slots.is_empty() && slots.map(out).all(|p| p > SURELY) {
+                let kept = classes[1..].iter().sum::<f64>();
+                let spread = if kept > ALONE { ALONE / kept } else { 1.0 };
+                classes[1..].iter_mut().for_each(|own| *own *= spread);
+                classes[0] = 1.0 - classes[1..].iter().sum::<f64>();
+            }
             own.sensors[number].learn_flip(was, classes);
         }
     }
@@ -289,31 +306,27 @@ fn learn_flip(own: &mut Tracker, number: usize, was: bool) {
 /// A door opens: a person passes through, at that person's rate; or it opens without a passage.
 fn door_opens(own: &mut Tracker, door: &Sensor) {
     let Some(room) = door.spec.room else { return };
-    let (slots, places) = (own.belief.slots(), 1 + 2 * own.home.rooms());
-    let inside = moving(room);
-    let outside = door.spec.beyond.map_or(ELSEWHERE, moving);
-    let is_side =
-        |place: Place| room_of(place) == Some(room) || door.spec.beyond.is_some_and(|own| room_of(place) == Some(own));
+    let (slots, beyond) = (own.belief.slots(), door.spec.beyond);
+    let is_side = |place: Place| room_of(place) == Some(room) || beyond.is_some() && room_of(place) == beyond;
+    // The places behind the door, from either side of it.
+    let behind = |from: Place| match (room_of(from), beyond) {
+        (Some(here), Some(beyond)) if here == room => [Some(moving(beyond)), None],
+        (Some(here), None) if here == room => [Some(ELSEWHERE), Some(PHONELESS)],
+        (here, beyond) if here == beyond => [Some(moving(room)), None],
+        _ => [None, None],
+    };
     let false_alarm = door.flips(false, false)[0];
-    let mut rates = [0.0; SLOTS_MAX * 256];
-    for slot in 0..slots {
-        let own = &own.transitions[1][own.of_slot[slot]];
-        for from in (0..places).map(|from| from as Place) {
-            let to = if from != ELSEWHERE && room_of(from) == Some(room) { outside } else { inside };
-            let is_other = if outside == ELSEWHERE { from == ELSEWHERE } else { room_of(from) == room_of(outside) };
-            if room_of(from) == Some(room) || is_other {
-                rates[slot * 256 + usize::from(from)] = own.rate(from, to);
-            }
-        }
-    }
+    let (transitions, of_slot) = (&own.transitions[1], &own.of_slot);
     own.belief.transfer(|State { key, .. }, add| {
         let beside = (0..slots).any(|slot| is_side(place(key, slot)));
         add(key, false_alarm + if beside { OPENS_ONLY } else { 0.0 });
         for slot in 0..slots {
             let from = place(key, slot);
-            let rate = rates[slot * 256 + usize::from(from)];
-            if rate > 0.0 {
-                add(with(key, slot, if room_of(from) == Some(room) { outside } else { inside }), rate);
+            for to in behind(from).into_iter().flatten() {
+                let rate = transitions[of_slot[slot]].rate(from, to);
+                if rate > 0.0 {
+                    add(with(key, slot, to), rate);
+                }
             }
         }
     });
@@ -365,7 +378,7 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
         Observation::Present { who, room } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
             None => spread(&|_, place| {
-                f64::from(u8::from(place != ELSEWHERE && (room.is_none() || room_of(place) == room)))
+                f64::from(u8::from(room_of(place).is_some() && (room.is_none() || room_of(place) == room)))
             }),
         },
         Observation::Away { who } | Observation::Gone { who } => match named(who) {

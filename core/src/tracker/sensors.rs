@@ -1,7 +1,7 @@
 //! Sensors as two-state Markov chains that the occupancy of their room drives.
 //!
-//! A sensor is off or on. It flips at a rate that depends on whether its room is empty, holds settled persons only, or holds a person who
-//! walks. This gives both kinds of evidence (Nodelman's continuous-time Bayesian networks):
+//! A sensor is off or on. It flips at a rate that depends on its room's class: empty, or the most visible person is still, settled, or walks.
+//! This gives both kinds of evidence (Nodelman's continuous-time Bayesian networks):
 //!
 //! ```text
 //! a flip at t                 likelihood  rate(state, class)
@@ -12,7 +12,7 @@
 //! speaks against a person who walks there. All rates are learned online with a Gamma prior: weighted flips over weighted time.
 
 use super::belief::{Key, Occupied, place};
-use super::motion::{ELSEWHERE, is_moving, room_of};
+use super::motion::{PHONELESS, room_of, visibility};
 
 /// What kind of device a sensor is. It chooses the default rates.
 #[derive(
@@ -71,10 +71,10 @@ impl SensorSpec {
     }
 }
 
-/// The three classes of occupancy: empty, settled persons only, at least one who walks.
-pub(super) const CLASSES: usize = 3;
+/// The classes of occupancy: empty, and by the most visible person: still, settled, moving.
+pub(super) const CLASSES: usize = 4;
 const EMPTY: usize = 0;
-const MOVING: usize = 2;
+const MOVING: usize = 3;
 
 const DAY_S: f64 = 86_400.0;
 
@@ -113,7 +113,7 @@ impl Rate {
     }
 }
 
-/// Rates per second: off to on, then on to off; each for empty, settled, moving.
+/// Rates per second: off to on, then on to off; each for empty, still, settled, moving.
 fn defaults(spec: &SensorSpec) -> [[f64; CLASSES]; 2] {
     let (per_day, hold_s) = match spec.kind {
         SensorKind::Motion => (0.5, 45.0),
@@ -129,12 +129,21 @@ fn defaults(spec: &SensorSpec) -> [[f64; CLASSES]; 2] {
     let hold_s = sound(spec.hold_s, hold_s).clamp(0.5, DAY_S);
     let goes = 1.0 / hold_s;
     match spec.kind {
-        SensorKind::Motion => [[alarm, 1.0 / 300.0, 1.0 / 3.0], [goes, goes / 1.5, goes / 4.0]],
-        SensorKind::Presence => [[alarm, 1.0 / 60.0, 0.5], [goes, 1.0 / 5_400.0, 1.0 / 1_800.0]],
-        SensorKind::Bed => [[alarm, 1.0 / 1_200.0, 1.0 / 1_200.0], [goes, 1.0 / 14_400.0, 0.2]],
-        SensorKind::Phone => [[alarm, 1.0 / 300.0, 1.0 / 300.0], [goes, 1.0 / DAY_S, 1.0 / DAY_S]],
-        SensorKind::Appliance => [[alarm, 1.0 / 3_600.0, 1.0 / 900.0], [goes; CLASSES]],
-        SensorKind::Camera => [[alarm, 1.0 / 60.0, 1.0 / 3.0], [goes, 1.0 / 600.0, 1.0 / 300.0]],
+        SensorKind::Motion => [[alarm, 1.0 / 14_400.0, 1.0 / 200.0, 1.0 / 3.0], [goes, goes, goes / 1.5, goes / 4.0]],
+        SensorKind::Presence => {
+            [[alarm, 1.0 / 600.0, 1.0 / 30.0, 0.5], [goes, 1.0 / 3_600.0, 1.0 / 5_400.0, 1.0 / 5_400.0]]
+        }
+        SensorKind::Bed => {
+            [[alarm, 1.0 / 1_200.0, 1.0 / 1_200.0, 1.0 / 1_200.0], [goes, 1.0 / 14_400.0, 1.0 / 14_400.0, 0.2]]
+        }
+        SensorKind::Phone => {
+            let lost = 1.0 / DAY_S;
+            [[alarm, 1.0 / 300.0, 1.0 / 300.0, 1.0 / 300.0], [goes, lost, lost, lost]]
+        }
+        SensorKind::Appliance => [[alarm, 1.0 / 7_200.0, 1.0 / 3_600.0, 1.0 / 900.0], [goes; CLASSES]],
+        SensorKind::Camera => {
+            [[alarm, 1.0 / 3_600.0, 1.0 / 60.0, 1.0 / 3.0], [goes, 1.0 / 120.0, 1.0 / 600.0, 1.0 / 300.0]]
+        }
         SensorKind::Door => [[alarm; CLASSES], [goes; CLASSES]],
     }
 }
@@ -165,7 +174,7 @@ impl Sensor {
     pub(super) fn new(spec: SensorSpec, slot: Option<usize>) -> Self {
         let per_s = defaults(&spec);
         let rate = |state: usize, class: usize| match (state, class) {
-            (0, EMPTY) => Rate::new(per_s[0][EMPTY], 2.0, (0.1, 1_000.0)),
+            (0, EMPTY) => Rate::new(per_s[0][EMPTY], 0.5, (0.1, 1_000.0)),
             _ => Rate::new(per_s[state][class], 20.0, (0.25, 4.0)),
         };
         let rates = std::array::from_fn(|state| std::array::from_fn(|class| rate(state, class)));
@@ -179,18 +188,23 @@ impl Sensor {
 
     /// The class of occupancy in a state.
     pub(super) fn class(&self, key: Key, occupied: Occupied) -> usize {
-        let of = |is_in: bool, walks: bool| usize::from(is_in) * (1 + usize::from(walks));
         match (self.slot, self.spec.room) {
             (Some(slot), room) => self.class_of(place(key, slot), room),
-            (None, Some(room)) => of(occupied.any >> room & 1 == 1, occupied.moving >> room & 1 == 1),
-            (None, None) => of(occupied.any != 0, occupied.moving != 0),
+            (None, Some(room)) => occupied.class(room),
+            (None, None) => {
+                usize::from(occupied.any != 0) + usize::from(occupied.seen != 0) + usize::from(occupied.moving != 0)
+            }
         }
     }
 
     /// The class if only the person at this place counts.
     pub(super) fn class_of(&self, place: u8, room: Option<usize>) -> usize {
-        let is_in = if room.is_some() { room_of(place) == room } else { place != ELSEWHERE };
-        usize::from(is_in) * (1 + usize::from(is_moving(place)))
+        match self.spec.kind {
+            SensorKind::Phone if place == PHONELESS => 1,
+            SensorKind::Phone => visibility(place),
+            _ if room.is_none() || room_of(place) == room => visibility(place),
+            _ => EMPTY,
+        }
     }
 
     /// Flip rates of its present state by class, while it does not flip.

@@ -303,7 +303,7 @@ fn an_empty_room_has_no_person() {
     play.put(MIRA, KITCHEN).put(JON, OFFICE).on(S::PresenceOffice).after(900.0);
     let before = play.tracker.occupied(KITCHEN);
     play.see(Observation::Empty { room: KITCHEN }, 0.98);
-    assert!(before > 0.2 && play.tracker.occupied(KITCHEN) < 0.1, "{before}: {}", play.all());
+    assert!(before > 0.2 && play.tracker.occupied(KITCHEN) < 0.2 * before, "{before}: {}", play.all());
 }
 
 #[test]
@@ -344,12 +344,12 @@ fn a_single_resident_is_followed_through_the_home() {
 #[test]
 fn a_sensor_that_speaks_in_an_empty_house_is_reported_as_noisy() {
     let mut play = Play::both_out();
-    for _ in 0..20 {
+    for _ in 0..40 {
         play.after(1_500.0).pulse(S::MotionBath, 60.0);
     }
     let noisy: Vec<usize> = play.tracker.noisy().map(|(sensor, ..)| sensor).collect();
     assert_eq!(noisy, [S::MotionBath as usize], "{}", play.all());
-    play.expect(play.tracker.house_empty() > 0.9);
+    play.expect(play.out(JON) > 0.9 && play.out(MIRA) > 0.9);
 }
 
 #[test]

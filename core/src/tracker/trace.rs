@@ -36,7 +36,7 @@ pub enum Cause {
 /// An observation that moved the belief about a person and a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reason {
-    /// What it was.
+    /// The observation.
     pub cause: Cause,
     /// When, in seconds.
     pub at_s: f64,

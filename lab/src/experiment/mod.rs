@@ -14,6 +14,7 @@ pub mod chart;
 pub mod guesses;
 pub mod habits;
 pub mod losses;
+pub mod persons;
 pub mod prediction;
 pub mod report;
 mod resampling;
