@@ -71,9 +71,11 @@ fn single_precision_model(options: &LlamaOptions) -> LlamaModel {
 
 const SINGLE_PRECISION_NATS_PER_TOKEN: f64 = 1e-5;
 
-/// A GGUF file whose Q8_0 tensors are written out as F32: blocks of 32 elements, a half-precision scale and 32 signed bytes.
+/// A GGUF file whose IQ4_NL tensors are written out as F32: blocks of 32 elements, a half-precision scale and 32 numbers of steps, the first
+/// half of them in the lower bits of the bytes.
 fn single_precision(model: &[u8]) -> Vec<u8> {
-    const Q8_0_BLOCK_BYTES: usize = 34;
+    const IQ4_NL_BLOCK_BYTES: usize = 18;
+    const STEPS: [i8; 16] = [-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113];
     const ALIGNMENT_BYTES: usize = 32;
     let header = Header::read(&embedded::ModelFile::create().unwrap().path()).unwrap();
     // Tensor descriptions begin with the first one's name, and that with its length.
@@ -91,10 +93,12 @@ fn single_precision(model: &[u8]) -> Vec<u8> {
         out.extend((data.len() as u64).to_le_bytes());
         match tensor.kind {
             "F32" => data.extend_from_slice(bytes),
-            "Q8_0" => {
-                for block in bytes.chunks_exact(Q8_0_BLOCK_BYTES) {
+            "IQ4_NL" => {
+                for block in bytes.chunks_exact(IQ4_NL_BLOCK_BYTES) {
                     let scale = half::f16::from_le_bytes([block[0], block[1]]).to_f32();
-                    data.extend(block[2..].iter().flat_map(|&q| (scale * f32::from(q.cast_signed())).to_le_bytes()));
+                    let numbers =
+                        block[2..].iter().map(|byte| byte & 15).chain(block[2..].iter().map(|byte| byte >> 4));
+                    data.extend(numbers.flat_map(|n| (scale * f32::from(STEPS[usize::from(n)])).to_le_bytes()));
                 }
             }
             kind => unreachable!("the shipped model has a tensor of type {kind}; teach this test to write it out"),
