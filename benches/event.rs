@@ -391,6 +391,8 @@ fn main() {
     options.threads = args.threads.unwrap_or(options.threads);
     options.cache = args.cache;
     let load = || LlamaModel::load(&path, &options).expect("the model can be loaded");
+    options = load().options().clone();
+    let load = || LlamaModel::load(&path, &options).expect("the model can be loaded");
     let read = || {
         let backend = backend().expect("llama.cpp is set up");
         Weights::load_from_file(backend, &path, &LlamaModelParams::default()).expect("the model can be loaded")

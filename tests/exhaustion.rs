@@ -198,7 +198,7 @@ fn a_limit_on_files_sizes_is_an_error_in_words() {
 fn too_little_memory_for_a_context_is_told_of_as_that() {
     let world = World::new("address-space");
     let mut told = Vec::new();
-    for megabytes in (100..400).step_by(10) {
+    for megabytes in (60..400).step_by(5) {
         let mut command = Command::new("prlimit");
         command.arg(format!("--as={}", megabytes * 1_000_000)).arg(env!("CARGO_BIN_EXE_roomcast"));
         command.args(["score", "--narration", "They open the fridge."]).current_dir(world.directory.path());

@@ -30,6 +30,7 @@ import torch
 import calibrate
 import data
 import export
+import quantise
 import routines
 import statistics_file
 import tokenizer as vocabulary
@@ -123,7 +124,7 @@ def make(given: argparse.Namespace) -> None:
     torch.save({"shape": model.shape.to_dict(), "model": model.state_dict(), "temperature": fit.temperature, "prior": fit.prior, "dev": given.dev, "fold": given.fold}, last)
     reference, shipped = given.work / "household-f32.gguf", given.out / "household.gguf"
     export.write(model, pieces, reference, "f32", DESCRIPTION, fit.prior)
-    export.write(model, pieces, shipped, "q8_0", DESCRIPTION, fit.prior)
+    quantise.quantise(reference, shipped, corpus, given.seed)
     write_expected_tokens(corpus, pieces, given.out / "household-tokens.json")
     statistics_file.write(programs, graphs, given.out / "household-statistics.json")
     write_manifest(given, corpus, programs, model, trained, shipped)

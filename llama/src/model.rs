@@ -47,6 +47,14 @@ const SMALL_CALL: u64 = 2_000_000_000;
 /// Most tokens of it: llama.cpp keeps memory for as many.
 const SMALL_CALL_TOKENS: usize = 64;
 
+/// Most parameters of a model for which [`CacheType::Auto`] is [`CacheType::Q8`]: with 11 million it takes less time than `mixed`, with 135 million more.
+const Q8_PARAMETERS_MAX: u64 = 50_000_000;
+/// A context has a multiple of so many positions, as llama.cpp rounds them up, and at least so many.
+const POSITIONS_STEP: u32 = 256;
+
+/// llama.cpp computes so many tokens of a call at a time: its buffers have a row of logits for each, and an event is seldom longer.
+const TOKENS_AT_A_TIME: u32 = 128;
+
 /// How the key-value cache is stored.
 #[derive(
     Debug,
@@ -66,12 +74,14 @@ const SMALL_CALL_TOKENS: usize = 64;
 #[strum(serialize_all = "lowercase")]
 #[serde(rename_all = "lowercase")]
 pub enum CacheType {
+    /// `q8` for models of at most 50 million parameters, such as the embedded one, else `mixed` (docs/performance.md).
+    #[default]
+    Auto,
     /// Half precision: two thirds of the memory of `mixed`, and differences of up to 1e-2 nats per token between scoring methods, because
     /// llama.cpp multiplies values by half precision differently at other batch sizes.
     F16,
     /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
     /// one, which can be half of an event; scores of unquantised weights move by some 1e-3 nats (docs/performance.md).
-    #[default]
     Mixed,
     /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
     /// that, once in some hundred prompts.
@@ -83,11 +93,23 @@ pub enum CacheType {
 }
 
 impl CacheType {
+    /// `Auto` for one model.
+    fn chosen(self, header: &Header, parameters: u64) -> Self {
+        match self {
+            Self::Auto => {
+                let whole = |width: Option<u64>| width.is_some_and(|width| width % BLOCK == 0);
+                let fits = parameters <= Q8_PARAMETERS_MAX && head_widths(header).into_iter().all(whole);
+                if fits { Self::Q8 } else { Self::Mixed }
+            }
+            named => named,
+        }
+    }
+
     /// How keys and values are stored, and whether llama.cpp's fused attention reads them.
     fn stored(self) -> (KvCacheType, KvCacheType, bool) {
         match self {
             Self::F16 => (KvCacheType::F16, KvCacheType::F16, false),
-            Self::Mixed => (KvCacheType::F16, KvCacheType::F32, false),
+            Self::Auto | Self::Mixed => (KvCacheType::F16, KvCacheType::F32, false),
             Self::F32 => (KvCacheType::F32, KvCacheType::F32, false),
             Self::Q8 => (KvCacheType::Q8_0, KvCacheType::Q8_0, true),
         }
@@ -102,7 +124,8 @@ const BLOCK: u64 = 32;
 pub struct LlamaOptions {
     /// Threads of one decoder call, 1 to [`THREADS_MAX`].
     pub threads: usize,
-    /// Positions in the cache: prompt and tree together. No more than the model was trained with is used.
+    /// Most positions in the cache: prompt and tree together. No more than the model was trained with is used, and memory is taken for those
+    /// that are needed ([`LanguageModel::reserve`]).
     pub context_tokens: u32,
     /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
     pub sequences: u32,
@@ -177,6 +200,8 @@ pub struct LlamaModel {
     batch_tokens: usize,
     info: ModelInfo,
     options: LlamaOptions,
+    /// Of the context; its limit is in `info`.
+    positions: u32,
     /// Of a call for which nobody waits.
     small_tokens: usize,
     /// Of one that works ahead on a thread of its own.
@@ -281,13 +306,16 @@ pub fn file_sha256(path: &Path) -> std::io::Result<[u8; 32]> {
     }
 }
 
-/// The width of the model's heads where it does not fill whole blocks of [`CacheType::Q8`]. Models that do not say it in one number
-/// are left to llama.cpp, which refuses what it cannot store.
-fn broken_blocks(header: &Header) -> Option<u64> {
+/// The widths of the model's keys and values per head. A model that does not say one in one number has none here.
+fn head_widths(header: &Header) -> [Option<u64>; 2] {
     let number = |name| header.architecture_number(name);
     let even = || number("embedding_length")?.checked_div(number("attention.head_count")?);
-    let widths = [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)];
-    widths.into_iter().flatten().find(|width| width % BLOCK != 0)
+    [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)]
+}
+
+/// A width of the model's heads that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp refuses others that it cannot store.
+fn broken_blocks(header: &Header) -> Option<u64> {
+    head_widths(header).into_iter().flatten().find(|width| width % BLOCK != 0)
 }
 
 /// Whether texts may be cut into tokens sentence by sentence with this SentencePiece vocabulary: it merges two neighbours only to a token
@@ -307,12 +335,21 @@ fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)
 }
 
-/// A context on these weights that decodes up to `batch_tokens` in a call.
-fn load_context(weights: Arc<Weights>, options: &LlamaOptions, batch_tokens: u32) -> Result<Loaded, String> {
-    let backend = backend()?;
-    let parameters = options.context_parameters(weights.n_ctx_train());
+/// The parameters of a context of `positions` that decodes up to `batch_tokens` in a call.
+fn sized(options: &LlamaOptions, trained_tokens: u32, positions: u32, batch_tokens: u32) -> LlamaContextParams {
+    let parameters = options.context_parameters(trained_tokens).with_n_ctx(NonZeroU32::new(positions));
     // llama.cpp aborts where a batch has fewer tokens than there are sequences.
-    let parameters = parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens);
+    parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens.min(TOKENS_AT_A_TIME))
+}
+
+fn load_context(
+    weights: Arc<Weights>,
+    options: &LlamaOptions,
+    positions: u32,
+    batch_tokens: u32,
+) -> Result<Loaded, String> {
+    let backend = backend()?;
+    let parameters = sized(options, weights.n_ctx_train(), positions, batch_tokens);
     Loaded::try_new(weights, |weights| weights.new_context(backend, parameters)).map_err(|e| e.to_string())
 }
 
@@ -353,7 +390,9 @@ impl LlamaModel {
             None => fail(error.to_string()),
         })?;
         let text = |key: &str| weights.meta_val_str(key).ok();
+        let options = &LlamaOptions { cache: options.cache.chosen(&header, weights.n_params()), ..options.clone() };
         let context_tokens = options.positions(weights.n_ctx_train());
+        let positions = POSITIONS_STEP.min(context_tokens);
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
         let vocabulary = weights.vocab();
         let info = ModelInfo {
@@ -384,15 +423,14 @@ impl LlamaModel {
         let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
         let small_tokens = small_tokens(weights.n_params(), SMALL_CALL_TOKENS.min(batch_tokens as usize));
         Ok(Self {
-            loaded: load_context(Arc::new(weights), options, batch_tokens).map_err(|reason| ModelError::Context {
-                model: info.name.clone(),
-                context_tokens,
-                reason,
+            loaded: load_context(Arc::new(weights), options, positions, batch_tokens).map_err(|reason| {
+                ModelError::Context { model: info.name.clone(), context_tokens: positions, reason }
             })?,
             batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
             batch_tokens: batch_tokens as usize,
             info,
             options: options.clone(),
+            positions,
             small_tokens,
             is_stopped: None,
             moved: None,
@@ -407,6 +445,18 @@ impl LlamaModel {
             rows: Vec::new(),
             tokens: RefCell::new(Vec::with_capacity(context_tokens as usize)),
         })
+    }
+
+    /// How the model is run: where the cache was left to be chosen, as it was chosen.
+    #[must_use]
+    pub fn options(&self) -> &LlamaOptions {
+        &self.options
+    }
+
+    /// Positions that memory is taken for, at most the context's limit.
+    #[must_use]
+    pub fn positions(&self) -> u32 {
+        self.positions
     }
 
     fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> T {
@@ -533,6 +583,29 @@ impl LanguageModel for LlamaModel {
         self.untidy = false;
     }
 
+    fn reserve(&mut self, positions: usize) -> Result<(), ModelError> {
+        let most = u32::try_from(self.info.context_tokens).unwrap_or(u32::MAX);
+        let positions = u32::try_from(positions).unwrap_or(most).clamp(1, most);
+        let positions = positions.div_ceil(POSITIONS_STEP).saturating_mul(POSITIONS_STEP).min(most);
+        if positions == self.positions {
+            return Ok(());
+        }
+        let fail = |reason| ModelError::Context { model: self.info.name.clone(), context_tokens: positions, reason };
+        let backend = backend().map_err(fail)?;
+        let trained_tokens = self.loaded.borrow_owner().n_ctx_train();
+        let batch_tokens = u32::try_from(self.batch_tokens).unwrap_or(u32::MAX);
+        let parameters = sized(&self.options, trained_tokens, positions, batch_tokens);
+        self.loaded
+            .with_dependent_mut(|weights, context| {
+                *context = weights.new_context(backend, parameters)?;
+                Ok::<(), llama_cpp_2::LlamaContextLoadError>(())
+            })
+            .map_err(|error| fail(error.to_string()))?;
+        self.positions = positions;
+        self.forget();
+        Ok(())
+    }
+
     fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
         let until = prompt.len().min(common_prefix(&self.kept, prompt) + self.small_tokens);
         self.decode(&prompt[..until], &TokenTree::default(), false, &mut |_, _| {})?;
@@ -546,7 +619,7 @@ impl LanguageModel for LlamaModel {
         let batch_tokens = u32::try_from(self.small_tokens).unwrap_or(u32::MAX);
         let fail = |reason| ModelError::Load { path: self.info.name.clone(), reason };
         Ok(Some(Self {
-            loaded: load_context(weights, &options, batch_tokens).map_err(fail)?,
+            loaded: load_context(weights, &options, self.positions, batch_tokens).map_err(fail)?,
             batch: LlamaBatch::new(self.small_tokens, self.sequences.cast_signed()),
             batch_tokens: self.small_tokens,
             info: self.info.clone(),
@@ -592,6 +665,10 @@ impl LanguageModel for LlamaModel {
         if prompt.len() + deepest > context || prompt.len() >= context {
             return Err(ModelError::TooLong { prompt: prompt.len(), tree: deepest, context });
         }
+        let needed = (prompt.len() + tree.len()).min(context);
+        if needed > self.positions as usize {
+            self.reserve(needed)?;
+        }
         if !self.info.shares_prefix {
             self.forget();
         }
@@ -621,7 +698,7 @@ impl LanguageModel for LlamaModel {
             self.push(token, position, all.clone(), row, &mut stats, visit)?;
         }
         stats.prompt_tokens_decoded = (prompt.len() - keep) as u32;
-        let room = context - prompt.len();
+        let room = self.positions as usize - prompt.len();
         let mut wave = 0;
         while wave < tree.path_count() {
             let end = (wave + wave_paths).min(tree.path_count());

@@ -124,12 +124,12 @@ mod tests {
     use roomcast_llama::gguf::Header;
 
     #[test]
-    fn the_embedded_model_is_a_sound_language_model_of_at_most_12_mebibytes() {
+    fn the_embedded_model_is_a_sound_language_model_of_at_most_7_mebibytes() {
         let file = ModelFile::create().unwrap();
         let header = Header::read_language_model(&file.path()).unwrap();
         assert_eq!(header.architecture(), Some("llama"));
         assert_eq!(header.size_bytes, MODEL.len() as u64);
-        assert!(MODEL.len() <= 12 << 20);
+        assert!(MODEL.len() <= 7 << 20);
     }
 
     #[test]

@@ -142,9 +142,9 @@ impl<M: LanguageModel> Pipeline<M> {
     /// When a label has no tokens, the model's context leaves no room for narration, or the model fails at a blank one.
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let mut scorer = Scorer::new(model);
-        let (prepared, tokens) = prepare(&mut scorer, &grounding, &options)?;
         let history_tokens = options.history.tokens;
-        options.history.tokens = history_tokens.min(tokens);
+        let (prepared, tokens) = prepare(&mut scorer, &grounding, &options, history_tokens)?;
+        options.history.tokens = tokens;
         let histories = Histories::new(options.history);
         Ok(Self {
             scorer,
@@ -212,9 +212,9 @@ impl<M: LanguageModel> Pipeline<M> {
         } else {
             // The list is prepared again, so labels that nothing bears any more can leave it.
             let grounding = Grounding::new(map, options)?;
-            let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options)?;
-            self.options.history.tokens = self.history_tokens.min(tokens);
-            self.histories.limit_tokens(self.options.history.tokens);
+            let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options, self.history_tokens)?;
+            self.options.history.tokens = tokens;
+            self.histories.limit_tokens(tokens);
             self.prepared = Arc::new(labels);
             self.grounding = grounding;
             self.answers.clear();
@@ -662,11 +662,13 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 }
 
-/// The map's labels ready to be scored, and how many tokens they and the binding sequence leave for narration.
+/// The map's labels ready to be scored, and how many tokens narration may have: at most `history_tokens`, and what the labels and the binding
+/// sequence leave of the model's context. The model takes memory for these alone.
 fn prepare<M: LanguageModel>(
     scorer: &mut Scorer<M>,
     grounding: &Grounding,
     options: &PipelineOptions,
+    history_tokens: usize,
 ) -> Result<(PreparedLabels, usize), PipelineError> {
     let correction = options.correction.or(scorer.info().correction);
     let mut prepared = scorer.cut(&grounding.label_texts(), &options.binding, options.tokenisation, correction)?;
@@ -677,6 +679,8 @@ fn prepare<M: LanguageModel>(
     if needed >= context {
         return Err(PipelineError::ContextTooSmall { context, needed });
     }
+    let tokens = history_tokens.min(context - needed);
+    scorer.reserve(needed + tokens)?;
     scorer.learn_prior(&mut prepared)?;
-    Ok((prepared, context - needed))
+    Ok((prepared, tokens))
 }

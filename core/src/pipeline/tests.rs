@@ -1,3 +1,5 @@
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use proptest::prelude::*;
 
 use super::*;
@@ -100,6 +102,81 @@ impl LanguageModel for Careless {
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         Ok(None)
     }
+}
+
+/// A fake that writes down how much memory it was last asked to take.
+struct Reserving(TableModel, Arc<AtomicUsize>);
+
+impl LanguageModel for Reserving {
+    fn info(&self) -> &ModelInfo {
+        self.0.info()
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.0.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.0.token_text(token)
+    }
+
+    fn forget(&mut self) {}
+
+    fn reserve(&mut self, positions: usize) -> Result<(), ModelError> {
+        self.1.store(positions, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        self.0.decode(prompt, tree, want_prompt_row, visit)
+    }
+
+    fn tidy(&mut self, _keep: usize) {}
+}
+
+#[test]
+fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let grounding = |map: &SemanticMap| Grounding::new(map, &GroundingOptions::default()).unwrap();
+    let asked = Arc::new(AtomicUsize::new(0));
+    let model = || Reserving(TableModel::new(7), Arc::clone(&asked));
+    let of = |tokens| {
+        let history = HistoryLimits { tokens, ..HistoryLimits::default() };
+        Pipeline::new(model(), grounding(&map), PipelineOptions { history, ..PipelineOptions::default() }).unwrap()
+    };
+    let beside = |pipeline: &Pipeline<Reserving>| asked.load(Ordering::Relaxed) - pipeline.options().history.tokens;
+    let (small, large) = (of(100), of(300));
+    let labels = small.prepared();
+    let trees = labels.trie().inner().len() + labels.longest_label();
+    drop(of(100));
+    let needed = beside(&small);
+    assert!(needed > trees && needed <= trees + 1 + BindingSequence::default().text().len() + 1, "{needed}, {trees}");
+    drop(of(300));
+    assert_eq!(beside(&large), needed, "the window grows the context by as much");
+    // Without a bound on the window, the model's own.
+    drop(of(usize::MAX));
+    assert_eq!(asked.load(Ordering::Relaxed), model().info().context_tokens);
+    // A map with more labels takes more.
+    let mut pipeline = of(100);
+    let before = asked.load(Ordering::Relaxed);
+    let things = [("washing machine", 1.0), ("washing basket", 1.2), ("washing line", 1.4)];
+    let mut json: serde_json::Value = serde_json::from_str(TWO_ROOMS).unwrap();
+    let items = json["items"].as_array_mut().unwrap();
+    for (label, x) in things {
+        let mut item = items[0].clone();
+        item["id"] = label.into();
+        item["label"] = label.into();
+        item["position_m"][0] = x.into();
+        items.push(item);
+    }
+    pipeline.change_map(&SemanticMap::from_json(&json.to_string()).unwrap(), &GroundingOptions::default()).unwrap();
+    assert!(asked.load(Ordering::Relaxed) > before);
 }
 
 /// Whoever brings a model is told of it, in place of scores that are wrong, or none for ever.

@@ -180,6 +180,15 @@ pub trait LanguageModel {
     /// The text of a token, for people.
     fn token_text(&self, token: Token) -> String;
 
+    /// Takes memory for prompts and trees of so many tokens together, and frees the rest. A longer prompt takes more when it comes, up to
+    /// the model's limit. The kept prefix may be forgotten.
+    ///
+    /// # Errors
+    /// When there is no memory for it.
+    fn reserve(&mut self, _positions: usize) -> Result<(), ModelError> {
+        Ok(())
+    }
+
     /// Forgets the kept prefix: the next call decodes the whole prompt.
     fn forget(&mut self);
 
@@ -479,6 +488,14 @@ impl<M: LanguageModel> Scorer<M> {
     /// Has `moved` called after each call of the decoder.
     pub fn watch(&mut self, moved: Progress) {
         self.model.watch(moved);
+    }
+
+    /// Takes memory for prompts and labels of so many tokens together ([`LanguageModel::reserve`]).
+    ///
+    /// # Errors
+    /// When there is no memory for it.
+    pub fn reserve(&mut self, positions: usize) -> Result<(), ScoreError> {
+        Ok(self.model.reserve(positions)?)
     }
 
     /// Forgets the kept prefix, as a fresh scorer would start.
