@@ -1,6 +1,6 @@
-//! One line of narration: a sentence, an action, a device's state, or a JSON object that says of whom, when, and who is in the house.
+//! One line of narration: a sentence, an action, a device's state, or a JSON object with person, time or presence.
 //! `docs/json-lines.md` is the manual. Narrators, hubs and ROS 2 all read their lines here, so that none takes what another one refuses.
-//! Pure: from a line's text to what it says.
+//! Pure.
 
 use std::fmt;
 use std::str::FromStr;
@@ -81,10 +81,10 @@ impl Kind {
     }
 }
 
-/// Whom an observation is of.
+/// The person of an event.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub enum Who {
-    /// Somebody: the daemon takes the person whom it fits best.
+    /// Somebody: the daemon attributes the event by fit.
     #[default]
     Somebody,
     /// The person of this number.
@@ -97,7 +97,7 @@ pub enum Who {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WhoError {
-    /// It holds what nobody sees.
+    /// It has a control character.
     #[error("{text:?} holds the control character U+{code:04X}: remove it")]
     Control {
         /// The text.
@@ -114,7 +114,7 @@ pub enum WhoError {
 }
 
 impl Who {
-    /// The number in a message; that of somebody where a name says who it is, or nothing does.
+    /// The number in a message; [`SOMEBODY`] for a name and for an unknown person.
     #[must_use]
     pub fn number(&self) -> u32 {
         if let Self::Number(number) = self { *number } else { SOMEBODY }
@@ -237,7 +237,7 @@ pub enum LineError {
     /// It is malformed JSON, or a key is.
     #[error("{reason}; docs/json-lines.md has every key with an example")]
     Json {
-        /// Which key and what is allowed there, or in which column.
+        /// The key and its allowed values, or the column.
         reason: String,
     },
     /// It is too long, or not UTF-8.
@@ -272,8 +272,8 @@ struct JsonLine {
 }
 
 impl Line {
-    /// Reads one line: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise. It is of `person` where it
-    /// does not say. What is JSON and no object is none of them.
+    /// Reads one line: JSON if it opens with `{`, an action if with `[`, a device state or a sentence otherwise. `person` is the person of a
+    /// line without one. JSON that is no object is refused.
     ///
     /// # Errors
     /// [`LineError`] with the key, where it is JSON, and what is allowed.
@@ -389,7 +389,7 @@ fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
     }
 }
 
-/// Whole nanoseconds of seconds since 1970; what lies in the future is for whoever has a clock.
+/// Whole nanoseconds of seconds since 1970; the caller checks for future times.
 fn unix_ns(value: &Value) -> Result<u64, LineError> {
     const ALLOWED: &str = "seconds since 1970, as in 1709280900.5, or leave it out for now";
     match value.as_f64() {

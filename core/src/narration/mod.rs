@@ -111,7 +111,7 @@ impl fmt::Display for Sentence {
 pub struct DeviceState {
     /// The device, without article ("oven").
     pub device: String,
-    /// What it is ("on", "open", "at 20 degrees").
+    /// Its state ("on", "open", "at 20 degrees").
     pub state: String,
 }
 
@@ -135,7 +135,7 @@ impl DeviceState {
     }
 }
 
-/// What was observed, before it becomes a sentence.
+/// An input before it becomes a sentence.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Observed {
     /// An atomic action, complete.
@@ -156,7 +156,7 @@ pub enum ObservedError {
     /// It is no sentence either.
     #[error(transparent)]
     Sentence(#[from] SentenceError),
-    /// It claims to say who is there.
+    /// It is of the kind presence and states none.
     #[error(transparent)]
     Presence(#[from] PresenceError),
 }
@@ -187,14 +187,14 @@ impl Observed {
     }
 }
 
-/// One observation: who, from where, when, and what it says.
+/// One event with person, narrator and times.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Observation {
-    /// The person observed; each has a history of their own. [`SOMEBODY`] until it is decided whom it fits.
+    /// The person; [`SOMEBODY`] until the event is attributed.
     pub person: u32,
     /// The name that the narrator gave the person, which counts before the number.
     pub name: Option<Box<str>>,
-    /// The narrator named nobody, and `person` is whom it fitted best.
+    /// `person` was found by fit, since the narrator gave no person.
     pub by_fit: bool,
     /// The narrator that sent it.
     pub source: u64,

@@ -6,7 +6,7 @@ use crate::text::is_hidden;
 /// Most bytes of a person's name; messages have as many.
 pub const PERSON_NAME_BYTES_MAX: usize = 48;
 
-/// The number of an observation that names nobody.
+/// The number of an event without a person.
 pub const SOMEBODY: u32 = u32::MAX;
 
 /// A name in lower case, with single spaces, without "the" before it.
@@ -16,7 +16,7 @@ fn bare(name: &str) -> String {
     without.map(str::to_owned).unwrap_or(name)
 }
 
-/// A name by its letters and digits alone, without accents: "lena o neill" of "Lena O'Neill" and of "lena_o_neill". What is somebody's stays so: "ada's" is
+/// A name by its letters and digits alone, without accents: "lena o neill" of "Lena O'Neill" and of "lena_o_neill". An owner stays one: "ada's" is
 /// not "Ada S.".
 fn spaced(name: &str) -> String {
     let owner = name.strip_suffix("'s").or_else(|| name.strip_suffix("’s"));
@@ -91,7 +91,7 @@ impl ReadName {
     }
 }
 
-/// Whether two names are one, also without regard to accents and to what is no letter: "Zoë" and "Zoe", "O'Neill" and "o_neill".
+/// Whether two names are one, without regard to accents and signs: "Zoë" and "Zoe", "O'Neill" and "o_neill".
 #[must_use]
 pub fn same_but_for_accents(a: &str, b: &str) -> bool {
     same_name(a, b) || spaced(a) == spaced(b)

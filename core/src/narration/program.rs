@@ -43,7 +43,7 @@ pub enum ProgramError {
         "line 1: expected the activity's title, found {found}: a program opens with a title, a description and an empty line"
     )]
     NoTitle {
-        /// What stands there.
+        /// The text there.
         found: &'static str,
     },
     /// A step cannot be read.

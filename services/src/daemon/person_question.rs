@@ -1,4 +1,4 @@
-//! Questions about persons: what is asked on `roomcast/v1/person` and what is answered. Pure.
+//! Questions about persons: the questions on `roomcast/v1/person` and their answers. Pure.
 
 use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use super::understood::By;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum PersonQuestion {
-    /// Who is known.
+    /// The known persons.
     List,
     /// How the events of one narrator were understood; the daemon remembers the newest 512 events of all narrators.
     Understood {
@@ -58,7 +58,7 @@ pub struct PersonLine {
     pub name: Option<String>,
     /// Whether they are in the house.
     pub presence: Presence,
-    /// Seconds since that began; none where nothing was observed of them.
+    /// Seconds since the presence began; `None` before the first event.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since_s: Option<f64>,
     /// Seconds since they were observed last.
@@ -73,15 +73,15 @@ pub struct PersonLine {
 pub struct PersonAnswer {
     /// Whether it was done.
     pub done: bool,
-    /// Why not, or what is left to do.
+    /// The reason for a refusal, or the work that is left.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// It was not done because something failed, and not because of what was asked.
+    /// The change failed on the disk; the question itself was right.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub failed: bool,
     /// Whether a restarted daemon will know it: only with a state directory.
     pub kept: bool,
-    /// Everybody who is known now.
+    /// All persons that are known now.
     pub persons: Vec<PersonLine>,
     /// The events that [`PersonQuestion::Understood`] asks for, the oldest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -117,7 +117,7 @@ pub struct UnderstoodLine {
     pub left: bool,
     /// The presence of its persons afterwards.
     pub presence: Presence,
-    /// Why the event changed no belief, or moved nobody to a place.
+    /// Why the event changed no belief, or gave its persons no place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
     /// The nearest presence form, if the text resembles one and is none.

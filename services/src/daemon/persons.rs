@@ -13,16 +13,16 @@ use super::person_question::PersonLine;
 use super::persons_file::{KeptPerson, PersonsFile};
 use crate::config::PersonsConfig;
 
-/// A visitor on a bed is not gone before so long a silence: a night's sleep.
+/// A visitor on a bed is gone only after this silence: a night's sleep.
 const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 
-/// What was observed so long before the newest observation of its person says nothing of where they are, nor of what they do next.
+/// An event this much older than its person's newest event changes nothing.
 const LATE_NS: i64 = 60_000_000_000;
 
-/// Times of one source that are out of its order by no more are the errors of its clock, or of the way that they came.
+/// Times of one source may be out of order by this much: clock errors and delays on the way.
 const ORDER_NS: i64 = 100_000_000;
 
-/// A person's name, and how it is compared with others.
+/// A person's name, and its form for comparison.
 #[derive(Debug, Clone, PartialEq)]
 struct Name {
     said: Box<str>,
@@ -39,38 +39,38 @@ pub(super) use called::Called;
 
 mod called;
 
-/// What is known of a person beside their narration and where they will be.
+/// A known person, without history and forecast.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Known {
-    /// As narrators call them.
+    /// As narrators write it.
     name: Option<Name>,
     pub(super) presence: Presence,
-    /// Since when that holds.
+    /// The start of this presence.
     pub(super) since_ns: i64,
-    /// When they were observed last.
+    /// The time of the newest event.
     pub(super) heard_ns: i64,
-    /// The same of what they did; the least number where nothing is known of that.
+    /// The time of the newest action; `i64::MIN` before the first.
     pub(super) did_ns: i64,
-    /// What was observed last: source, epoch, sequence.
+    /// The newest event: source, epoch, sequence.
     pub(super) last: (u64, u64, u64),
-    /// When that was, by its own time.
+    /// Its own time.
     last_ns: i64,
-    /// The number of the voice that told of them first.
+    /// The voice that reported the person first.
     voice: u64,
-    /// When one told of them whose word is guarded; the least number where none did.
+    /// The newest report by a guarded narrator; `i64::MIN` before the first.
     guarded_ns: i64,
-    /// It named nobody.
+    /// The person was found by fit, without key or name.
     by_fit: bool,
-    /// The last thing mentioned is one to sleep on, or they were said to sleep.
+    /// The last thing was a bed, or the text said that the person sleeps.
     pub(super) on_bed: bool,
-    /// Everything is from before the daemon's start.
+    /// All of it is from before the daemon's start.
     pub(super) restored: bool,
-    /// Scores were told since they were observed last.
+    /// The scores since the newest event were sent.
     pub(super) told: bool,
 }
 
 impl Known {
-    /// Whether one has told of them whose word is guarded.
+    /// Whether a guarded narrator reported the person.
     fn is_trusted(&self) -> bool {
         self.guarded_ns > i64::MIN
     }
@@ -80,13 +80,13 @@ impl Known {
     }
 }
 
-/// Why somebody has no other name.
+/// Why a person keeps the old name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotRenamed {
-    /// Nobody can have that name, or somebody else has it.
+    /// The name is no name, or belongs to another person.
     #[error("{0}")]
     Refused(String),
-    /// The name cannot be kept, whatever it is.
+    /// The name cannot be stored.
     #[error("{0}")]
     Failed(String),
 }
@@ -95,7 +95,7 @@ pub enum NotRenamed {
 #[derive(Debug, Default, Clone)]
 pub struct Persons {
     config: PersonsConfig,
-    /// The configuration's names, read.
+    /// The names of the configuration.
     residents: Vec<ReadName>,
     not_persons: Vec<ReadName>,
     file: PersonsFile,
@@ -103,7 +103,7 @@ pub struct Persons {
 }
 
 impl Persons {
-    /// Nobody yet; `file` says which names are whose.
+    /// No person yet. `file` has the names that the home gave.
     #[must_use]
     pub fn new(config: PersonsConfig, file: PersonsFile) -> Self {
         let read = |names: &[String]| names.iter().map(|name| ReadName::new(name)).collect();
@@ -111,22 +111,22 @@ impl Persons {
         Self { config, residents, not_persons, file, known: BTreeMap::new() }
     }
 
-    /// Persons by number, who are gone too, until they were told.
+    /// Persons by number, also those that are gone and not yet published as gone.
     pub(super) fn iter(&self) -> impl Iterator<Item = (u32, &Known)> {
         self.known.iter().map(|(number, known)| (*number, known))
     }
 
-    /// A person.
+    /// The person of a number.
     pub(super) fn get(&self, number: u32) -> Option<&Known> {
         self.known.get(&number)
     }
 
-    /// A person, to be changed.
+    /// The person of a number, to change it.
     pub(super) fn get_mut(&mut self, number: u32) -> Option<&mut Known> {
         self.known.get_mut(&number)
     }
 
-    /// The number of a name: the one that the home gave it, or the one that follows from the name.
+    /// The number of a name: the number that the home gave it, or the number of the name itself.
     #[must_use]
     pub fn number_of(&self, name: &str) -> u32 {
         self.number_of_read(&ReadName::new(name))
@@ -141,7 +141,7 @@ impl Persons {
         alike.next().filter(|_| alike.next().is_none()).unwrap_or(number)
     }
 
-    /// Whether somebody of a number is known by name.
+    /// Whether the person of a number has a name.
     fn is_number_named(&self, number: u32) -> bool {
         self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
     }
@@ -150,14 +150,14 @@ impl Persons {
         self.residents.iter().any(|resident| resident.whole() == name.whole())
     }
 
-    /// Whose name differs by accents or a title alone: "Zoe" is Zoë, "Mrs. Novak" is Novak, and "Grandma Edith" Edith.
+    /// Persons whose names differ by accents or signs only: "Zoe" is Zoë.
     fn alike(&self, name: &ReadName) -> BTreeSet<u32> {
         self.numbers_where(name, |known| known.may_be_one(name))
     }
 
-    /// The numbers of those whose names are such, of all that may be meant by `name`.
+    /// The numbers of all names near `name` for which `is_such` holds.
     fn numbers_where(&self, name: &ReadName, is_such: impl Fn(&ReadName) -> bool) -> BTreeSet<u32> {
-        // Whoever is known by a name has the number that they are known by, unless the home gave the name to somebody.
+        // A name that the home gave to a person has that person's number.
         let number = |read: &ReadName, own: u32| self.file.given_number(read).unwrap_or(own);
         let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
         let residents = self.residents.iter().map(|read| (read.number(), read));
@@ -203,7 +203,7 @@ impl Persons {
         })
     }
 
-    /// A person's name; none where only a number is known.
+    /// A person's name; `None` for a person known by number only.
     #[must_use]
     pub fn name_of(&self, number: u32) -> Option<&str> {
         let told = || Some(&*self.known.get(&number)?.name.as_ref()?.said);
@@ -212,13 +212,13 @@ impl Persons {
         self.file.of_number(number).map(|kept| kept.name.as_str()).or_else(told).or_else(listed)
     }
 
-    /// Whether a person is not of the household. Without a list of residents everybody is of it.
+    /// Whether a person is a visitor. Without a list of residents each person is a resident.
     #[must_use]
     pub fn is_visitor(&self, number: u32) -> bool {
         let name = self.name_of(number).map(ReadName::new);
         let listed = |(resident, read): (&String, &ReadName)| {
             name.as_ref().is_some_and(|name| name.whole() == read.whole())
-                // A resident who was given another name is still one.
+                // A renamed resident is still a resident.
                 || resident.parse().unwrap_or_else(|_| self.number_of(resident)) == number
         };
         let residents = || self.config.residents.iter().zip(&self.residents);
@@ -227,8 +227,8 @@ impl Persons {
         kept.map_or_else(by_list, |resident| !resident)
     }
 
-    /// Whom an observation that names nobody may be of: for a named narrator, who does not follow what strangers invent, only those of whom one
-    /// has told, if there are any.
+    /// The persons that an event without a name may be about. A named narrator follows only persons that named narrators reported, if there
+    /// are any.
     fn candidates(&self, is_strange: bool) -> Vec<(u32, &Known)> {
         let is_all =
             is_strange || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
@@ -241,8 +241,8 @@ impl Persons {
         here.chain(self.residents()).collect()
     }
 
-    /// Whether an observation that was made at `at_ns` arrives so late that it says nothing any more: after a later one that says otherwise of
-    /// whether its person is in the house, or a minute after what is known of them. Who is gone may be back.
+    /// Whether an event at `at_ns` is too late to count: a newer event contradicts its presence, or is a minute newer. A person that is gone may
+    /// be back.
     pub(super) fn is_outdated(&self, observation: &Observation, at_ns: i64) -> bool {
         let differs = |known: &Known| ![Presence::Gone, observation.event.person_presence()].contains(&known.presence);
         let is_old = |known: &Known| at_ns.saturating_add(LATE_NS) < known.heard_ns && known.presence != Presence::Gone;
@@ -251,24 +251,23 @@ impl Persons {
             .is_some_and(|known| (at_ns < known.heard_ns && differs(known)) || is_old(known))
     }
 
-    /// Whether what a stranger says of a person at `at_ns` is passed over: somebody who is guarded has told of them a moment before, or since.
+    /// Whether an unknown narrator's event about a person at `at_ns` is ignored: a guarded narrator reported the person within `guard_s`.
     pub(super) fn is_guarded(&self, number: u32, at_ns: i64) -> bool {
         let guard_ns = (self.config.guard_s * 1e9) as i64;
         guard_ns > 0 && self.known.get(&number).is_some_and(|known| at_ns <= known.guarded_ns.saturating_add(guard_ns))
     }
 
-    /// The same of anybody.
+    /// Whether any person is guarded.
     pub(super) fn is_anybody_guarded(&self, at_ns: i64) -> bool {
         self.known.keys().any(|number| self.is_guarded(*number, at_ns))
     }
 
-    /// Whether one has told of a person whose word is guarded.
+    /// Whether a guarded narrator reported a person.
     pub(super) fn is_trusted(&self, number: u32) -> bool {
         self.known.get(&number).is_some_and(Known::is_trusted)
     }
 
-    /// When an observation was made, of which its time says `at_ns`: what one source says goes in its order, however its times were rounded or came
-    /// over a network.
+    /// The time of an event in the order of its source, although its clock rounds or the network delays.
     pub(super) fn in_order(&self, observation: &Observation, at_ns: i64) -> i64 {
         let Some(known) = self.known.get(&observation.person) else { return at_ns };
         let (source, epoch, sequence) = known.last;
@@ -277,17 +276,17 @@ impl Persons {
         if is_next && is_near { at_ns.max(known.last_ns) } else { at_ns }
     }
 
-    /// Takes note that one has told of a person whose word is guarded.
+    /// Records a report by a guarded narrator.
     pub(super) fn guard(&mut self, number: u32, at_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             known.guarded_ns = known.guarded_ns.max(at_ns);
         }
     }
 
-    /// Takes in an observation of a person that was made at `at_ns`; gives who has to make room for them, if they are one too many.
+    /// Takes in an event of a person at `at_ns`. Returns the person that is dropped, if there is one too many.
     pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
         let number = observation.person;
-        // Who comes back is known afresh, whether or not it was told meanwhile that they were gone.
+        // A person that comes back starts afresh.
         let is_back = |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
         if self.known.get(&number).filter(is_back).is_some() {
             self.known.remove(&number);
@@ -320,7 +319,7 @@ impl Persons {
             known.did_ns = at_ns.max(known.did_ns);
         }
         known.last_ns = at_ns;
-        // What arrives late does not turn back time.
+        // A late event does not turn back time.
         let at_ns = at_ns.max(known.heard_ns);
         let presence = observation.event.person_presence();
         (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
@@ -332,7 +331,7 @@ impl Persons {
         dropped
     }
 
-    /// A person's name as it is written from now on: who lives here as the home writes them; others as they were called first, but for case.
+    /// The spelling of a person's name: a resident's as in the configuration, any other as its first narrator wrote it.
     fn spelled(&self, number: u32, name: Name) -> Name {
         let mut residents = self.config.residents.iter().zip(&self.residents);
         let own_number = |read: &ReadName| self.file.given_number(read).unwrap_or(read.number());
@@ -347,13 +346,13 @@ impl Persons {
         known.filter(is_other).cloned().unwrap_or(name)
     }
 
-    /// Whoever was last on a bed is possibly asleep after this silence.
+    /// A person on a bed is probably asleep after this silence.
     fn asleep_ns(&self) -> i64 {
         (self.config.asleep_s * 1e9) as i64
     }
 
-    /// Who is dropped first, where `newcomer` tells of one more: visitors before residents, of them those of the voice that tells of most
-    /// persons, of these who was silent for longest. So a narrator that invents persons pushes out its own.
+    /// The person to drop for one more of `newcomer`: visitors before residents, then the voice with most persons, then the longest silence. A
+    /// narrator that invents persons drops its own.
     fn least_missed(&self, newcomer: u64) -> Option<u32> {
         let told = |voice: u64| {
             self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)
@@ -363,17 +362,17 @@ impl Persons {
         self.iter().min_by_key(rank).map(|(number, _)| number)
     }
 
-    /// Forgets a person; gives whether they were known.
+    /// Forgets a person. Returns whether the person was known.
     pub(super) fn remove(&mut self, number: u32) -> bool {
         self.known.remove(&number).is_some()
     }
 
-    /// Forgets whoever is gone, once that was told.
+    /// Forgets persons that are gone, once that was published.
     pub(super) fn remove_gone(&mut self) {
         self.known.retain(|_, known| known.presence != Presence::Gone || !known.told);
     }
 
-    /// Whether a person is a visitor who was silent for so long that they are gone.
+    /// Whether a person is a visitor whose silence is long enough to be gone.
     pub(super) fn has_expired(&self, number: u32, now_ns: i64) -> bool {
         let visitor_ns = (self.config.visitor_s * 1e9) as i64;
         let expires = |known: &Known| {
@@ -383,12 +382,12 @@ impl Persons {
         self.known.get(&number).is_some_and(expires) && self.is_visitor(number)
     }
 
-    /// Whether everybody who is known or lives here is away.
+    /// Whether all known persons and all residents are away.
     pub(super) fn nobody_is_home(&self) -> bool {
         self.are_all_away() && !self.misses_residents()
     }
 
-    /// Whether all who are known are away, and of somebody who lives here nothing was observed.
+    /// Whether all known persons are away, and a resident was never observed.
     pub(super) fn is_anybodys_guess(&self) -> bool {
         self.are_all_away() && self.misses_residents()
     }
@@ -398,30 +397,30 @@ impl Persons {
         known > 0 && present == 0
     }
 
-    /// Whether of somebody who lives here nothing was observed.
+    /// Whether a resident was never observed.
     pub(super) fn misses_residents(&self) -> bool {
         self.residents().any(|number| !self.known.contains_key(&number))
     }
 
-    /// The numbers of the residents that the configuration lists.
+    /// The numbers of the configured residents.
     fn residents(&self) -> impl Iterator<Item = u32> {
         self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)))
     }
 
-    /// The next visitor who is gone by silence.
+    /// The next visitor that is gone by silence.
     pub(super) fn expired(&self, now_ns: i64) -> Option<u32> {
         let here = self.iter().filter(|(_, known)| known.presence != Presence::Gone);
         here.map(|(number, _)| number).find(|number| self.has_expired(*number, now_ns))
     }
 
-    /// Lets a visitor be gone.
+    /// Marks a visitor as gone.
     pub(super) fn expire(&mut self, number: u32, now_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             (known.presence, known.since_ns, known.on_bed, known.told) = (Presence::Gone, now_ns, false, false);
         }
     }
 
-    /// How many persons are known, and how many of them are in the house.
+    /// The number of known persons, and of those in the house.
     #[must_use]
     pub(super) fn count(&self) -> (usize, usize) {
         let of = |presence: Presence| self.known.values().filter(|known| known.presence == presence).count();
@@ -472,7 +471,7 @@ impl Persons {
         self.is_number_named(number) || self.lives_here(name) || self.alike(name).len() == 1
     }
 
-    /// The number that a name or a number means, whether or not anybody is known by it.
+    /// The number of a name or number, known or not.
     pub(super) fn meant(&self, who: &str) -> u32 {
         let who = who.trim();
         who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
@@ -491,23 +490,23 @@ impl Persons {
         kept.chain(self.name_of(number)).map(str::to_lowercase).collect()
     }
 
-    /// The person that a name or a number means; none where it means nobody who is known or has a name here.
+    /// The known person of a name or number.
     #[must_use]
     pub fn find(&self, who: &str) -> Option<u32> {
         let number = self.meant(who);
         (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
     }
 
-    /// Whether a name or a number means one who lives here, and was not observed yet.
+    /// Whether a name or number is a resident's without an event yet.
     pub(super) fn is_awaited(&self, who: &str) -> bool {
         let number = self.meant(who);
         self.find(who).is_none() && self.residents().any(|resident| resident == number)
     }
 
-    /// Gives a person a name, from now on and over restarts.
+    /// Gives a person a name that outlives restarts.
     ///
     /// # Errors
-    /// What is wrong with the name, whose it is already, or why it cannot be kept.
+    /// What is wrong with the name, its owner, or why it cannot be stored.
     pub(super) fn rename(&mut self, number: u32, name: &str) -> Result<(), NotRenamed> {
         let name = name.trim();
         check_name(name).map_err(NotRenamed::Refused)?;
@@ -517,7 +516,7 @@ impl Persons {
             let reason = format!("{name} is person {owner} already: forget that one first, or choose another name");
             return Err(NotRenamed::Refused(reason));
         }
-        // One who lives here does not become another who does.
+        // One resident cannot take the name of another.
         if owner != number
             && self.lives_here(&ReadName::new(name))
             && self.residents().any(|resident| resident == number)
@@ -530,7 +529,7 @@ impl Persons {
         let kept = match former {
             Some(former) => former.renamed(name),
             None => {
-                // Narrators go on with what they called them, and so does what they have said.
+                // Narrators may go on with the old name.
                 let own = self.name_of(number).filter(|own| !same_name(own, name));
                 let former = own.map(str::to_owned).into_iter().collect();
                 KeptPerson { number, name: name.to_owned(), resident: None, former }
@@ -546,12 +545,12 @@ impl Persons {
         &self.file
     }
 
-    /// The same, to remove somebody.
+    /// The names that the home gave, to remove one.
     pub(super) fn file_mut(&mut self) -> &mut PersonsFile {
         &mut self.file
     }
 
-    /// Everybody who is known, has a name here, or lives here.
+    /// All persons that are known, have a given name, or are residents.
     pub(super) fn lines(&self, now_ns: i64) -> Vec<PersonLine> {
         let kept = self.file.persons().iter().map(|kept| kept.number);
         let numbers: BTreeSet<u32> = self.known.keys().copied().chain(kept).chain(self.residents()).collect();
@@ -571,7 +570,7 @@ impl Persons {
         numbers.into_iter().map(line).collect()
     }
 
-    /// Bits of [`person_flags`] of a person.
+    /// The [`person_flags`] of a person.
     pub(super) fn flags(&self, number: u32, now_ns: i64) -> u32 {
         let Some(known) = self.known.get(&number) else { return 0 };
         let flag = |holds: bool, flag: u32| if holds { flag } else { 0 };
@@ -581,7 +580,7 @@ impl Persons {
             | flag(self.is_visitor(number), person_flags::VISITOR)
     }
 
-    /// A person's name as a message has it.
+    /// A person's name in a message.
     pub(super) fn name_bytes(&self, number: u32) -> [u8; NAME_BYTES] {
         text::encode_cut(self.name_of(number).unwrap_or_default())
     }
@@ -598,7 +597,7 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
     words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
 }
 
-/// What a message calls a presence.
+/// The value of a presence in messages.
 pub(super) fn presence_value(of: Presence) -> u32 {
     match of {
         Presence::Unknown => presence::UNKNOWN,
@@ -608,7 +607,7 @@ pub(super) fn presence_value(of: Presence) -> u32 {
     }
 }
 
-/// A time as a message has it: 0 where that was before the machine's start.
+/// A time in messages: 0 before the machine's start.
 pub(super) fn message_ns(at_ns: i64) -> u64 {
     at_ns.try_into().unwrap_or_default()
 }

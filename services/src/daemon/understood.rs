@@ -55,7 +55,7 @@ pub enum By {
 pub(super) struct Understood {
     /// The event's source, epoch and sequence.
     pub(super) id: (u64, u64, u64),
-    /// The event, of which a form is a presence.
+    /// The event; a presence form counts as presence.
     pub(super) event: Event,
     persons: [u32; COUNT_MAX as usize],
     count: u8,

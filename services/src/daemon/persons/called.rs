@@ -9,13 +9,13 @@ use super::Persons;
 /// A name that narrators gave before the home gave another one has at most so many words, if only its number is known.
 const FORMER_WORDS: usize = 3;
 
-/// The names of one person, beside the names of all others at that time.
+/// The names of one person, and those of all others at that time.
 #[derive(Debug)]
 pub(in super::super) struct Called {
     person: u32,
     /// The person's own names.
     own: BTreeSet<String>,
-    /// The names of others that hold a word of an own name: "anna maria" beside "anna".
+    /// The names of others that hold a word of an own name: "anna maria" next to "anna".
     others: BTreeSet<String>,
     words_max: usize,
     /// The home knows the person by number only, so any word may be the name.
