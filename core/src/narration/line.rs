@@ -9,7 +9,7 @@ use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
-use super::forms::COUNT_MAX;
+use super::forms::{COUNT_MAX, form_of};
 use super::{
     Action, DeviceState, Event, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, PresenceError, RoomName,
     SOMEBODY, Sentence,
@@ -57,7 +57,9 @@ impl Kind {
     fn of(text: &str) -> Result<Self, ObservedError> {
         Ok(match Observed::parse(text)? {
             Observed::Action(_) => Self::Action,
-            Observed::Device(_) => Self::Device,
+            // "The kitchen is empty." is a presence form.
+            Observed::Device(_) if form_of(text).is_none() => Self::Device,
+            Observed::Device(_) => Self::Sentence,
             Observed::Sentence(_) => Self::Sentence,
         })
     }
@@ -456,6 +458,8 @@ mod tests {
         assert_eq!(item("They sit down.").unwrap(), sentence("They sit down.", Who::Number(3)));
         let action = said(Kind::Action, "[Grab] <mug> (1)", Who::Number(3));
         assert_eq!(item("[Grab] <mug> (1)").unwrap(), action);
+        let form = sentence("The kitchen is empty.", Who::Number(3));
+        assert_eq!(item("The kitchen is empty.").unwrap(), form);
         let device = said(Kind::Device, "the oven is on", Who::Number(3));
         assert_eq!(item("the oven is on").unwrap(), device);
         // The daemon reads a presence form; the line keeps its text.
