@@ -388,9 +388,10 @@ impl SensorRules {
         if is_closed || !tabs || not_empty().count() < self.columns.len() {
             return as_it_is;
         }
-        // An end that seems missing may stand behind several tabs.
+        // An end that seems missing may stand behind several tabs. More empty fields than the end's mean that tabs align columns.
         let aligned = self.interval_of(not_empty());
-        if aligned.is_ok() { aligned } else { as_it_is }
+        let is_aligned = as_it_is.is_ok() && record.iter().filter(|field| field.is_empty()).count() > 1;
+        if aligned.is_ok() || is_aligned { aligned } else { as_it_is }
     }
 
     fn interval_of<'a>(&self, fields: impl Iterator<Item = &'a [u8]>) -> Result<Interval, String> {
