@@ -122,7 +122,7 @@ impl Movement {
     fn rates(&self, home: &Home, leak: &[f64], mut visit: impl FnMut(Place, Place, f64)) {
         let count = home.rooms();
         let exits: f64 = (0..count).map(|room| home.way_out(room)).sum();
-        for room in 0..count {
+        for (room, leak) in leak.iter().enumerate().take(count) {
             let crossing = 1.0 / home.crossing_s(room);
             let settle = self.settle[room].clamp(0.01, 0.99);
             let stands_up = self.leave_per_s[room].clamp(1e-7, 0.5) / (1.0 - settle);
@@ -149,7 +149,7 @@ impl Movement {
             }
             match way_out {
                 Some(next) if next == room => {
-                    let leaves = goes * leak[room] * outside / total;
+                    let leaves = goes * leak * outside / total;
                     visit(moving(room), ELSEWHERE, leaves * (1.0 - FORGETS));
                     visit(moving(room), PHONELESS, leaves * FORGETS);
                 }
@@ -157,7 +157,7 @@ impl Movement {
                 None => {}
             }
             if home.way_out(room) > 0.0 {
-                let returns = self.home_per_s * leak[room] * home.way_out(room) / exits;
+                let returns = self.home_per_s * leak * home.way_out(room) / exits;
                 visit(ELSEWHERE, moving(room), returns);
                 visit(PHONELESS, moving(room), returns);
             }

