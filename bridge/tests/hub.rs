@@ -15,7 +15,8 @@ use support::{Process, bridge, eventually, free_port};
 /// A hub that has one narration to send, and nobody to send it to.
 fn hub(folder: &Path, input: &Path) -> Process {
     let spool = folder.join("spool");
-    let observation = Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
+    let observation =
+        Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
     Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, None)]).unwrap();
     let port = free_port();
     let config = format!(
