@@ -170,7 +170,6 @@ fn a_limit_that_is_too_low_is_named() {
         ("--nofile=40", "daemon", "ulimit -n"),
         ("--nofile=20", "planner", "ulimit -n"),
         ("--as=102400000", "daemon", "ulimit -v"),
-        ("--as=163840000", "daemon", "ulimit -v"),
         ("--stack=65536", "daemon", "ulimit -s"),
         ("--stack=65536", "planner", "ulimit -s"),
     ] {

@@ -107,7 +107,7 @@ fn main() {
         }
         for (publisher, (_, a_minute, told)) in sessions[robot as usize].2.iter().zip(&said) {
             if (second + robot) % (60 / a_minute) == 0 {
-                let payload = told.bytes(Teller { start: robot, number: second, clock: 1 });
+                let payload = told.bytes(Teller { start: robot, number: second, clock: 1, started_ns: 0 });
                 (put, put_bytes) = (put + 1, put_bytes + payload.len() as u64);
                 publisher.put(payload).wait().unwrap();
             }
