@@ -112,21 +112,17 @@ impl Lessons {
             Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
         };
         let event = event_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
-        self.admit(place, at_ns, event.map(|event| (person, name, item.count, event)));
+        let count = item.count;
+        self.admit(place, at_ns, event.map(|event| Lesson { at_ns: 0, person, name, count, event }));
     }
 
-    /// Takes it if it may be learned.
-    fn admit(
-        &mut self,
-        place: impl Display,
-        at_ns: Option<u64>,
-        told: Result<(u32, Option<Box<str>>, u8, Event), Unfit>,
-    ) {
-        let lesson = told.and_then(|(person, name, count, event)| {
+    /// Takes a lesson of a time if it may be learned.
+    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, lesson: Result<Lesson, Unfit>) {
+        let lesson = lesson.and_then(|lesson| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
             match at_ns.saturating_sub(self.now_ns) {
                 ahead_ns if ahead_ns > FAST_NS => Err(Unfit::Ahead(ahead_ns)),
-                _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), person, name, count, event }),
+                _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), ..lesson }),
             }
         });
         match lesson {
@@ -180,8 +176,9 @@ impl Lessons {
             // What the daemon refused says nothing.
             let Ok(event) = event_of(narration.kind, narration.text()) else { continue };
             if names.insert((narration.source, narration.epoch, narration.sequence)) {
-                let told = (narration.person, name.map(Into::into), narration.counted(), event);
-                self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(told));
+                let (person, name, count) = (narration.person, name.map(Into::into), narration.counted());
+                let lesson = Lesson { at_ns: 0, person, name, count, event };
+                self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(lesson));
             }
         }
     }

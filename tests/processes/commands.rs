@@ -479,12 +479,12 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         assert!(!fine && said.contains(part), "{text}: {said}");
     }
     // What a home names is held to what there is, too, and all is said at once.
-    let text = "[scene]\npath = \"studio\"\n[robot.segments]\nkichen = \"16\"\n";
+    let text = "[scene]\npath = \"studio\"\n[robot.segments]\nkitchn = \"16\"\n";
     let mqtt = "[mqtt]\nbroker = \"10.0.0.5\"\nrules = \"home.rules.toml\"\n";
     let (fine, said) = check(&format!("{text}{mqtt}"));
     let rules = folder.path().join("home.rules.toml");
     for part in [
-        "names the room \"kichen\", which the map does not have: write \"kitchen\"; the map's rooms are kitchen, main-room, bathroom",
+        "names the room \"kitchn\", which the map does not have: write \"kitchen\"; the map's rooms are kitchen, main-room, bathroom",
         "mqtt.broker: \"10.0.0.5\" is no broker: give mqtt://HOST[:PORT]",
         "here mqtt://10.0.0.5:1883",
         &format!("failed to read {}: No such file", rules.display()),
@@ -494,7 +494,7 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         assert!(!fine && said.contains(part), "{part} in {said}");
     }
     std::fs::write(rules, "[[rule]]\ntopic = \"a\"\nsay = \"They sit.\"\n").unwrap();
-    let good = format!("{text}{mqtt}").replace("kichen", "kitchen").replace("10.0.0.5", "mqtt://10.0.0.5");
+    let good = format!("{text}{mqtt}").replace("kitchn", "kitchen").replace("10.0.0.5", "mqtt://10.0.0.5");
     assert_eq!(
         check(&good),
         (true, String::new()),
