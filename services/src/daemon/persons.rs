@@ -456,7 +456,9 @@ impl Persons {
             Event::Present(None) => away.chain(of_here(awake)).chain(of_here(asleep)).collect(),
             _ => of_here(awake).chain(away).chain(of_here(asleep)).collect(),
         };
-        let is_open = |number: &u32| !self.known.contains_key(number);
+        // A resident that is gone may be back.
+        let is_gone = |number: u32| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
+        let is_open = |number: &u32| !fitting.contains(number) && is_gone(*number);
         let unknown: Vec<u32> = if self.config.residents.is_empty() {
             (0..).filter(is_open).take(PERSONS_MAX).collect()
         } else {
