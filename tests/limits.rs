@@ -100,6 +100,12 @@ fn page() -> String {
                 &PERSONS_MAX,
                 "a visitor goes first; without visitors, the narrator that named most persons loses the one silent longest",
             ),
+            ("unknown persons that one event counts", &narration::forms::COUNT_MAX, "is refused"),
+            (
+                "events that the daemon can explain to their narrators",
+                &daemon::UNDERSTOOD_MAX,
+                "the oldest is forgotten",
+            ),
             ("numbers that a source skips at once", &sequence::JUMP_MAX, "is dropped and counted"),
             ("seconds that what a relayed narrator said above its rate is waited for", &HELD_S, "counts as missed"),
             (
