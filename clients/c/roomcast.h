@@ -13,6 +13,9 @@
 // Most bytes of a narration's text.
 #define ROOMCAST_NARRATION_TEXT_BYTES 1024
 
+// Most persons that one narration may count.
+#define ROOMCAST_COUNT_MAX 8
+
 // A plain sentence from any captioning source: "They grab the mug."
 #define ROOMCAST_NARRATION_KIND_SENTENCE 0
 
@@ -234,7 +237,7 @@ typedef struct RoomcastNarrationV1 {
   // Bytes of text that follow in text, 1 to 1 024.
   // (Offset 48.)
   uint32_t text_bytes;
-  // Minor version of the layout: 1, which has person_name, narration_kind::PRESENCE and somebody.
+  // Minor version of the layout: 1, which has person_name, narration_kind::PRESENCE and somebody; count is 0 in older ones.
   // (Offset 52.)
   uint32_t minor;
   // The narrator's name, for people.
@@ -243,9 +246,12 @@ typedef struct RoomcastNarrationV1 {
   // The person's name, UTF-8, zero padded; empty where person says who it is.
   // (Offset 104.)
   uint8_t person_name[ROOMCAST_NAME_BYTES];
-  // Zero.
+  // The number of persons that the narrator counted, at most 8; 0 if it counted none.
   // (Offset 152.)
-  uint8_t reserved[40];
+  uint32_t count;
+  // Zero.
+  // (Offset 156.)
+  uint8_t reserved[36];
   // The text, UTF-8, the rest zero.
   // (Offset 192.)
   uint8_t text[ROOMCAST_NARRATION_TEXT_BYTES];
@@ -990,7 +996,8 @@ _Static_assert(offsetof(RoomcastNarrationV1, text_bytes) == 48, "RoomcastNarrati
 _Static_assert(offsetof(RoomcastNarrationV1, minor) == 52, "RoomcastNarrationV1.minor");
 _Static_assert(offsetof(RoomcastNarrationV1, source_name) == 56, "RoomcastNarrationV1.source_name");
 _Static_assert(offsetof(RoomcastNarrationV1, person_name) == 104, "RoomcastNarrationV1.person_name");
-_Static_assert(offsetof(RoomcastNarrationV1, reserved) == 152, "RoomcastNarrationV1.reserved");
+_Static_assert(offsetof(RoomcastNarrationV1, count) == 152, "RoomcastNarrationV1.count");
+_Static_assert(offsetof(RoomcastNarrationV1, reserved) == 156, "RoomcastNarrationV1.reserved");
 _Static_assert(offsetof(RoomcastNarrationV1, text) == 192, "RoomcastNarrationV1.text");
 _Static_assert(sizeof(RoomcastIncludedV1) == 40, "RoomcastIncludedV1");
 _Static_assert(offsetof(RoomcastIncludedV1, source) == 0, "RoomcastIncludedV1.source");

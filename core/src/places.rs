@@ -389,7 +389,11 @@ mod tests {
             for name in Names::built_in().names().chain(own).chain(rooms) {
                 for name in [name.replace('_', " "), plain_words(name), plain_words(name).replace(' ', "-")] {
                     let words: Vec<&str> = name.split(' ').collect();
-                    let expected = (1..=words.len()).rev().find_map(|length| asked(&words[..length].join(" ")));
+                    // A plural is a name, too: "food eggs" is a "food egg".
+                    let of = |name: &str| {
+                        asked(name).or_else(|| other_numbers(name).into_iter().flatten().find_map(|form| asked(&form)))
+                    };
+                    let expected = (1..=words.len()).rev().find_map(|length| of(&words[..length].join(" ")));
                     // A word of a name that the map lacks may be a name by itself: the "table" of "cpu table".
                     if expected.is_none() {
                         continue;

@@ -402,14 +402,8 @@ fn a_smaller_map_gives_the_history_its_tokens_back() {
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     assert!(pipeline.options().history.tokens < before);
     // Without a correction, idle labels change no score. They take tokens all the same.
-    let observe = |pipeline: &mut Pipeline<_>, sequences: std::ops::Range<u64>| {
-        pipeline.step(sequences.map(|sequence| observation(sequence, 0))).unwrap();
-        pipeline.histories().get(0).unwrap().len()
-    };
-    let narrow = observe(&mut pipeline, 1..20);
     assert!(pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again);
     assert_eq!(pipeline.options().history.tokens, before);
-    assert!(observe(&mut pipeline, 20..40) > narrow, "the window grows again");
     assert!(!pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again, "no label is idle");
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     // A label that the large list does not know, so that the list is prepared again.
