@@ -148,32 +148,28 @@ impl<'a> Named<'a> {
 }
 
 /// Words that stand for any person.
-const NO_NAMES: [&str; 25] = [
+const NO_NAMES: [&str; 21] = [
     "nobody",
     "me",
     "who",
-    "i",
-    "you",
+    "they",
     "he",
     "she",
-    "it",
+    "i",
     "we",
-    "they",
-    "him",
-    "her",
-    "us",
-    "them",
+    "you",
     "somebody",
     "someone",
-    "anybody",
-    "anyone",
     "everybody",
     "everyone",
     "all",
-    "both",
-    "no one",
-    "none",
-    "everybody else",
+    "the whole family",
+    "the entire family",
+    "the whole household",
+    "they all",
+    "we all",
+    "all of them",
+    "all of us",
 ];
 
 /// Whether a name can be a person's: it has letters or digits, fits into a message, hides nothing, and is no number.
