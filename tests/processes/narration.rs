@@ -284,7 +284,10 @@ fn a_sensor_log_is_narrated() {
     let mut command = world.command(&["narrate", "--pace", "0", "--json", "--linger", "100", "--name", "home"]);
     let output =
         command.arg("--sensors").arg(&log).arg("--rules").arg(data.join("sensor-rules.toml")).output().unwrap();
-    let outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut outcome: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let understood = outcome.as_object_mut().unwrap().remove("understood").unwrap();
+    let sequences: Vec<_> = understood.as_array().unwrap().iter().map(|line| line["sequence"].as_u64()).collect();
+    assert_eq!(sequences, (1..=7).map(Some).collect::<Vec<_>>());
     assert_eq!(outcome, serde_json::json!({"sent": 7, "confirmed": 7, "dropped": 0, "refused": 1}));
     assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)));
     let said = String::from_utf8(output.stderr).unwrap();
