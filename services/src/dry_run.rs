@@ -71,7 +71,10 @@ impl DryLine {
         let named: Vec<String> =
             persons.iter().map(|own| own.name.clone().unwrap_or_else(|| format!("person {}", own.person))).collect();
         let by = serde_json::to_value(by).ok().and_then(|by| by.as_str().map(str::to_owned)).unwrap_or_default();
-        let mut text = format!("{}\n    {event}, by {by}: {}", self.text, named.join(", "));
+        let mut text = format!("{}\n    {event}", self.text);
+        if !named.is_empty() {
+            let _ = write!(text, ", by {by}: {}", named.join(", "));
+        }
         if let Some(place) = place {
             let _ = write!(text, "; {} {place}", if *left { "leaves" } else { "place:" });
         }

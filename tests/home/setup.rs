@@ -390,7 +390,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
     true
 }
 
-static MISTAKES: [Mistake; 34] = [
+static MISTAKES: [Mistake; 35] = [
     Mistake {
         name: "the broker's port",
         make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),

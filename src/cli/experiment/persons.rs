@@ -40,7 +40,7 @@ pub(super) struct PersonsArgs {
     #[arg(long)]
     pet: bool,
     /// Most joint states that the filter keeps.
-    #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
     /// A folder of days in HOMER+'s format, once per resident, in place of written days.
     #[arg(long, value_name = "FOLDER", requires = "scene")]
