@@ -378,6 +378,20 @@ pub fn main() -> ExitCode {
 mod tests {
     use super::*;
 
+    /// clap finds a default of another type than its option only when it reads the option.
+    #[cfg(feature = "lab")]
+    #[test]
+    fn defaults_of_each_experiment_have_the_types_of_their_options() {
+        use clap::CommandFactory;
+
+        let command = Cli::command();
+        let experiments = command.find_subcommand("experiment").unwrap().get_subcommands();
+        for name in experiments.map(|one| one.get_name().to_owned()) {
+            // A missing argument is an error; a wrong type is a panic.
+            let _read = Cli::try_parse_from(["roomcast", "experiment", &name]);
+        }
+    }
+
     #[test]
     fn another_daemon_has_its_own_code_also_where_only_its_journal_shows_it() {
         let code = |error: JournalError| Failure::from(DaemonError::Journal(error)).code;
