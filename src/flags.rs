@@ -1,6 +1,5 @@
 //! Names for the bits of messages, as people and programs read them.
 
-pub use roomcast_ipc::action::word as action_word;
 use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
 
 /// The names of the bits that are set, of those that a message has.

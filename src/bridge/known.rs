@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 use super::discovery::{Discovery, Named};
 use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
-use crate::flags::{action_word, decision_flag_names, forecast_flag_names};
+use crate::flags::{decision_flag_names, forecast_flag_names};
+use roomcast_ipc::action::word as action_word;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 

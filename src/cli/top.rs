@@ -14,8 +14,9 @@ use serde_json::{Value, json};
 use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
 use crate::exit_code;
-use crate::flags::{action_word, decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::top::{POINT_NS, View, set_places};
+use roomcast_ipc::action::word as action_word;
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::stop::Stop;
 
