@@ -695,6 +695,9 @@ impl<M: LanguageModel> Board<M> {
         self.watch();
         self.lose(person);
         self.pipeline.forget_told(is_theirs);
+        // Texts of others may name the person.
+        self.understood = UnderstoodEvents::default();
+        self.near_misses.clear();
         self.home.forget(person);
         self.forget_ahead();
     }

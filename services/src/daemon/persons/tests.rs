@@ -1224,3 +1224,13 @@ fn narrators_learn_how_their_events_were_understood() {
     );
     assert_eq!(lines[4].nearest_form.as_deref(), Some("NAME leaves the house"));
 }
+
+#[test]
+fn forgotten_persons_are_in_no_explanation() {
+    let mut house = House::new(&["Ada"]);
+    house.after(1, "Igor", "They sit on the sofa.");
+    house.after(1, "somebody", "Ada hugs Igor.");
+    assert_eq!(house.board.understood_lines(7, 1, 1).len(), 2);
+    assert!(forget(&mut house, "igor").done);
+    assert_eq!(house.board.understood_lines(7, 1, 1).len(), 0);
+}
