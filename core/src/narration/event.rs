@@ -1,9 +1,9 @@
-//! The five events of the input. Each input becomes one at the boundary of the daemon; no code behind it reads English.
+//! The events of the input. Each input becomes one at the boundary of the daemon; no code behind it reads English.
 
 use std::fmt;
 use std::sync::Arc;
 
-use super::{SENTENCE_BYTES_MAX, Sentence};
+use super::{SENTENCE_BYTES_MAX, SensorReport, Sentence};
 use crate::text::is_hidden;
 
 /// Whether a person is in the house.
@@ -35,7 +35,8 @@ impl Presence {
 }
 
 /// The name of a room as a narrator gives it; the map decides which room it is. Its copies share one text.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct RoomName(Arc<str>);
 
 impl RoomName {
@@ -58,6 +59,20 @@ impl RoomName {
     }
 }
 
+impl TryFrom<String> for RoomName {
+    type Error = PresenceError;
+
+    fn try_from(name: String) -> Result<Self, PresenceError> {
+        Self::new(&name)
+    }
+}
+
+impl From<RoomName> for String {
+    fn from(name: RoomName) -> Self {
+        name.0.as_ref().to_owned()
+    }
+}
+
 /// What a narrator reports about a person or a room.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Event {
@@ -73,20 +88,26 @@ pub enum Event {
     AllAway,
     /// The room has no people in it.
     Empty(RoomName),
+    /// A sensor reports its state. Its person may be known, as of a phone.
+    Sensor(Arc<SensorReport>),
 }
 
 /// A text that is no presence.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{text:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`"
-)]
-pub struct PresenceError {
-    text: String,
+pub enum PresenceError {
+    /// It is none of the six texts.
+    #[error(
+        "{0:?} is no presence: say `present`, `present in the kitchen`, `nobody in the kitchen`, `away`, `everybody away` or `gone`"
+    )]
+    Text(String),
+    /// It is a sensor's report with a fault.
+    #[error("this is no sensor's report: {0}")]
+    Sensor(String),
 }
 
 impl PresenceError {
     fn of(text: &str) -> Self {
-        Self { text: text.chars().take(80).collect() }
+        Self::Text(text.chars().take(80).collect())
     }
 }
 
@@ -107,6 +128,9 @@ impl Event {
     pub fn presence(text: &str) -> Result<Self, PresenceError> {
         let error = |_| PresenceError::of(text);
         match text.trim() {
+            text if text.starts_with('{') => {
+                Ok(Self::Sensor(Arc::new(SensorReport::parse(text).map_err(PresenceError::Sensor)?)))
+            }
             "present" => Ok(Self::Present(None)),
             "away" => Ok(Self::Away),
             "gone" => Ok(Self::Gone),
@@ -134,21 +158,21 @@ impl Event {
         }
     }
 
-    /// The presence of its person afterwards. An empty room has no person.
+    /// The presence of its person afterwards. An empty room has no person, and a sensor knows none.
     #[must_use]
     pub fn person_presence(&self) -> Presence {
         match self {
             Self::Did(_) | Self::Present(_) => Presence::Present,
             Self::Away | Self::AllAway => Presence::Away,
             Self::Gone => Presence::Gone,
-            Self::Empty(_) => Presence::Unknown,
+            Self::Empty(_) | Self::Sensor(_) => Presence::Unknown,
         }
     }
 
     /// Whether its person is known from the event alone: an empty room and an empty house have none.
     #[must_use]
     pub fn has_person(&self) -> bool {
-        !matches!(self, Self::AllAway | Self::Empty(_))
+        !matches!(self, Self::AllAway | Self::Empty(_) | Self::Sensor(_))
     }
 }
 
@@ -162,6 +186,7 @@ impl fmt::Display for Event {
             Self::Gone => f.write_str("gone"),
             Self::AllAway => f.write_str("everybody away"),
             Self::Empty(room) => write!(f, "nobody in the {}", room.as_str()),
+            Self::Sensor(report) => report.fmt(f),
         }
     }
 }

@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::forms::{COUNT_MAX, form_of};
 use super::{
     Action, DeviceState, Event, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, PresenceError, RoomName,
-    SOMEBODY, Sentence,
+    SOMEBODY, SensorReport, Sentence,
 };
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
@@ -271,6 +271,59 @@ struct JsonLine {
     person: Option<Value>,
     count: Option<Value>,
     observed_unix_s: Option<Value>,
+    sensor: Option<Value>,
+    id: Option<Value>,
+    beyond: Option<Value>,
+    #[serde(default, deserialize_with = "given")]
+    on: Option<Value>,
+    hold_s: Option<Value>,
+    false_alarms_per_day: Option<Value>,
+    only_on: Option<Value>,
+}
+
+/// A key that may be null, which differs from a key that is not there.
+fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Value>, D::Error> {
+    Value::deserialize(deserializer).map(Some)
+}
+
+impl JsonLine {
+    /// The keys of a sensor's report.
+    fn report(&mut self) -> [(&'static str, Option<Value>); 6] {
+        [
+            ("id", self.id.take()),
+            ("beyond", self.beyond.take()),
+            ("on", self.on.take()),
+            ("hold_s", self.hold_s.take()),
+            ("false_alarms_per_day", self.false_alarms_per_day.take()),
+            ("only_on", self.only_on.take()),
+        ]
+    }
+
+    /// The report of a line with the key `sensor`.
+    fn sensor(&mut self) -> Result<Option<String>, LineError> {
+        let Some(kind) = self.sensor.take() else {
+            let mut keys = self.report().into_iter();
+            return match keys.find(|(_, value)| value.is_some()) {
+                Some((key, _)) => {
+                    Err(reason(&format!("\"{key}\" goes with \"sensor\"; give \"sensor\" or leave it out")))
+                }
+                None => Ok(None),
+            };
+        };
+        if self.text.is_some() || self.presence.is_some() || self.kind.is_some() || self.count.is_some() {
+            return Err(reason("\"sensor\" excludes \"text\", \"kind\", \"presence\" and \"count\"; send two lines"));
+        }
+        let mut keys = serde_json::Map::from_iter([("sensor".to_owned(), kind)]);
+        let room = [("room", self.room.take())];
+        for (key, value) in room.into_iter().chain(self.report()) {
+            keys.extend(value.map(|value| (key.to_owned(), value)));
+        }
+        if !keys.contains_key("on") {
+            return Err(reason("\"sensor\" needs \"on\": true, false, or null if the device is unavailable"));
+        }
+        let report = SensorReport::parse(&Value::Object(keys).to_string()).map_err(|fault| reason(&fault))?;
+        Ok(Some(report.to_string()))
+    }
 }
 
 impl Line {
@@ -295,10 +348,13 @@ impl Line {
     }
 
     fn of_json(line: &str, person: &Who) -> Result<Self, LineError> {
-        let json: JsonLine = serde_json::from_str(line).map_err(|error| reason(&json_of_one_line_says(&error)))?;
+        let mut json: JsonLine = serde_json::from_str(line).map_err(|error| reason(&json_of_one_line_says(&error)))?;
+        let sensor = json.sensor()?;
+        let is_sensor = sensor.is_some();
         let text = json.text.as_ref().map(|text| string("text", text)).transpose()?;
         let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
         let (kind, text) = match (text, presence) {
+            _ if is_sensor => (Kind::Presence, sensor.unwrap_or_default()),
             (Some(text), None) if json.room.is_none() => {
                 let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)?), kind_of)?;
                 (kind, text.trim().to_owned())
@@ -310,7 +366,7 @@ impl Line {
             (Some(_), Some(_)) => {
                 return Err(reason("\"text\" and \"presence\" exclude each other; send two lines"));
             }
-            (None, None) => return Err(reason("give \"text\" or \"presence\"")),
+            (None, None) => return Err(reason("give \"text\", \"presence\" or \"sensor\"")),
             (Some(_), None) => {
                 return Err(reason("\"room\" goes with \"presence\": \"present\", and not with \"text\""));
             }
@@ -319,7 +375,7 @@ impl Line {
         let own = json.person.as_ref().filter(|person| !person.is_null());
         let has_person = kind.event(&text)?.has_person();
         let person = match own {
-            Some(_) if !has_person => {
+            Some(_) if !has_person && !is_sensor => {
                 return Err(reason("an empty room or house has no person; leave \"person\" out"));
             }
             Some(own) => {
@@ -498,7 +554,7 @@ mod tests {
         for (json, part) in [
             ("{\"txt\": \"a\"}", "unknown key `txt`, expected one of `text`, `kind`, `presence`, `room`, `person`"),
             ("{\"text\": \"They sit.\"", "at column 20"),
-            ("{}", "give \"text\" or \"presence\""),
+            ("{}", "give \"text\", \"presence\" or \"sensor\""),
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
             (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
             (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
@@ -521,6 +577,10 @@ mod tests {
             (r#"{"text": "They sit.", "count": 10000}"#, "\"count\" is 10000; give a number of persons"),
             (r#"{"text": "They sit.", "count": "two"}"#, "\"count\" is \"two\"; give a number of persons"),
             (r#"{"text": "They sit.", "count": 2, "person": "ada"}"#, "\"count\" counts unknown persons"),
+            (r#"{"sensor": "motion", "id": "a", "room": "hall"}"#, "\"sensor\" needs \"on\""),
+            (r#"{"sensor": "motion", "id": "a", "on": true}"#, "needs the \"room\""),
+            (r#"{"sensor": "motion", "id": "a", "room": "hall", "on": true, "text": "a"}"#, "\"sensor\" excludes"),
+            (r#"{"text": "They sit.", "on": true}"#, "\"on\" goes with \"sensor\""),
             (r#"{"presence": "away", "kind": "sentence"}"#, "\"kind\" goes with \"text\""),
             (r#"{"text": "They sit.", "person": -1}"#, "\"person\": the number `-1`, expected a person's"),
             (r#"{"text": "They sit.", "person": 4294967295}"#, "number from 0 to 4294967294, or name"),
@@ -557,7 +617,22 @@ mod tests {
         for line in &examples {
             item(line).unwrap_or_else(|error| panic!("{line}: {error}"));
         }
-        for key in ["text", "kind", "presence", "room", "person", "count", "observed_unix_s"] {
+        for key in [
+            "text",
+            "kind",
+            "presence",
+            "room",
+            "person",
+            "count",
+            "observed_unix_s",
+            "sensor",
+            "id",
+            "on",
+            "beyond",
+            "hold_s",
+            "false_alarms_per_day",
+            "only_on",
+        ] {
             assert!(examples.iter().any(|line| line.contains(&format!("\"{key}\":"))), "{key}");
         }
         // Reports are another command's, which refuses narration as this one refuses them.

@@ -15,6 +15,7 @@ pub mod history;
 pub mod line;
 mod person;
 pub mod program;
+mod sensor;
 
 pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, table as action_table};
 pub use event::{Event, Presence, PresenceError, RoomName};
@@ -24,6 +25,7 @@ pub use person::{
     same_but_for_accents, same_name,
 };
 pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
+pub use sensor::{SENSOR_ID_BYTES_MAX, SensorKind, SensorReport};
 
 /// Longest sentence of one observation, in bytes of UTF-8; the narration message holds as many.
 pub const SENTENCE_BYTES_MAX: usize = 1024;

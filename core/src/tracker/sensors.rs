@@ -12,30 +12,9 @@
 //! speaks against a person who walks there. All rates are learned online with a Gamma prior: weighted flips over weighted time.
 
 use super::belief::{Key, Occupied, place};
-use super::motion::{PHONELESS, room_of, visibility};
+pub use crate::narration::SensorKind;
 
-/// What kind of device a sensor is. It chooses the default rates.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, Hash, strum::EnumString, strum::Display, serde::Serialize, serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum SensorKind {
-    /// A motion sensor (PIR): sees people who move, stays on for a hold time.
-    Motion,
-    /// A presence sensor (mmWave): sees people who sit still.
-    Presence,
-    /// A bed or seat sensor.
-    Bed,
-    /// A contact at a door between two rooms, or between a room and the outside.
-    Door,
-    /// A phone: on while it is in the home's network.
-    Phone,
-    /// An appliance or a plug above a threshold of power.
-    Appliance,
-    /// A camera that detects persons.
-    Camera,
-}
+use super::motion::{PHONELESS, room_of, visibility};
 
 /// A sensor as the configuration names it.
 #[derive(Debug, Clone, Copy, PartialEq)]

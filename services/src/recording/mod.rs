@@ -607,7 +607,7 @@ impl Recording {
                 Event::AllAway => narration.clear(),
                 // A person who leaves begins a new window.
                 Event::Away | Event::Gone => narration.retain(|(of, _)| *of != person),
-                Event::Present(_) | Event::Empty(_) => {}
+                Event::Present(_) | Event::Empty(_) | Event::Sensor(_) => {}
             }
         }
         // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.

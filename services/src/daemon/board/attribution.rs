@@ -72,6 +72,10 @@ impl<M: LanguageModel> Board<M> {
         };
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
+        if let Event::Sensor(_) = own.event {
+            self.understood.add(understood);
+            return (false, moves);
+        }
         if let Event::Empty(_) = own.event {
             if self.exclude(&own, reporter, at_ns) {
                 moves.push(Move::of_a_room(&own, &observed));
@@ -144,6 +148,8 @@ impl<M: LanguageModel> Board<M> {
                 return Err(Reason::MayNotPresence);
             }
             let who = if observation.event.has_person() { unknown(observation.count) } else { Who::House };
+            // A sensor may belong to a person.
+            let who = if is_keyed && matches!(observation.event, Event::Sensor(_)) { Who::Key } else { who };
             return Ok((who, observation.event.clone()));
         };
         let text = sentence.as_str();
@@ -378,6 +384,7 @@ fn kind(event: &Event) -> &'static str {
         Event::Gone => "gone",
         Event::AllAway => "everybody-away",
         Event::Empty(_) => "empty",
+        Event::Sensor(_) => "sensor",
     }
 }
 
