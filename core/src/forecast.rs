@@ -169,6 +169,9 @@ pub struct Forecaster {
     updated_s: f64,
     /// What was heard last of where they are is a sensor's word, and nothing is known to have been done since.
     sensed: bool,
+    /// The joint filter's belief instead of this one's ([`Forecaster::track`]): per room if the person is in, and the probability that they are out.
+    tracked: Vec<f64>,
+    tracked_out: Option<f64>,
 }
 
 impl Forecaster {
@@ -197,7 +200,49 @@ impl Forecaster {
             room_since_s: now_s,
             updated_s: now_s,
             sensed: false,
+            tracked: Vec::with_capacity(rooms),
+            tracked_out: None,
         }
+    }
+
+    /// Becomes the forecast of `own` with the joint filter's belief about the present instead: `p` has the probability of each room, `out` that of
+    /// being out of the house. Stays, scores and the long run are those of `own`. Another number of rooms changes no belief.
+    pub fn track(&mut self, own: &Self, p: impl ExactSizeIterator<Item = f64>, out: f64) {
+        self.clone_from(own);
+        if p.len() != self.belief.len() || !out.is_finite() {
+            return;
+        }
+        self.tracked.clear();
+        self.tracked.extend(p.map(|p| p.max(0.0)));
+        let total: f64 = self.tracked.iter().sum();
+        if total > 0.0 {
+            self.tracked.iter_mut().for_each(|p| *p /= total);
+        } else {
+            self.tracked.copy_from_slice(&self.belief);
+        }
+        self.tracked_out = Some(out.clamp(0.0, 1.0));
+    }
+
+    /// The probability that the person is out of the house now.
+    fn out(&self) -> f64 {
+        self.tracked_out.unwrap_or(if self.away_since_s.is_some() { 1.0 } else { 0.0 })
+    }
+
+    /// The probability that the object in hand, and so the room, is still the same at `now_s + horizon_s`.
+    #[must_use]
+    pub fn stays(&self, now_s: f64, horizon_s: f64) -> f64 {
+        let (age_s, horizon_s) = self.ages(now_s, horizon_s);
+        self.to_object.survival(age_s, horizon_s)
+    }
+
+    /// The age of the object in hand, and the horizon from its last sign.
+    fn ages(&self, now_s: f64, horizon_s: f64) -> (f64, f64) {
+        // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
+        // fill: that part belongs to the horizon of what was known before it.
+        let silence_s = (now_s - self.updated_s).max(0.0);
+        // The filter's belief is of now.
+        let hidden_s = if self.tracked_out.is_some() { 0.0 } else { silence_s.min(self.to_object.mean_s()) };
+        (self.updated_s + silence_s - hidden_s - self.object_since_s, horizon_s.max(0.0) + hidden_s)
     }
 
     /// Per room how much of the way into the house it has; where no room has any, or these are not the rooms, whoever comes home may be in any.
@@ -217,7 +262,7 @@ impl Forecaster {
     /// In which room the person is believed to be, or, of one who is out of the house, to have been.
     #[must_use]
     pub fn belief(&self) -> &[f64] {
-        &self.belief
+        if self.tracked_out.is_some() { &self.tracked } else { &self.belief }
     }
 
     /// Takes in a completed observation at `at_s`: what it mentions, if anything, and the room probabilities that the
@@ -508,32 +553,29 @@ impl Forecaster {
 
     /// As [`Self::at`], where the object in hand is still the same with at most `same_at_most`.
     fn ahead(&self, now_s: f64, horizon_s: f64, same_at_most: f64) -> impl ExactSizeIterator<Item = f64> {
-        let back = 1.0 - self.elsewhere(now_s, horizon_s);
-        // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
-        // fill: that part belongs to the horizon of what was known before it.
-        let silence_s = (now_s - self.updated_s).max(0.0);
-        let hidden_s = silence_s.min(self.to_object.mean_s());
-        let horizon_s = horizon_s.max(0.0) + hidden_s;
-        let object_age_s = self.updated_s + silence_s - hidden_s - self.object_since_s;
+        let out = self.out();
+        let back = out - self.elsewhere(now_s, horizon_s);
+        let (object_age_s, horizon_s) = self.ages(now_s, horizon_s);
         let same_object = self.to_object.survival(object_age_s, horizon_s).min(same_at_most);
         let same_stay = self.stay.survival(0.0, horizon_s);
         let spent_s: f64 = self.spent_s.iter().sum();
-        let is_away = self.away_since_s.is_some();
-        (0..self.belief.len()).map(move |room| {
+        let belief = self.belief();
+        (0..belief.len()).map(move |room| {
             let long_run = self.spent_s[room] / spent_s;
-            if is_away {
-                return back * long_run;
-            }
             let after = same_stay * self.scores[room] + (1.0 - same_stay) * long_run;
-            same_object * self.belief[room] + (1.0 - same_object) * after
+            let here = same_object * belief[room] + (1.0 - same_object) * after;
+            back * long_run + (1.0 - out) * here
         })
     }
 
     /// The probability that the person is out of the house at `now_s + horizon_s`.
     #[must_use]
     pub fn elsewhere(&self, now_s: f64, horizon_s: f64) -> f64 {
-        let gone_s = |since_s: f64| (now_s - since_s).max(0.0);
-        self.away_since_s.map_or(0.0, |since_s| self.away.survival(gone_s(since_s), horizon_s.max(0.0)))
+        let gone_s = self.away_since_s.map_or(0.0, |since_s| (now_s - since_s).max(0.0));
+        match self.out() {
+            0.0 => 0.0,
+            out => out * self.away.survival(gone_s, horizon_s.max(0.0)),
+        }
     }
 
     /// Per room the expected time the person spends in it between `from_s` and `to_s` after `now_s`, in seconds.

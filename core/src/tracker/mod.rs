@@ -31,6 +31,8 @@
 //!
 //! Pure: no clock, no port. Times come in with the calls, in seconds.
 
+use std::sync::Arc;
+
 mod belief;
 mod home;
 mod motion;
@@ -116,11 +118,13 @@ pub struct Tracker {
     options: Options,
     belief: Belief,
     /// Of unknown persons, then of each known person; while the sensed front doors are shut, and while one is open.
-    transitions: [Vec<Transitions>; 2],
+    transitions: Arc<[Vec<Transitions>; 2]>,
     /// Per slot: index into `transitions`.
     of_slot: Vec<usize>,
     sensors: Vec<Sensor>,
     now_s: f64,
+    /// Until when the sensors' rates were learned.
+    learned_s: f64,
     /// Level of the next step.
     level: usize,
     /// Seconds of silence that are not weighed yet.
@@ -147,10 +151,11 @@ impl Tracker {
         let unknown = options.unknown.min(SLOTS - 1);
         let mut own = Self {
             belief: Belief::new(unknown, options.states.max(2), options.floor.clamp(0.0, 1e-5)),
-            transitions: [vec![Transitions::new(&home)], vec![Transitions::new(&home)]],
+            transitions: Arc::new([vec![Transitions::new(&home)], vec![Transitions::new(&home)]]),
             of_slot: vec![0; unknown],
             sensors: Vec::new(),
             now_s: if now_s.is_finite() { now_s } else { 0.0 },
+            learned_s: if now_s.is_finite() { now_s } else { 0.0 },
             level: 0,
             silent_s: 0.0,
             robot_until_s: vec![f64::NEG_INFINITY; rooms],
@@ -188,7 +193,7 @@ impl Tracker {
             prior.push((moving(room), 0.1 * weight / weights));
         }
         self.belief.add(&prior)?;
-        for set in &mut self.transitions {
+        for set in Arc::make_mut(&mut self.transitions) {
             set.push(Transitions::new(&self.home));
         }
         let number = self.transitions[0].len() - 1;
@@ -203,7 +208,7 @@ impl Tracker {
         let Some(slot) = self.slot(person) else { return };
         self.belief.remove(slot);
         self.of_slot.pop();
-        self.transitions.iter_mut().for_each(|set| drop(set.remove(1 + person)));
+        Arc::make_mut(&mut self.transitions).iter_mut().for_each(|set| drop(set.remove(1 + person)));
         for sensor in &mut self.sensors {
             match sensor.slot {
                 Some(own) if own == slot => {
@@ -271,8 +276,9 @@ impl Tracker {
         };
         let leak: Vec<f64> =
             (0..rooms).map(|room| if is_sensed(room) { self.options.door_misses } else { 1.0 }).collect();
-        self.transitions[0][number].fill(&self.home, movement, &leak);
-        self.transitions[1][number].fill(&self.home, movement, &vec![1.0; rooms]);
+        let [shut, open] = Arc::make_mut(&mut self.transitions);
+        shut[number].fill(&self.home, movement, &leak);
+        open[number].fill(&self.home, movement, &vec![1.0; rooms]);
     }
 
     /// Adds a sensor. Returns its index. Call [`Tracker::set_movement`] for each person after the last front door was added.
@@ -310,24 +316,37 @@ impl Tracker {
         if !now_s.is_finite() {
             return;
         }
-        let began_s = self.now_s;
+        self.settle(now_s);
         while now_s - self.now_s >= STEP_S {
-            self.release();
-            let level = level_of(now_s - self.now_s).min(self.level);
-            let step_s = step_s(level);
-            self.weigh_silence(self.silent_s + 0.5 * step_s);
-            let set = usize::from(self.is_open());
-            self.belief.step(level, &self.transitions[set], &self.of_slot);
-            self.silent_s = 0.5 * step_s;
-            self.now_s += step_s;
-            self.level = (self.level + 1).min(LEVELS - 1);
+            self.step(level_of(now_s - self.now_s).min(self.level));
         }
         self.weigh_silence(self.silent_s);
         self.silent_s = 0.0;
         self.summarise();
         if self.options.learns {
-            self.learn_time(self.now_s - began_s);
+            self.learn_time(self.now_s - self.learned_s);
         }
+        self.learned_s = self.now_s;
+    }
+
+    /// Takes the long steps up to a time, and leaves what is shorter to [`Tracker::advance`]. Beliefs after a later advance are the same with and
+    /// without it, to the bit.
+    pub fn settle(&mut self, now_s: f64) {
+        while now_s.is_finite() && now_s - self.now_s >= step_s(self.level) {
+            self.step(self.level);
+        }
+    }
+
+    /// One step of a level.
+    fn step(&mut self, level: usize) {
+        self.release();
+        let step_s = step_s(level);
+        self.weigh_silence(self.silent_s + 0.5 * step_s);
+        let set = usize::from(self.is_open());
+        self.belief.step(level, &self.transitions[set], &self.of_slot);
+        self.silent_s = 0.5 * step_s;
+        self.now_s += step_s;
+        self.level = (self.level + 1).min(LEVELS - 1);
     }
 
     /// Sensors that never report "off" are off after their hold time.

@@ -1,7 +1,7 @@
 //! The likelihood of each observation over joint states, and the attribution to persons afterwards.
 
 use super::belief::{Key, Occupied, SLOTS_MAX, State, place, with};
-use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, is_moving, moving, places, room_of, settled, still};
+use super::motion::{ELSEWHERE, FORGETS, PHONELESS, Place, moving, places, room_of, settled, still, visibility};
 use super::sensors::{CLASSES, Sensor};
 use super::{Cause, ROOMS_MAX, SensorKind, Tracker};
 
@@ -29,6 +29,11 @@ pub enum Observation<'a> {
         who: Option<usize>,
         /// Where.
         room: Option<usize>,
+    },
+    /// A person lies or sleeps where they are.
+    Lies {
+        /// Who.
+        who: usize,
     },
     /// A person left the house.
     Away {
@@ -72,9 +77,15 @@ const ROBOT_S: f64 = 30.0;
 /// Chance that a held phone or bed is wrong about its person at the moment of an anonymous departure.
 const HELD_WRONG: f64 = 0.003;
 /// Weight of a departure by an unseen visitor, next to a person at the door with weight 1.
-const UNSEEN: f64 = 0.1;
+const UNSEEN: f64 = 0.03;
 /// Each door between a person and the way out makes a departure less probable by this factor.
-const PER_DOOR: f64 = 0.2;
+const PER_DOOR: f64 = 0.4;
+/// Weights of a departure of persons who walk, sit, and lie.
+const WALKS: [f64; 3] = [1.0, 0.3, 0.05];
+/// Weight of "present" without an arrival, next to each person that can have come home.
+const NO_ARRIVAL: f64 = 0.3;
+/// How probable it is that a person lies who was not said to.
+const LIES_ELSE: f64 = 0.05;
 /// A person is out for sure from this probability on.
 const SURELY: f64 = 0.95;
 /// Most probability that a flip in a house without residents has for a person, when the sensor learns from it.
@@ -102,6 +113,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
                 |place: Place| if room.is_some() { room_of(place) == room } else { room_of(place).is_some() };
             own.belief.weigh(|key| if is_there(place(key, slot)) { trust } else { 1.0 - trust });
         }
+        Observation::Present { who: None, room: None } => arrival(own, trust),
         Observation::Present { who: None, room } => {
             if room.is_some_and(|room| !has(room)) {
                 return None;
@@ -112,6 +124,10 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
                 let is_so = room.map_or(any != 0, |room| any >> room & 1 == 1);
                 if is_so { trust } else { 1.0 - trust }
             });
+        }
+        Observation::Lies { who } => {
+            let slot = own.slot(who)?;
+            own.belief.weigh(|key| if visibility(place(key, slot)) == 1 { 1.0 } else { LIES_ELSE });
         }
         Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
             let slot = own.slot(person)?;
@@ -147,7 +163,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         }
     }
     Some(match observation {
-        Observation::Deed { .. } => Cause::Deed,
+        Observation::Deed { .. } | Observation::Lies { .. } => Cause::Deed,
         Observation::Present { .. } => Cause::Present,
         Observation::Empty { .. } => Cause::Empty,
         Observation::Count { .. } => Cause::Count,
@@ -239,7 +255,7 @@ fn departs(own: &Tracker, slot: usize, place: Place) -> f64 {
         binds && sensor.evidence(own.now_s) == Some(true)
     };
     let held = if own.sensors.iter().any(is_held) { HELD_WRONG } else { 1.0 };
-    let walks = if is_moving(place) { 1.0 } else { 0.1 };
+    let walks = WALKS[3 - visibility(place).clamp(1, 3)];
     held * walks * PER_DOOR.powi(doors.min(8) as i32)
 }
 
@@ -259,6 +275,24 @@ fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
             let weight = weights[slot * 256 + usize::from(place(key, slot))];
             if weight > 0.0 {
                 add(with(key, slot, ELSEWHERE), trust * weight);
+            }
+        }
+    });
+}
+
+/// An unknown person is present: each person that was out can have come home, a visitor too, or the report says what is known.
+fn arrival(own: &mut Tracker, trust: f64) {
+    let slots = own.belief.slots();
+    let unknown = own.unknown();
+    let ways: f64 = (0..own.home.rooms()).map(|room| own.home.way_out(room)).sum();
+    let Tracker { belief, home, .. } = own;
+    belief.transfer(|State { key, .. }, add| {
+        let is_empty = Occupied::of(key, slots).any == 0;
+        add(key, 1.0 - trust + if is_empty { 0.0 } else { trust * NO_ARRIVAL });
+        for slot in (0..slots).filter(|slot| room_of(place(key, *slot)).is_none()) {
+            let weight = trust * if slot < unknown { UNSEEN } else { 1.0 };
+            for room in (0..home.rooms()).filter(|room| home.way_out(*room) > 0.0) {
+                add(with(key, slot, moving(room)), weight * home.way_out(room) / ways);
             }
         }
     });
@@ -394,6 +428,13 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
                 spread(&|_, place| room_of(place).map_or(0.0, |room| list.get(room).copied().unwrap_or(1.0).max(0.0)))
             }
         },
+        Observation::Lies { who } => shares[own.slot(who).unwrap_or(0)] = 1.0,
+        Observation::Present { who: None, room: None } => {
+            for (slot, share) in shares.iter_mut().enumerate().take(slots) {
+                let column = slot * (rooms + 1) + rooms;
+                *share = (own.earlier[column] - own.marginals[column]).max(0.0);
+            }
+        }
         Observation::Present { who, room } => match named(who) {
             Some(slot) => shares[slot] = 1.0,
             None => spread(&|_, place| {

@@ -30,9 +30,11 @@ use roomcast_core::semantic_map::SemanticMap;
 
 use attribution::{Reporter, ways_out};
 use messages::{NamedRooms, named_rooms};
+use tracking::{Sensors, Tracking};
 
 mod attribution;
 mod messages;
+mod tracking;
 
 /// A map that messages cannot carry.
 #[derive(Debug, thiserror::Error)]
@@ -154,6 +156,13 @@ pub struct Board<M> {
     named: BTreeMap<u64, May>,
     /// How the newest events were understood.
     understood: UnderstoodEvents,
+    /// The joint filter, from the first event on that needs it; and the devices that reported.
+    tracking: Option<Box<Tracking>>,
+    /// While it runs, each person's forecast with its belief.
+    told: BTreeMap<u32, Forecaster>,
+    sensors: Sensors,
+    /// Local time less the monotonic clock, in seconds.
+    local_ahead_s: f64,
     /// Working memory of a step: when each person was observed last, and their number.
     newest_persons: Vec<(i64, u32)>,
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
@@ -261,6 +270,10 @@ impl<M: LanguageModel> Board<M> {
             persons: Persons::default(),
             named: BTreeMap::new(),
             understood: UnderstoodEvents::default(),
+            tracking: None,
+            told: BTreeMap::new(),
+            sensors: Sensors::default(),
+            local_ahead_s: 0.0,
             newest_persons: Vec::new(),
             attributed: Vec::new(),
             moved: Vec::new(),
@@ -348,6 +361,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Lets habits count the time spent, about once a minute, and gives whether it did.
     pub fn tick(&mut self, now_ns: u64, now_unix_ns: u64) -> bool {
+        self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         if !self.home.is_tick_due(now_ns) || !self.is_scored() {
             return false;
         }
@@ -380,6 +394,7 @@ impl<M: LanguageModel> Board<M> {
         self.rescored.extend(self.persons.iter().map(|(person, _)| person));
         self.mentions = PlaceMatcher::new(&map, self.pipeline.grounding());
         self.map = map;
+        self.tracking = None;
         self.note_beliefs();
         Ok(prepared)
     }
@@ -439,6 +454,8 @@ impl<M: LanguageModel> Board<M> {
         }
         let ways_in = ways_out(self.pipeline.grounding());
         self.followed.values_mut().for_each(|own| own.come_in_by(&ways_in));
+        // It starts again with the rooms of the changed map.
+        self.tracking = None;
     }
 
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
@@ -560,6 +577,7 @@ impl<M: LanguageModel> Board<M> {
         let (map, mut costly) = (self.map_number(), 0);
         let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
         let started_unix_ns = now_unix_ns.saturating_sub(now_ns);
+        self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
         // What is said of several persons after one step is told in no particular order.
@@ -599,6 +617,7 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
+                self.weigh_again(&observation, reporter, at_ns);
                 for own in moves {
                     let person = self.persons.file().current(own.person);
                     let own = Move { person, ..own }.apply(&observation);
@@ -698,6 +717,7 @@ impl<M: LanguageModel> Board<M> {
         // Texts of others may name the person.
         self.understood = UnderstoodEvents::default();
         self.near_misses.clear();
+        self.sensors.forget(person);
         self.home.forget(person);
         self.forget_ahead();
     }
@@ -716,6 +736,9 @@ impl<M: LanguageModel> Board<M> {
         self.pipeline.forget_person(person);
         self.askings += 1;
         self.followed.remove(&person);
+        if let Some(tracking) = &mut self.tracking {
+            tracking.remove(person);
+        }
         self.home.lose(person);
     }
 
@@ -889,6 +912,7 @@ impl<M: LanguageModel> Board<M> {
         }
         self.persons.remove_gone();
         self.home.set_clock(now_ns, now_unix_ns);
+        self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         let mut costly = 0;
         for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
             self.unscored_gap |= after_gap;

@@ -348,6 +348,11 @@ impl HomeHabits {
         self.clock = Some((now_ns, local_s));
     }
 
+    /// Local time less the monotonic clock, in whole seconds: clocks drift.
+    pub(super) fn local_ahead_s(&self, now_ns: u64, unix_ns: u64) -> f64 {
+        (self.zone.local_s(unix_ns) - now_ns as f64 / 1e9).round()
+    }
+
     /// Seconds since 1970 in local time, of a time of the monotonic clock.
     fn local_s(&self, at_ns: i64) -> Option<f64> {
         self.clock.map(|(now_ns, local_s)| local_s + (at_ns as f64 - now_ns as f64) / 1e9)

@@ -427,45 +427,40 @@ impl Persons {
         (self.known.len() - of(Presence::Gone), of(Presence::Present))
     }
 
-    /// The persons that an event without a name may be about, the best first. `fit` says how well a person in the house fits. Of equal ones,
-    /// the person with the newest event comes first. An arrival is first about the person that was away for longest; a departure is about
-    /// a person that is awake. An unknown house has its residents, or person 0.
-    pub(super) fn fitting(
-        &self,
-        event: &Event,
-        now_ns: i64,
-        is_strange: bool,
-        mut fit: impl FnMut(u32) -> f64,
-    ) -> Vec<u32> {
-        let leaves = event.person_presence() != Presence::Present;
-        let candidates = self.candidates(is_strange);
-        let of = |presence: Presence| candidates.iter().filter(move |(_, known)| known.presence == presence);
-        let mut here: Vec<_> = of(Presence::Present)
-            .map(|(number, known)| {
-                let is_awake = !(leaves && known.is_asleep(self.asleep_ns(), now_ns));
-                ((is_awake, !(leaves && known.on_bed)), fit(*number), known.heard_ns, Reverse(*number))
-            })
-            .collect();
-        here.sort_by(|a, b| b.0.cmp(&a.0).then(b.1.total_cmp(&a.1)).then_with(|| (b.2, b.3).cmp(&(a.2, a.3))));
-        let (awake, asleep): (Vec<_>, Vec<_>) = here.into_iter().partition(|((is_awake, _), ..)| *is_awake);
-        let mut away: Vec<_> = of(Presence::Away).map(|(number, known)| (known.since_ns, *number)).collect();
-        away.sort_unstable();
-        let of_here = |here: Vec<(_, _, _, Reverse<u32>)>| here.into_iter().map(|(.., Reverse(number))| number);
-        let away = away.into_iter().map(|(_, number)| number);
-        let mut fitting: Vec<u32> = match event {
-            Event::Present(None) => away.chain(of_here(awake)).chain(of_here(asleep)).collect(),
-            _ => of_here(awake).chain(away).chain(of_here(asleep)).collect(),
-        };
-        // A resident that is gone may be back.
+    /// The persons that an unnamed event may be about if two of them cannot have caused it: the person in the house, then the person that is away,
+    /// then the resident that was not observed. An unknown house has the numbers from 0.
+    pub(super) fn unnamed(&self, is_strange: bool) -> Vec<u32> {
+        let mut known = self.candidates(is_strange);
+        known.retain(|(_, known)| known.presence != Presence::Gone);
+        known.sort_by_key(|(number, known)| (known.presence != Presence::Present, Reverse(known.heard_ns), *number));
+        let mut numbers: Vec<u32> = known.into_iter().map(|(number, _)| number).collect();
         let is_gone = |number: u32| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
-        let is_open = |number: &u32| !fitting.contains(number) && is_gone(*number);
-        let unknown: Vec<u32> = if self.config.residents.is_empty() {
+        let is_open = |number: &u32| !numbers.contains(number) && is_gone(*number);
+        let further: Vec<u32> = if self.config.residents.is_empty() {
             (0..).filter(is_open).take(PERSONS_MAX).collect()
         } else {
             self.residents().filter(is_open).collect()
         };
-        fitting.extend(unknown);
-        fitting
+        numbers.extend(further);
+        numbers
+    }
+
+    /// Whether the configuration lists residents.
+    pub(super) fn has_residents(&self) -> bool {
+        !self.config.residents.is_empty()
+    }
+
+    /// Whether two persons or more can have caused an unnamed event.
+    pub(super) fn are_several(&self, is_strange: bool) -> bool {
+        let known = self.candidates(is_strange).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
+        known.map(|(number, _)| number).chain(self.residents()).collect::<BTreeSet<u32>>().len() > 1
+    }
+
+    /// The persons that the joint filter follows: known ones and residents. Persons that only unknown narrators reported are left out if named
+    /// narrators reported any.
+    pub(super) fn followed(&self) -> BTreeSet<u32> {
+        let known = self.candidates(false).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
+        self.residents().chain(known.map(|(number, _)| number)).collect()
     }
 
     fn is_read_known(&self, name: &ReadName) -> bool {

@@ -8,7 +8,7 @@ use roomcast_core::narration::{Event, Observation};
 /// Events that are remembered; the oldest goes first.
 pub const UNDERSTOOD_MAX: usize = 512;
 
-/// Why an event changed no belief.
+/// Why an event moved no person.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Reason {
     /// The narrator may not send presence.
@@ -21,6 +21,10 @@ pub(super) enum Reason {
     Guarded,
     /// A later event of the person says otherwise.
     Outdated,
+    /// The filter weighed it, and no person has caused it with more than one half.
+    Unclear,
+    /// The map lacks the sensor's room, or there are too many sensors.
+    NoSensor,
 }
 
 impl Reason {
@@ -31,6 +35,8 @@ impl Reason {
             Self::NoPerson => "the text begins with a name from persons.not_persons",
             Self::Guarded => "a named narrator reported this person within persons.guard_s",
             Self::Outdated => "a later event of this person says otherwise",
+            Self::Unclear => "several persons can have caused it: the belief about each of them changed a little",
+            Self::NoSensor => "the map lacks the room of this sensor, or there are too many sensors",
         }
     }
 }

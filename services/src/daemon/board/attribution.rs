@@ -1,17 +1,17 @@
 //! From an event to its persons: the key, the name at the start of the text, or the persons that fit best.
 
-use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
-use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SOMEBODY, Voice, same_name};
-use roomcast_core::pipeline::PersonScores;
+use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SOMEBODY, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::text::has_words;
 use roomcast_ipc::RoomV1;
 
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
+use super::super::sleep::{is_bed, sleeps};
 use super::super::understood::{By, Reason, Understood};
+use super::tracking::{Said, Tracking};
 use super::{Attributed, Board, NEAR_MISSES_LOGGED, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
 use crate::config::May;
 
@@ -72,10 +72,8 @@ impl<M: LanguageModel> Board<M> {
         };
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
-        if let Event::Sensor(_) = own.event {
-            self.understood.add(understood);
-            return (false, moves);
-        }
+        let is_sensor = matches!(own.event, Event::Sensor(_));
+        let is_weighed = self.weigh(&own, &who, reporter, at_ns);
         if let Event::Empty(_) = own.event {
             if self.exclude(&own, reporter, at_ns) {
                 moves.push(Move::of_a_room(&own, &observed));
@@ -95,11 +93,22 @@ impl<M: LanguageModel> Board<M> {
             }
             Err(reason) => understood.reason = Some(reason),
         };
-        if who == Who::Key {
-            let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
-            take(self, Observation { person, ..own });
-        } else {
-            self.each(own, &who, reporter, at_ns).into_iter().for_each(|own| take(self, own));
+        let parts = match who {
+            Who::Key if !is_sensor => {
+                let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
+                vec![Observation { person, ..own }]
+            }
+            _ if is_sensor => self.shares(&own, 1),
+            Who::Unknown(count) if is_weighed && !own.by_fit => self.shares(&own, count),
+            _ => self.each(own, &who, reporter),
+        };
+        let is_unclear = parts.is_empty();
+        parts.into_iter().for_each(|own| take(self, own));
+        if is_unclear {
+            understood.reason = Some(if is_weighed { Reason::Unclear } else { Reason::NoSensor });
+        }
+        if is_sensor && is_weighed {
+            understood.reason = None;
         }
         self.understood.add(understood);
         (is_read_alone, moves)
@@ -222,8 +231,8 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// One observation for each person of an event.
-    fn each(&mut self, own: Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Vec<Observation> {
+    /// One observation for each person of an event that has one person at most.
+    fn each(&mut self, own: Observation, who: &Who, reporter: Reporter) -> Vec<Observation> {
         match who {
             Who::Key => vec![own],
             Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
@@ -233,15 +242,148 @@ impl<M: LanguageModel> Board<M> {
             }
             Who::Unknown(_) if own.by_fit => vec![own],
             Who::Unknown(count) => {
-                let mut fitting = self.fitting(&own.event, at_ns.unwrap_or_default(), reporter);
-                fitting.truncate((*count).into());
-                if let [person] = fitting[..] {
-                    let Observation { source, epoch, sequence, .. } = own;
-                    self.attributed.push(Attributed { source, epoch, sequence, person });
-                }
-                fitting.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
+                let mut persons = self.persons.unnamed(reporter.is_unknown);
+                persons.truncate((*count).into());
+                self.note_attributed(&own, &persons);
+                persons.into_iter().map(|person| Observation { person, by_fit: true, ..own.clone() }).collect()
             }
         }
+    }
+
+    /// Takes note of the only person of an unnamed event, for the journal.
+    fn note_attributed(&mut self, own: &Observation, persons: &[u32]) {
+        if let [person] = *persons {
+            let Observation { source, epoch, sequence, .. } = *own;
+            self.attributed.push(Attributed { source, epoch, sequence, person });
+        }
+    }
+
+    /// Weighs an event in the joint filter, which starts if the event needs it. Returns whether the filter took it.
+    fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> bool {
+        let Some(at_ns) = at_ns else { return false };
+        let who_is = match who {
+            Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name))),
+            Who::Named(person, _) => Some(*person),
+            Who::Unknown(_) | Who::House => None,
+        };
+        let is_guarded = match who_is {
+            _ if !reporter.is_unknown => false,
+            Some(person) => self.persons.is_guarded(person, at_ns) || !self.persons.is_trusted(person),
+            None => self.persons.is_anybody_guarded(at_ns),
+        };
+        let is_late = who_is.is_some_and(|person| {
+            let part = Observation { person, event: own.event.clone(), name: None, ..*own };
+            self.persons.is_outdated(&part, at_ns)
+        });
+        if is_guarded || is_late {
+            return false;
+        }
+        if let Event::Sensor(report) = &own.event
+            && !self.sensors.note(report, who_is)
+        {
+            return false;
+        }
+        let count = if let Who::Unknown(count) = who { *count } else { 0 };
+        let is_shared = count > 1 || count == 1 && self.persons.are_several(reporter.is_unknown);
+        if self.tracking.is_none() && (is_shared || !self.sensors.is_empty()) {
+            self.start_tracking(at_ns);
+        }
+        let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
+        let grounding = self.pipeline.grounding();
+        let row = mention.map(|found| {
+            let fits = |share: &f64| if found.is_left { 1.0 - share } else { *share };
+            grounding.weights().row(found.label).iter().map(fits).collect::<Vec<f64>>()
+        });
+        let room = match &own.event {
+            Event::Did(_) => row.as_deref().and_then(likeliest),
+            event => event.room().and_then(|room| room_named(room, &self.map, grounding)),
+        };
+        let text = own.event.sentence().map_or("", |text| text.as_str());
+        let is_on_bed =
+            mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
+        let is_lying = sleeps(text).unwrap_or(is_on_bed);
+        let rooms = row.as_deref().unwrap_or_default();
+        let said =
+            Said { event: &own.event, who: who_is, count, rooms, room, is_lying, is_strange: reporter.is_unknown };
+        let home = (&self.map, grounding);
+        let Some(tracking) = &mut self.tracking else { return false };
+        if count > 1 && !self.persons.has_residents() {
+            // Nothing limits the number of persons.
+            for person in self.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
+                tracking.index_of(person);
+            }
+        }
+        let is_taken = tracking.weigh(home, said, (at_ns, self.local_ahead_s));
+        if tracking.is_stale() {
+            // A device or its person changed; the filter starts again with its newest report.
+            self.start_tracking(at_ns);
+            return self.tracking.is_some();
+        }
+        is_taken
+    }
+
+    /// Starts the joint filter with what the forecasters believe.
+    fn start_tracking(&mut self, at_ns: i64) {
+        self.watch();
+        let persons = self.persons.followed();
+        let home = (&self.map, self.pipeline.grounding());
+        let of = (at_ns, self.local_ahead_s);
+        let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
+        let followed = (&self.followed, is_lying);
+        self.tracking = Tracking::new(home, persons.into_iter(), followed, &self.sensors, of).map(Box::new);
+    }
+
+    /// Weighs an event of a former run. Whom it moved is known.
+    pub(super) fn weigh_again(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) {
+        if let Ok((who, event)) = self.read(observation, reporter) {
+            let own = Observation { event, name: observation.name.clone(), ..*observation };
+            self.weigh(&own, &who, reporter, at_ns);
+        }
+    }
+
+    /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above one half. A person whom the
+    /// filter believes to be out, or back, changes presence.
+    fn shares(&mut self, own: &Observation, count: u8) -> Vec<Observation> {
+        /// A person is out above the first, and in below the second, whatever the event says.
+        const OUT: (f64, f64) = (0.9, 0.1);
+        /// Above one half, and no rounding.
+        const HALF: f64 = 0.55;
+        let Some(tracking) = &self.tracking else { return Vec::new() };
+        let grounding = self.pipeline.grounding();
+        let room = match &own.event {
+            Event::Sensor(report) if report.kind == SensorKind::Door || report.on != Some(true) => None,
+            Event::Sensor(report) => report.room.as_ref(),
+            Event::Present(room) => room.as_ref(),
+            _ => None,
+        };
+        let place = room.and_then(|room| room_named(room.as_str(), &self.map, grounding));
+        let counted = tracking.room().filter(|_| count > 1);
+        let is_counted = |person: u32| counted.is_some() && tracking.probability(person, counted) > 0.5;
+        let part = |person: &u32| {
+            let person = *person;
+            let out = tracking.probability(person, None);
+            let presence = self.persons.get(person).map_or(Presence::Unknown, |known| known.presence);
+            let is_theirs = tracking.share(person) > HALF || is_counted(person);
+            let is_here = place.is_some_and(|room| tracking.probability(person, Some(room)) > 0.5);
+            let event = match &own.event {
+                Event::Away | Event::Gone if is_theirs && out > 0.5 => own.event.clone(),
+                Event::Sensor(report) if is_theirs && report.on == Some(false) && out > 0.5 => Event::Away,
+                _ if out > OUT.0 && presence == Presence::Present => Event::Away,
+                Event::Did(_) | Event::Present(_) if is_theirs && out < 0.5 => own.event.clone(),
+                Event::Sensor(_) if is_theirs && is_here => Event::Present(room.cloned()),
+                Event::Sensor(_) if is_theirs && out < OUT.1 && presence != Presence::Present => Event::Present(None),
+                _ => return None,
+            };
+            Some(Observation { person, name: None, by_fit: true, event, ..*own })
+        };
+        let parts: Vec<Observation> = tracking.persons().iter().filter_map(part).collect();
+        if let [only] = &parts[..]
+            && only.event == own.event
+        {
+            let person = only.person;
+            self.note_attributed(own, &[person]);
+        }
+        parts
     }
 
     /// Takes in again the part of one person that a former run read in an event, in any company. An empty room gives nothing.
@@ -336,43 +478,6 @@ impl<M: LanguageModel> Board<M> {
             );
         }
     }
-
-    /// The persons that an event without a name may be about, the best first: by where each is believed to be, and by what the model
-    /// expects of them next.
-    fn fitting(&mut self, event: &Event, at_ns: i64, reporter: Reporter) -> Vec<u32> {
-        /// The weight of an expected thing beside the belief.
-        const NEXT: f64 = 0.5;
-        /// Steps in which the nearness to the way out counts: smaller differences say nothing.
-        const STEPS: f64 = 4.0;
-        self.watch();
-        let Self { persons, pipeline, followed, mentions, map, next_rooms, .. } = self;
-        let grounding = pipeline.grounding();
-        let mention = event.sentence().and_then(|sentence| mentions.last(sentence.as_str()));
-        let room = event.room().and_then(|room| room_named(room, map, grounding));
-        let leaves = event.person_presence() != Presence::Present;
-        let ways_out: Vec<f64> = if leaves { ways_out(grounding) } else { Vec::new() };
-        let is_scored = next_rooms.is_none();
-        let fit = |person: u32, own: &Forecaster| {
-            let mut belief = own.at(seconds(at_ns), 0.0);
-            if leaves {
-                let near: f64 = belief.zip(&ways_out).map(|(p, share)| p * share).sum();
-                return (near * STEPS).floor() / STEPS;
-            }
-            let Some(mention) = mention else {
-                return room.and_then(|room| belief.nth(room)).unwrap_or_default();
-            };
-            let row = grounding.weights().row(mention.label);
-            let here: f64 = belief.zip(row.iter()).map(|(p, share)| p * share).sum();
-            let next = pipeline.person(person).filter(|own| own.at_home && own.grounded.label_mass > 0.0);
-            let share = |own: PersonScores<'_>| {
-                Some(own.label_log_prob_nats.get(mention.label)?.exp() / own.grounded.label_mass)
-            };
-            here + NEXT * next.and_then(share).unwrap_or_default()
-        };
-        persons.fitting(event, at_ns, reporter.is_unknown, |person| {
-            followed.get(&person).filter(|_| is_scored).map_or(0.0, |own| fit(person, own))
-        })
-    }
 }
 
 /// The word for an event in JSON.
@@ -393,6 +498,12 @@ fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
     let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
     device.is_some_and(|device| OFF.contains(&device.state.as_str()))
+}
+
+/// The room with the largest share; `None` if all share alike.
+fn likeliest(shares: &[f64]) -> Option<usize> {
+    let most = (0..shares.len()).max_by(|a, b| shares[*a].total_cmp(&shares[*b]))?;
+    shares.iter().any(|other| *other < shares[most]).then_some(most)
 }
 
 /// The share of the way out of the house in each partition, at most 1: a hall by its name, and a front door by its share.

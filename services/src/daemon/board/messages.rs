@@ -16,11 +16,16 @@ use roomcast_ipc::{
 use super::{Board, BoardError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::{message_ns, presence_value};
 
+/// The house counts as empty from this probability on.
+const SURELY_EMPTY: f64 = 0.9;
+
 impl<M: LanguageModel> Board<M> {
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
     /// a room. Without an observation every room is as likely, and a flag says so.
     pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
         self.watch();
+        self.track(now_ns);
+        let tracker = self.tracking.as_ref().map(|own| own.now());
         let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
         (message.computed_ns, message.published_ns) = (now_ns, now_ns);
@@ -28,15 +33,16 @@ impl<M: LanguageModel> Board<M> {
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.minor, message.flags) = (2, 0);
         let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
+        let followed = if tracker.is_some() { &self.told } else { &self.followed };
         // Somebody who lives here may be anywhere, also out, as long as nothing was observed of them.
-        let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
+        let not_known = self.followed.is_empty() || tracker.is_none() && self.persons.is_anybodys_guess();
         if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
         if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
         }
-        if self.persons.nobody_is_home() {
+        if tracker.map_or(self.persons.nobody_is_home(), |own| own.house_empty() > SURELY_EMPTY) {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
         if !not_known && self.persons.misses_residents() {
@@ -48,9 +54,12 @@ impl<M: LanguageModel> Board<M> {
         let now_s = now_ns as f64 / 1e9;
         let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
         let mut elsewhere = [1.0; MAX_HORIZONS];
-        for (person, own) in &self.followed {
+        // The joint belief differs from the product of the persons' own by what persons still have in common then.
+        let mut common = [1.0; MAX_HORIZONS];
+        for (person, own) in followed {
             let by_habit = self.home.forecast(*person, own, now_ns, &HORIZONS_S);
             for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                common[place] *= own.stays(now_s, f64::from(*horizon_s));
                 let free = free[place].iter_mut();
                 if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
                     free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
@@ -62,19 +71,41 @@ impl<M: LanguageModel> Board<M> {
             }
         }
         for place in 0..MAX_HORIZONS {
-            for (row, free) in message.probability.iter_mut().zip(free[place]).take(rooms.len()) {
-                let occupied = if not_known { 1.0 / rooms.len() as f64 } else { 1.0 - free };
+            let joint = |of: f64, now: f64, own: f64| (own + common[place] * (of - now)).clamp(0.0, 1.0);
+            for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
+                let occupied = match tracker {
+                    _ if not_known => 1.0 / rooms.len() as f64,
+                    Some(own) => joint(own.occupied(room), 1.0 - free[0][room], 1.0 - free[place][room]),
+                    None => 1.0 - free[place][room],
+                };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
-            message.elsewhere[place] = if not_known { 0.0 } else { elsewhere[place] as f32 };
+            message.elsewhere[place] = match tracker {
+                _ if not_known => 0.0,
+                Some(own) => joint(own.house_empty(), elsewhere[0], elsewhere[place]) as f32,
+                None => elsewhere[place] as f32,
+            };
         }
         message
+    }
+
+    /// Runs the joint filter to a time and gives each forecaster its belief.
+    fn track(&mut self, now_ns: u64) {
+        let Some(tracking) = &mut self.tracking else { return };
+        tracking.look(i64::try_from(now_ns).unwrap_or(i64::MAX), self.local_ahead_s);
+        self.told.retain(|person, _| self.followed.contains_key(person));
+        for (person, own) in &self.followed {
+            let told = self.told.entry(*person).or_insert_with(|| own.clone());
+            tracking.tell(*person, own, told);
+        }
     }
 
     /// Where each person will be, as [`Board::forecast`]; of at most [`MAX_PERSONS`], those that [`Board::persons`] names.
     pub fn person_forecasts(&mut self, now_ns: u64) -> &PersonForecastsV1 {
         self.watch();
+        self.track(now_ns);
         let signed_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        let followed = if self.tracking.is_some() { &self.told } else { &self.followed };
         let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
         (message.computed_ns, message.published_ns, message.minor) = (now_ns, now_ns, 1);
@@ -87,7 +118,7 @@ impl<M: LanguageModel> Board<M> {
             *place = PersonForecastV1 { person, name: self.persons.name_bytes(person), ..PersonForecastV1::default() };
             let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
             (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
-            let own = self.followed.get(&person);
+            let own = followed.get(&person);
             let rows = own.and_then(|own| self.home.forecast(person, own, now_ns, &HORIZONS_S));
             let by_habit = rows.is_some();
             for (horizon, horizon_s) in HORIZONS_S.iter().enumerate() {

@@ -15,6 +15,8 @@ use super::super::{Board, Entry};
 use super::*;
 use crate::config::May;
 
+mod sensors;
+
 const S: u64 = 1_000_000_000;
 const BOOT: [u8; 16] = [5; 16];
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
@@ -229,8 +231,6 @@ fn what_names_nobody_goes_to_whom_it_fits() {
         ("They close the fridge.", "ada", "ben"),
         ("They sit on the bed.", "ben", "ada"),
         ("They walk to the kitchen.", "ada", "ben"),
-        // Nothing says where: whoever did something last.
-        ("They stretch.", "ada", "ben"),
         ("present in the kitchen", "ada", "ben"),
     ] {
         let before = house.person(other).unwrap().observed_ns;
@@ -241,12 +241,12 @@ fn what_names_nobody_goes_to_whom_it_fits() {
     }
     house.after(3, "ada", "They grab the mug.");
     assert_eq!(house.person("ada").unwrap().flags, 0);
-    // Somebody leaves: not the one in bed. With nobody there, the one who is away for longer is back.
+    // No place is named: both can have done it, and neither takes it.
+    house.after(3, "somebody", "They stretch.");
+    assert!(["ada", "ben"].iter().all(|who| house.person(who).unwrap().observed_ns < house.now_ns));
+    // A person leaves: not the one in bed.
     house.after(3, "somebody", "away");
     assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::AWAY), Some(presence::PRESENT)));
-    house.after(3, "ben", "away");
-    house.after(3, "somebody", "They open the fridge.");
-    assert_eq!((house.presence("ada"), house.presence("ben")), (Some(presence::PRESENT), Some(presence::AWAY)));
     assert_eq!(house.known(), 2);
 }
 
@@ -716,9 +716,10 @@ fn a_restart_changes_nothing() {
                 // Who fell silent before the start is gone again.
                 let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
                 for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
-                    assert_eq!(before.elsewhere, after.elsewhere);
+                    // The steps of the filter end at the times of its forecasts, which a restart has not.
+                    assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.01));
                     for (before, after) in before.probability.iter().zip(&after.probability) {
-                        assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-5), "{before:?} {after:?}");
+                        assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 0.01), "{before:?} {after:?}");
                     }
                 }
             }
@@ -1216,7 +1217,7 @@ fn narrators_learn_how_their_events_were_understood() {
             "did Ada Key fridge ",
             "did Ben Name sofa ",
             "did Ada Fit fridge ",
-            "did Ada Fit - the text names no place on the map",
+            "did  Fit - several persons can have caused it: the belief about each of them changed a little",
             "did Ada Name - the text names no place on the map",
             "present Ben Key - the map has no single room of this name",
             "everybody-away Ada+Ben House - ",

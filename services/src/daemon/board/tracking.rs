@@ -1,0 +1,334 @@
+//! The joint filter in the daemon: who can have caused an event without a name, and where all persons are.
+//!
+//! It starts with the first sensor, or with the first unnamed event that two persons can have caused. Before that each event has one person, the
+//! joint belief is the product of the persons' own beliefs, and their forecasters hold it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use roomcast_core::forecast::Forecaster;
+use roomcast_core::grounding::Grounding;
+use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::tracker::{Home, Observation, Options, SensorSpec, Tracker};
+
+use super::{attribution::ways_out, room_named, seconds};
+
+/// Most sensors; reports of further ones change no belief.
+const SENSORS_MAX: usize = 256;
+
+/// The probability that an event of a narrator is right, if the configuration knows it, and if not.
+const TRUST: f64 = 0.97;
+const TRUST_OTHERS: f64 = 0.7;
+
+/// The last report of a device.
+#[derive(Debug, Clone)]
+struct Last {
+    report: Arc<SensorReport>,
+    person: Option<u32>,
+}
+
+/// The devices that reported so far. They outlive a change of the map.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Sensors(BTreeMap<Box<str>, Last>);
+
+impl Sensors {
+    /// Takes note of a report. Returns whether there is room for the device.
+    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>) -> bool {
+        let is_new = !self.0.contains_key(&report.id);
+        if is_new && self.0.len() >= SENSORS_MAX {
+            return false;
+        }
+        self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person });
+        true
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Forgets the devices of a person.
+    pub(super) fn forget(&mut self, person: u32) {
+        self.0.retain(|_, own| own.person != Some(person));
+    }
+}
+
+/// The filter with the daemon's numbers of persons and the devices' ids.
+#[derive(Debug, Clone)]
+pub(super) struct Tracking {
+    tracker: Tracker,
+    /// The same, at the time of the last look.
+    now: Tracker,
+    /// By the tracker's index.
+    persons: Vec<u32>,
+    sensors: Vec<(Box<str>, SensorSpec)>,
+    hour: u8,
+    /// Until when the hours have passed.
+    passed_s: f64,
+    /// A device or its person changed: the filter has to start again.
+    is_stale: bool,
+    /// The room of the last event.
+    room: Option<usize>,
+}
+
+/// What an event says, for the filter.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Said<'a> {
+    pub(super) event: &'a Event,
+    /// The person, if the event names one.
+    pub(super) who: Option<u32>,
+    /// The number of unknown persons.
+    pub(super) count: u8,
+    /// Per room the likelihood of an action's text; empty if it names no place.
+    pub(super) rooms: &'a [f64],
+    /// The room that a presence names, or a text most probably means.
+    pub(super) room: Option<usize>,
+    /// The person lies down, or sleeps.
+    pub(super) is_lying: bool,
+    /// The narrator is one that the configuration does not know.
+    pub(super) is_strange: bool,
+}
+
+impl Tracking {
+    /// A filter that believes what the forecasters believe. `None` if the map has too many rooms for it.
+    pub(super) fn new(
+        (map, grounding): (&SemanticMap, &Grounding),
+        persons: impl Iterator<Item = u32>,
+        (followed, is_lying): (&BTreeMap<u32, Forecaster>, impl Fn(u32) -> bool),
+        sensors: &Sensors,
+        (at_ns, local_ahead_s): (i64, f64),
+    ) -> Option<Self> {
+        let home = Home::of(map, grounding.partitions(), &ways_out(grounding)).ok()?;
+        let at_s = seconds(at_ns);
+        let hour = ((at_s + local_ahead_s).rem_euclid(86_400.0) / 3_600.0) as u8;
+        let tracker = Tracker::new(home, Options::default(), at_s);
+        let now = tracker.clone();
+        let mut own = Self {
+            tracker,
+            now,
+            persons: Vec::new(),
+            sensors: Vec::new(),
+            hour,
+            passed_s: at_s,
+            is_stale: false,
+            room: None,
+        };
+        for person in persons {
+            own.index_of(person);
+        }
+        for last in sensors.0.values() {
+            own.sensor_of((map, grounding), &last.report, last.person);
+        }
+        own.move_by(hour);
+        for (person, forecaster) in followed {
+            let Some(who) = own.persons.iter().position(|other| other == person) else { continue };
+            let rooms: Vec<f64> = forecaster.at(at_s, 0.0).collect();
+            if rooms.len() != own.tracker.home().rooms() {
+                // The forecaster knows the map before.
+                continue;
+            }
+            if forecaster.elsewhere(at_s, 0.0) > 0.5 {
+                own.tracker.observe(at_s, &Observation::Away { who: Some(who) }, 1.0);
+            } else {
+                own.tracker.observe(at_s, &Observation::Deed { who: Some(who), rooms: &rooms }, 1.0);
+                if is_lying(*person) {
+                    own.tracker.observe(at_s, &Observation::Lies { who }, 1.0);
+                }
+            }
+        }
+        for last in sensors.0.values() {
+            if let Some(sensor) = own.sensors.iter().position(|(id, _)| *id == last.report.id) {
+                own.tracker.observe(at_s, &Observation::Sensor { sensor, on: last.report.on }, TRUST);
+            }
+        }
+        Some(own)
+    }
+
+    /// The tracker's index of a person, who is added if there is room.
+    pub(super) fn index_of(&mut self, person: u32) -> Option<usize> {
+        if let Some(known) = self.persons.iter().position(|other| *other == person) {
+            return Some(known);
+        }
+        let index = self.tracker.add_person().ok()?;
+        self.persons.push(person);
+        let usual = self.tracker.usual(index, self.hour);
+        self.tracker.set_movement(index, &usual);
+        Some(index)
+    }
+
+    /// The tracker's index of a device, which is added if it is new. `None` if the map lacks its room, or if the device changed.
+    fn sensor_of(
+        &mut self,
+        (map, grounding): (&SemanticMap, &Grounding),
+        report: &SensorReport,
+        person: Option<u32>,
+    ) -> Option<usize> {
+        let room = |name: &Option<_>| match name {
+            None => Some(None),
+            Some(name) => room_named(RoomName::as_str(name), map, grounding).map(Some),
+        };
+        let person = match person {
+            Some(person) => Some(self.index_of(person)?),
+            None => None,
+        };
+        let spec = SensorSpec {
+            kind: report.kind,
+            room: room(&report.room)?,
+            beyond: room(&report.beyond)?,
+            person,
+            holds: !report.only_on,
+            false_alarms_per_day: report.false_alarms_per_day,
+            hold_s: report.hold_s,
+        };
+        if let Some(known) = self.sensors.iter().position(|(id, _)| *id == report.id) {
+            self.is_stale |= self.sensors[known].1 != spec;
+            return (!self.is_stale).then_some(known);
+        }
+        let index = self.tracker.add_sensor(spec).ok()?;
+        self.sensors.push((report.id.clone(), spec));
+        if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
+            self.move_by(self.hour);
+        }
+        Some(index)
+    }
+
+    /// Lets all persons move as is usual at a local hour.
+    fn move_by(&mut self, hour: u8) {
+        self.hour = hour;
+        for index in 0..self.persons.len() {
+            let usual = self.tracker.usual(index, hour);
+            self.tracker.set_movement(index, &usual);
+        }
+    }
+
+    /// Weighs an event. Returns whether it says something to the filter.
+    pub(super) fn weigh(
+        &mut self,
+        home: (&SemanticMap, &Grounding),
+        said: Said<'_>,
+        (at_ns, local_ahead_s): (i64, f64),
+    ) -> bool {
+        self.pass(seconds(at_ns), local_ahead_s);
+        let who = match said.who {
+            Some(person) => match self.index_of(person) {
+                Some(index) => Some(index),
+                None => return false,
+            },
+            None => None,
+        };
+        self.room = said.room;
+        let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
+        let at_s = seconds(at_ns);
+        let observation = match said.event {
+            Event::Sensor(report) => {
+                let Some(sensor) = self.sensor_of(home, report, said.who) else { return false };
+                Observation::Sensor { sensor, on: report.on }
+            }
+            Event::Did(_) => Observation::Deed { who, rooms: said.rooms },
+            Event::Present(_) => Observation::Present { who, room: said.room },
+            Event::Away => Observation::Away { who },
+            Event::Gone => Observation::Gone { who },
+            Event::AllAway => {
+                for index in 0..self.persons.len() {
+                    self.tracker.observe(at_s, &Observation::Away { who: Some(index) }, trust);
+                }
+                return true;
+            }
+            Event::Empty(_) => match said.room {
+                Some(room) => Observation::Empty { room },
+                None => return false,
+            },
+        };
+        self.tracker.observe(at_s, &observation, trust);
+        if let Some(who) = who.filter(|_| said.is_lying) {
+            self.tracker.observe(at_s, &Observation::Lies { who }, trust);
+        }
+        if let (2.., Some(room)) = (said.count, said.room) {
+            let persons = said.count.into();
+            self.tracker.observe(at_s, &Observation::Count { room, persons }, trust);
+        }
+        true
+    }
+
+    /// Lets persons move as is usual at each local hour up to a time. The changes end at the same steps with and without a look.
+    fn pass(&mut self, at_s: f64, local_ahead_s: f64) {
+        const HOUR_S: f64 = 3_600.0;
+        let first = ((self.passed_s + local_ahead_s) / HOUR_S).floor() as i64 + 1;
+        let last = ((at_s + local_ahead_s) / HOUR_S).floor() as i64;
+        for hours in first.max(last - 47)..=last {
+            self.tracker.settle(hours as f64 * HOUR_S - local_ahead_s);
+            self.move_by(hours.rem_euclid(24) as u8);
+        }
+        self.passed_s = self.passed_s.max(at_s);
+    }
+
+    /// Looks at the filter at a time. Its own steps end at the same times with and without a look at it, so that a restart believes the same.
+    pub(super) fn look(&mut self, now_ns: i64, local_ahead_s: f64) {
+        let now_s = seconds(now_ns);
+        self.pass(now_s, local_ahead_s);
+        self.tracker.settle(now_s);
+        self.now.clone_from(&self.tracker);
+        self.now.advance(now_s);
+    }
+
+    /// Removes a person.
+    pub(super) fn remove(&mut self, person: u32) {
+        if let Some(index) = self.persons.iter().position(|other| *other == person) {
+            self.tracker.remove_person(index);
+            self.persons.remove(index);
+            // The person's devices are silent now; indices of others moved down.
+            for (_, spec) in &mut self.sensors {
+                spec.person = match spec.person {
+                    Some(own) if own > index => Some(own - 1),
+                    own => own,
+                };
+            }
+        }
+    }
+
+    /// Whether a device or its person changed, so that the filter has to start again.
+    pub(super) fn is_stale(&self) -> bool {
+        self.is_stale
+    }
+
+    /// The persons in the filter's order.
+    pub(super) fn persons(&self) -> &[u32] {
+        &self.persons
+    }
+
+    /// The probability that a person caused the last event.
+    pub(super) fn share(&self, person: u32) -> f64 {
+        self.at(person).map_or(0.0, |index| self.tracker.attribution(index))
+    }
+
+    /// The probability that a person is in a room; of `None`, out of the house.
+    pub(super) fn probability(&self, person: u32, room: Option<usize>) -> f64 {
+        self.at(person).map_or(0.0, |index| self.tracker.probability(index, room))
+    }
+
+    fn at(&self, person: u32) -> Option<usize> {
+        self.persons.iter().position(|other| *other == person)
+    }
+
+    /// A person's forecast with the filter's belief about the present.
+    pub(super) fn tell(&self, person: u32, own: &Forecaster, told: &mut Forecaster) {
+        match self.at(person) {
+            Some(index) => {
+                let rooms = 0..self.now.home().rooms();
+                let out = self.now.probability(index, None);
+                told.track(own, rooms.map(|room| self.now.probability(index, Some(room))), out);
+            }
+            None => told.clone_from(own),
+        }
+    }
+
+    /// The room of the last event.
+    pub(super) fn room(&self) -> Option<usize> {
+        self.room
+    }
+
+    /// The filter at the time of the last look.
+    pub(super) fn now(&self) -> &Tracker {
+        &self.now
+    }
+}

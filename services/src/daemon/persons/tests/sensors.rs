@@ -1,0 +1,187 @@
+//! Homes with sensors: the joint filter in the daemon.
+
+use super::*;
+
+const BED_JON: Device = ("bed", "bed-jon", "bedroom", "Jon");
+const BED_MIRA: Device = ("bed", "bed-mira", "bedroom", "Mira");
+const PHONE_JON: Device = ("phone", "phone-jon", "", "Jon");
+const PHONE_MIRA: Device = ("phone", "phone-mira", "", "Mira");
+const CORRIDOR: Device = ("motion", "motion-corridor", "corridor", "");
+const BATHROOM: Device = ("motion", "motion-bathroom", "bathroom", "");
+const KITCHEN: Device = ("motion", "motion-kitchen", "kitchen", "");
+const LIVING: Device = ("presence", "mmwave-living", "living-room", "");
+const ALL: [Device; 8] = [BED_JON, BED_MIRA, PHONE_JON, PHONE_MIRA, CORRIDOR, BATHROOM, KITCHEN, LIVING];
+
+/// Kind, id, room, person.
+type Device = (&'static str, &'static str, &'static str, &'static str);
+
+/// A flat of two with ordinary devices. The phones are in, and all else is off.
+struct Flat(House);
+
+impl Flat {
+    fn new() -> Self {
+        let mut house = House::new(&["Jon", "Mira"]);
+        house.board = board_of(FLAT, &house.config);
+        let mut own = Self(house);
+        for device in ALL {
+            own.after(1, device, device.0 == "phone");
+        }
+        own
+    }
+
+    fn report(&mut self, (kind, id, room, person): Device, on: bool) -> Observation {
+        let room = if room.is_empty() { String::new() } else { format!(r#""room":"{room}","#) };
+        let text = format!(r#"{{"sensor":"{kind}","id":"{id}",{room}"on":{on}}}"#);
+        self.0.observation(if person.is_empty() { "somebody" } else { person }, &text)
+    }
+
+    fn after(&mut self, seconds: u64, device: Device, on: bool) {
+        self.0.wait(seconds);
+        let observation = self.report(device, on);
+        self.0.enter(observation);
+    }
+
+    /// The probability that a person is in a room now; of `""`, out of the house.
+    fn at(&mut self, who: &str, room: &str) -> f32 {
+        let number = self.0.board.persons().number_of(who);
+        let now_ns = self.0.now_ns;
+        let scores = *self.0.board.person_scores(now_ns);
+        let forecasts = *self.0.board.person_forecasts(now_ns);
+        forecasts.check().unwrap();
+        let place = scores.persons().iter().position(|own| own.person == number).unwrap();
+        let own = &forecasts.person[place];
+        match self.room(room) {
+            Some(room) => own.probability[room][0],
+            None => own.elsewhere[0],
+        }
+    }
+
+    fn room(&self, id: &str) -> Option<usize> {
+        self.0.board.room_ids().position(|room| room == id)
+    }
+
+    fn occupied(&mut self, room: &str) -> f32 {
+        let room = self.room(room).unwrap();
+        let forecast = self.0.board.forecast(self.0.now_ns);
+        forecast.check().unwrap();
+        forecast.probability[room][0]
+    }
+
+    fn house_empty(&mut self) -> f32 {
+        self.0.board.forecast(self.0.now_ns).elsewhere[0]
+    }
+}
+
+#[test]
+fn sleepers_stay_in_bed_if_another_person_gets_up() {
+    let mut flat = Flat::new();
+    flat.after(60, BED_JON, true);
+    flat.after(60, BED_MIRA, true);
+    flat.0.wait(3 * 3_600);
+    flat.after(1, BED_JON, false);
+    flat.after(10, CORRIDOR, true);
+    flat.after(6, BATHROOM, true);
+    flat.after(30, CORRIDOR, false);
+    assert!(flat.at("Jon", "bathroom") > 0.7, "{}", flat.at("Jon", "bathroom"));
+    assert!(flat.at("Mira", "bedroom") > 0.9, "{}", flat.at("Mira", "bedroom"));
+    assert!(flat.occupied("bathroom") > 0.7 && flat.occupied("bedroom") > 0.9);
+}
+
+#[test]
+fn false_alarms_bring_no_resident_home() {
+    let mut flat = Flat::new();
+    for phone in [PHONE_JON, PHONE_MIRA] {
+        flat.after(60, CORRIDOR, true);
+        flat.after(50, CORRIDOR, false);
+        flat.after(10, phone, false);
+    }
+    flat.0.wait(1_800);
+    assert_eq!((flat.0.presence("Jon"), flat.0.presence("Mira")), (Some(presence::AWAY), Some(presence::AWAY)));
+    assert!(flat.house_empty() > 0.95, "{}", flat.house_empty());
+    flat.after(1, CORRIDOR, true);
+    assert_eq!((flat.0.presence("Jon"), flat.0.presence("Mira")), (Some(presence::AWAY), Some(presence::AWAY)));
+    flat.after(50, CORRIDOR, false);
+    flat.0.wait(900);
+    assert!(flat.at("Jon", "") > 0.9 && flat.at("Mira", "") > 0.9, "{} {}", flat.at("Jon", ""), flat.at("Mira", ""));
+    flat.after(60, PHONE_JON, true);
+    flat.after(5, CORRIDOR, true);
+    assert_eq!((flat.0.presence("Jon"), flat.0.presence("Mira")), (Some(presence::PRESENT), Some(presence::AWAY)));
+}
+
+#[test]
+fn unnamed_departures_turn_no_resident_away_whose_bed_or_phone_says_otherwise() {
+    let mut flat = Flat::new();
+    flat.after(60, LIVING, true);
+    flat.0.after(10, "Mira", "They sit on the sofa.");
+    flat.0.after(10, "Jon", "They lie on the bed.");
+    flat.after(1, BED_JON, true);
+    flat.0.after(60, "somebody", "away");
+    assert_eq!((flat.0.presence("Jon"), flat.0.presence("Mira")), (Some(presence::PRESENT), Some(presence::PRESENT)));
+    assert!(flat.at("Mira", "living-room") > 0.8, "{}", flat.at("Mira", "living-room"));
+}
+
+#[test]
+fn unnamed_actions_go_to_the_person_in_the_room_and_else_to_nobody() {
+    let mut flat = Flat::new();
+    flat.0.after(1, "Jon", "They open the fridge.");
+    flat.0.after(1, "Mira", "They sit on the sofa.");
+    flat.after(1, LIVING, true);
+    flat.0.after(5, "somebody", "They close the fridge.");
+    let told = |flat: &mut Flat, who: &str| flat.0.person(who).unwrap().observed_ns == flat.0.now_ns;
+    assert!(told(&mut flat, "Jon") && !told(&mut flat, "Mira"));
+    flat.0.after(5, "somebody", "They laugh.");
+    assert!(!told(&mut flat, "Jon") && !told(&mut flat, "Mira"));
+    let lines = flat.0.board.understood_lines(7, 1, 1);
+    assert!(lines.last().unwrap().why.as_deref().unwrap().contains("several persons"), "{lines:?}");
+}
+
+#[test]
+fn sensors_of_unknown_rooms_change_nothing_and_say_why() {
+    let mut flat = Flat::new();
+    flat.after(1, ("motion", "attic", "attic", ""), true);
+    let line = flat.0.board.understood_lines(7, 1, 1).pop().unwrap();
+    assert_eq!((line.event.as_str(), line.persons.len()), ("sensor", 0));
+    assert!(line.why.as_deref().unwrap().contains("lacks the room"), "{line:?}");
+}
+
+#[test]
+fn changed_devices_count_from_their_next_report() {
+    let mut flat = Flat::new();
+    flat.0.after(1, "Jon", "They open the fridge.");
+    flat.0.after(1, "Mira", "They lie on the bed.");
+    flat.after(60, ("motion", "motion-kitchen", "bathroom", ""), true);
+    assert!(flat.occupied("bathroom") > 0.5, "{}", flat.occupied("bathroom"));
+}
+
+#[test]
+fn sensors_outlive_a_restart() {
+    let mut flat = Flat::new();
+    flat.after(60, BED_JON, true);
+    flat.0.after(60, "Mira", "They sit on the sofa.");
+    flat.after(1, LIVING, true);
+    let before = (flat.at("Jon", "bedroom"), flat.at("Mira", "living-room"), flat.occupied("kitchen"));
+    let board = board_of(FLAT, &flat.0.config);
+    flat.0.restart_on(board);
+    let after = (flat.at("Jon", "bedroom"), flat.at("Mira", "living-room"), flat.occupied("kitchen"));
+    let are_near = |a: f32, b: f32| (a - b).abs() < 0.01;
+    assert!(
+        are_near(before.0, after.0) && are_near(before.1, after.1) && are_near(before.2, after.2),
+        "{before:?} {after:?}"
+    );
+    flat.0.wait(3_600);
+    assert!(flat.at("Jon", "bedroom") > 0.9, "the bed is still on: {}", flat.at("Jon", "bedroom"));
+}
+
+#[test]
+fn the_joint_belief_is_no_product_of_its_marginals() {
+    let mut flat = Flat::new();
+    flat.0.after(1, "Jon", "They open the fridge.");
+    flat.0.after(1, "Mira", "They close the fridge.");
+    // One of both leaves the kitchen.
+    flat.after(20, CORRIDOR, true);
+    let (jon, mira) = (flat.at("Jon", "corridor"), flat.at("Mira", "corridor"));
+    assert!(jon > 0.2 && mira > 0.2 && jon < 0.8, "{jon} {mira}");
+    let product = 1.0 - (1.0 - jon) * (1.0 - mira);
+    let occupied = flat.occupied("corridor");
+    assert!(occupied > product + 0.05, "{occupied} {product}");
+}
