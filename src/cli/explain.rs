@@ -18,6 +18,7 @@ use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::drawing::{self, Heat};
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UnderstoodPerson, Whereabouts};
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
@@ -61,6 +62,9 @@ pub struct Args {
     /// Explain the scores of this person alone. Without it, those of each person, one after the other.
     #[arg(long, value_name = "WHO")]
     person: Option<String>,
+    /// Say where the running daemon believes this person to be, and which observations moved that belief most.
+    #[arg(long = "where", value_name = "WHO", conflicts_with_all = ["live", "recording", "person", "plan"], conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
+    whereabouts: Option<String>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format. PNG needs a
     /// build with the feature `png`.
     #[arg(long, value_name = "FILE")]
@@ -75,6 +79,9 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// # Errors
 /// When the moment cannot be had (no daemon, no such scores, another model or scene), or the plan cannot be written.
 pub fn run(args: &Args) -> CommandResult {
+    if let Some(who) = &args.whereabouts {
+        return whereabouts(args, who);
+    }
     if !args.live && args.service.on_command_line() {
         let text = "--config, --root and --domain name a running system: give --live, too, or leave them out";
         return Err(Failure::new(exit_code::USAGE, text));
@@ -171,6 +178,56 @@ fn somebody(persons: &[(u32, Explanation)]) -> serde_json::Value {
         })
     };
     partitions.into_iter().map(row).collect()
+}
+
+/// Says where a person is believed to be, and why.
+fn whereabouts(args: &Args, who: &str) -> CommandResult {
+    let (_, domain) = args.service.load()?;
+    let asker = service::Asker::new(&domain, "roomcast-explain", question::PERSON, PATIENCE.as_secs())?;
+    let answer: PersonAnswer = asker.ask(&PersonQuestion::Where { who: who.to_owned() })?;
+    let Some(found) = answer.whereabouts else {
+        return Err(Failure::new(
+            exit_code::INPUT,
+            answer.reason.unwrap_or_else(|| "the daemon gives no place".to_owned()),
+        ));
+    };
+    if args.score.json() {
+        return super::print_json(&found);
+    }
+    super::print(&told(&found))
+}
+
+/// A belief about a person in words.
+fn told(found: &Whereabouts) -> String {
+    let called = |person: &UnderstoodPerson| person.name.clone().unwrap_or_else(|| format!("person {}", person.person));
+    let name = called(&found.person);
+    let mut text = String::new();
+    for place in &found.places {
+        let _ = writeln!(text, "{name} {}: {:.0} %", place.place, 100.0 * place.probability);
+        for why in &place.why {
+            let what = why.sensor.as_deref().unwrap_or(&why.what);
+            let whose = match &why.or {
+                Some(other) => format!(", could be {name} or {}", called(other)),
+                None => String::new(),
+            };
+            let side = if why.log_odds < 0.0 { "against" } else { "for" };
+            let _ = writeln!(text, "    {what}, {:.0} s ago{whose}: {} {side}", why.ago_s, why.weight);
+        }
+    }
+    let _ = writeln!(text, "house empty: {:.0} %", 100.0 * found.house_empty);
+    if found.is_joint {
+        let _ = writeln!(text, "an unknown person in the house: {:.0} %", 100.0 * found.visited);
+    } else {
+        text.push_str("No sensor reported yet, and no event of two possible persons: each event has one person.\n");
+    }
+    for sensor in &found.noisy {
+        let _ = writeln!(
+            text,
+            "{} turns on {:.1} times a day without a person; {:.1} are usual: move it, or set false_alarms_per_day",
+            sensor.id, sensor.per_day, sensor.usual_per_day
+        );
+    }
+    text
 }
 
 fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {

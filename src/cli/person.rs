@@ -1,13 +1,15 @@
-//! `roomcast person`: who the daemon knows, to forget somebody, to give somebody a name.
+//! `roomcast person`: the persons that the daemon knows, their names, and corrections of the belief about them.
 
-use roomcast_ipc::question;
+use roomcast_ipc::{narration_kind, question};
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
-use roomcast_core::narration::check_name;
+use roomcast_core::narration::line::WhoError;
+use roomcast_core::narration::{Event, check_name};
 use roomcast_core::text::{odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
+use roomcast_services::narrator::{self, Input, Item, Pace, Who};
 
 /// Arguments of `roomcast person`.
 #[derive(Debug, clap::Args)]
@@ -24,6 +26,17 @@ enum Action {
     Forget {
         /// A name or a number.
         who: String,
+        #[command(flatten)]
+        common: Common,
+    },
+    /// Correct the belief: a person is in a room, or out of the house. The daemon takes it as evidence.
+    ///
+    /// If the configuration names narrators, it needs one of the name "roomcast-person" that may send presence.
+    Correct {
+        /// A name or a number.
+        who: String,
+        /// The room where the person is, or "away".
+        room: String,
         #[command(flatten)]
         common: Common,
     },
@@ -64,6 +77,7 @@ pub fn run(args: &Args) -> CommandResult {
             check_name(name).map_err(|reason| Failure::new(exit_code::USAGE, reason))?;
             (common, PersonQuestion::Rename { id, who: who.clone(), name: name.clone() })
         }
+        Action::Correct { who, room, common } => return correct(who, room, common),
     };
     let (_, domain) = common.service.load()?;
     let asker = service::Asker::new(&domain, "roomcast-person", question::PERSON, common.patience)?;
@@ -94,6 +108,40 @@ pub fn run(args: &Args) -> CommandResult {
         "A restarted daemon does not know this: daemon.state keeps names.\n"
     };
     print(&format!("{}{after_restart}", listed(&answer)))
+}
+
+/// The narrator of corrections.
+const CORRECTIONS: &str = "roomcast-person";
+
+/// Sends a presence and says how the daemon understood it.
+fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
+    let usage = |error: String| Failure::new(exit_code::USAGE, error);
+    let person: Who = who.parse().map_err(|error: WhoError| usage(error.to_string()))?;
+    let text = if room == "away" { "away".to_owned() } else { format!("present in the {room}") };
+    Event::presence(&text).map_err(|error| usage(error.to_string()))?;
+    let (mut config, domain) = common.service.load()?;
+    config.narrator.name = CORRECTIONS.to_owned();
+    config.narrator.linger_s = common.patience as f64;
+    let item = Item::new(narration_kind::PRESENCE, text, person);
+    let stop = service::stop()?;
+    let (limits, input) = (config.daemon.intake, Input::Items(vec![item]));
+    let sent = narrator::run(&config.narrator, limits, &domain, input, Pace::Seconds(0.0), &stop);
+    let outcome = sent.map_err(|error| Failure::new(exit_code::IPC, error))?;
+    if outcome.confirmed == 0 {
+        let text =
+            format!("the daemon did not confirm the correction; is a daemon running in {}?", service::shown(&domain));
+        return Err(Failure::new(exit_code::IPC, text));
+    }
+    let (source, epoch) = outcome.start;
+    let asker = service::Asker::new(&domain, CORRECTIONS, question::PERSON, common.patience)?;
+    let answer: PersonAnswer = asker.ask(&PersonQuestion::Understood { source, epoch, from: 1 })?;
+    if common.json {
+        super::print_json(&answer)?;
+    }
+    match answer.understood.last().and_then(|line| line.why.as_deref()) {
+        Some(why) => Err(Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"))),
+        None => Ok(()),
+    }
 }
 
 /// The persons as a table.

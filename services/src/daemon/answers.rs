@@ -80,11 +80,17 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             false => format!("nobody is known as {who:?}: `roomcast person list` says who is"),
         })
     };
-    let (mut failed, mut understood) = (false, Vec::new());
+    let (mut failed, mut understood, mut whereabouts) = (false, Vec::new(), None);
+    let clock_ns = clock::monotonic_ns();
     let result = asked.and_then(|question| match question {
         PersonQuestion::List => Ok(None),
         PersonQuestion::Understood { source, epoch, from } => {
             understood = board.understood_lines(source, epoch, from);
+            Ok(None)
+        }
+        PersonQuestion::Where { who } => {
+            let person = find(board, &who)?;
+            whereabouts = Some(board.whereabouts(person, clock_ns));
             Ok(None)
         }
         PersonQuestion::Rename { who, name, .. } => {
@@ -105,11 +111,11 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
-    let now_ns = i64::try_from(clock::monotonic_ns()).unwrap_or(i64::MAX);
+    let now_ns = i64::try_from(clock_ns).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
     let is_kept = board.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
     let kept = done && left.is_none() && is_kept;
-    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns), understood }
+    PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns), understood, whereabouts }
 }
 
 /// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs. Of one who is

@@ -181,6 +181,7 @@ mod tests {
             kept: false,
             persons: Vec::new(),
             understood: Vec::new(),
+            whereabouts: None,
         };
         let answer = Answered::default().answer(Ok::<_, String>(long.as_str()), why);
         assert!(answer.contains("xxx") && answer.len() < REASON_CHARS_MAX + 100, "{} bytes", answer.len());

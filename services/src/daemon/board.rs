@@ -30,11 +30,14 @@ use roomcast_core::semantic_map::SemanticMap;
 
 use attribution::{Reporter, ways_out};
 use messages::{NamedRooms, named_rooms};
+use robots::Robots;
 use tracking::{Sensors, Tracking};
 
 mod attribution;
 mod messages;
+mod robots;
 mod tracking;
+mod whereabouts;
 
 /// A map that messages cannot carry.
 #[derive(Debug, thiserror::Error)]
@@ -161,6 +164,7 @@ pub struct Board<M> {
     /// While it runs, each person's forecast with its belief.
     told: BTreeMap<u32, Forecaster>,
     sensors: Sensors,
+    robots: Robots,
     /// Local time less the monotonic clock, in seconds.
     local_ahead_s: f64,
     /// Working memory of a step: when each person was observed last, and their number.
@@ -273,6 +277,7 @@ impl<M: LanguageModel> Board<M> {
             tracking: None,
             told: BTreeMap::new(),
             sensors: Sensors::default(),
+            robots: Robots::default(),
             local_ahead_s: 0.0,
             newest_persons: Vec::new(),
             attributed: Vec::new(),
@@ -395,6 +400,7 @@ impl<M: LanguageModel> Board<M> {
         self.mentions = PlaceMatcher::new(&map, self.pipeline.grounding());
         self.map = map;
         self.tracking = None;
+        self.robots.forget_rooms();
         self.note_beliefs();
         Ok(prepared)
     }

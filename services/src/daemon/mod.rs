@@ -71,7 +71,10 @@ pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
 pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
-pub use person_question::{PersonAnswer, PersonLine, PersonQuestion, UnderstoodLine, UnderstoodPerson};
+pub use person_question::{
+    NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UnderstoodLine, UnderstoodPerson, Whereabouts,
+    WhyLine,
+};
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
 pub use roomcast_ipc::presence::word as presence_word;

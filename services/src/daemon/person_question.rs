@@ -21,6 +21,11 @@ pub enum PersonQuestion {
         /// The first sequence.
         from: u64,
     },
+    /// Where a person is believed to be, and why.
+    Where {
+        /// A name or a number.
+        who: String,
+    },
     /// Forget a person: their history, their forecast, their name, and what the journal has of them.
     Forget {
         /// The question's name.
@@ -42,7 +47,7 @@ pub enum PersonQuestion {
 impl Question for PersonQuestion {
     fn id(&self) -> Option<&str> {
         match self {
-            Self::List | Self::Understood { .. } => None,
+            Self::List | Self::Understood { .. } | Self::Where { .. } => None,
             Self::Forget { id, .. } | Self::Rename { id, .. } => Some(id),
         }
     }
@@ -86,6 +91,71 @@ pub struct PersonAnswer {
     /// The events that [`PersonQuestion::Understood`] asks for, the oldest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub understood: Vec<UnderstoodLine>,
+    /// The answer to [`PersonQuestion::Where`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whereabouts: Option<Whereabouts>,
+}
+
+/// Where a person is believed to be, and why.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Whereabouts {
+    /// The person.
+    pub person: UnderstoodPerson,
+    /// The rooms and "elsewhere", the most probable first.
+    pub places: Vec<PlaceLine>,
+    /// The probability that no person is in the house.
+    pub house_empty: f64,
+    /// The probability that an unknown person is in the house.
+    pub visited: f64,
+    /// The joint filter runs. It starts with the first sensor, or with the first unnamed event that two persons can have caused.
+    pub is_joint: bool,
+    /// Sensors that turn on without a person much more often than their kind.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub noisy: Vec<NoisySensor>,
+}
+
+/// A place with its probability.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PlaceLine {
+    /// The room's id, or "elsewhere".
+    pub place: String,
+    /// The probability that the person is there.
+    pub probability: f64,
+    /// The observations that moved it most, the strongest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub why: Vec<WhyLine>,
+}
+
+/// One observation that moved a belief.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct WhyLine {
+    /// `sensor`, `did`, `present`, `away`, `empty` or `count`.
+    pub what: String,
+    /// The sensor's kind and id, and its state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<String>,
+    /// Seconds since then.
+    pub ago_s: f64,
+    /// Change of the log-odds; positive speaks for the place.
+    pub log_odds: f64,
+    /// `weak`, `clear` or `strong`.
+    pub weight: String,
+    /// The probability that this person caused it.
+    pub share: f64,
+    /// Another person who may have caused it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub or: Option<UnderstoodPerson>,
+}
+
+/// A sensor that turns on without a person much more often than its kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoisySensor {
+    /// Its id.
+    pub id: String,
+    /// False alarms per day, as learned.
+    pub per_day: f64,
+    /// The usual number of its kind.
+    pub usual_per_day: f64,
 }
 
 /// A person of an event.

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
-    AnswerPort, ForecastV1, IpcError, ItemScoresPublisher, Node, PersonForecastsV1, PersonScoresV1, Publisher,
-    RoomScoresV1, StatusResponseV1, StatusServer, clock, question, score_flags,
+    AnswerPort, DecisionV1, ForecastV1, IpcError, ItemScoresPublisher, Node, PersonForecastsV1, PersonScoresV1,
+    Publisher, RobotReportV1, RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags,
 };
 use sd_notify::NotifyState;
 
@@ -48,6 +48,10 @@ pub(super) struct Ports {
     moments: AnswerPort,
     person_questions: AnswerPort,
     habits_questions: AnswerPort,
+    reports: Subscriber<RobotReportV1>,
+    decisions: Subscriber<DecisionV1>,
+    report: Box<RobotReportV1>,
+    decision: Box<DecisionV1>,
 }
 
 impl Ports {
@@ -64,6 +68,10 @@ impl Ports {
             moments: node.answer_port(question::MOMENT)?,
             person_questions: node.answer_port(question::PERSON)?,
             habits_questions: node.answer_port(question::HABITS)?,
+            reports: node.subscriber()?,
+            decisions: node.subscriber()?,
+            report: Box::default(),
+            decision: Box::default(),
         })
     }
 }
@@ -163,6 +171,7 @@ impl<M: LanguageModel> Scoring<M> {
             self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             self.take_answers(events > 0);
+            self.see_robots(now_ns)?;
             let mut is_scored = false;
             if self.cycle.step_due(now_ns) {
                 // Once it is to stop, what it hears with stays here: else it would go on as long as a step is due.
@@ -215,6 +224,22 @@ impl<M: LanguageModel> Scoring<M> {
             Heard::Entry(entry, number) => cycle.enter(entry, number),
             Heard::PassedOver { source, epoch, sequence } => cycle.pass_over(source, epoch, sequence),
         });
+    }
+
+    /// Takes in where robots are and go: their motion explains what sensors see. A malformed message says nothing.
+    fn see_robots(&mut self, now_ns: u64) -> Result<(), IpcError> {
+        let (ports, board) = (&mut self.ports, self.cycle.board_mut());
+        while let Some(checked) = ports.decisions.receive_into(&mut ports.decision)? {
+            if checked.is_ok() {
+                board.see_decision(&ports.decision, now_ns);
+            }
+        }
+        while let Some(checked) = ports.reports.receive_into(&mut ports.report)? {
+            if checked.is_ok() {
+                board.see_report(&ports.report, now_ns);
+            }
+        }
+        Ok(())
     }
 
     /// Hands the newest messages to whoever has joined since.

@@ -288,6 +288,9 @@ impl<M: LanguageModel> Board<M> {
         if self.tracking.is_none() && (is_shared || !self.sensors.is_empty()) {
             self.start_tracking(at_ns);
         }
+        if self.tracking.is_none() {
+            return false;
+        }
         let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
         let grounding = self.pipeline.grounding();
         let row = mention.map(|found| {
@@ -331,6 +334,7 @@ impl<M: LanguageModel> Board<M> {
         let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
         let followed = (&self.followed, is_lying);
         self.tracking = Tracking::new(home, persons.into_iter(), followed, &self.sensors, of).map(Box::new);
+        self.tell_robots(at_ns.try_into().unwrap_or_default());
     }
 
     /// Weighs an event of a former run. Whom it moved is known.

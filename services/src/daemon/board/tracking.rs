@@ -10,8 +10,9 @@ use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::tracker::{Home, Observation, Options, SensorSpec, Tracker};
+use roomcast_core::tracker::{Home, Observation, Options, Reason, SensorSpec, Tracker};
 
+use super::robots::Robots;
 use super::{attribution::ways_out, room_named, seconds};
 
 /// Most sensors; reports of further ones change no belief.
@@ -271,6 +272,12 @@ impl Tracking {
         self.now.advance(now_s);
     }
 
+    /// Takes in the rooms in which robots may move.
+    pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
+        let rooms = robots.rooms(self.tracker.home());
+        self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
+    }
+
     /// Removes a person.
     pub(super) fn remove(&mut self, person: u32) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
@@ -320,6 +327,23 @@ impl Tracking {
             }
             None => told.clone_from(own),
         }
+    }
+
+    /// The observations that moved the belief about a person and a place most, the strongest first.
+    pub(super) fn why(&self, person: u32, room: Option<usize>) -> impl Iterator<Item = Reason> {
+        let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
+        reasons.into_iter().flatten()
+    }
+
+    /// The id of a device of the filter, and its kind.
+    pub(super) fn device(&self, sensor: usize) -> Option<(&str, SensorKind)> {
+        self.sensors.get(sensor).map(|(id, spec)| (&**id, spec.kind))
+    }
+
+    /// Devices that turn on much more often without a person than is usual, with both numbers per day.
+    pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
+        let noisy = self.now.noisy();
+        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0, learned, usual)))
     }
 
     /// The room of the last event.

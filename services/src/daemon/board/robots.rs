@@ -1,0 +1,106 @@
+//! Where robots are, and on which way: their motion explains what sensors see there.
+
+use std::collections::BTreeMap;
+
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::tracker::Home;
+use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
+
+use super::{Board, room_named};
+
+/// Most robots; reports of further ones explain nothing.
+const ROBOTS_MAX: usize = 16;
+
+/// One robot.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Robot {
+    room: Option<usize>,
+    to: Option<usize>,
+    is_docked: bool,
+}
+
+/// The robots, by the number that decisions name them with.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Robots(BTreeMap<u64, Robot>);
+
+impl Robots {
+    fn get(&mut self, robot: u64) -> Option<&mut Robot> {
+        if self.0.len() >= ROBOTS_MAX && !self.0.contains_key(&robot) {
+            return None;
+        }
+        Some(self.0.entry(robot).or_default())
+    }
+
+    /// The rooms in which robots may move: each robot's room, and the rooms on its way.
+    pub(super) fn rooms(&self, home: &Home) -> Vec<usize> {
+        let mut rooms = Vec::new();
+        for robot in self.0.values().filter(|robot| !robot.is_docked) {
+            rooms.extend(robot.room);
+            let mut here = robot.room;
+            for _ in 0..home.rooms() {
+                let (Some(from), Some(to)) = (here, robot.to) else { break };
+                here = home.hop(from, Some(to)).filter(|_| from != to);
+                rooms.extend(here);
+            }
+            rooms.extend(robot.to);
+        }
+        rooms
+    }
+
+    /// The rooms have other numbers now.
+    pub(super) fn forget_rooms(&mut self) {
+        self.0.clear();
+    }
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// Takes in where a robot is.
+    pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: u64) {
+        if report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty() {
+            return;
+        }
+        let grounding = self.pipeline.grounding();
+        let named = Some(report.room()).filter(|room| !room.is_empty());
+        let named = named.and_then(|room| room_named(room, &self.map, grounding));
+        let holds = |position: [f64; 3]| {
+            let mut rooms = grounding.partitions().iter();
+            rooms.position(|room| room.spaces.iter().any(|space| space.contains(&position)))
+        };
+        let room = named.or_else(|| report.position_m().and_then(holds));
+        let Some(robot) = self.robots.get(report.robot) else { return };
+        let before = *robot;
+        let ends = [report_kind::FINISHED, report_kind::FAILED, report_kind::BLOCKED, report_kind::CANCELLED];
+        robot.is_docked = report.kind == report_kind::DOCKED;
+        if report.kind == report_kind::STARTED {
+            robot.room = room.or(robot.to).or(robot.room);
+        } else {
+            robot.room = room.or(robot.room);
+        }
+        if robot.is_docked || robot.room == robot.to || ends.contains(&report.kind) {
+            robot.to = None;
+        }
+        if before != *robot {
+            self.tell_robots(now_ns);
+        }
+    }
+
+    /// Takes in where a robot goes.
+    pub(in crate::daemon) fn see_decision(&mut self, decision: &DecisionV1, now_ns: u64) {
+        let to = room_named(decision.to(), &self.map, self.pipeline.grounding());
+        let Some(robot) = self.robots.get(decision.robot) else { return };
+        let before = *robot;
+        if decision.action == action::GO {
+            (robot.to, robot.is_docked) = (to, false);
+        }
+        if before != *robot {
+            self.tell_robots(now_ns);
+        }
+    }
+
+    /// Gives the filter the robots' rooms.
+    pub(super) fn tell_robots(&mut self, now_ns: u64) {
+        if let Some(tracking) = &mut self.tracking {
+            tracking.robots(&self.robots, i64::try_from(now_ns).unwrap_or(i64::MAX));
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! "Why is Jon in the hallway?": the belief about a person, and the observations that moved it most.
+
+use roomcast_core::scorer::LanguageModel;
+use roomcast_core::tracker::Cause;
+
+use super::super::person_question::{NoisySensor, PlaceLine, UnderstoodPerson, Whereabouts, WhyLine};
+use super::{Board, Tracking, seconds};
+use crate::habits_reason::ELSEWHERE;
+
+/// Less probable places are left out.
+const LEAST: f64 = 0.005;
+/// An observation is clear above the first change of the log-odds, and strong above the second.
+const CLEAR: (f64, f64) = (0.7, 2.0);
+
+impl<M: LanguageModel> Board<M> {
+    /// Where a person is believed to be at a time, and why.
+    pub(in crate::daemon) fn whereabouts(&mut self, person: u32, now_ns: u64) -> Whereabouts {
+        self.forecast(now_ns);
+        let rooms: Vec<String> = self.room_ids().map(str::to_owned).collect();
+        let now_s = now_ns as f64 / 1e9;
+        let own = self.told.get(&person).filter(|_| self.tracking.is_some()).or_else(|| self.followed.get(&person));
+        let tracking = self.tracking.as_deref();
+        let mut places: Vec<PlaceLine> = Vec::new();
+        for (room, id) in rooms.iter().map(String::as_str).chain([ELSEWHERE]).enumerate() {
+            let probability = match own {
+                Some(own) if room == rooms.len() => own.elsewhere(now_s, 0.0),
+                Some(own) => own.at(now_s, 0.0).nth(room).unwrap_or_default(),
+                None => tracking.map_or(0.0, |own| own.probability(person, (room < rooms.len()).then_some(room))),
+            };
+            if probability >= LEAST {
+                let room = (room < rooms.len()).then_some(room);
+                let why = tracking.map(|own| self.why(own, person, room, now_ns)).unwrap_or_default();
+                places.push(PlaceLine { place: id.to_owned(), probability, why });
+            }
+        }
+        places.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let filter = tracking.map(Tracking::now);
+        let noisy =
+            |(id, per_day, usual_per_day): (&str, f64, f64)| NoisySensor { id: id.to_owned(), per_day, usual_per_day };
+        Whereabouts {
+            person: self.called(person),
+            places,
+            house_empty: filter.map_or_else(|| f64::from(self.forecast.elsewhere[0]), |own| own.house_empty()),
+            visited: filter.map_or(0.0, |own| own.visited()),
+            is_joint: tracking.is_some(),
+            noisy: tracking.map(|own| own.noisy().map(noisy).collect()).unwrap_or_default(),
+        }
+    }
+
+    fn called(&self, person: u32) -> UnderstoodPerson {
+        UnderstoodPerson { person, name: self.persons.name_of(person).map(str::to_owned) }
+    }
+
+    fn why(&self, tracking: &Tracking, person: u32, room: Option<usize>, now_ns: u64) -> Vec<WhyLine> {
+        let now_s = seconds(i64::try_from(now_ns).unwrap_or(i64::MAX));
+        let line = |own: roomcast_core::tracker::Reason| {
+            let sensor = match own.cause {
+                Cause::Sensor { sensor, on } => {
+                    tracking.device(sensor).map(|(id, kind)| format!("{kind} {id} {}", if on { "on" } else { "off" }))
+                }
+                _ => None,
+            };
+            let what = match own.cause {
+                Cause::Sensor { .. } => "sensor",
+                Cause::Deed => "did",
+                Cause::Present => "present",
+                Cause::Away => "away",
+                Cause::Empty => "empty",
+                Cause::Count => "count",
+            };
+            let weight = match own.log_odds.abs() {
+                moved if moved < CLEAR.0 => "weak",
+                moved if moved < CLEAR.1 => "clear",
+                _ => "strong",
+            };
+            let other = own.other.and_then(|(index, _)| tracking.persons().get(index));
+            WhyLine {
+                what: what.to_owned(),
+                sensor,
+                ago_s: (now_s - own.at_s).max(0.0),
+                log_odds: own.log_odds,
+                weight: weight.to_owned(),
+                share: own.share,
+                or: other.map(|other| self.called(*other)),
+            }
+        };
+        tracking.why(person, room).map(line).collect()
+    }
+}
