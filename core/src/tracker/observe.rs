@@ -30,7 +30,7 @@ pub enum Observation<'a> {
         /// Where.
         room: Option<usize>,
     },
-    /// A person lies or sleeps where they are.
+    /// A person lies or sleeps in the present room.
     Lies {
         /// Who.
         who: usize,
@@ -84,7 +84,7 @@ const PER_DOOR: f64 = 0.4;
 const WALKS: [f64; 3] = [1.0, 0.3, 0.05];
 /// Weight of "present" without an arrival, next to each person that can have come home.
 const NO_ARRIVAL: f64 = 0.3;
-/// How probable it is that a person lies who was not said to.
+/// Likelihood of "lies" for a person who sits or walks.
 const LIES_ELSE: f64 = 0.05;
 /// A person is out for sure from this probability on.
 const SURELY: f64 = 0.95;
@@ -280,7 +280,7 @@ fn departure(own: &mut Tracker, trust: f64, only_unknown: bool) {
     });
 }
 
-/// An unknown person is present: each person that was out can have come home, a visitor too, or the report says what is known.
+/// An unknown person is present: each person outside or a visitor can have come home, or the report repeats known facts.
 fn arrival(own: &mut Tracker, trust: f64) {
     let slots = own.belief.slots();
     let unknown = own.unknown();

@@ -752,7 +752,15 @@ impl<M: LanguageModel> Board<M> {
     #[must_use]
     pub fn is_overdue(&self, now_ns: u64) -> bool {
         let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
-        self.persons.expired(now_ns).is_some() || self.silent(now_ns).is_some()
+        self.persons.expired(now_ns).is_some() || self.silent(now_ns).is_some() || self.departed().is_some()
+    }
+
+    /// The next person that counts as present although the filter believes that the person left.
+    fn departed(&self) -> Option<u32> {
+        const OUT: f64 = 0.95;
+        let is_present = |person: &u32| self.persons.get(*person).is_some_and(|own| own.presence == Presence::Present);
+        let tracking = self.tracking.as_deref()?;
+        tracking.persons().iter().copied().find(|person| is_present(person) && tracking.out_now(*person) > OUT)
     }
 
     /// The next person whose window is to end, because they did nothing for too long.
@@ -775,6 +783,16 @@ impl<M: LanguageModel> Board<M> {
             }
             if !self.rescored.contains(&person) {
                 self.rescored.push(person);
+            }
+        }
+        while let Some(person) = self.departed() {
+            // A restart believes the same without a record: the filter says it again.
+            let last = self.persons.get(person).map_or((0, 0, 0), |known| known.last);
+            let observed_ns = u64::try_from(now_ns).unwrap_or_default();
+            let away = Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.2, Event::Away) };
+            let away = Observation { source: last.0, epoch: last.1, ..away };
+            if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.0, false), true), Some(now_ns)) {
+                self.pipeline.enter(Voice::EARLIER, own);
             }
         }
         while let Some(person) = self.persons.expired(now_ns) {

@@ -401,7 +401,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Takes in the part of one person, unless a later event says otherwise or the person is guarded. A part that a former run took in counts
     /// in any case.
-    fn take(
+    pub(super) fn take(
         &mut self,
         observation: Observation,
         voice: Voice,

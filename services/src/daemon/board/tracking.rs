@@ -313,6 +313,11 @@ impl Tracking {
         self.at(person).map_or(0.0, |index| self.tracker.probability(index, room))
     }
 
+    /// The probability that a person was out of the house at the last look.
+    pub(super) fn out_now(&self, person: u32) -> f64 {
+        self.at(person).map_or(0.0, |index| self.now.probability(index, None))
+    }
+
     fn at(&self, person: u32) -> Option<usize> {
         self.persons.iter().position(|other| *other == person)
     }

@@ -109,6 +109,18 @@ fn false_alarms_bring_no_resident_home() {
 }
 
 #[test]
+fn persons_whose_phone_left_are_away_after_some_silence() {
+    let mut flat = Flat::new();
+    flat.after(60, PHONE_JON, false);
+    // No sensor saw him pass the corridor.
+    assert_eq!(flat.0.presence("Jon"), Some(presence::PRESENT));
+    flat.0.wait(3_600);
+    assert!(flat.at("Jon", "") > 0.95, "{}", flat.at("Jon", ""));
+    flat.0.wait(1);
+    assert_eq!((flat.0.presence("Jon"), flat.0.presence("Mira")), (Some(presence::AWAY), Some(presence::PRESENT)));
+}
+
+#[test]
 fn unnamed_departures_turn_no_resident_away_whose_bed_or_phone_says_otherwise() {
     let mut flat = Flat::new();
     flat.after(60, LIVING, true);
