@@ -30,6 +30,10 @@ build: setup ## Builds the roomcast binary.
 	@echo "build: the first build compiles llama.cpp and takes some minutes on two cores, later ones seconds"
 	cargo build --release --locked
 
+.PHONY: lab
+lab: setup ## Builds roomcast-lab, the program with the experiments.
+	cargo build --release --locked --package roomcast-lab
+
 .PHONY: demo
 demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo

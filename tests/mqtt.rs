@@ -18,9 +18,7 @@ use rumqttc::v5::{Client, Event, MqttOptions};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 #[path = "support/fake_valetudo.rs"]
 mod fake_valetudo;
 #[path = "support/lived_day.rs"]

@@ -229,7 +229,7 @@ pub fn tally(cost: &Cost, room_time_s: usize, stays: &[Stay]) -> (f64, Option<us
 
 /// The generator of one restart: the same for every policy, so that runs are paired.
 #[must_use]
-pub(crate) fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
+pub fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(restart);
     rng
@@ -294,7 +294,7 @@ pub(super) mod tests {
     use roomcast_core::policy::PolicyName;
 
     /// A person who is in the given room at each step.
-    pub(crate) fn cost_of(rooms: usize, at: &[usize]) -> Cost {
+    pub fn cost_of(rooms: usize, at: &[usize]) -> Cost {
         let mut cost = vec![0.0; rooms * at.len()];
         at.iter().enumerate().for_each(|(step, room)| cost[step * rooms + room] = 1.0);
         Cost::from_steps(rooms, &cost)

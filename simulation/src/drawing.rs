@@ -12,7 +12,7 @@ use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Spa
 use roomcast_core::text::count;
 
 /// The font of all drawings; `png.rs` has it compiled in.
-pub(crate) const FONT: &str = "DejaVu Sans";
+pub const FONT: &str = "DejaVu Sans";
 /// Sizes that a room's name may have, in pixels: the first that its room is wide enough for; where there are many rooms, from the third on.
 const NAME_PX: [f64; 5] = [17.0, 14.0, 12.0, 10.5, 9.0];
 /// What a room must be wider than the name in it, in pixels.

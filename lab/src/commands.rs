@@ -1,14 +1,17 @@
-//! `roomcast experiment`: the paper's tables and figures, and the project's own.
+//! `roomcast-lab`: the paper's tables and figures, and the project's own.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
-use clap::Subcommand;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-use super::choice::{CorrectionArgs, choice};
-use super::{CommandResult, Failure, count, model, ranges};
-use crate::exit_code;
+use roomcast_cli::choice::{CorrectionArgs, choice};
+use roomcast_cli::{
+    CommandResult, Failure, count, ended, exit_code, model, ranges, report_faults, report_first_faults,
+    take_negative_numbers,
+};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::narration::history::HistoryLimits;
@@ -18,22 +21,25 @@ use roomcast_core::semantic_map::{SemanticMap, import};
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::losses::Summary;
 use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report, Target};
-use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource, ScoresError};
-use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_lab::experiment::{ExperimentError, Progress};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::{ScoreSource, StudyError};
 
 mod card;
 mod folds;
 mod guesses;
 mod habits;
 mod persons;
+#[cfg(test)]
+#[path = "../../tests/support/requirements.rs"]
+mod requirements;
 mod study;
 
-pub(super) use habits::days;
-
-/// Arguments of `roomcast experiment`.
-#[derive(Debug, clap::Args)]
+/// Reproduces the paper's tables and figures, and prints Roomcast's own.
+#[derive(Debug, Parser)]
+#[command(name = "roomcast-lab", version, propagate_version = true)]
 pub struct Args {
     #[command(subcommand)]
     experiment: Experiment,
@@ -65,6 +71,24 @@ enum Experiment {
     Guesses(guesses::GuessesArgs),
     /// How well the tracker knows who is where, in simulated homes with sensors.
     Persons(persons::PersonsArgs),
+    /// Try a model file, for another process of this program that loads it then.
+    #[command(hide = true)]
+    Model {
+        #[command(subcommand)]
+        rehearse: Rehearse,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+enum Rehearse {
+    /// Load a model and score one label.
+    Rehearse {
+        /// A GGUF file.
+        file: PathBuf,
+        /// How the key-value cache is stored.
+        #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::default())]
+        kv_cache: CacheType,
+    },
 }
 
 /// What all experiments share: model, window and cache.
@@ -123,7 +147,7 @@ impl ModelArgs {
         let default = LlamaOptions::default();
         let threads = if self.threads == 0 { default.threads } else { self.threads };
         let model = model::load(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
-            .map_err(|failure| ExperimentError::Model(failure.error))?;
+            .map_err(|failure| StudyError::Model(failure.error))?;
         let labels = grounding.label_texts();
         // Scores of another arithmetic are others.
         let folder = self.cache().map(|folder| match self.kv_cache {
@@ -148,7 +172,7 @@ impl LikeThingsArgs {
     }
 }
 
-/// Arguments of `roomcast experiment forecast`.
+/// Arguments of `roomcast-lab forecast`.
 #[derive(Debug, clap::Args)]
 struct ForecastArgs {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
@@ -187,26 +211,19 @@ struct ForecastArgs {
 /// The ways of binding that are shown side by side: a person takes any thing of a kind, or the nearest.
 const BINDINGS: [ItemChoice; 2] = [ItemChoice::Uniform, ItemChoice::Nearest];
 
-impl From<ExperimentError> for Failure {
-    fn from(error: ExperimentError) -> Self {
-        let code = match &error {
-            ExperimentError::Scores(ScoresError::Score(_)) | ExperimentError::Model(_) => exit_code::MODEL,
-            ExperimentError::Scores(ScoresError::Cache { .. }) | ExperimentError::BelowBound { .. } => {
-                exit_code::FAILURE
-            }
-            #[cfg(feature = "optimum")]
-            ExperimentError::Solver(_) | ExperimentError::SolversDisagree { .. } => exit_code::FAILURE,
-            _ => exit_code::INPUT,
-        };
-        Self::new(code, error)
+fn commands() -> clap::Command {
+    take_negative_numbers(Args::command())
+}
+
+/// Parses the command line, runs the experiment and gives the exit code.
+pub fn main() -> ExitCode {
+    match Args::from_arg_matches(&commands().get_matches()) {
+        Ok(args) => ended("roomcast", run(&args)),
+        Err(error) => error.format(&mut commands()).exit(),
     }
 }
 
-/// Runs the experiment that was named.
-///
-/// # Errors
-/// When an input or the model cannot be used.
-pub fn run(args: &Args) -> CommandResult {
+fn run(args: &Args) -> CommandResult {
     match &args.experiment {
         Experiment::Forecast(args) => run_forecast(args),
         Experiment::Card(args) => card::run(args),
@@ -220,6 +237,7 @@ pub fn run(args: &Args) -> CommandResult {
         Experiment::Habits(args) => habits::run(args),
         Experiment::Guesses(args) => guesses::run(args),
         Experiment::Persons(args) => persons::run(args),
+        Experiment::Model { rehearse: Rehearse::Rehearse { file, kv_cache } } => model::rehearse(file, *kv_cache),
     }
 }
 
@@ -249,9 +267,9 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     let report = prediction::run(&maps, &parts, &options, &progress, open)?;
     drop(progress);
     if args.json {
-        return super::print_json(&report);
+        return roomcast_cli::print_json(&report);
     }
-    super::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
+    roomcast_cli::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
 }
 
 /// What the baselines know of the embedded model's training split.
@@ -322,23 +340,9 @@ fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
     Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
 }
 
-/// Files that cannot be read are no reason to throw the others away, but are never passed over in silence.
-fn report_faults(faults: &[String]) {
-    report_first_faults(faults, faults.len() as u64);
-}
-
-/// As [`report_faults`], where they are so many in all.
-fn report_first_faults(first: &[String], count: u64) {
-    const TOLD: u64 = 10;
-    first.iter().take(TOLD as usize).for_each(|fault| super::tell(format_args!("roomcast: skipped: {fault}")));
-    if count > TOLD {
-        super::tell(format_args!("roomcast: skipped {} more", count - TOLD));
-    }
-}
-
 /// The split that a manifest's model was trained on.
 const TRAINED: &str = "train";
-/// The split that only `experiment sealed` opens.
+/// The split that only `roomcast-lab sealed` opens.
 const SEALED: &str = "sealed";
 
 /// A manifest that the training writes.
@@ -372,10 +376,10 @@ impl Manifest {
         Failure::new(exit_code::INPUT, format!("{}: {error}", self.path.display()))
     }
 
-    /// The programs of a split, with their activities. The sealed one is left to `experiment sealed`.
+    /// The programs of a split, with their activities. The sealed one is left to `roomcast-lab sealed`.
     fn split(&self, programs: Vec<NamedProgram>, name: &str) -> Result<Vec<NamedProgram>, Failure> {
         if name == SEALED {
-            return Err(self.failed("the sealed split is opened once, by `roomcast experiment sealed`"));
+            return Err(self.failed("the sealed split is opened once, by `roomcast-lab sealed`"));
         }
         let chosen = self.of_split(&programs, name)?;
         if chosen.is_empty() {
@@ -409,7 +413,7 @@ impl Manifest {
 }
 
 fn forecast_text(report: &Report) -> String {
-    let mut table = super::table(&[
+    let mut table = roomcast_cli::table(&[
         "scene",
         "target",
         "things",
@@ -423,9 +427,18 @@ fn forecast_text(report: &Report) -> String {
         "confidence",
         "ece",
     ]);
-    let mut differences =
-        super::table(&["scene", "target", "things", "model less", "nll (nats)", "top-1", "top-5", "mrr", "brier"]);
-    let mut activities = super::table(&[
+    let mut differences = roomcast_cli::table(&[
+        "scene",
+        "target",
+        "things",
+        "model less",
+        "nll (nats)",
+        "top-1",
+        "top-5",
+        "mrr",
+        "brier",
+    ]);
+    let mut activities = roomcast_cli::table(&[
         "scene",
         "target",
         "things",
@@ -466,8 +479,15 @@ fn forecast_text(report: &Report) -> String {
         if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
     );
     if !report.nearness.is_empty() {
-        let mut near =
-            super::table(&["nearness", "programs", "cases", "nll (nats)", "mrr", "over activities: nll (nats)", "mrr"]);
+        let mut near = roomcast_cli::table(&[
+            "nearness",
+            "programs",
+            "cases",
+            "nll (nats)",
+            "mrr",
+            "over activities: nll (nats)",
+            "mrr",
+        ]);
         for third in &report.nearness {
             let [from, to] = third.nearness;
             let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
@@ -675,4 +695,18 @@ fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> Stri
 
 fn target_name(target: Target) -> String {
     serde_json::to_value(target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// clap finds a default of another type than its option only when it reads the option.
+    #[test]
+    fn defaults_of_each_experiment_have_the_types_of_their_options() {
+        for name in Args::command().get_subcommands().map(|one| one.get_name().to_owned()) {
+            // A missing argument is an error; a wrong type is a panic.
+            let _read = Args::try_parse_from(["roomcast-lab", &name]);
+        }
+    }
 }

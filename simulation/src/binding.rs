@@ -125,7 +125,7 @@ impl<'a> Binder<'a> {
     }
 
     /// All places that may be meant by an object's name; by somebody at `from_m`, where that is given.
-    pub(crate) fn places(&mut self, name: &str, from_m: Option<[f64; 3]>) -> Vec<Place> {
+    pub fn places(&mut self, name: &str, from_m: Option<[f64; 3]>) -> Vec<Place> {
         let (choice, map, grounding) = (self.choice, self.map, self.grounding);
         let Some(candidates) = self.candidates(name) else { return Vec::new() };
         if let Some(room) = candidates.room {
@@ -203,7 +203,7 @@ pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 /// A number that depends on the parts alone, the same on every machine and in every run.
 #[must_use]
-pub(crate) fn stable_hash(parts: &[&[u8]]) -> u64 {
+pub fn stable_hash(parts: &[&[u8]]) -> u64 {
     let mut hasher = Sha256::new();
     for part in parts {
         hasher.update((part.len() as u64).to_le_bytes());
@@ -224,7 +224,7 @@ mod tests {
 
     #[test]
     fn objects_bind_to_labels_rooms_or_nothing() {
-        let map = SemanticMap::from_json(include_str!("../../../scenes/apartment-e0.json")).unwrap();
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let mut binder = Binder::new(&map, &grounding, ItemChoice::Uniform);
         binder.begin(1, "p");
@@ -238,7 +238,7 @@ mod tests {
 
     #[test]
     fn one_identifier_keeps_its_item_and_others_spread() {
-        let map = SemanticMap::from_json(include_str!("../../../scenes/apartment-e0.json")).unwrap();
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let mut binder = Binder::new(&map, &grounding, ItemChoice::Uniform);
         binder.begin(1, "p");

@@ -1,14 +1,14 @@
-//! `roomcast experiment card`: every table of the model card, in Markdown, each below the command that prints it alone.
+//! `roomcast-lab card`: every table of the model card, in Markdown, each below the command that prints it alone.
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args as _, FromArgMatches as _};
+use clap::Parser as _;
 
 use super::{Args, BINDINGS};
-use crate::cli::{CommandResult, Failure, print};
-use crate::exit_code;
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, print};
 
-/// Arguments of `roomcast experiment card`.
+/// Arguments of `roomcast-lab card`.
 #[derive(Debug, clap::Args)]
 pub(super) struct CardArgs {
     /// The folder with virtualhome/ that the model was trained from.
@@ -46,7 +46,7 @@ const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
 /// The paper takes any of several like things, and the whole narration.
 const OF_THE_PAPER: [&str; 4] = ["--items", "uniform", "--history", "1000"];
 
-/// A table's title, and the arguments behind `roomcast experiment` that print it alone.
+/// A table's title, and the arguments behind `roomcast-lab` that print it alone.
 type Table = (String, Vec<String>);
 
 fn tables(args: &CardArgs) -> Vec<Table> {
@@ -146,9 +146,8 @@ fn tables(args: &CardArgs) -> Vec<Table> {
 }
 
 fn parsed((title, command): &Table) -> Result<Args, Failure> {
-    let line = ["experiment".to_owned()].into_iter().chain(command.clone()).chain(["--markdown".to_owned()]);
-    let parsed = Args::augment_args(clap::Command::new("experiment")).try_get_matches_from(line);
-    let parsed = parsed.and_then(|matches| Args::from_arg_matches(&matches));
+    let line = ["roomcast-lab".to_owned()].into_iter().chain(command.clone()).chain(["--markdown".to_owned()]);
+    let parsed = Args::try_parse_from(line);
     // A title and the folders that were given make no other arguments than these.
     parsed.map_err(|error| Failure::new(exit_code::FAILURE, format!("{title}: {error}")))
 }
@@ -168,7 +167,7 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
     // All before the first: a whole run takes an hour.
     let commands = tables.iter().map(parsed).collect::<Result<Vec<_>, _>>()?;
     for ((title, command), parsed) in tables.iter().zip(&commands) {
-        print(&format!("### {title}\n\n    roomcast experiment {} --markdown\n\n", command.join(" ")))?;
+        print(&format!("### {title}\n\n    roomcast-lab {} --markdown\n\n", command.join(" ")))?;
         super::run(parsed)?;
         print("\n")?;
     }

@@ -1,4 +1,4 @@
-//! `roomcast experiment folds | sealed`: forecasts by models that were trained without what they are asked about.
+//! `roomcast-lab folds | sealed`: forecasts by models that were trained without what they are asked about.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -9,19 +9,20 @@ use super::{
     BINDINGS, Manifest, ModelArgs, SEALED, TRAINED, distinct, fitted, forecast_markdown, forecast_text, maps,
     report_faults,
 };
-use crate::cli::choice::choice;
-use crate::cli::{CommandResult, Failure, count, print, print_json};
-use crate::exit_code;
+use roomcast_cli::choice::choice;
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, count, print, print_json};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report};
-use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource};
-use roomcast_lab::simulation::binding::ItemChoice;
+use roomcast_lab::experiment::{ExperimentError, Progress};
 use roomcast_llama::LlamaModel;
 use roomcast_services::state_file;
+use roomcast_simulation::ScoreSource;
+use roomcast_simulation::binding::ItemChoice;
 
 /// What both ask about.
 #[derive(Debug, clap::Args)]
@@ -43,7 +44,7 @@ struct Asked {
     markdown: bool,
 }
 
-/// Arguments of `roomcast experiment folds`. The models that were trained for it are the only ones.
+/// Arguments of `roomcast-lab folds`. The models that were trained for it are the only ones.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct FoldsArgs {
@@ -56,7 +57,7 @@ pub(super) struct FoldsArgs {
     model: ModelArgs,
 }
 
-/// Arguments of `roomcast experiment sealed`. The models that were trained for it are the only ones.
+/// Arguments of `roomcast-lab sealed`. The models that were trained for it are the only ones.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct SealedArgs {

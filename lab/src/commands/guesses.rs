@@ -1,16 +1,16 @@
-//! `roomcast experiment guesses`: how often the next sentence is among those that are scored ahead.
+//! `roomcast-lab guesses`: how often the next sentence is among those that are scored ahead.
 
 use std::path::PathBuf;
 
 use super::{Manifest, ModelArgs, maps, report_faults};
-use crate::cli::{CommandResult, Failure, print, print_json};
-use crate::exit_code;
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, print, print_json};
 use roomcast_core::guess::Counts;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_lab::experiment::guesses::{self, Hits, Report};
 use roomcast_lab::experiment::{Progress, prediction};
 
-/// Arguments of `roomcast experiment guesses`.
+/// Arguments of `roomcast-lab guesses`.
 #[derive(Debug, clap::Args)]
 pub(super) struct GuessesArgs {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.

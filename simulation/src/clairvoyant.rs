@@ -18,7 +18,7 @@ pub struct Optimum {
 
 /// The optimum for each room in which the robot may begin, by dynamic programming.
 #[must_use]
-pub(crate) fn by_dynamic_program(cost: &Cost, room_time_s: usize) -> Vec<Optimum> {
+pub fn by_dynamic_program(cost: &Cost, room_time_s: usize) -> Vec<Optimum> {
     let (rooms, slots) = (cost.rooms(), cost.slots(room_time_s));
     let whole = cost.steps() / room_time_s;
     let last_s = cheapest_after(&slots, rooms, whole);
@@ -48,7 +48,7 @@ fn cheapest_after(slots: &[f64], rooms: usize, whole: usize) -> f64 {
 /// The least mean D_T over runs, given what is possible in each, at a given share of failed coverage: the front of the
 /// clairvoyant robot. To fail is bought where it saves most. `None` if coverage cannot be had that often.
 #[must_use]
-pub(crate) fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
+pub fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
     let n = optima.len().max(1) as f64;
     let mut left = failure_rate.clamp(0.0, 1.0) * n;
     let mut total = 0.0;
@@ -80,8 +80,8 @@ pub(crate) fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::world::tests::cost_of;
-    use crate::simulation::world::{Knowledge, restart_rng, run};
+    use crate::world::tests::cost_of;
+    use crate::world::{Knowledge, restart_rng, run};
     use proptest::prelude::*;
     use roomcast_core::policy::{CoverageAware, PolicyName};
 

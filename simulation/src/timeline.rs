@@ -203,7 +203,7 @@ impl Timeline {
     ///
     /// # Errors
     /// When nothing of the program can be done in the map, or it takes too long.
-    pub(crate) fn of_program<'a>(
+    pub fn of_program<'a>(
         program: &Program,
         map: &'a SemanticMap,
         grounding: &'a Grounding,
@@ -226,7 +226,7 @@ impl Timeline {
     ///
     /// # Errors
     /// As [`Timeline::of_program`].
-    pub(crate) fn of_day<'a>(
+    pub fn of_day<'a>(
         day: &Day,
         title: &str,
         map: &'a SemanticMap,
@@ -255,7 +255,7 @@ impl Timeline {
 
     /// How many actions are complete, and so observable, at `at_s`.
     #[must_use]
-    pub(crate) fn done_by(&self, at_s: f64) -> usize {
+    pub fn done_by(&self, at_s: f64) -> usize {
         self.done.partition_point(|done| done.at_s <= at_s)
     }
 }
@@ -350,11 +350,11 @@ impl Person<'_, '_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::binding::ItemChoice;
+    use crate::binding::ItemChoice;
     use roomcast_core::grounding::GroundingOptions;
 
     fn timeline(text: &str, options: &PersonOptions) -> Result<(Timeline, Vec<String>), TimelineError> {
-        let map = SemanticMap::from_json(include_str!("../../../scenes/apartment-e0.json")).unwrap();
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let mut binder = Binder::new(&map, &grounding, ItemChoice::Uniform);
         binder.begin(1, "p");

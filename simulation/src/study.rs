@@ -3,15 +3,14 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::scores::ScoreSource;
-use super::{ExperimentError, Progress};
-use crate::simulation::binding::{Binder, ItemChoice, stable_hash};
-use crate::simulation::clairvoyant::{self, Optimum};
-use crate::simulation::homer::Day;
+use crate::binding::{Binder, ItemChoice, stable_hash};
+use crate::clairvoyant::{self, Optimum};
+use crate::homer::Day;
 #[cfg(feature = "solver")]
-use crate::simulation::mixed_integer;
-use crate::simulation::timeline::{PersonOptions, Timeline};
-use crate::simulation::world::{self, Cost, Disturbance, Knowledge, Run, WorldError, check_room_time, restart_rng};
+use crate::mixed_integer;
+use crate::timeline::{PersonOptions, Timeline};
+use crate::world::{self, Cost, Disturbance, Knowledge, Run, WorldError, check_room_time, restart_rng};
+use crate::{ScoreSource, StudyError};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
@@ -101,7 +100,7 @@ impl<'a> Home<'a> {
         source: &mut ScoreSource<M>,
         binding: &BindingSequence,
         options: &Options,
-    ) -> Result<Self, ExperimentError> {
+    ) -> Result<Self, StudyError> {
         let mut binder = Binder::new(map, grounding, options.items);
         let mut mentions = PlaceMatcher::new(map, grounding);
         let mut grounded = GroundedScores::default();
@@ -277,8 +276,8 @@ pub fn run(
     room_times_s: &[usize],
     deciders: &[Decider],
     options: &Options,
-    progress: &Progress,
-) -> Result<Vec<Cell>, ExperimentError> {
+    cell_is_done: impl Fn(),
+) -> Result<Vec<Cell>, StudyError> {
     let mut cells = Vec::new();
     for home in homes {
         for &room_time_s in room_times_s {
@@ -291,7 +290,7 @@ pub fn run(
                 let runs = restarts(home, room_time_s, known, decider, options)?;
                 if let Some(run) = runs.iter().find(|run| run.disturbance_s < bound_of(&optima, run) - 1e-6) {
                     let (found_s, bound_s) = (run.disturbance_s, bound_of(&optima, run));
-                    return Err(ExperimentError::BelowBound { decider: decider.name(), found_s, bound_s });
+                    return Err(StudyError::BelowBound { decider: decider.name(), found_s, bound_s });
                 }
                 cells.push(Cell {
                     scene: home.scene.clone(),
@@ -302,7 +301,7 @@ pub fn run(
                     optima: optima.clone(),
                     horizon_s: home.cost.steps(),
                 });
-                progress.step();
+                cell_is_done();
             }
         }
     }
@@ -363,15 +362,15 @@ fn bound_of(optima: &[Optimum], run: &Run) -> f64 {
 pub const ROOMS_PROGRAMMED_MAX: usize = DP_PARTITIONS_MAX + 1;
 
 #[cfg(not(feature = "solver"))]
-fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, ExperimentError> {
+fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, StudyError> {
     match home.cost.rooms() {
-        rooms if rooms > ROOMS_PROGRAMMED_MAX => Err(ExperimentError::NeedsSolver { rooms }),
+        rooms if rooms > ROOMS_PROGRAMMED_MAX => Err(StudyError::NeedsSolver { rooms }),
         _ => Ok(clairvoyant::by_dynamic_program(&home.cost, room_time_s)),
     }
 }
 
 #[cfg(feature = "solver")]
-fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, ExperimentError> {
+fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, StudyError> {
     if home.cost.rooms() > ROOMS_PROGRAMMED_MAX {
         let solve = |start, cover| mixed_integer::optimum_s(&home.cost, room_time_s, start, cover);
         return (0..home.cost.rooms())
@@ -390,7 +389,7 @@ fn optima(home: &Home<'_>, room_time_s: usize) -> Result<Vec<Optimum>, Experimen
                 (a, b) => a == b,
             };
             if !agree {
-                return Err(ExperimentError::SolversDisagree { dynamic_s, solver_s });
+                return Err(StudyError::SolversDisagree { dynamic_s, solver_s });
             }
         }
     }
@@ -567,7 +566,7 @@ mod tests {
     }
 
     fn with_homes(activities: &[usize], check: impl FnOnce(&[Home<'_>])) {
-        let map = SemanticMap::from_json(include_str!("../../../scenes/apartment-e0.json")).unwrap();
+        let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let labels = grounding.label_texts();
         let mut source = ScoreSource::new(
@@ -596,7 +595,7 @@ mod tests {
     #[test]
     fn a_table_obeys_the_closed_forms_and_the_bound() {
         with_homes(&[0], |homes| {
-            let cells = run(homes, &[25, 50], &ALL, &options(), &Progress::hidden()).unwrap();
+            let cells = run(homes, &[25, 50], &ALL, &options(), || {}).unwrap();
             assert_eq!(cells.len(), 8);
             let naive = figures(&[&cells[0]], None);
             assert!((naive.disturbance_mean - homes[0].cost().naive_disturbance()).abs() < 15.0);
@@ -608,7 +607,7 @@ mod tests {
             assert_eq!(shares.iter().sum::<f64>(), 1.0, "{shares:?}");
             // A plan with the true costs always covers when the weight is high, and so does the forecast's.
             assert_eq!(figures(&[&cells[2]], None).failure_rate, 0.0);
-            let again = run(homes, &[25, 50], &ALL, &options(), &Progress::hidden()).unwrap();
+            let again = run(homes, &[25, 50], &ALL, &options(), || {}).unwrap();
             assert!(cells.iter().zip(&again).all(|(a, b)| a.runs == b.runs), "one seed, one table");
         });
     }

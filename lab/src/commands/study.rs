@@ -1,4 +1,4 @@
-//! `roomcast experiment table1 | table2 | ablation | pareto | horizon`: a robot among people, many times over.
+//! `roomcast-lab table1 | table2 | ablation | pareto | horizon`: a robot among people, many times over.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -7,9 +7,9 @@ use std::str::FromStr;
 use serde_json::json;
 
 use super::{LikeThingsArgs, ModelArgs, distinct, maps, report_faults};
-use crate::cli::choice::{choice, policy};
-use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
-use crate::exit_code;
+use roomcast_cli::choice::{choice, policy};
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, count, print, print_json, ranges, table};
 use roomcast_core::forecast::ForecastOptions;
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::Sentence;
@@ -19,18 +19,19 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::Tokenisation;
 use roomcast_core::scorer::correction::{Correction, CorrectionChoice};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::drawing;
+use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::report::{Report, Table};
 use roomcast_lab::experiment::setups::{self, SetupRow};
-use roomcast_lab::experiment::study::{self, Activity, Decider, Figures, Home, Options};
 use roomcast_lab::experiment::tables::{self, DIFFERENCES, PAPER_TABLE1, PAPER_TABLE2, PaperRow};
-use roomcast_lab::experiment::{ExperimentError, Progress, ScoreSource};
-use roomcast_lab::simulation::binding::ItemChoice;
-use roomcast_lab::simulation::homer::Day;
-use roomcast_lab::simulation::timeline::{PersonOptions, TimelineError};
-use roomcast_lab::simulation::world::Disturbance;
 use roomcast_llama::LlamaModel;
 use roomcast_services::setup;
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::drawing;
+use roomcast_simulation::homer::Day;
+use roomcast_simulation::study::{self, Activity, Decider, Figures, Home, Options};
+use roomcast_simulation::timeline::{PersonOptions, TimelineError};
+use roomcast_simulation::world::Disturbance;
+use roomcast_simulation::{ScoreSource, StudyError};
 
 /// The paper's pace, in seconds per action.
 const PACE_S: f64 = 24.0;
@@ -121,7 +122,7 @@ impl FromStr for DisturbanceArg {
     }
 }
 
-/// Arguments of `roomcast experiment table1`.
+/// Arguments of `roomcast-lab table1`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Table1Args {
     /// Who decides, given the prompts' scores.
@@ -136,7 +137,7 @@ pub(super) struct Table1Args {
 /// What `--setups` varies. What requires it names them as well: clap lets a requirement drop where something given excludes it.
 const OF_ONE_SETUP: [&str; 3] = ["items", "longest_act", "history"];
 
-/// Arguments of `roomcast experiment table2`.
+/// Arguments of `roomcast-lab table2`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Table2Args {
     /// Also under every set-up that the paper leaves open, with intervals and at the naive policy's share of failures: any thing of a kind or the
@@ -152,7 +153,7 @@ pub(super) struct Table2Args {
     study: StudyArgs,
 }
 
-/// Arguments of `roomcast experiment ablation`.
+/// Arguments of `roomcast-lab ablation`.
 #[derive(Debug, clap::Args)]
 pub(super) struct AblationArgs {
     /// Further models to compare; may be repeated.
@@ -170,7 +171,7 @@ pub(super) struct AblationArgs {
     study: StudyArgs,
 }
 
-/// Arguments of `roomcast experiment pareto`.
+/// Arguments of `roomcast-lab pareto`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ParetoArgs {
     /// Weights of coverage-aware avoidance, in seconds of disturbance per failed coverage; may be repeated.
@@ -346,8 +347,8 @@ impl Setup<'_> {
                     shortest_s / map.rooms().len().max(1)
                 )),
                 // A scene that has nothing of an activity says nothing of the others.
-                Err(ExperimentError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
-                Err(ExperimentError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
+                Err(StudyError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
+                Err(StudyError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
                 Err(error) => return Err(error.into()),
             }
         }
@@ -373,7 +374,7 @@ impl Setup<'_> {
         lacking.sort_unstable();
         lacking.dedup();
         if !lacking.is_empty() {
-            crate::cli::tell(format_args!(
+            roomcast_cli::tell(format_args!(
                 "roomcast: left out {} of action because a scene lacks the object, such as {}",
                 count(lacking.len(), "kind"),
                 lacking.iter().take(5).copied().collect::<Vec<_>>().join(", ")
@@ -394,7 +395,7 @@ impl Setup<'_> {
 
     fn run(&self, homes: &[Home<'_>], deciders: &[Decider]) -> Result<Vec<study::Cell>, Failure> {
         let progress = Progress::new("cells", homes.len() * self.room_times_s.len() * deciders.len());
-        Ok(study::run(homes, &self.room_times_s, deciders, &self.options, &progress)?)
+        Ok(study::run(homes, &self.room_times_s, deciders, &self.options, || progress.step())?)
     }
 
     /// What was computed, for reports of runs; `bindings` are the binding sequences that it was computed with.
@@ -459,7 +460,7 @@ impl Setup<'_> {
     fn finish(&self, report: &Report, json: serde_json::Value) -> CommandResult {
         if let Some(folder) = &self.args.out {
             report.write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-            crate::cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+            roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
         }
         if self.args.json {
             return print_json(&json);
@@ -776,12 +777,11 @@ impl Setup<'_> {
         let sentences: Vec<Sentence> = super::prediction::sentences(half)?;
         let mut pictures = Vec::new();
         for ((map, grounding), source) in self.scenes.iter().zip(sources) {
-            let rows = source
-                .score_steps(&sentences, self.options.history, &self.args.binding)
-                .map_err(ExperimentError::from)?;
+            let rows =
+                source.score_steps(&sentences, self.options.history, &self.args.binding).map_err(StudyError::from)?;
             let Some(last) = rows.last() else { continue };
             let mut grounded = GroundedScores::default();
-            grounding.ground(last, &mut grounded).map_err(ExperimentError::from)?;
+            grounding.ground(last, &mut grounded).map_err(StudyError::from)?;
             let caption = sentences.last().map_or("", Sentence::as_str);
             let items: Vec<f64> = grounding.item_log_score_nats(last).collect();
             let heat = drawing::Heat::new(&grounded.partition_probability, &items, caption);

@@ -28,12 +28,7 @@ pub enum SolverError {
 ///
 /// # Errors
 /// When the solver fails.
-pub(crate) fn optimum_s(
-    cost: &Cost,
-    room_time_s: usize,
-    start: usize,
-    cover: bool,
-) -> Result<Option<f64>, SolverError> {
+pub fn optimum_s(cost: &Cost, room_time_s: usize, start: usize, cover: bool) -> Result<Option<f64>, SolverError> {
     let (rooms, slots) = (cost.rooms(), cost.slots(room_time_s));
     let whole = cost.steps() / room_time_s;
     let mut problem = RowProblem::new();
@@ -79,8 +74,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::simulation::clairvoyant::by_dynamic_program;
-    use crate::simulation::world::tests::cost_of;
+    use crate::clairvoyant::by_dynamic_program;
+    use crate::world::tests::cost_of;
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]

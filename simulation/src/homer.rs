@@ -107,7 +107,7 @@ impl Day {
 ///
 /// # Errors
 /// As [`Program::load`] and [`Day::parse`].
-pub(crate) fn load_any(path: &Path) -> Result<Program, ProgramError> {
+pub fn load_any(path: &Path) -> Result<Program, ProgramError> {
     let unread = |source| ProgramError::Read { path: path.to_owned(), source };
     let within = |source| ProgramError::In { path: path.to_owned(), source: Box::new(source) };
     let bytes = std::fs::metadata(path).map_err(unread)?.len();

@@ -1,13 +1,11 @@
-//! `roomcast experiment habits`: how well a home is learned, day by day.
+//! `roomcast-lab habits`: how well a home is learned, day by day.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::{LikeThingsArgs, ModelArgs, maps, report_faults, report_first_faults};
-use crate::cli::choice::choice;
-use crate::cli::habits::tell_unfit;
-use crate::cli::{CommandResult, Failure, count, print, print_json, ranges, table};
-use crate::exit_code;
+use super::{LikeThingsArgs, ModelArgs, maps, report_first_faults};
+use roomcast_cli::choice::choice;
+use roomcast_cli::{CommandResult, Failure, count, exit_code, print, print_json, ranges, table, tell_unfit};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
 use roomcast_core::narration::Event;
@@ -18,17 +16,16 @@ use roomcast_ipc::narration_kind;
 use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::chart::{Chart, Mark, Series};
-use roomcast_lab::experiment::habits::{
-    self, ALL, Days, HALF, Interval, Options, PREDICTORS, Report, Step, TARGETS, Trace, UNSEEN,
-};
+use roomcast_lab::experiment::habits::{self, ALL, Days, HALF, Options, PREDICTORS, Report, TARGETS, UNSEEN};
 use roomcast_lab::experiment::report::{Report as Page, Table};
-use roomcast_lab::simulation::binding::ItemChoice;
-use roomcast_lab::simulation::homer::{DAY_BYTES_MAX, Day};
 use roomcast_services::message_text::event_of;
 use roomcast_services::narrator::{Item, Who};
 use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::homer::Day;
+use roomcast_simulation::trace::{Interval, Step, Trace};
 
-/// Arguments of `roomcast experiment habits`.
+/// Arguments of `roomcast-lab habits`.
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("watched").required(true).args(["days", "sensors"])))]
 pub(super) struct HabitsArgs {
@@ -75,7 +72,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
         .map_err(|e| Failure::new(exit_code::FAILURE, e))?;
     let trace = match (&args.days, &args.sensors, &args.rules) {
-        (Some(folder), ..) => of_days(&days(folder)?, &map, &grounding, args)?,
+        (Some(folder), ..) => of_days(&roomcast_cli::days::read(folder)?, &map, &grounding, args)?,
         (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
         _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
     };
@@ -103,7 +100,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     }
     if let Some(folder) = &args.out {
         page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
-        crate::cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+        roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
     }
     if args.json {
         return print_json(&report);
@@ -128,51 +125,6 @@ fn read(path: &Path) -> Result<Vec<u8>, Failure> {
         .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
 }
 
-/// Names as people number them: "day 9" before "day 10".
-fn in_order(path: &Path) -> Vec<(u64, String)> {
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let of_one_kind = |a: &char, b: &char| a.is_ascii_digit() == b.is_ascii_digit();
-    let parts = name.chars().collect::<Vec<_>>();
-    // A number that is too long for one comes last, and text by itself before any number.
-    let part = |part: &[char]| {
-        let text: String = part.iter().collect();
-        let number = part.first().is_some_and(char::is_ascii_digit).then(|| text.parse().unwrap_or(u64::MAX));
-        (number.map_or(0, |number: u64| number.saturating_add(1)), text)
-    };
-    parts.chunk_by(of_one_kind).map(part).collect()
-}
-
-/// The days of a folder, in the order of their names: the files that are days, whatever they are called, and those called `.txt`.
-pub(in crate::cli) fn days(folder: &Path) -> Result<Vec<Day>, Failure> {
-    let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
-    let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;
-    let mut files: Vec<PathBuf> = entries.filter_map(Result::ok).map(|entry| entry.path()).collect();
-    files.retain(|path| path.is_file());
-    files.sort_by_cached_key(|path| in_order(path));
-    let (mut days, mut faults, mut others) = (Vec::new(), Vec::new(), 0);
-    for path in files {
-        let is_text = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("txt"));
-        let too_large = std::fs::metadata(&path).is_ok_and(|file| file.len() > DAY_BYTES_MAX as u64);
-        if too_large && !is_text {
-            others += 1;
-            continue;
-        }
-        let text = read(&path)?;
-        let text = String::from_utf8_lossy(&text);
-        match Day::parse(&text) {
-            Ok(day) => days.push(day),
-            Err(error) if is_text || Day::recognise(&text) => faults.push(format!("{}: {error}", path.display())),
-            Err(_) => others += 1,
-        }
-    }
-    report_faults(&faults);
-    if days.is_empty() {
-        let others = if others > 0 { format!("; {} in it are none", count(others, "file")) } else { String::new() };
-        return Err(fault(format!("no day is in it: give a folder of files in HOMER+'s format{others}")));
-    }
-    Ok(days)
-}
-
 /// Says which words a scene has no place for, and how often they come, the most frequent first.
 fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
     const SHOWN: usize = 5;
@@ -184,7 +136,7 @@ fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
     words.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
     let shown: Vec<_> = words.iter().take(SHOWN).map(|(word, times)| format!("{word} ({times})")).collect();
     let more = if words.len() > SHOWN { ", ..." } else { "" };
-    crate::cli::tell(format_args!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", ")));
+    roomcast_cli::tell(format_args!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", ")));
 }
 
 fn sensors(
@@ -233,7 +185,7 @@ fn sensors(
     }
     let taken_for_one = taken_for_one(narrated.said.iter().map(|said| &said.item));
     for remark in missing(&steps).into_iter().chain(taken_for_one) {
-        crate::cli::tell(format_args!("roomcast: {remark}"));
+        roomcast_cli::tell(format_args!("roomcast: {remark}"));
     }
     let away = match presence {
         Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
@@ -281,7 +233,7 @@ fn tell_absences(Absences { intervals, labels, others }: &Absences) {
     }
     let labels: Vec<_> = labels.iter().map(|(label, times)| format!("{label:?} ({times})")).collect();
     let (absences, others) = (count(intervals.len(), "absence"), count(*others, "interval"));
-    crate::cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
+    roomcast_cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
 }
 
 /// How a stretch of days is called.

@@ -1,4 +1,4 @@
-//! `roomcast experiment persons`: the tracker's score in simulated homes with sensors.
+//! `roomcast-lab persons`: the tracker's score in simulated homes with sensors.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,9 +6,9 @@ use std::sync::Arc;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use strum::VariantNames;
 
-use super::{days, maps, report_faults};
-use crate::cli::{CommandResult, Failure, print, print_json, ranges, table};
-use crate::exit_code;
+use super::{maps, report_faults};
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, print, print_json, ranges, table};
 use roomcast_core::tracker::{Options, TrackerError};
 use roomcast_lab::experiment::persons::{self, Method, Row, Setup};
 use roomcast_lab::experiment::{Progress, prediction};
@@ -20,7 +20,7 @@ const RESIDENTS_MAX: usize = 4;
 /// Most days of one row.
 const DAYS_MAX: usize = 10_000;
 
-/// Arguments of `roomcast experiment persons`.
+/// Arguments of `roomcast-lab persons`.
 #[derive(Debug, clap::Args)]
 pub(super) struct PersonsArgs {
     /// Days per row. A home lives for ten days, then another begins.
@@ -98,7 +98,7 @@ fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Fa
     let Some((map, grounding)) = maps.first() else { return Ok(None) };
     let mut own = Recorded::new(map, grounding).map_err(|error| Failure::new(exit_code::INPUT, error))?;
     for folder in &args.household {
-        own.add_days(&days(folder)?, map, grounding);
+        own.add_days(&roomcast_cli::days::read(folder)?, map, grounding);
     }
     if let Some(folder) = &args.programs {
         let (programs, faults) = prediction::load_programs(folder)?;

@@ -6,12 +6,12 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Sentence;
 use roomcast_core::semantic_map::SemanticMap;
 
-use crate::experiment::ExperimentError;
-use crate::simulation::binding::{Binder, ItemChoice};
-use crate::simulation::homer::Day;
+use crate::StudyError;
+use crate::binding::{Binder, ItemChoice};
+use crate::homer::Day;
 
 /// Seconds of a day.
-pub(crate) const DAY_S: f64 = 86_400.0;
+pub const DAY_S: f64 = 86_400.0;
 /// The longest time that is watched, in days: somebody is forecast in every minute of it. A wrong year in a log would make it decades.
 pub const DAYS_MAX: usize = 1_100;
 
@@ -49,9 +49,9 @@ pub struct Trace {
     /// What was narrated, in the order of time.
     pub steps: Vec<Step>,
     /// From when the person is where; the rooms of the map, then elsewhere.
-    pub(crate) places: Vec<(f64, usize)>,
+    pub places: Vec<(f64, usize)>,
     /// When the home was watched, in order; none begins before another ends.
-    pub(crate) watched: Vec<(f64, f64)>,
+    pub watched: Vec<(f64, f64)>,
     /// When each day begins, in order: each of those given, or each of the calendar.
     days: Vec<f64>,
 }
@@ -68,9 +68,9 @@ impl Trace {
         grounding: &Grounding,
         items: ItemChoice,
         seed: u64,
-    ) -> Result<Self, ExperimentError> {
+    ) -> Result<Self, StudyError> {
         if days.len() > DAYS_MAX {
-            return Err(ExperimentError::TooManyDays { days: days.len() });
+            return Err(StudyError::TooManyDays { days: days.len() });
         }
         let mut binder = Binder::new(map, grounding, items);
         binder.begin(seed, "home");
@@ -142,7 +142,7 @@ impl Trace {
         intervals: &[Interval],
         away: &[(f64, f64)],
         rooms: usize,
-    ) -> Result<Self, ExperimentError> {
+    ) -> Result<Self, StudyError> {
         steps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         let mut edges: Vec<f64> = intervals.iter().flat_map(|i| [i.from_s, i.to_s]).collect();
         let times = || steps.iter().map(|step| step.at_s).chain(edges.iter().copied());
@@ -150,7 +150,7 @@ impl Trace {
         let midnight_s = (begin_s / DAY_S).floor() * DAY_S;
         let days = (((end_s - midnight_s) / DAY_S).max(0.0) as usize).saturating_add(1);
         if days > DAYS_MAX {
-            return Err(ExperimentError::LongLog { from: date(begin_s), to: date(end_s) });
+            return Err(StudyError::LongLog { from: date(begin_s), to: date(end_s) });
         }
         let away: Vec<(f64, f64)> = away
             .iter()
@@ -191,7 +191,7 @@ impl Trace {
     }
 
     /// For how long the person is in a place between two moments, in seconds.
-    pub(crate) fn time_in(&self, place: usize, from_s: f64, to_s: f64) -> f64 {
+    pub fn time_in(&self, place: usize, from_s: f64, to_s: f64) -> f64 {
         let first = self.places.partition_point(|(at_s, _)| *at_s <= from_s).saturating_sub(1);
         let stays = self.places[first..].iter().take_while(|(at_s, _)| *at_s < to_s).enumerate();
         let time_s = |(index, (at_s, own)): (usize, &(f64, usize))| {
@@ -202,7 +202,7 @@ impl Trace {
     }
 
     /// The day of a moment, from 0.
-    pub(crate) fn day(&self, at_s: f64) -> usize {
+    pub fn day(&self, at_s: f64) -> usize {
         self.days.partition_point(|begin_s| *begin_s <= at_s).saturating_sub(1)
     }
 }
@@ -218,7 +218,7 @@ fn date(at_s: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::homer::TimedAction;
+    use crate::homer::TimedAction;
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::narration::Action;
 
@@ -256,7 +256,7 @@ mod tests {
 
     #[test]
     fn a_day_is_a_file_however_late_it_ends() {
-        let map = SemanticMap::from_json(include_str!("../../../../scenes/flat.json")).unwrap();
+        let map = SemanticMap::from_json(include_str!("../../scenes/flat.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let timed = |notation: &str, done_min| TimedAction {
             activity: "a".into(),
