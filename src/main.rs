@@ -10,8 +10,6 @@ use std::process::ExitCode;
 use roomcast_cli::exit_code;
 
 mod bar;
-#[cfg(feature = "bridge")]
-mod bridge;
 mod cli;
 mod columns;
 mod decided;
@@ -26,6 +24,8 @@ mod hub;
 mod latency;
 #[cfg(feature = "metrics")]
 mod metrics;
+#[cfg(feature = "publish")]
+mod publish;
 #[cfg(any(feature = "top", feature = "view"))]
 mod top;
 #[cfg(feature = "view")]

@@ -29,7 +29,7 @@ use roomcast_simulation::trace::DAYS_MAX;
 const HEAD: &str = "# Limits
 
 What Roomcast accepts at most, and what happens beyond it. `tests/limits.rs` writes this page; the numbers in its tables are the constants of
-the code. Limits of configured values are in `roomcast config`, those of `roomcast-bridge` in `fleet.md`. A source counts once for each of its
+the code. Limits of configured values are in `roomcast config`, those of `roomcast-zenoh` in `fleet.md`. A source counts once for each of its
 starts.
 ";
 

@@ -13,8 +13,6 @@ use roomcast_cli::{table, take_negative_numbers, tell};
 
 use crate::exit_code;
 
-#[cfg(feature = "bridge")]
-mod bridge;
 #[cfg(feature = "mqtt")]
 mod broker;
 #[cfg(feature = "manuals")]
@@ -48,6 +46,8 @@ mod narrate;
 mod narrate_mqtt;
 mod person;
 mod planner;
+#[cfg(feature = "publish")]
+mod publish;
 #[cfg(feature = "recordings")]
 mod record;
 #[cfg(feature = "recordings")]
@@ -86,9 +86,10 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Publish what Roomcast knows over MQTT, for Home Assistant and others.
-    #[cfg(feature = "bridge")]
-    Bridge(bridge::Args),
+    /// The old name of `publish`.
+    #[cfg(feature = "publish")]
+    #[command(hide = true)]
+    Bridge(publish::Args),
     /// Print a completion script for a shell.
     #[cfg(feature = "manuals")]
     Completions(completions::Args),
@@ -133,6 +134,9 @@ enum Command {
     Person(person::Args),
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
+    /// Publish what Roomcast knows over MQTT, for Home Assistant and others.
+    #[cfg(feature = "publish")]
+    Publish(publish::Args),
     /// Record everything on the services into an MCAP file.
     #[cfg(feature = "recordings")]
     Record(record::Args),
@@ -205,8 +209,13 @@ pub fn main() -> ExitCode {
         sigpipe::reset();
     }
     let result = match command {
-        #[cfg(feature = "bridge")]
-        Command::Bridge(args) => bridge::run(&args),
+        #[cfg(feature = "publish")]
+        Command::Bridge(args) => {
+            tell(
+                "roomcast: `roomcast bridge` is called `roomcast publish` now; the next version has no other name for it",
+            );
+            publish::run(&args)
+        }
         #[cfg(feature = "manuals")]
         Command::Completions(args) => completions::run(&args),
         Command::Config(args) => config::run(&args),
@@ -232,6 +241,8 @@ pub fn main() -> ExitCode {
         Command::Narrate(args) => narrate::run(&args),
         Command::Person(args) => person::run(&args),
         Command::Planner(args) => planner::run(&args),
+        #[cfg(feature = "publish")]
+        Command::Publish(args) => publish::run(&args),
         #[cfg(feature = "recordings")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "recordings")]

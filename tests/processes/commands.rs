@@ -72,7 +72,7 @@ fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
     let config = world.directory.path().join("roomcast.toml");
     for (address, part) in [("http://h", "no broker"), ("mqtt://ada:secret@h", "user name"), ("mqtts://h", "CA file")] {
         std::fs::write(&config, format!("[mqtt]\nbroker = {address:?}\nrules = \"rules.toml\"\n")).unwrap();
-        for command in [&["narrate"][..], &["bridge", "mqtt"], &["robot"]] {
+        for command in [&["narrate"][..], &["publish", "mqtt"], &["robot"]] {
             // A narrator has no broker unless it is told so.
             let asked = if command == ["narrate"] { &["--mqtt"][..] } else { &[] };
             let configured = [asked, &["--config", config.to_str().unwrap()]].concat();
@@ -262,6 +262,14 @@ fn the_old_name_of_an_experiment_prints_the_new_one_on_one_line() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{said}");
     assert!(said.lines().count() == 1 && said.contains("roomcast-lab table2 --json"), "{said}");
+}
+
+#[test]
+fn the_old_name_of_publish_still_works_and_prints_the_new_one() {
+    let output = roomcast(&["bridge", "mqtt", "--topic", "a/#"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::CONFIG)), "{said}");
+    assert!(said.contains("`roomcast publish`") && said.contains("bridge.topic"), "{said}");
 }
 
 #[test]
