@@ -13,9 +13,9 @@ export PATH := $(PATH):$(or $(CARGO_HOME),$(HOME)/.cargo)/bin
 TARGET := $(or $(CARGO_TARGET_DIR),target)
 VENV := $(TARGET)/python
 HOME_ASSISTANT := $(TARGET)/home-assistant
-ZENOH := $(TARGET)/zenoh
+ROUTER := $(TARGET)/zenoh
 TESTS := --release --locked --workspace --features full
-BRIDGE := --release --locked --manifest-path bridge/Cargo.toml --target-dir $(abspath $(TARGET))
+ZENOH := --release --locked --manifest-path zenoh/Cargo.toml --target-dir $(abspath $(TARGET))
 
 .PHONY: help
 help: ## Lists the commands.
@@ -30,19 +30,23 @@ build: setup ## Builds the roomcast binary.
 	@echo "build: the first build compiles llama.cpp and takes some minutes on two cores, later ones seconds"
 	cargo build --release --locked
 
+.PHONY: lab
+lab: setup ## Builds roomcast-lab, the program with the experiments.
+	cargo build --release --locked --package roomcast-lab
+
 .PHONY: demo
 demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format counts structure lint unit bridge docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts structure lint unit zenoh docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
 format:
 	@echo "test: format"
 	cargo fmt --all --check
-	cargo fmt --manifest-path bridge/Cargo.toml --check
+	cargo fmt --manifest-path zenoh/Cargo.toml --check
 
 .PHONY: structure
 structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
@@ -61,27 +65,27 @@ unit:
 	@# A household's day is mostly waiting: everything else is tested meanwhile.
 	@.ci/beside "cargo test $(TESTS) --test home" "cargo test $(TESTS) --no-fail-fast"
 
-# A workspace of its own, in the same target folder (bridge/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
-.PHONY: bridge
-bridge: setup ## Builds and checks roomcast-bridge: lints, tests with a real router, documentation.
-	@echo "test: the zenoh bridge (its first build compiles zenoh: some minutes on two cores)"
+# A workspace of its own, in the same target folder (zenoh/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
+.PHONY: zenoh
+zenoh: setup ## Builds and checks roomcast-zenoh: lints, tests with a real router, documentation.
+	@echo "test: roomcast-zenoh (its first build compiles zenoh: some minutes on two cores)"
 	test -x $(TARGET)/release/roomcast || cargo build --release --locked
-	cargo clippy $(BRIDGE) --all-targets -- -D warnings
-	@test -x $(ZENOH)/bin/python || python3 -m venv $(ZENOH); \
-	if ! $(ZENOH)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
-	    $(ZENOH)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
+	cargo clippy $(ZENOH) --all-targets -- -D warnings
+	@test -x $(ROUTER)/bin/python || python3 -m venv $(ROUTER); \
+	if ! $(ROUTER)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
+	    $(ROUTER)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
 	fi
-	cargo test $(BRIDGE) --no-run
-	cargo test $(BRIDGE) --test day --no-run
-	@.ci/beside "cargo test $(BRIDGE) --test day" "cargo test $(BRIDGE) --no-fail-fast"
-	RUSTDOCFLAGS="-D warnings" cargo doc $(BRIDGE) --no-deps
+	cargo test $(ZENOH) --no-run
+	cargo test $(ZENOH) --test day --no-run
+	@.ci/beside "cargo test $(ZENOH) --test day" "cargo test $(ZENOH) --no-fail-fast"
+	RUSTDOCFLAGS="-D warnings" cargo doc $(ZENOH) --no-deps
 
 .PHONY: nightly
 nightly: setup ## An hour of faults by seed: simulation, killed processes, strangers, failing system calls, brokers, mutated input; says what was tried. Then the fleet's.
 	@# The fleet's faults are tried whatever became of the others; a violation counts for more than a kind that could not be tried (3).
 	@code=0; .ci/nightly || code=$$?; \
-	PROPTEST_CASES=5000 cargo test $(BRIDGE) --test hostile || code=1; \
-	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(BRIDGE) --test fleet -- --nocapture || code=1; \
+	PROPTEST_CASES=5000 cargo test $(ZENOH) --test hostile || code=1; \
+	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(ZENOH) --test fleet -- --nocapture || code=1; \
 	exit $$code
 
 # Home Assistant 2024.3.3 is the last for Python 3.11; at its first start it installs what its parts need.

@@ -1,19 +1,18 @@
 //! The `roomcast` binary: the command line, and what only people at a terminal need.
 
 #![cfg_attr(
-    not(all(feature = "demo", feature = "lab", feature = "latency", feature = "recordings")),
+    not(all(feature = "demo", feature = "simulation", feature = "latency", feature = "recordings")),
     allow(dead_code, reason = "commands that a smaller build leaves out use it")
 )]
 
 use std::process::ExitCode;
 
+use roomcast_cli::exit_code;
+
 mod bar;
-#[cfg(feature = "bridge")]
-mod bridge;
 mod cli;
 mod columns;
 mod decided;
-mod exit_code;
 mod flags;
 #[cfg(feature = "home")]
 mod home_assistant;
@@ -25,6 +24,8 @@ mod hub;
 mod latency;
 #[cfg(feature = "metrics")]
 mod metrics;
+#[cfg(feature = "publish")]
+mod publish;
 #[cfg(any(feature = "top", feature = "view"))]
 mod top;
 #[cfg(feature = "view")]
@@ -34,7 +35,7 @@ fn main() -> ExitCode {
     // Before anything that takes much of the stack.
     match roomcast_ipc::limits::too_low() {
         Some(fault) => {
-            cli::tell(format_args!("roomcast: {fault}"));
+            roomcast_cli::tell(format_args!("roomcast: {fault}"));
             ExitCode::from(exit_code::FAILURE)
         }
         None => run(),

@@ -25,9 +25,7 @@ use roomcast_services::recording::{Received, Recorded, Recorder};
 #[path = "../fuzz/targets.rs"]
 mod targets;
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 
 /// Mutations of each target by default; those that write files get fewer.
 const RUNS: u64 = 20_000;

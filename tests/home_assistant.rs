@@ -3,7 +3,7 @@
 //!
 //! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another one's program. Without one it is skipped.
 
-#![cfg(all(feature = "bridge", feature = "home"))]
+#![cfg(all(feature = "publish", feature = "home"))]
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::fs::File;
@@ -136,7 +136,7 @@ impl HomeAssistant {
             light("ceiling"),
             light("bedside"),
             light("toaster"),
-            automations("bridge.md"),
+            automations("publish.md"),
             automations("robot.md"),
         );
         std::fs::write(folder.join("configuration.yaml"), text).unwrap();
@@ -432,7 +432,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     services.start("daemon", &["daemon"]);
     services.start("narrator", &["narrate", "--mqtt"]);
     services.start("planner", &["planner"]);
-    services.start("bridge", &["bridge", "mqtt"]);
+    services.start("bridge", &["publish", "mqtt"]);
     let node = services.domain.open("test").unwrap();
     let heard = node.subscriber::<NarrationV1>().unwrap();
     works("at first", &home, &token, &heard);
@@ -446,7 +446,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         assert!(entities.iter().any(|own| own == id), "{id} in {entities:?}");
     }
 
-    // The automation of docs/bridge.md: somebody comes into the bathroom, and it is warmed.
+    // The automation of docs/publish.md: somebody comes into the bathroom, and it is warmed.
     talk.turn("bathroom_motion", true);
     eventually("somebody is soon in the bathroom", || {
         (talk.state("binary_sensor.roomcast_bathroom_soon")? == "on").then_some(())
@@ -511,12 +511,12 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     });
     services.stop("daemon");
     services.start("daemon", &["daemon"]);
-    services.start("bridge", &["bridge", "mqtt"]);
+    services.start("bridge", &["publish", "mqtt"]);
     works("after the restart of daemon and bridge", &home, &token, &heard);
 
     // It goes without a trace.
     services.stop("bridge");
-    let removed = services.command(&["bridge", "mqtt", "--remove", "--config", &config]).output().unwrap();
+    let removed = services.command(&["publish", "mqtt", "--remove", "--config", &config]).output().unwrap();
     assert!(removed.status.success(), "{removed:?}");
     eventually("no entity is left", || talk.roomcast_entities().is_empty().then_some(()));
     let registry = talk.ask(json!({"type": "config/entity_registry/list"}));

@@ -16,7 +16,6 @@ use roomcast_ipc::{
     DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
     RoomScoresV1, question, sequence,
 };
-use roomcast_lab::experiment::habits::DAYS_MAX;
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{
@@ -25,11 +24,12 @@ use roomcast_services::daemon::{
 use roomcast_services::mqtt::{link, look};
 use roomcast_services::narrator::Faults;
 use roomcast_services::{mqtt, recording, reporter, sensor_log};
+use roomcast_simulation::trace::DAYS_MAX;
 
 const HEAD: &str = "# Limits
 
 What Roomcast accepts at most, and what happens beyond it. `tests/limits.rs` writes this page; the numbers in its tables are the constants of
-the code. Limits of configured values are in `roomcast config`, those of `roomcast-bridge` in `fleet.md`. A source counts once for each of its
+the code. Limits of configured values are in `roomcast config`, those of `roomcast-zenoh` in `fleet.md`. A source counts once for each of its
 starts.
 ";
 
@@ -81,7 +81,7 @@ fn page() -> String {
             ("bytes of an activity program", &PROGRAM_BYTES_MAX, "is refused"),
             ("steps of an activity program", &STEPS_MAX, "is refused"),
             ("minutes of a day of activities", &DAY_MINUTES_MAX, "is refused"),
-            ("days of `experiment habits`", &DAYS_MAX, "is refused"),
+            ("days of `roomcast-lab habits`", &DAYS_MAX, "is refused"),
             ("bytes of a binding sequence", &prompt::BINDING_BYTES_MAX, "is refused"),
             ("observations of a person's window", &OBSERVATIONS_MAX, "is refused in the configuration"),
             ("bytes of a line of narration, as JSON too", &narration::line::LINE_BYTES_MAX, "is reported and skipped"),

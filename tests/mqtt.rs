@@ -1,7 +1,7 @@
 //! Real processes and a real broker. The bridge: what stands at the broker over restarts of each, and what goes when rooms go. The robot:
 //! a fake one over the broker is driven by the real planner, also over a day with a person.
 
-#![cfg(all(feature = "bridge", feature = "robot"))]
+#![cfg(all(feature = "publish", feature = "robot"))]
 #![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -18,9 +18,7 @@ use rumqttc::v5::{Client, Event, MqttOptions};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 #[path = "support/fake_valetudo.rs"]
 mod fake_valetudo;
 #[path = "support/lived_day.rs"]
@@ -86,7 +84,7 @@ impl World {
     fn start_bridge(&mut self, port: u16) -> usize {
         let config = self.directory.path().join("roomcast.toml");
         let broker = format!("mqtt://127.0.0.1:{port}");
-        self.start(&["bridge", "mqtt", "--config", config.to_str().unwrap(), "--mqtt", &broker])
+        self.start(&["publish", "mqtt", "--config", config.to_str().unwrap(), "--mqtt", &broker])
     }
 
     fn narrate(&self, lines: &str) {
@@ -271,7 +269,7 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     let now = kept(port);
     assert!(is(&now, "roomcast/status", "offline") && now.contains_key("roomcast/rooms/kitchen"));
     let address = format!("mqtt://127.0.0.1:{port}");
-    let removed = world.command(&["bridge", "mqtt", "--remove", "--mqtt", &address]).output().unwrap();
+    let removed = world.command(&["publish", "mqtt", "--remove", "--mqtt", &address]).output().unwrap();
     assert!(removed.status.success(), "{removed:?}");
     assert_eq!(kept(port).into_keys().collect::<Vec<_>>(), [FOREIGN, NEIGHBOUR]);
     drop(broker);
@@ -339,7 +337,7 @@ fn a_dry_run_prints_what_would_be_published_and_odd_names_are_safe() {
     let mut world = World::new("dry");
     world.start_daemon("state", &[]);
     world.narrate("{\"text\": \"They open the fridge.\", \"person\": \"<b>a/+#\"}\n");
-    let output = world.command(&["bridge", "mqtt", "--dry-run", "--once", "--topic", "my/home"]).output().unwrap();
+    let output = world.command(&["publish", "mqtt", "--dry-run", "--once", "--topic", "my/home"]).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let text = String::from_utf8(output.stdout).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -356,7 +354,7 @@ fn a_dry_run_prints_what_would_be_published_and_odd_names_are_safe() {
 fn a_wrong_set_up_is_one_clear_error() {
     let world = World::new("wrong");
     let run = |arguments: &[&str]| {
-        let output = world.command(&[&["bridge", "mqtt"], arguments].concat()).output().unwrap();
+        let output = world.command(&[&["publish", "mqtt"], arguments].concat()).output().unwrap();
         (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
     };
     for (arguments, code, part) in [

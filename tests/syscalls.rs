@@ -23,9 +23,7 @@ use roomcast_ipc::{DecisionV1, Domain};
 use roomcast_services::daemon::{Recovered, journal};
 use rustix::process::{Pid, Signal, kill_process};
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 #[path = "support/skipped.rs"]
 mod skipped;
 use skipped::skipped;

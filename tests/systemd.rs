@@ -20,7 +20,7 @@ const UNITS: [&str; 9] = [
     "roomcast-planner.service",
     "roomcast-narrator.service",
     "roomcast-mqtt.service",
-    "roomcast-bridge.service",
+    "roomcast-publish.service",
     "roomcast-robot.service",
     "roomcast-metrics.service",
     "roomcast-view.service",
@@ -41,7 +41,7 @@ fn installed() -> Option<tempfile::TempDir> {
     for unit in UNITS.iter().chain(&["roomcast.target"]) {
         let text = std::fs::read_to_string(source.join(unit)).unwrap();
         // The bridge is built apart from this.
-        let text = text.replace("/usr/bin/roomcast-bridge", "/usr/bin/roomcast");
+        let text = text.replace("/usr/bin/roomcast-zenoh", "/usr/bin/roomcast");
         let text = text.replace("/usr/bin/roomcast", env!("CARGO_BIN_EXE_roomcast"));
         std::fs::write(directory.path().join(unit), text).unwrap();
     }
@@ -390,7 +390,7 @@ fn a_hung_daemon_falls_silent_so_that_the_watchdog_restarts_it() {
 /// program that is built apart.
 fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
     let words = values(unit, "ExecStart");
-    if words[0] == "/usr/bin/roomcast-bridge" {
+    if words[0] == "/usr/bin/roomcast-zenoh" {
         return None;
     }
     assert_eq!(words[0], "/usr/bin/roomcast", "{unit}");
@@ -423,7 +423,7 @@ fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
     command.extend(match unit {
         "roomcast-daemon.service" => vec!["--state".to_owned(), path("state")],
         "roomcast-metrics.service" | "roomcast-view.service" => vec!["--listen".to_owned(), "127.0.0.1:0".to_owned()],
-        "roomcast-bridge.service" | "roomcast-robot.service" => vec!["--mqtt".to_owned(), broker()],
+        "roomcast-publish.service" | "roomcast-robot.service" => vec!["--mqtt".to_owned(), broker()],
         _ => Vec::new(),
     });
     Some(command)

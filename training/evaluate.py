@@ -1,6 +1,6 @@
 """Next-object and next-room forecasts of a model and of the baselines, on held-out programs in given scenes.
 
-This steers training. The figures of the model card come from `roomcast experiment forecast`, which scores through the product itself.
+This steers training. The figures of the model card come from `roomcast-lab forecast`, which scores through the product itself.
 
     python training/evaluate.py --shared ../shared --work training/work --split test
 

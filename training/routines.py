@@ -1,6 +1,6 @@
 """The project's own corpus: everyday routines written by hand, and the generator that varies them.
 
-    python training/routines.py --out FOLDER      # one way of each that is trained on, as a program for `roomcast experiment forecast --fit`
+    python training/routines.py --out FOLDER      # one way of each that is trained on, as a program for `roomcast-lab forecast --fit`
 
 A routine's `steps` are actions separated by `;`. An action is a key of actions.toml, then up to two objects separated by a comma.
 

@@ -1,7 +1,7 @@
 """Makes the embedded model from data folders: corpus, vocabulary, training, export, manifest.
 
     python training/run.py --shared ../shared --out models --seed 1
-    python training/run.py --shared ../shared --folds folds       # one model per fold, each below folds/, for `roomcast experiment folds`
+    python training/run.py --shared ../shared --folds folds       # one model per fold, each below folds/, for `roomcast-lab folds`
     python training/run.py --shared ../shared --folds folds --small
 
 A run that was ended goes on where it was when the same command is given again.

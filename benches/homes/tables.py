@@ -1,4 +1,4 @@
-"""The tables of docs/experiments.md, "Learning a home", from what `roomcast experiment habits --json` prints."""
+"""The tables of docs/experiments.md, "Learning a home", from what `roomcast-lab habits --json` prints."""
 
 NEXT_ROOM = ("mixture", "model", "counts", "stay")
 NEXT_THING = ("mixture", "model", "counts", "without-model")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Translates recorded homes into what `roomcast experiment habits --sensors` reads.
+"""Translates recorded homes into what `roomcast-lab habits --sensors` reads.
 
     python benches/homes/translate.py --data FOLDER --out FOLDER
 

@@ -1,29 +1,7 @@
-//! Roomcast's laboratory: simulated persons and robots, the paper's experiments and ours, charts and drawings.
-//!
-//! It uses the method of `roomcast-core` exactly as the robot does, on simulated time.
-//!
-//! ```
-//! use roomcast_core::grounding::{Grounding, GroundingOptions};
-//! use roomcast_core::semantic_map::SemanticMap;
-//! use roomcast_lab::drawing;
-//!
-//! let map = SemanticMap::from_json(include_str!("../../core/example.json"))?;
-//! let grounding = Grounding::new(&map, &GroundingOptions::default())?;
-//! let plan = drawing::svg(&map, &grounding, None)?;
-//! assert!(plan.contains("<svg"));
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-
-pub mod drawing;
-
-pub mod simulation;
-
-pub mod home_simulation;
+//! Roomcast's laboratory: the paper's experiments and ours, with charts. The program `roomcast-lab` runs them.
 
 pub mod experiment;
-
-#[cfg(feature = "png")]
-pub mod png;
+pub mod home_simulation;
 
 /// The shipped activity programs for homes, by name, for tests.
 #[cfg(test)]
@@ -32,7 +10,3 @@ const PROGRAMS: [(&str, &str); 3] = [
     ("p1-laundry-and-to-bed", include_str!("../../scenes/programs/p1-laundry-and-to-bed.txt")),
     ("p2-long-evening", include_str!("../../scenes/programs/p2-long-evening.txt")),
 ];
-
-#[cfg(test)]
-#[path = "../../tests/support/skipped.rs"]
-mod skipped;

@@ -182,7 +182,7 @@ mod tests {
 
     use super::*;
 
-    /// The table that a hub of `roomcast-bridge` is tested with, too.
+    /// The table that a hub of `roomcast-zenoh` is tested with, too.
     #[test]
     fn a_narrator_takes_the_lines_that_a_hub_takes() {
         let table: Vec<Value> = serde_json::from_str(include_str!("../../tests/data/lines.json")).unwrap();

@@ -32,14 +32,14 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{Method, Tokenisation};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::experiment::study::{self, Activity, Decider, Home, Means, Options};
-use roomcast_lab::experiment::{ExperimentError, ScoreSource};
-use roomcast_lab::simulation::timeline::Timeline;
-use roomcast_lab::simulation::world::{Cost, Stay, check_room_time, tally};
 use roomcast_llama::{CacheType, LlamaOptions};
 use roomcast_services::config::Config;
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
+use roomcast_simulation::study::{self, Activity, Decider, Home, Means, Options};
+use roomcast_simulation::timeline::Timeline;
+use roomcast_simulation::world::{Cost, Stay, check_room_time, tally};
+use roomcast_simulation::{ScoreSource, StudyError};
 
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
@@ -231,24 +231,24 @@ impl Plot {
         let options = Options { seed: args.seed, ..Options::default() };
         // In single precision, as the experiments score.
         let llama = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
-        let model = setup::load_model(args.model.as_deref(), &llama)
-            .map_err(|error| ExperimentError::Model(Box::new(error)))?;
+        let model =
+            setup::load_model(args.model.as_deref(), &llama).map_err(|error| StudyError::Model(Box::new(error)))?;
         let (method, tokenisation) = (Method::default(), Tokenisation::default());
         let labels = grounding.label_texts();
         let source = ScoreSource::new(model, &labels, method, tokenisation, CorrectionChoice::default(), None);
-        let mut source = source.map_err(ExperimentError::from)?;
+        let mut source = source.map_err(StudyError::from)?;
         let activity = Activity::Program(program);
         let activities = [(program_name(&args.program), &activity)];
         let home = Home::new(map, grounding, &activities, &mut source, &BindingSequence::default(), &options)?;
         let timeline = home.timelines().next().cloned();
         let timeline = timeline.ok_or_else(|| Failure::new(exit_code::FAILURE, "the simulation has no person"))?;
-        check_room_time(args.room_time, home.cost().steps()).map_err(ExperimentError::from)?;
+        check_room_time(args.room_time, home.cost().steps()).map_err(StudyError::from)?;
         let known = home.knowledge(args.room_time, options.forecast);
         let mut simulated = Vec::new();
         for policy in [args.policy, PolicyName::CoverageAware, PolicyName::InformedAvoidance, PolicyName::Naive] {
             if simulated.iter().all(|(other, _)| *other != policy) {
                 let runs = study::restarts(&home, args.room_time, &known, Decider::Policy(policy), &options);
-                simulated.push((policy, Means::of(runs.map_err(ExperimentError::from)?.iter())));
+                simulated.push((policy, Means::of(runs.map_err(StudyError::from)?.iter())));
             }
         }
         Ok(Self { timeline, cost: home.cost().clone(), simulated, restarts: options.restarts })
@@ -562,7 +562,7 @@ impl<'a> Show<'a> {
         // Writing into a text cannot fail.
         let _ = write!(
             text,
-            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast experiment table2` \
+            "{rows}\n\nSimulated: means over {} that begin in a random room, with the same person and seed; `roomcast-lab table2` \
              --scene {} --program {} --room-time {} --seed {} gives the same.",
             count(plot.restarts as usize, "robot"),
             args.scene.display(),

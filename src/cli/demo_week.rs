@@ -19,12 +19,12 @@ use roomcast_core::habits::HabitsOptions;
 use roomcast_core::narration::{Event, Observation, Program};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::experiment::habits::Trace;
-use roomcast_lab::simulation::binding::ItemChoice;
-use roomcast_lab::simulation::homer::{Day, TimedAction};
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{Board, Entry, HomeHabits, Memory, Zone};
 use roomcast_services::{embedded, setup};
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::homer::{Day, TimedAction};
+use roomcast_simulation::trace::Trace;
 
 const DAY_S: f64 = 86_400.0;
 const MINUTE_S: f64 = 60.0;

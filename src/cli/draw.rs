@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use roomcast_core::grounding::{Grounding, PartitionLevel};
 use roomcast_core::parsing::json_says;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::drawing::{self, Heat};
+use roomcast_simulation::drawing::{self, Heat};
 
 use super::choice::choice;
 use super::scene_files::{input, load, read, write};
@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> CommandResult {
 
 #[cfg(feature = "png")]
 fn png(svg: &str, scale: f32) -> Result<Vec<u8>, Failure> {
-    roomcast_lab::png::png(svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))
+    roomcast_simulation::png::png(svg, scale).map_err(|error| Failure::new(exit_code::FAILURE, error))
 }
 
 #[cfg(not(feature = "png"))]

@@ -17,11 +17,11 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_lab::drawing::{self, Heat};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UnderstoodPerson, Whereabouts};
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
+use roomcast_simulation::drawing::{self, Heat};
 
 /// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
 /// `--at` and `--sequence` require; clap lets a requirement drop where something excludes it, so those two name them as well.
@@ -270,7 +270,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
             "the recorded scores are of a map with the fingerprint {wanted}, {name} is another one; give --scene FILE"
         )));
     }
-    let model = super::model::load(model, &options)?;
+    let model = roomcast_cli::model::load(model, &options)?;
     if hex::encode(model.info().fingerprint) != wanted.1 {
         let (name, wanted) = (&model.info().name, &wanted.1);
         return Err(Failure::new(

@@ -4,21 +4,21 @@ use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
-#[cfg(feature = "lab")]
-use roomcast_lab::simulation::homer::Day;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, Zone};
 use roomcast_services::lessons::{self, Lessons};
 use roomcast_services::logging;
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 use roomcast_services::narrator::Item;
 use roomcast_services::narrator::{Faults, Who};
-use roomcast_services::sensor_log::{self, SensorLog, SensorRules};
+use roomcast_services::sensor_log::{self, SensorRules};
+#[cfg(feature = "simulation")]
+use roomcast_simulation::homer::Day;
 
 /// Arguments of `roomcast habits`.
 #[derive(Debug, clap::Args)]
@@ -83,11 +83,11 @@ struct LearnArgs {
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
     /// A folder of days of activities (HOMER+), in the order of their names, whose times are local ones.
-    #[cfg(feature = "lab")]
+    #[cfg(feature = "simulation")]
     #[arg(long, value_name = "FOLDER")]
     days: Option<PathBuf>,
     /// The date of the first of these days; else the last one was yesterday.
-    #[cfg(feature = "lab")]
+    #[cfg(feature = "simulation")]
     #[arg(long, value_name = "YYYY-MM-DD", requires = "days", conflicts_with = "rules", conflicts_with_all = INPUTS.iter().filter(|input| **input != "days"))]
     first_day: Option<String>,
     /// The person, by name or number, where nothing says who it was.
@@ -98,9 +98,9 @@ struct LearnArgs {
 }
 
 /// What is learned from, one of them.
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
-#[cfg(not(feature = "lab"))]
+#[cfg(not(feature = "simulation"))]
 const INPUTS: [&str; 3] = ["lines", "sensors", "recording"];
 
 /// Options of every action.
@@ -255,9 +255,9 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let person = args.person.clone().unwrap_or_default();
     let (zone, now_unix_ns) = (Zone::local(), roomcast_ipc::clock::unix_ns());
-    #[cfg(feature = "lab")]
+    #[cfg(feature = "simulation")]
     if let Some(folder) = &args.days {
-        let days = super::experiment::days(folder)?;
+        let days = roomcast_cli::days::read(folder)?;
         let first_s = first_day_s(args.first_day.as_deref(), days.len(), zone.local_s(now_unix_ns))?;
         let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
         for TimedItem { day, action, at_s, item } in day_items(&days, first_s, &person) {
@@ -270,7 +270,7 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
             let narrated =
                 SensorRules::load(rules).and_then(|rules| rules.in_zone(zone.clone()).narrate_file(log, &person));
             let narrated = narrated.map_err(input)?;
-            tell_unfit(&narrated);
+            roomcast_cli::tell_unfit(&narrated);
             let mut lessons = Lessons::of_local_time(&zone, now_unix_ns);
             lessons.take_sensors(narrated);
             Ok((lessons, "line"))
@@ -291,14 +291,6 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     }
 }
 
-/// Says how many intervals of a log nothing is said of.
-pub(super) fn tell_unfit(log: &SensorLog) {
-    if log.unfit > 0 {
-        let intervals = super::count(usize::try_from(log.unfit).unwrap_or(usize::MAX), "interval");
-        super::tell(format_args!("roomcast: no rule fits {intervals}"));
-    }
-}
-
 /// Says what is left out, and why.
 fn tell_faults(faults: &Faults) {
     const TOLD: usize = 20;
@@ -309,7 +301,7 @@ fn tell_faults(faults: &Faults) {
 }
 
 /// When the first of so many days began, in seconds since 1970, local time.
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failure> {
     const DAY_S: f64 = 86_400.0;
     let Some(date) = date else {
@@ -321,7 +313,7 @@ fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failu
 }
 
 /// What is narrated of an action of some day.
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 struct TimedItem {
     /// From 1, as is the action's number in it.
     day: usize,
@@ -333,7 +325,7 @@ struct TimedItem {
 
 /// What is narrated of days that follow one another: each action when it was done; times do not go back where a day ends after the next
 /// one has begun.
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 fn day_items(days: &[Day], first_s: f64, person: &Who) -> impl Iterator<Item = TimedItem> {
     let mut last_s = first_s;
     let days = (1..).zip(days).flat_map(move |(day, actions)| {
@@ -515,7 +507,7 @@ mod tests {
         assert!(parts_of("").is_empty());
     }
 
-    #[cfg(feature = "lab")]
+    #[cfg(feature = "simulation")]
     #[test]
     fn days_of_activities_are_narrated_with_their_times() {
         let day = Day::parse("### a.txt\n[GRAB] <mug> (12) [1]\n1439.0\n[OPEN] <fridge> (3) [2]\n1450.5\n").unwrap();

@@ -692,7 +692,7 @@ impl Made {
         }
         let _ = writeln!(text, "  roomcast planner --config {file}");
         if found.broker.is_some() {
-            let _ = writeln!(text, "  roomcast bridge mqtt --config {file}");
+            let _ = writeln!(text, "  roomcast publish mqtt --config {file}");
         }
         if found.robot.is_some() {
             let _ = writeln!(text, "  roomcast robot --config {file}");

@@ -34,25 +34,12 @@ pub fn run(args: &Args) -> CommandResult {
     })
 }
 
-/// A page of that name is of another program in the same package; what stands below `roomcast bridge` has pages of its own.
-const OTHER_PROGRAM: &str = "roomcast-bridge";
-/// The command without a page, and the one below it whose page stands for it.
-const BRIDGE: [&str; 2] = ["bridge", "bridge-mqtt"];
-
 /// Writes the pages of a command and of those below it.
 fn write(command: &Command, source: &str, folder: &Path) -> std::io::Result<()> {
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         write(below, source, folder)?;
     }
-    if command.get_display_name() == Some(OTHER_PROGRAM) {
-        return Ok(());
-    }
-    let [bridge, below] = BRIDGE;
-    let listed = match command.find_subcommand(bridge) {
-        Some(_) => command.clone().mut_subcommand(bridge, |own| own.name(below)),
-        None => command.clone(),
-    };
-    clap_mangen::Man::new(listed).source(source).generate_to(folder).map(|_| ())
+    clap_mangen::Man::new(command.clone()).source(source).generate_to(folder).map(|_| ())
 }
 
 #[cfg(test)]
@@ -66,9 +53,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         run(&Args { folder: folder.path().to_owned() }).unwrap();
         let page = |name: &str| std::fs::read_to_string(folder.path().join(name));
-        assert!(page("roomcast-bridge.1").is_err());
-        let header = format!("roomcast-bridge-mqtt 1  \"roomcast {}\"", env!("CARGO_PKG_VERSION"));
-        let mqtt = page("roomcast-bridge-mqtt.1").unwrap();
+        assert!(page("roomcast-zenoh.1").is_err() && page("roomcast-bridge.1").is_err());
+        let header = format!("roomcast-publish-mqtt 1  \"roomcast {}\"", env!("CARGO_PKG_VERSION"));
+        let mqtt = page("roomcast-publish-mqtt.1").unwrap();
         assert!(mqtt.lines().any(|line| line == format!(".TH {header} ")), "{}", &mqtt[..400]);
         assert!(page("roomcast.1").is_ok() && page("roomcast-scene-check.1").is_ok());
         // Whoever begins at roomcast.1 comes to every page, and to no other.

@@ -2,7 +2,6 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Command as Process, Stdio};
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -13,15 +12,15 @@ use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 #[cfg(feature = "pull")]
 use crate::hub::{self, Hub, HubError, Request};
+use roomcast_cli::model::{elsewhere, rehearse};
+pub(super) use roomcast_cli::model::{load, try_configured};
 use roomcast_core::prompt::{BindingSequence, write_prompt};
 use roomcast_core::scorer::correction::{Continuation, Correction};
 use roomcast_core::scorer::{LabelScores, LanguageModel, Method, Scorer, Token, Tokenisation};
 use roomcast_core::text::{read_text_at_most, visible};
 use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
-use roomcast_services::config::Config;
 use roomcast_services::embedded::{self, ModelFile};
-use roomcast_services::setup;
 
 /// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
@@ -376,52 +375,6 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     Ok(())
 }
 
-/// Everything that llama.cpp does with a model, once.
-fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
-    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
-    let options = LlamaOptions { cache, ..LlamaOptions::default() };
-    let model = LlamaModel::load(file, &options).map_err(|error| model_failure(&error))?;
-    let binding = BindingSequence::default();
-    let mut scorer = Scorer::new(model);
-    let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint, Correction::default());
-    let prepared = prepared.map_err(|error| model_failure(&error))?;
-    let mut prompt = String::new();
-    write_prompt(["They walk to the kitchen."], &binding, false, &mut prompt);
-    let mut scores = LabelScores::default();
-    scorer.score(&prepared, &prompt, Method::Trie, &mut scores).map_err(|error| model_failure(&error))
-}
-
-/// Loads the model file at `path`, or the embedded one: what every command does that loads a file by its path. A process of its own
-/// tries the file first.
-///
-/// # Errors
-///
-/// When that process dies or the file cannot be loaded.
-pub(super) fn load(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, Failure> {
-    if let Some(path) = path {
-        try_elsewhere(path, options)?;
-    }
-    Ok(setup::load_model(path, options)?)
-}
-
-/// Lets a process of its own try the model file that a configuration names. A pinned file is known to be good.
-///
-/// # Errors
-///
-/// When that process dies or cannot load the model, with what it said.
-pub(super) fn try_configured(config: &Config) -> CommandResult {
-    match (&config.model.path, &config.model.sha256) {
-        (Some(path), None) => try_elsewhere(path, &config.model.llama_options()),
-        _ => Ok(()),
-    }
-}
-
-fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
-    let cache = options.cache.to_string();
-    let arguments = ["model", "rehearse", "--kv-cache", cache.as_str()].map(OsString::from);
-    elsewhere(arguments.into_iter().chain(["--".into(), file.into()]), file)
-}
-
 /// The check in a process of its own: the one that judges does not die of what it judges.
 fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json: bool) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = ["model", "check", "--here"].map(OsString::from).to_vec();
@@ -432,34 +385,6 @@ fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json
     arguments.extend(json.then(|| "--json".into()));
     arguments.extend(["--".into(), file.into()]);
     arguments
-}
-
-/// Runs this program on a model file in a process of its own, so that a file on which llama.cpp gives up, which ends its process, is an
-/// error here.
-fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
-    let failed = |why: String| Failure::new(exit_code::MODEL, why);
-    let own = std::env::current_exe();
-    let tried = own.and_then(|own| Process::new(own).args(arguments).stdin(Stdio::null()).output());
-    let tried = tried.map_err(|error| failed(format!("cannot try the model {}: {error}", file.display())))?;
-    print(&String::from_utf8_lossy(&tried.stdout))?;
-    let said = String::from_utf8_lossy(&tried.stderr);
-    match tried.status.code().and_then(|code| u8::try_from(code).ok()) {
-        Some(exit_code::OK) => Ok(()),
-        Some(code @ exit_code::FAILURE..=exit_code::CHECK) => {
-            // The error is its last word, behind what was logged.
-            let said =
-                said.strip_prefix("roomcast: ").or_else(|| Some(said.rsplit_once("\nroomcast: ")?.1)).unwrap_or(&said);
-            Err(Failure::new(code, said.trim().to_owned()))
-        }
-        _ => {
-            let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
-            Err(failed(format!(
-                "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source",
-                file.display(),
-                tried.status
-            )))
-        }
-    }
 }
 
 /// Whether the tokens of each label spell the label.

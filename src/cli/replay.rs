@@ -193,7 +193,7 @@ const MISLED: [(&str, &str); 6] = [
     ("roomcast-daemon", "a daemon"),
     ("roomcast-planner", "a planner"),
     ("roomcast-robot", "a robot's driver"),
-    ("roomcast-bridge", "a bridge over MQTT"),
+    ("roomcast-publish", "a bridge over MQTT"),
     ("roomcast-zenoh", "a bridge to others"),
     ("roomcast-ros2", "a bridge to ROS 2"),
 ];
@@ -259,7 +259,7 @@ mod tests {
         assert_eq!(refused(&watching), None);
         let (planner, driver) = (PLANNER.name("mop 2"), DRIVER.name("mop 2"));
         let acting = [
-            "roomcast-bridge",
+            "roomcast-publish",
             "roomcast-daemon",
             &planner,
             "roomcast-robot",

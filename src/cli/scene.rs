@@ -10,7 +10,7 @@ use roomcast_ipc::question;
 use serde_json::{Value, json};
 
 use super::choice::choice;
-#[cfg(feature = "lab")]
+#[cfg(feature = "simulation")]
 use super::draw;
 use super::home_source::{home_assistant, write_rules};
 use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
@@ -43,7 +43,7 @@ enum Command {
     /// Print what a scene holds and what was assigned where, by which rule, and what was not.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
-    #[cfg(feature = "lab")]
+    #[cfg(feature = "simulation")]
     Draw(draw::Args),
 }
 
@@ -185,7 +185,7 @@ pub fn run(args: &Args) -> CommandResult {
         Command::Change(args) => change(args),
         Command::Apply(args) => apply(args),
         Command::Show(args) => show(args),
-        #[cfg(feature = "lab")]
+        #[cfg(feature = "simulation")]
         Command::Draw(args) => draw::run(args),
     }
 }

@@ -14,9 +14,7 @@ use roomcast_ipc::Domain;
 use serde_json::Value;
 use tungstenite::Message;
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 #[expect(dead_code, reason = "a test needs some of it")]
 #[path = "../support/mosquitto.rs"]
 mod mosquitto;

@@ -72,7 +72,7 @@ fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
     let config = world.directory.path().join("roomcast.toml");
     for (address, part) in [("http://h", "no broker"), ("mqtt://ada:secret@h", "user name"), ("mqtts://h", "CA file")] {
         std::fs::write(&config, format!("[mqtt]\nbroker = {address:?}\nrules = \"rules.toml\"\n")).unwrap();
-        for command in [&["narrate"][..], &["bridge", "mqtt"], &["robot"]] {
+        for command in [&["narrate"][..], &["publish", "mqtt"], &["robot"]] {
             // A narrator has no broker unless it is told so.
             let asked = if command == ["narrate"] { &["--mqtt"][..] } else { &[] };
             let configured = [asked, &["--config", config.to_str().unwrap()]].concat();
@@ -212,12 +212,9 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let score = ["score", "--narration", "They sit."];
     let explain = ["explain", "--narration", "They sit."];
     let recording = ["explain", "--recording", "day.mcap"];
-    let table2 = ["experiment", "table2"];
-    let pareto = ["experiment", "pareto"];
     let import = ["scene", "import", "map.json", "--out", "scene.json"];
     let valetudo = ["scene", "import", "map.json", "--out", "scene.json", "--format", "valetudo"];
-    let habits = ["experiment", "habits", "--sensors", "log", "--rules", "rules.toml", "--scene", "studio"];
-    let cases: [(&[&str], &[&str]); 45] = [
+    let cases: [(&[&str], &[&str]); 30] = [
         (&import, &["--up", "y"]),
         (&import, &["--keep-spellings"]),
         (&import, &["--names", "names.toml"]),
@@ -226,11 +223,6 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
         (&valetudo, &["--up", "y"]),
         (&valetudo, &["--keep-spellings"]),
         (&valetudo, &["--equivalence", "names.txt"]),
-        (&habits, &["--items", "nearest"]),
-        (&["experiment", "horizon"], &["--restarts", "7"]),
-        (&["experiment", "horizon"], &["--room-time", "25"]),
-        (&["experiment", "horizon"], &["--disturbance", "in-sight"]),
-        (&["experiment", "card", "--shared", "data"], &["--only", "no such title"]),
         (&score, &["--threads", "100000"]),
         (&score, &["--steps", "3"]),
         (&score, &["--effort", "ranking", "--method", "independent"]),
@@ -253,16 +245,6 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
         (&recording, &["--at", "nan"]),
         (&recording, &["--history", "3"]),
         (&recording, &["--root", "/x"]),
-        (&table2, &["--threads", "100000"]),
-        (&table2, &["--restarts", "0"]),
-        (&table2, &["--pace", "nan"]),
-        (&table2, &["--pace=-1"]),
-        (&table2, &["--object-time", "nan"]),
-        (&table2, &["--stay-time", "0"]),
-        (&table2, &["--longest-act", "0"]),
-        (&table2, &["--history", "0"]),
-        (&pareto, &["--weight", "nan"]),
-        (&pareto, &["--weight=-5"]),
     ];
     for (command, more) in cases {
         let mut command = roomcast(command);
@@ -273,82 +255,21 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     }
 }
 
-/// What the training writes of a fold, with the shipped model: `held_out` and `trained` are programs.
-fn write_fold(folder: &Path, fold: &str, trained: &str, held_out: &str) {
-    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
-    std::fs::create_dir_all(folder).unwrap();
-    for name in ["household.gguf", "household-statistics.json"] {
-        std::fs::copy(models.join(name), folder.join(name)).unwrap();
-    }
-    let files = |name: &str| serde_json::json!({ "files": [format!("programs/{name}")] });
-    let splits = serde_json::json!({ "train": files(trained), "test": files(held_out), "sealed": files("c.txt") });
-    let manifest = serde_json::json!({ "command": format!("run.py --fold {fold}"), "splits": splits });
-    std::fs::write(folder.join("manifest.json"), manifest.to_string()).unwrap();
+/// Experiments were commands of this program once.
+#[test]
+fn the_old_name_of_an_experiment_prints_the_new_one_on_one_line() {
+    let output = roomcast(&["experiment", "table2", "--json"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{said}");
+    assert!(said.lines().count() == 1 && said.contains("roomcast-lab table2 --json"), "{said}");
 }
 
-/// Folds are pooled, and the sealed split is opened once: what is found is in the file before it is shown.
 #[test]
-fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |below: &str| folder.path().join(below).display().to_string();
-    std::fs::create_dir(path("programs")).unwrap();
-    let shipped = ["p0-breakfast-and-television", "p1-laundry-and-to-bed", "p2-long-evening"];
-    for (name, program) in ["a", "b", "c"].iter().zip(shipped) {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/programs/{program}.txt"));
-        std::fs::copy(from, path(&format!("programs/{name}.txt"))).unwrap();
-    }
-    let run = |command: &str, more: &[&str]| {
-        let programs = path("programs");
-        let output =
-            roomcast(&["experiment", command, "--programs", &programs, "--scene", "studio", "--no-cache", "--json"])
-                .args(more)
-                .output()
-                .unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
-        (output.status.code(), serde_json::from_slice::<serde_json::Value>(&output.stdout).ok(), said)
-    };
-    let input = Some(i32::from(exit_code::INPUT));
-
-    write_fold(Path::new(&path("folds/fold-1")), "1", "a.txt", "b.txt");
-    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
-    assert!(code == input && said.contains("1 finished fold,") && said.contains("training/run.py"), "{said}");
-    write_fold(Path::new(&path("folds/fold-2")), "2", "b.txt", "a.txt");
-    let (_, report, said) = run("folds", &["--folds", &path("folds")]);
-    let report = report.unwrap_or_else(|| panic!("{said}"));
-    assert_eq!((&report[0]["programs"], &report[0]["activities"]), (&2.into(), &2.into()));
-    write_fold(Path::new(&path("folds/fold-2")), "2", "a.txt", "b.txt");
-    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
-    assert!(code == input && said.contains("b.txt is held out by two folds"), "{said}");
-    write_fold(Path::new(&path("folds/fold-2")), "2", "a.txt", "a.txt");
-    let (code, _, said) = run("folds", &["--folds", &path("folds")]);
-    assert!(code == input && said.contains("so it was not held out"), "{said}");
-
-    write_fold(Path::new(&path("sealed")), "sealed", "a.txt", "b.txt");
-    let (record, trained, none) = (path("sealed.json"), path("sealed"), path("programs"));
-    let sealed = ["--trained", &trained, "--record", &record, "--places", &none];
-    let manifest = path("folds/fold-1/manifest.json");
-    let (code, _, said) = run("forecast", &["--manifest", &manifest, "--split", "sealed"]);
-    assert!(code == input && said.contains("opened once"), "{said}");
-    // A record that cannot be written is found out before the model, which is none here, is looked at.
-    let nowhere = path("none/sealed.json");
-    let unread = ["--trained", &path("folds/none"), "--record", &nowhere, "--places", &none];
-    let (code, _, said) = run("sealed", &unread);
-    assert!(code == input && said.contains("cannot be written down") && said.contains("--record"), "{said}");
-    // Nor is the split opened for another model, or before everything is there.
-    let (code, _, said) = run("sealed", &["--trained", &path("folds/fold-1"), "--record", &record, "--places", &none]);
-    assert!(code == input && said.contains("--fold sealed"), "{said}");
-    let (code, _, said) = run("sealed", &[&sealed[..], &["--scene", "nowhere.json"]].concat());
-    assert!(code == input && said.contains("nowhere.json"), "{said}");
-    assert_eq!(std::fs::read_to_string(&record).unwrap().trim(), "[]");
-    let (_, shown, said) = run("sealed", &sealed);
-    let shown = shown.unwrap_or_else(|| panic!("{said}"));
-    let written = std::fs::read_to_string(&record).unwrap();
-    let entries: serde_json::Value = serde_json::from_str(&written).unwrap();
-    assert_eq!((entries.as_array().unwrap().len(), &entries[0]["reports"]), (1, &shown));
-    assert_eq!(entries[0]["model"]["trained_by"], "run.py --fold sealed");
-    let (code, shown, said) = run("sealed", &sealed);
-    assert!(code == input && shown.is_none() && said.contains("opened already"), "{said}");
-    assert_eq!(std::fs::read_to_string(&record).unwrap(), written);
+fn the_old_name_of_publish_still_works_and_prints_the_new_one() {
+    let output = roomcast(&["bridge", "mqtt", "--topic", "a/#"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::CONFIG)), "{said}");
+    assert!(said.contains("`roomcast publish`") && said.contains("bridge.topic"), "{said}");
 }
 
 #[test]
@@ -365,7 +286,7 @@ fn errors_name_the_file_and_the_remedy_once() {
     let json = file("model.json", "{\n \"a\": 1}");
     let out = folder.path().join("out.json").to_str().unwrap().to_owned();
     let shipped = "studio, apartment-e0";
-    let cases: [(&[&str], &[&str]); 12] = [
+    let cases: [(&[&str], &[&str]); 11] = [
         (
             &["scene", "change", "studio", &empty, "--out", &out],
             &["changes /", "empty.json: the text ends too early", "a JSON list"],
@@ -376,9 +297,8 @@ fn errors_name_the_file_and_the_remedy_once() {
         (&["score", "--scene", "nowhere"], &["no scene nowhere", shipped]),
         (&["score", "--program", "nowhere"], &["program nowhere", "p0-breakfast-and-television"]),
         (&["narrate", "p0-breakfast"], &["no file p0-breakfast: ", "p0-breakfast-and-television"]),
-        (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast experiment`"]),
+        (&["score", "--program", &day], &["day.txt: line 5", "HOMER+", "`roomcast-lab`"]),
         (&["score", "--narration", "[Teleport] <mug> (1)"], &["unknown action `Teleport`", "`walk`"]),
-        (&["experiment", "table2", "--scene", "studio", "--scene", "studio"], &["another of the scenes has its name"]),
         (&["model", "check", "nope"], &["model file nope", "check the path"]),
         (&["model", "info", &json], &[r#"starts with "{\n \"", not with"#]),
     ];
@@ -398,7 +318,7 @@ fn errors_name_the_file_and_the_remedy_once() {
 
 #[test]
 fn a_number_that_does_not_fit_is_answered_with_what_does() {
-    let cases: [(&[&str], &str); 13] = [
+    let cases: [(&[&str], &str); 12] = [
         (&["narrate", "--pace", "-1"], "give a number from 0 to 1000000000"),
         (&["narrate", "--pace", "soon"], "give a number from 0 to 1000000000"),
         (&["narrate", "--speed", "-2"], "give a number above 0, at most 1000000000"),
@@ -411,7 +331,6 @@ fn a_number_that_does_not_fit_is_answered_with_what_does() {
         (&["score", "--prior", "-0.5", "--narration", "x"], "give a number from 0 to 1"),
         (&["score", "--threads", "many", "--narration", "x"], "give a whole number from 0 to"),
         (&["scene", "draw", "studio", "--scale", "-1"], "give a number from 0.1 to 8"),
-        (&["experiment", "table2", "--seed", "-1"], "give a whole number from 0"),
     ];
     for (arguments, remedy) in cases {
         let output = roomcast(arguments).output().unwrap();

@@ -20,10 +20,10 @@ mod metrics;
 mod narration;
 mod recordings;
 mod robot;
+#[path = "../support/skipped.rs"]
+mod skipped;
 
-#[expect(dead_code, reason = "a test needs some of them")]
-#[path = "../../src/exit_code.rs"]
-mod exit_code;
+use roomcast_cli::exit_code;
 
 /// Far longer than anything here takes, also on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(120);

@@ -56,7 +56,7 @@ pub enum ProgramError {
     },
     /// A day of a household, where one activity is expected.
     #[error(
-        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: `roomcast experiment` \
+        "line {line} is none of a program's, and the file looks like a day in HOMER+'s format, with activities and times: `roomcast-lab` \
          reads days, other commands programs in VirtualHome's format"
     )]
     Day {

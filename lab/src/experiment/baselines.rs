@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, HashMap};
 
 use serde::Deserialize;
 
-use crate::simulation::binding::Binder;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::names::Names;
 use roomcast_core::narration::Program;
+use roomcast_simulation::binding::Binder;
 
 /// How often objects follow one another in activity programs, in words and bound to no map. Immediate repeats of an object
 /// are not counted, as they are no targets either.
@@ -373,9 +373,9 @@ fn stay(statistics: &Statistics, binder: &mut Binder<'_>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::binding::ItemChoice;
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::semantic_map::SemanticMap;
+    use roomcast_simulation::binding::ItemChoice;
 
     #[test]
     fn counts_follow_the_programs_and_sum_to_one() {

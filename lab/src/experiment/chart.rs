@@ -218,6 +218,13 @@ mod tests {
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
     }
 
+    #[cfg(feature = "png")]
+    #[test]
+    fn charts_become_pictures() {
+        let chart = Chart { title: "a < b".into(), x: "x (s)".into(), y: "y (m)".into(), series: Vec::new() };
+        assert_eq!(roomcast_simulation::png::png(&chart.svg(), 1.0).unwrap()[..4], *b"\x89PNG");
+    }
+
     #[test]
     fn histograms_hold_all_values() {
         let steps = histogram(&[0.0, 4.0, 5.0, 14.9], 5.0);

@@ -12,7 +12,8 @@ use roomcast_core::semantic_map::SemanticMap;
 use serde::Serialize;
 
 use super::prediction::{NamedProgram, sentences};
-use super::{ExperimentError, Progress, ScoreSource};
+use super::{ExperimentError, Progress};
+use roomcast_simulation::ScoreSource;
 
 /// Of so many steps, how many had their sentence among the first K guesses.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]

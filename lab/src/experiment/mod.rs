@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::simulation::timeline::TimelineError;
-use crate::simulation::world::WorldError;
+use roomcast_cli::{Failure, exit_code};
 use roomcast_core::grounding::GroundingError;
 use roomcast_core::narration::SentenceError;
+use roomcast_simulation::{ScoresError, StudyError};
 
 pub mod baselines;
 pub mod chart;
@@ -18,14 +18,10 @@ pub mod persons;
 pub mod prediction;
 pub mod report;
 mod resampling;
-pub mod scores;
 pub mod setups;
-pub mod study;
 pub mod tables;
 
-pub use scores::{ScoreSource, ScoresError};
-
-/// What keeps an experiment from its result.
+/// An error of an experiment.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExperimentError {
@@ -53,78 +49,36 @@ pub enum ExperimentError {
         /// The scene's name.
         scene: String,
     },
-    /// More days than somebody is forecast in minute by minute.
-    #[error("{days} days, more than {}: give the first of them in a folder of their own", habits::DAYS_MAX)]
-    TooManyDays {
-        /// How many.
-        days: usize,
-    },
-    /// A log of more days than that, as one with a wrong year.
-    #[error(
-        "the log reaches from {from} to {to}, over more than {} days: correct the times that are wrong, or give a part of it",
-        habits::DAYS_MAX
-    )]
-    LongLog {
-        /// The date of its first time.
-        from: String,
-        /// The date of its last time.
-        to: String,
-    },
-    /// The scorer or its cache.
+    /// The simulation or the scorer.
     #[error(transparent)]
-    Scores(ScoresError),
-    /// The model.
-    #[error(transparent)]
-    Model(Box<dyn std::error::Error + Send + Sync>),
-    /// A person.
-    #[error(transparent)]
-    Timeline(#[from] TimelineError),
-    /// A simulation.
-    #[error(transparent)]
-    World(#[from] WorldError),
-    /// The mixed-integer solver.
-    #[cfg(feature = "solver")]
-    #[error(transparent)]
-    Solver(#[from] crate::simulation::mixed_integer::SolverError),
-    /// More rooms than the dynamic program holds.
-    #[cfg(not(feature = "solver"))]
-    #[error(
-        "a map of {rooms} rooms needs the mixed-integer solver for the clairvoyant bound: build with `--features optimum`, or give a map of at most {} rooms",
-        study::ROOMS_PROGRAMMED_MAX
-    )]
-    NeedsSolver {
-        /// How many.
-        rooms: usize,
-    },
-    /// A run that no robot can have had.
-    #[error(
-        "{decider} disturbed for {found_s} s, less than the clairvoyant bound of {bound_s} s: this is a fault of the simulation, please report it"
-    )]
-    BelowBound {
-        /// Who decided.
-        decider: String,
-        /// D_T of the run.
-        found_s: f64,
-        /// The least possible.
-        bound_s: f64,
-    },
-    /// Two exact methods with different results.
-    #[cfg(feature = "solver")]
-    #[error(
-        "dynamic programming gives {dynamic_s:?} s and HiGHS {solver_s:?} s for the clairvoyant optimum: this is a fault of the simulation, please report it"
-    )]
-    SolversDisagree {
-        /// One of them.
-        dynamic_s: Option<f64>,
-        /// The other.
-        solver_s: Option<f64>,
-    },
-    /// The map.
-    #[error(transparent)]
-    Grounding(#[from] GroundingError),
-    /// An action that makes no sentence.
-    #[error(transparent)]
-    Sentence(#[from] SentenceError),
+    Study(#[from] StudyError),
+}
+
+impl From<ScoresError> for ExperimentError {
+    fn from(error: ScoresError) -> Self {
+        StudyError::from(error).into()
+    }
+}
+
+impl From<GroundingError> for ExperimentError {
+    fn from(error: GroundingError) -> Self {
+        StudyError::from(error).into()
+    }
+}
+
+impl From<SentenceError> for ExperimentError {
+    fn from(error: SentenceError) -> Self {
+        StudyError::from(error).into()
+    }
+}
+
+impl From<ExperimentError> for Failure {
+    fn from(error: ExperimentError) -> Self {
+        match error {
+            ExperimentError::Study(error) => error.into(),
+            _ => Self::new(exit_code::INPUT, error),
+        }
+    }
 }
 
 /// Progress of a long run, on standard error and only where a person watches.

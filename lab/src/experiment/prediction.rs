@@ -14,9 +14,7 @@ use serde::Serialize;
 
 use super::baselines::{self, Baselines, Statistics};
 use super::losses::{Summary, Sums, difference, macro_average, macro_difference, merged, summarise};
-use super::scores::{ScoreSource, ScoresError};
 use super::{ExperimentError, Progress};
-use crate::simulation::binding::{Binder, ItemChoice};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::narration::history::HistoryLimits;
@@ -26,6 +24,8 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_simulation::ScoreSource;
+use roomcast_simulation::binding::{Binder, ItemChoice};
 
 /// A program and where it was read.
 #[derive(Debug, Clone)]
@@ -181,7 +181,7 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
     files.sort();
     let (mut programs, mut faults) = (Vec::new(), Vec::new());
     for path in files {
-        match crate::simulation::homer::load_any(&path) {
+        match roomcast_simulation::homer::load_any(&path) {
             Ok(program) => {
                 let activity = plain_title(&program.title);
                 faults.extend(program.notes.iter().map(|note| format!("{}: {note}", path.display())));
@@ -590,12 +590,6 @@ fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
     let total: f64 = labels.iter().sum();
     labels.iter_mut().for_each(|p| *p /= total);
     labels
-}
-
-impl From<ScoresError> for ExperimentError {
-    fn from(error: ScoresError) -> Self {
-        Self::Scores(error)
-    }
 }
 
 #[cfg(test)]

@@ -86,7 +86,7 @@ pub enum ReportError {
     /// A figure could not become a PNG.
     #[cfg(feature = "png")]
     #[error(transparent)]
-    Png(#[from] crate::png::PngError),
+    Png(#[from] roomcast_simulation::png::PngError),
 }
 
 impl Report {
@@ -126,7 +126,7 @@ impl Report {
         for (name, svg) in &self.figures {
             put(&format!("{name}.svg"), svg.as_bytes())?;
             #[cfg(feature = "png")]
-            put(&format!("{name}.png"), &crate::png::png(svg, 2.0)?)?;
+            put(&format!("{name}.png"), &roomcast_simulation::png::png(svg, 2.0)?)?;
         }
         put("report.html", self.html().as_bytes())
     }

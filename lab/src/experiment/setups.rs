@@ -13,10 +13,10 @@ use super::chart::{Chart, Mark, Series};
 use super::losses::RESAMPLES;
 use super::report::Table;
 use super::resampling::{ci95, drawn};
-use super::study::{Cell, Decider};
 use super::tables::{PaperRow, mixed};
-use crate::simulation::binding::ItemChoice;
 use roomcast_core::policy::PolicyName;
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::study::{Cell, Decider};
 
 /// What the paper leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -300,7 +300,7 @@ pub fn curves(setup: Setup, cells: &[Cell]) -> (String, String) {
 mod tests {
     use super::super::tables::PAPER_TABLE2;
     use super::*;
-    use crate::simulation::world::Run;
+    use roomcast_simulation::world::Run;
 
     const SETUP: Setup = Setup { items: "nearest", longest_act_s: 10.0, window: Some(16) };
 

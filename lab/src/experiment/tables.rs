@@ -4,9 +4,9 @@ use serde::Serialize;
 
 use super::chart::{Chart, Mark, Series, histogram};
 use super::report::{Report, Table};
-use super::study::{Cell, Decider, Figures, HorizonRow, figures};
-use crate::simulation::clairvoyant::{Optimum, bound_s};
 use roomcast_core::policy::PolicyName;
+use roomcast_simulation::clairvoyant::{Optimum, bound_s};
+use roomcast_simulation::study::{Cell, Decider, Figures, HorizonRow, figures};
 
 /// A row of the paper's tables.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -432,7 +432,7 @@ pub fn table2_report(table: &Table2, cells: &[Cell], notes: Vec<String>, picture
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::world::Run;
+    use roomcast_simulation::world::Run;
 
     fn cell(decider: Decider, runs: &[(f64, bool)]) -> Cell {
         let runs = runs

@@ -5,13 +5,13 @@ use rand_chacha::ChaCha8Rng;
 
 use super::plan::Plan;
 use super::{Act, DAY_S, Life, lognormal};
-use crate::simulation::binding::{Binder, ItemChoice};
-use crate::simulation::homer::Day;
-use crate::simulation::timeline::{PersonOptions, Timeline, TimelineError};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::Program;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{Home, RoomUse, TrackerError};
+use roomcast_simulation::binding::{Binder, ItemChoice};
+use roomcast_simulation::homer::Day;
+use roomcast_simulation::timeline::{PersonOptions, Timeline, TimelineError};
 
 /// A person who did not move for this long sits, in seconds.
 const SITS_AFTER: usize = 240;

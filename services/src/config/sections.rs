@@ -142,7 +142,7 @@ pub struct KnownNarrator {
     pub may: May,
     /// In place of `daemon.intake.rate_per_s`.
     pub rate_per_s: Option<f64>,
-    /// Its narration comes through `roomcast-bridge`: when that starts again, its port goes on where the closed one was.
+    /// Its narration comes through `roomcast-zenoh`: when that starts again, its port goes on where the closed one was.
     #[serde(default)]
     pub relayed: bool,
 }
@@ -482,7 +482,7 @@ pub struct MqttConfig {
     pub rules: Option<PathBuf>,
 }
 
-/// The section `[bridge]`: what `roomcast bridge mqtt` publishes.
+/// The section `[bridge]`: what `roomcast publish mqtt` publishes.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BridgeConfig {

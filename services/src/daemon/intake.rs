@@ -516,11 +516,11 @@ impl Intake {
 /// Neither crate can use the other. The bridge would get llama.cpp by this one, and this one zenoh by the bridge. What both use is the contract,
 /// and how the bridge keeps to it is no part of that.
 #[cfg(test)]
-#[path = "../../../bridge/src/relay.rs"]
+#[path = "../../../zenoh/src/relay.rs"]
 mod relay;
 
 #[cfg(test)]
-#[path = "../../../bridge/src/delay.rs"]
+#[path = "../../../zenoh/src/delay.rs"]
 #[expect(dead_code, reason = "the relay needs some of it")]
 mod delay;
 

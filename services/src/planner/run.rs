@@ -40,7 +40,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let forecasts = node.subscriber::<ForecastV1>()?;
     // The daemon makes them for whoever follows them.
     let sets = config.planner.avoid_sets.then(|| node.subscriber::<PersonForecastsV1>()).transpose()?;
-    // Of robots of this domain, and of others through `roomcast-bridge`.
+    // Of robots of this domain, and of others through `roomcast-zenoh`.
     let others = config.planner.avoid_robots.then(|| node.subscriber::<DecisionV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;

@@ -198,7 +198,7 @@ fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: 
         ("narrator", narrates, runs("roomcast-narrator-"), format!("roomcast narrate --mqtt --config {file}")),
         ("planner", has_robot, serves(PLANNER), format!("roomcast planner --config {file}")),
         ("robot", has_robot, serves(DRIVER), format!("roomcast robot --config {file}")),
-        ("bridge", bridges, runs("roomcast-bridge"), format!("roomcast bridge mqtt --config {file}")),
+        ("bridge", bridges, runs("roomcast-publish"), format!("roomcast publish mqtt --config {file}")),
     ];
     let missing: Vec<_> = all.iter().filter(|(_, wanted, runs, _)| *wanted && !runs).collect();
     let running: Vec<&str> = all.iter().filter(|(_, _, runs, _)| *runs).map(|(name, ..)| *name).collect();

@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::super::resampling::{ci95, drawn};
-use super::trace::Trace;
 use roomcast_core::policy::{CoverageAware, Policy, RobotState};
+use roomcast_simulation::trace::Trace;
 
 /// Seconds of work in each room.
 pub(crate) const STAY_S: f64 = 300.0;

@@ -11,9 +11,7 @@ use serde::Serialize;
 
 use super::baselines::{Baselines, Statistics};
 use super::losses::{Intervals, Summary, Sums, difference, summarise};
-use super::scores::ScoreSource;
 use super::{ExperimentError, Progress};
-use crate::simulation::binding::{Binder, ItemChoice};
 use chains::{Chain, ORDER_MAX, Style};
 use cleaning::{Cleaning, STAY_S, Sight};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
@@ -23,12 +21,13 @@ use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
+use roomcast_simulation::ScoreSource;
+use roomcast_simulation::binding::{Binder, ItemChoice};
 
 pub(crate) mod chains;
 pub mod cleaning;
-pub mod trace;
 
-pub use trace::{DAYS_MAX, Interval, Step, Trace};
+use roomcast_simulation::trace::{Step, Trace};
 
 /// Who forecasts, in the order of the table. *counts* is what followed the last one to three things, by Kneser-Ney, and nothing else;
 /// *without-model* is everything that the mixture learns, with even chances in the place of the model.
@@ -801,12 +800,13 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::homer::{Day, TimedAction};
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::narration::{Action, Sentence};
     use roomcast_core::scorer::correction::CorrectionChoice;
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::scorer::{Method, Tokenisation};
+    use roomcast_simulation::homer::{Day, TimedAction};
+    use roomcast_simulation::trace::Interval;
 
     fn flat() -> (SemanticMap, Grounding) {
         let map = SemanticMap::from_json(include_str!("../../../../scenes/flat.json")).unwrap();
@@ -885,7 +885,7 @@ mod tests {
         let (kitchen, bedroom) = (room_of("kitchen"), room_of("bedroom"));
         let (mut steps, mut intervals) = (Vec::new(), Vec::new());
         for day in 0..6 {
-            let at = |minute: f64| f64::from(day) * trace::DAY_S + (480.0 + minute) * 60.0;
+            let at = |minute: f64| f64::from(day) * roomcast_simulation::trace::DAY_S + (480.0 + minute) * 60.0;
             intervals.push(Interval { from_s: at(0.0), to_s: at(10.0), room: Some(kitchen) });
             intervals.push(Interval { from_s: at(5.0), to_s: at(20.0), room: Some(bedroom) });
             for (text, minute, room) in [

@@ -1,0 +1,231 @@
+//! What the command lines of `roomcast` and `roomcast-lab` share: exit codes, errors, output, checked arguments, and models that another
+//! process tries first.
+
+// `println!` and `eprintln!` panic where standard output or standard error cannot be written, on a full disk for instance; `print` gives an
+// error, and `tell` goes on.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+use std::fmt;
+use std::io::Write;
+
+pub use roomcast_core::text::count;
+use roomcast_core::text::visible_lines;
+use roomcast_services::daemon::{DaemonError, JournalError};
+use roomcast_services::lessons::LessonError;
+use roomcast_services::sensor_log::SensorLog;
+use roomcast_services::setup::SetupError;
+#[cfg(feature = "simulation")]
+use roomcast_simulation::{ScoresError, StudyError};
+
+pub mod choice;
+#[cfg(feature = "simulation")]
+pub mod days;
+pub mod exit_code;
+pub mod model;
+pub mod ranges;
+
+/// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
+#[derive(Debug)]
+pub struct Failure {
+    /// One of [`exit_code`]'s constants.
+    pub code: u8,
+    /// What failed, where, and the remedy.
+    pub error: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl Failure {
+    /// Wraps an error with the exit code it stands for.
+    pub fn new(code: u8, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self { code, error: error.into() }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&roomcast_services::logging::chain(&*self.error))
+    }
+}
+
+impl From<SetupError> for Failure {
+    fn from(error: SetupError) -> Self {
+        let code = match &error {
+            SetupError::Config(_) => exit_code::CONFIG,
+            SetupError::Scene(_)
+            | SetupError::NoScene { .. }
+            | SetupError::Program(_)
+            | SetupError::NoProgram { .. }
+            | SetupError::Grounding(_) => exit_code::INPUT,
+            _ => exit_code::MODEL,
+        };
+        Self::new(code, error)
+    }
+}
+
+impl From<DaemonError> for Failure {
+    fn from(error: DaemonError) -> Self {
+        let code = match error {
+            DaemonError::Setup(error) => return error.into(),
+            DaemonError::Board(_) => exit_code::INPUT,
+            DaemonError::Ipc(_) | DaemonError::Journal(JournalError::Locked { .. }) => exit_code::IPC,
+            DaemonError::Affinity(_) => exit_code::CONFIG,
+            _ => exit_code::FAILURE,
+        };
+        Self::new(code, error)
+    }
+}
+
+impl From<LessonError> for Failure {
+    fn from(error: LessonError) -> Self {
+        match error {
+            LessonError::Setup(error) => error.into(),
+            LessonError::Board(_) => Self::new(exit_code::INPUT, error),
+            _ => Self::new(exit_code::FAILURE, error),
+        }
+    }
+}
+
+#[cfg(feature = "simulation")]
+impl From<StudyError> for Failure {
+    fn from(error: StudyError) -> Self {
+        let code = match &error {
+            StudyError::Scores(ScoresError::Score(_)) | StudyError::Model(_) => exit_code::MODEL,
+            StudyError::Scores(ScoresError::Cache { .. }) | StudyError::BelowBound { .. } => exit_code::FAILURE,
+            #[cfg(feature = "optimum")]
+            StudyError::Solver(_) | StudyError::SolversDisagree { .. } => exit_code::FAILURE,
+            _ => exit_code::INPUT,
+        };
+        Self::new(code, error)
+    }
+}
+
+/// What every subcommand returns.
+pub type CommandResult = Result<(), Failure>;
+
+/// An empty table in the one style that all commands print; in a terminal it keeps to its width.
+#[must_use]
+pub fn table(header: &[&str]) -> comfy_table::Table {
+    let mut table = comfy_table::Table::new();
+    table.load_style(comfy_table::presets::NOTHING).set_header(header);
+    // A serial line, or a container's, may say that it has none.
+    const COLUMNS_MIN: u16 = 20;
+    if table.width().is_none_or(|columns| columns >= COLUMNS_MIN) {
+        table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
+    }
+    table
+}
+
+/// Prints on standard output, to the end: what is left in a buffer would be lost without an error. Much of it comes from outside, and
+/// none of it reaches a terminal as anything but text.
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print(text: &str) -> CommandResult {
+    print_styled(&visible_lines(text))
+}
+
+/// The same for a text with colours, of which every part that comes from outside is [`visible`](roomcast_core::text::visible).
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print_styled(text: &str) -> CommandResult {
+    let mut out = std::io::stdout().lock();
+    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(|error| {
+        let text = format!("failed to write to standard output: {error}; check where it leads");
+        Failure::new(exit_code::FAILURE, text)
+    })
+}
+
+/// Writes a line on standard error. Where that cannot be written, on a full disk for instance, nobody is left to tell.
+pub fn tell(line: impl fmt::Display) {
+    let _untold = writeln!(std::io::stderr(), "{}", visible_lines(&line.to_string()));
+}
+
+/// Prints a value as indented JSON on standard output.
+///
+/// # Errors
+/// When it cannot be written, for instance into a closed pipe.
+pub fn print_json(value: &impl serde::Serialize) -> CommandResult {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    print(&format!("{text}\n"))
+}
+
+/// Prints a value as one line of JSON.
+pub fn print_json_line(value: &impl serde::Serialize) -> CommandResult {
+    let text = serde_json::to_string(value).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
+    print(&format!("{text}\n"))
+}
+
+/// Says how many intervals of a log no rule fits.
+pub fn tell_unfit(log: &SensorLog) {
+    if log.unfit > 0 {
+        let intervals = count(usize::try_from(log.unfit).unwrap_or(usize::MAX), "interval");
+        tell(format_args!("roomcast: no rule fits {intervals}"));
+    }
+}
+
+/// Names the files that were skipped, the first ten of them.
+pub fn report_faults(faults: &[String]) {
+    report_first_faults(faults, faults.len() as u64);
+}
+
+/// As [`report_faults`], if there are `count` in all.
+pub fn report_first_faults(first: &[String], count: u64) {
+    const TOLD: u64 = 10;
+    first.iter().take(TOLD as usize).for_each(|fault| tell(format_args!("roomcast: skipped: {fault}")));
+    if count > TOLD {
+        tell(format_args!("roomcast: skipped {} more", count - TOLD));
+    }
+}
+
+/// Lets every option of a command take a negative number, so that the error names the allowed range.
+#[must_use]
+pub fn take_negative_numbers(command: clap::Command) -> clap::Command {
+    let values = |arg: clap::Arg| {
+        let option = arg.get_action().takes_values() && !arg.is_positional();
+        if option { arg.allow_negative_numbers(true) } else { arg }
+    };
+    command.mut_args(values).mut_subcommands(take_negative_numbers)
+}
+
+/// The exit code of a command; prints its error once, on standard error.
+#[must_use]
+pub fn ended(program: &str, result: CommandResult) -> std::process::ExitCode {
+    match result {
+        Ok(()) => exit_code::OK.into(),
+        Err(failure) => {
+            tell(format_args!("{program}: {failure}"));
+            failure.code.into()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_daemon_has_its_own_code_also_where_only_its_journal_shows_it() {
+        let code = |error: JournalError| Failure::from(DaemonError::Journal(error)).code;
+        assert_eq!(code(JournalError::Locked { path: "journal".into() }), exit_code::IPC);
+    }
+
+    /// A scene or a model that cannot be used ends every command with the same code.
+    #[test]
+    fn one_fault_has_one_code_in_every_command() {
+        let setup = |scene: &str, model: &str| {
+            let text = format!("[scene]\npath = {scene:?}\n[model]\npath = {model:?}\n");
+            let config: roomcast_services::config::Config = toml::from_str(&text).unwrap();
+            roomcast_services::setup::open(&config).err().unwrap()
+        };
+        for (scene, model, code) in
+            [("/nowhere.json", "", exit_code::INPUT), ("studio", "/nowhere.gguf", exit_code::MODEL)]
+        {
+            let codes = [
+                Failure::from(setup(scene, model)).code,
+                Failure::from(DaemonError::from(setup(scene, model))).code,
+                Failure::from(LessonError::from(setup(scene, model))).code,
+            ];
+            assert_eq!(codes, [code; 3], "{scene} {model}");
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! Model files that a user names: a process of its own tries each before this one loads it, because llama.cpp may end its process.
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use roomcast_core::prompt::{BindingSequence, write_prompt};
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::config::Config;
+use roomcast_services::setup;
+
+use crate::{CommandResult, Failure, exit_code, print};
+
+/// Loads the model file at `path`, or the embedded one: what every command does that loads a file by its path. A process of its own
+/// tries the file first.
+///
+/// # Errors
+///
+/// When that process dies or the file cannot be loaded.
+pub fn load(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, Failure> {
+    if let Some(path) = path {
+        try_elsewhere(path, options)?;
+    }
+    Ok(setup::load_model(path, options)?)
+}
+
+/// Lets a process of its own try the model file that a configuration names. A pinned file is known to be good.
+///
+/// # Errors
+///
+/// When that process dies or cannot load the model, with what it said.
+pub fn try_configured(config: &Config) -> CommandResult {
+    match (&config.model.path, &config.model.sha256) {
+        (Some(path), None) => try_elsewhere(path, &config.model.llama_options()),
+        _ => Ok(()),
+    }
+}
+
+fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
+    let cache = options.cache.to_string();
+    let arguments = ["model", "rehearse", "--kv-cache", cache.as_str()].map(OsString::from);
+    elsewhere(arguments.into_iter().chain(["--".into(), file.into()]), file)
+}
+
+/// Runs this program on a model file in a process of its own, so that a file on which llama.cpp gives up, which ends its process, is an
+/// error here.
+pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
+    let failed = |why: String| Failure::new(exit_code::MODEL, why);
+    let own = std::env::current_exe();
+    let tried = own.and_then(|own| Command::new(own).args(arguments).stdin(Stdio::null()).output());
+    let tried = tried.map_err(|error| failed(format!("cannot try the model {}: {error}", file.display())))?;
+    print(&String::from_utf8_lossy(&tried.stdout))?;
+    let said = String::from_utf8_lossy(&tried.stderr);
+    match tried.status.code().and_then(|code| u8::try_from(code).ok()) {
+        Some(exit_code::OK) => Ok(()),
+        Some(code @ exit_code::FAILURE..=exit_code::CHECK) => {
+            // The error is its last word, behind what was logged.
+            let said =
+                said.strip_prefix("roomcast: ").or_else(|| Some(said.rsplit_once("\nroomcast: ")?.1)).unwrap_or(&said);
+            Err(Failure::new(code, said.trim().to_owned()))
+        }
+        _ => {
+            let said = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or_default();
+            Err(failed(format!(
+                "llama.cpp gave up on the model {} ({}; {said}): the file is damaged or unusable; get it again from its source",
+                file.display(),
+                tried.status
+            )))
+        }
+    }
+}
+
+/// Everything that llama.cpp does with a model, once.
+pub fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
+    let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
+    let options = LlamaOptions { cache, ..LlamaOptions::default() };
+    let model = LlamaModel::load(file, &options).map_err(|error| model_failure(&error))?;
+    let binding = BindingSequence::default();
+    let mut scorer = Scorer::new(model);
+    let prepared = scorer.prepare(&["washing machine", "mug"], &binding, Tokenisation::Joint, Correction::default());
+    let prepared = prepared.map_err(|error| model_failure(&error))?;
+    let mut prompt = String::new();
+    write_prompt(["They walk to the kitchen."], &binding, false, &mut prompt);
+    let mut scores = LabelScores::default();
+    scorer.score(&prepared, &prompt, Method::Trie, &mut scores).map_err(|error| model_failure(&error))
+}

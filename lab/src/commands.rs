@@ -1,0 +1,712 @@
+//! `roomcast-lab`: the paper's tables and figures, and the project's own.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+
+use roomcast_cli::choice::{CorrectionArgs, choice};
+use roomcast_cli::{
+    CommandResult, Failure, count, ended, exit_code, model, ranges, report_faults, report_first_faults,
+    take_negative_numbers,
+};
+use roomcast_core::forecast::ForecastOptions;
+use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::{Method, Tokenisation};
+use roomcast_core::semantic_map::{SemanticMap, import};
+use roomcast_lab::experiment::baselines::Statistics;
+use roomcast_lab::experiment::losses::Summary;
+use roomcast_lab::experiment::prediction::{self, NamedProgram, Part, Report, Target};
+use roomcast_lab::experiment::{ExperimentError, Progress};
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::setup;
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::{ScoreSource, StudyError};
+
+mod card;
+mod folds;
+mod guesses;
+mod habits;
+mod persons;
+#[cfg(test)]
+#[path = "../../tests/support/requirements.rs"]
+mod requirements;
+mod study;
+
+/// Reproduces the paper's tables and figures, and prints Roomcast's own.
+#[derive(Debug, Parser)]
+#[command(name = "roomcast-lab", version, propagate_version = true)]
+pub struct Args {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+#[derive(Debug, Subcommand)]
+enum Experiment {
+    /// How well the next object and room are forecast, next to baselines on the same cases.
+    Forecast(ForecastArgs),
+    /// Every table of the model card, in Markdown.
+    Card(card::CardArgs),
+    /// The forecast over folds: every activity by a model that was trained without it.
+    Folds(folds::FoldsArgs),
+    /// The forecast on the sealed split, once: what it finds is written down before it is shown.
+    Sealed(folds::SealedArgs),
+    /// The paper's Table I: disturbance by prompt.
+    Table1(study::Table1Args),
+    /// The paper's Table II: disturbance, time of coverage and failure by policy.
+    Table2(study::Table2Args),
+    /// What the scores depend on: models, prompts, tokenisation, correction, windows.
+    Ablation(study::AblationArgs),
+    /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
+    Pareto(study::ParetoArgs),
+    /// How well the forecast says where the person will be, by horizon.
+    Horizon(study::StudyArgs),
+    /// How well a home is learned, day by day: every forecast is made first and learned from then.
+    Habits(habits::HabitsArgs),
+    /// How often the next sentence is among those that are scored ahead.
+    Guesses(guesses::GuessesArgs),
+    /// How well the tracker knows who is where, in simulated homes with sensors.
+    Persons(persons::PersonsArgs),
+    /// Try a model file, for another process of this program that loads it then.
+    #[command(hide = true)]
+    Model {
+        #[command(subcommand)]
+        rehearse: Rehearse,
+    },
+}
+
+#[derive(Debug, Subcommand)]
+enum Rehearse {
+    /// Load a model and score one label.
+    Rehearse {
+        /// A GGUF file.
+        file: PathBuf,
+        /// How the key-value cache is stored.
+        #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::default())]
+        kv_cache: CacheType,
+    },
+}
+
+/// What all experiments share: model, window and cache.
+#[derive(Debug, Clone, clap::Args)]
+struct ModelArgs {
+    /// A GGUF model; the embedded household model when left out.
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Observations in the history window, the paper's n_h, exactly, 1 to 1000; the daemon's default window when left out.
+    #[arg(long, value_name = "N", value_parser = ranges::observations())]
+    history: Option<usize>,
+    /// How labels are scored; all methods agree up to rounding.
+    #[arg(long, value_parser = choice::<Method>(), default_value_t)]
+    method: Method,
+    /// How prompt and labels are cut into tokens.
+    #[arg(long, value_parser = choice::<Tokenisation>(), default_value_t)]
+    tokenisation: Tokenisation,
+    #[command(flatten)]
+    correction: CorrectionArgs,
+    /// Threads of one decoder call, at most 256; 0 chooses all cores but one.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = ranges::threads())]
+    threads: usize,
+    /// How the key-value cache is stored. In single precision, unlike in the running system, results depend less on the processor.
+    #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::F32)]
+    kv_cache: CacheType,
+    /// Where scores are kept for the next run; below the user's cache folder when left out.
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Keep no scores.
+    #[arg(long, conflicts_with = "cache")]
+    no_cache: bool,
+    /// Seed of every draw: the same seed gives the same table.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = ranges::any())]
+    seed: u64,
+}
+
+impl ModelArgs {
+    fn limits(&self) -> HistoryLimits {
+        self.history.map_or_else(HistoryLimits::default, HistoryLimits::exact)
+    }
+
+    fn cache(&self) -> Option<PathBuf> {
+        if self.no_cache {
+            return None;
+        }
+        self.cache.clone().or_else(|| {
+            let folder = |name, below: &str| {
+                std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute()).map(|path| path.join(below))
+            };
+            Some(folder("XDG_CACHE_HOME", "").or_else(|| folder("HOME", ".cache"))?.join("roomcast/scores"))
+        })
+    }
+
+    /// The product's scorer for a map's labels.
+    fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
+        let default = LlamaOptions::default();
+        let threads = if self.threads == 0 { default.threads } else { self.threads };
+        let model = model::load(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
+            .map_err(|failure| StudyError::Model(failure.error))?;
+        let labels = grounding.label_texts();
+        // Scores of another arithmetic are others.
+        let folder = self.cache().map(|folder| match self.kv_cache {
+            CacheType::F32 => folder,
+            other => folder.join(format!("{other:?}").to_lowercase()),
+        });
+        Ok(ScoreSource::new(model, &labels, self.method, self.tokenisation, self.correction.into(), folder.as_deref())?)
+    }
+}
+
+/// How the forecast tells like things apart.
+#[derive(Debug, Clone, clap::Args)]
+struct LikeThingsArgs {
+    /// The part of a label that like things share evenly in the forecast; the rest goes to those that are near or were in use. 1 is Equation 2.
+    #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
+    any_thing: f64,
+}
+
+impl LikeThingsArgs {
+    fn options(&self) -> ForecastOptions {
+        ForecastOptions { any_thing: self.any_thing, ..ForecastOptions::default() }
+    }
+}
+
+/// Arguments of `roomcast-lab forecast`.
+#[derive(Debug, clap::Args)]
+struct ForecastArgs {
+    /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
+    #[arg(long, value_name = "DIR")]
+    programs: PathBuf,
+    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
+    #[arg(long, value_name = "FILE", required = true)]
+    scene: Vec<PathBuf>,
+    /// Programs that the baselines are counted on, may be repeated; the statistics of the embedded model's training split when left out.
+    #[arg(long, value_name = "DIR")]
+    fit: Vec<PathBuf>,
+    /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
+    /// Which split of the manifest.
+    #[arg(long, value_name = "NAME", default_value = "test", requires = "manifest")]
+    split: String,
+    /// Which of a label's items an object of a program means; may be repeated.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
+    items: Vec<ItemChoice>,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    #[command(flatten)]
+    like_things: LikeThingsArgs,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Print this experiment's tables in Markdown, as the model card has them.
+    #[arg(long, conflicts_with = "json")]
+    markdown: bool,
+}
+
+/// The ways of binding that are shown side by side: a person takes any thing of a kind, or the nearest.
+const BINDINGS: [ItemChoice; 2] = [ItemChoice::Uniform, ItemChoice::Nearest];
+
+fn commands() -> clap::Command {
+    take_negative_numbers(Args::command())
+}
+
+/// Parses the command line, runs the experiment and gives the exit code.
+pub fn main() -> ExitCode {
+    match Args::from_arg_matches(&commands().get_matches()) {
+        Ok(args) => ended("roomcast", run(&args)),
+        Err(error) => error.format(&mut commands()).exit(),
+    }
+}
+
+fn run(args: &Args) -> CommandResult {
+    match &args.experiment {
+        Experiment::Forecast(args) => run_forecast(args),
+        Experiment::Card(args) => card::run(args),
+        Experiment::Folds(args) => folds::run_folds(args),
+        Experiment::Sealed(args) => folds::run_sealed(args),
+        Experiment::Table1(args) => study::run_table1(args),
+        Experiment::Table2(args) => study::run_table2(args),
+        Experiment::Ablation(args) => study::run_ablation(args),
+        Experiment::Pareto(args) => study::run_pareto(args),
+        Experiment::Horizon(args) => study::run_horizon(args),
+        Experiment::Habits(args) => habits::run(args),
+        Experiment::Guesses(args) => guesses::run(args),
+        Experiment::Persons(args) => persons::run(args),
+        Experiment::Model { rehearse: Rehearse::Rehearse { file, kv_cache } } => model::rehearse(file, *kv_cache),
+    }
+}
+
+fn run_forecast(args: &ForecastArgs) -> CommandResult {
+    let (programs, faults) = prediction::load_programs(&args.programs)?;
+    report_faults(&faults);
+    let (programs, trained) = match &args.manifest {
+        Some(manifest) => {
+            let manifest = Manifest::read(manifest)?;
+            let trained = if args.model.model.is_none() { manifest.of_split(&programs, TRAINED)? } else { Vec::new() };
+            (manifest.split(programs, &args.split)?, trained)
+        }
+        None => (programs, Vec::new()),
+    };
+    let statistics = fitted(&[], &args.fit, &embedded_statistics()?)?;
+    let maps = maps(&args.scene)?;
+    let options = prediction::Options {
+        history: args.model.limits(),
+        binding: args.binding.clone(),
+        items: distinct(&args.items),
+        forecast: args.like_things.options(),
+        seed: args.model.seed,
+    };
+    let progress = Progress::new("programs", programs.len() * maps.len() * options.items.len());
+    let open = |_, grounding: &Grounding| args.model.source(grounding);
+    let parts = [Part { programs, trained, statistics }];
+    let report = prediction::run(&maps, &parts, &options, &progress, open)?;
+    drop(progress);
+    if args.json {
+        return roomcast_cli::print_json(&report);
+    }
+    roomcast_cli::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
+}
+
+/// What the baselines know of the embedded model's training split.
+fn embedded_statistics() -> Result<Statistics, Failure> {
+    Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
+}
+
+/// How scores were corrected, by each of the models.
+fn corrections(report: &Report) -> String {
+    report.corrections.iter().map(ToString::to_string).collect::<Vec<_>>().join(", or ")
+}
+
+/// Counts of `own` programs and those of folders, smoothed as `statistics` are, which are taken where no folder is given.
+fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
+    if folders.is_empty() {
+        return Ok(statistics.clone());
+    }
+    let mut programs = own.to_vec();
+    for folder in folders {
+        let (more, faults) = prediction::load_programs(folder)?;
+        report_faults(&faults);
+        programs.extend(more);
+    }
+    let counts = Statistics::fit(programs.iter().map(|named| &named.program));
+    Ok(Statistics { kneser_ney: statistics.kneser_ney, ..counts })
+}
+
+/// Each once, in their order.
+fn distinct<T: Copy + PartialEq>(given: &[T]) -> Vec<T> {
+    let mut once = Vec::new();
+    for own in given {
+        if !once.contains(own) {
+            once.push(*own);
+        }
+    }
+    once
+}
+
+/// Results go by the names of scenes, so no two may have the same.
+fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
+    let mut maps: Vec<(SemanticMap, Grounding)> = Vec::with_capacity(paths.len());
+    for path in paths {
+        let map = load_map(path)?;
+        if maps.iter().any(|(other, _)| other.name() == map.name()) {
+            let fault = format!(
+                "{}: another of the scenes has its name, {:?}, too, and results go by it: change one's \"name\", or give it once",
+                path.display(),
+                map.name()
+            );
+            return Err(Failure::new(exit_code::INPUT, fault));
+        }
+        let grounding =
+            Grounding::new(&map, &GroundingOptions::default()).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+        maps.push((map, grounding));
+    }
+    Ok(maps)
+}
+
+/// The end of the names of VirtualHome's environment graphs.
+const GRAPH: &str = "_graph.json";
+
+/// A scene, or a VirtualHome graph as `roomcast scene import` reads it.
+fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let Some(name) = name.strip_suffix(GRAPH) else { return Ok(setup::load_map(Some(path))?) };
+    let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
+    Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
+}
+
+/// The split that a manifest's model was trained on.
+const TRAINED: &str = "train";
+/// The split that only `roomcast-lab sealed` opens.
+const SEALED: &str = "sealed";
+
+/// A manifest that the training writes.
+#[derive(Debug, serde::Deserialize)]
+struct Manifest {
+    #[serde(skip)]
+    path: PathBuf,
+    splits: BTreeMap<String, Split>,
+    /// What trained the model.
+    #[serde(default)]
+    command: String,
+    /// Titles near one another, by the name of their activity.
+    #[serde(default)]
+    activities: BTreeMap<String, Vec<String>>,
+}
+
+#[derive(Debug, serde::Deserialize)]
+struct Split {
+    files: Vec<PathBuf>,
+}
+
+impl Manifest {
+    fn read(path: &Path) -> Result<Self, Failure> {
+        let failed = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+        let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
+        let parsed: Self = serde_json::from_str(&text).map_err(|e| failed(e.to_string()))?;
+        Ok(Self { path: path.to_owned(), ..parsed })
+    }
+
+    fn failed(&self, error: impl std::fmt::Display) -> Failure {
+        Failure::new(exit_code::INPUT, format!("{}: {error}", self.path.display()))
+    }
+
+    /// The programs of a split, with their activities. The sealed one is left to `roomcast-lab sealed`.
+    fn split(&self, programs: Vec<NamedProgram>, name: &str) -> Result<Vec<NamedProgram>, Failure> {
+        if name == SEALED {
+            return Err(self.failed("the sealed split is opened once, by `roomcast-lab sealed`"));
+        }
+        let chosen = self.of_split(&programs, name)?;
+        if chosen.is_empty() {
+            return Err(self.failed(format!("none of the programs given is in the split `{name}`")));
+        }
+        Ok(chosen)
+    }
+
+    fn of_split(&self, programs: &[NamedProgram], name: &str) -> Result<Vec<NamedProgram>, Failure> {
+        let known = || self.splits.keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let split = self.splits.get(name);
+        let split = split.ok_or_else(|| self.failed(format!("no split `{name}`: there are {}", known())))?;
+        let files: HashSet<&Path> = split.files.iter().map(PathBuf::as_path).collect();
+        let activity_of: HashMap<&str, &str> = self
+            .activities
+            .iter()
+            .flat_map(|(activity, titles)| titles.iter().map(|title| (title.as_str(), activity.as_str())))
+            .collect();
+        // The manifest's paths are relative to the data's root: the ends of the programs' paths.
+        let listed = |path: &Path| {
+            let parts: Vec<_> = path.components().collect();
+            (0..parts.len()).any(|from| files.contains(parts[from..].iter().collect::<PathBuf>().as_path()))
+        };
+        let chosen = programs.iter().filter(|program| listed(&program.path));
+        let named = |program: &NamedProgram| {
+            let activity = activity_of.get(program.activity.as_str()).map(|name| (*name).to_owned());
+            NamedProgram { activity: activity.unwrap_or_else(|| program.activity.clone()), ..program.clone() }
+        };
+        Ok(chosen.map(named).collect())
+    }
+}
+
+fn forecast_text(report: &Report) -> String {
+    let mut table = roomcast_cli::table(&[
+        "scene",
+        "target",
+        "things",
+        "predictor",
+        "cases",
+        "nll (nats)",
+        "top-1",
+        "top-5",
+        "mrr",
+        "brier",
+        "confidence",
+        "ece",
+    ]);
+    let mut differences = roomcast_cli::table(&[
+        "scene",
+        "target",
+        "things",
+        "model less",
+        "nll (nats)",
+        "top-1",
+        "top-5",
+        "mrr",
+        "brier",
+    ]);
+    let mut activities = roomcast_cli::table(&[
+        "scene",
+        "target",
+        "things",
+        "predictor",
+        "nll (nats)",
+        "top-1",
+        "mrr",
+        "ece",
+        "model less: nll (nats)",
+        "top-1",
+        "mrr",
+    ]);
+    let mut rows: Vec<_> = report.rows.iter().collect();
+    rows.sort_by(|a, b| (&a.scene, a.target, a.items).cmp(&(&b.scene, b.target, b.items)));
+    let with = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => format!("{value:.3}"),
+        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    };
+    for row in rows {
+        let things = row.items.unwrap_or("any");
+        let named = [row.scene.clone(), target_name(row.target), things.to_owned(), row.predictor.to_owned()];
+        let figures = |s: &Summary| [s.nll(), s.top1(), s.top5(), s.mrr(), s.brier()].map(with);
+        if let Some(less) = &row.model_less_this {
+            differences.add_row(named.iter().cloned().chain(figures(less)));
+        }
+        let of_activities = |s: &Summary| [s.nll(), s.top1(), s.mrr(), s.ece()].map(with);
+        let [nll, top1, mrr, ece] = of_activities(&row.macro_average);
+        let less = row.model_less_this_by_activity.as_ref().map(of_activities);
+        let [nll_less, top1_less, mrr_less, _] = less.unwrap_or_default();
+        activities.add_row(named.iter().cloned().chain([nll, top1, mrr, ece, nll_less, top1_less, mrr_less]));
+        let s = &row.summary;
+        let calibration = [s.confidence(), s.ece()].map(with);
+        table.add_row(named.into_iter().chain([s.cases.to_string()]).chain(figures(s)).chain(calibration));
+    }
+    let mut text = format!(
+        "{table}\n\nOn the same cases, resampled together, the model less each of them:\n{differences}\n\n\
+         Where each of {} counts alike, and the difference over all cases with intervals over activities:\n{activities}\n",
+        if report.activities == 1 { "1 activity".to_owned() } else { format!("{} activities", report.activities) }
+    );
+    if !report.nearness.is_empty() {
+        let mut near = roomcast_cli::table(&[
+            "nearness",
+            "programs",
+            "cases",
+            "nll (nats)",
+            "mrr",
+            "over activities: nll (nats)",
+            "mrr",
+        ]);
+        for third in &report.nearness {
+            let [from, to] = third.nearness;
+            let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
+            near.add_row([
+                format!("{from:.2} to {to:.2}"),
+                third.programs.to_string(),
+                s.cases.to_string(),
+                with(s.nll()),
+                with(s.mrr()),
+                with(by.nll()),
+                with(by.mrr()),
+            ]);
+        }
+        let _ = writeln!(
+            text,
+            "\nThe model less Kneser-Ney with its cache, next object, by the share of objects that a program has in common with the most \
+             similar one trained on:\n{near}\n"
+        );
+    }
+    let _ = writeln!(
+        text,
+        "{} in {}{}; {:.1} % of the next objects are in the maps, and {} had the label of the last one and are no cases; scored by {}; {}; {} \
+         computed, the others from the cache",
+        count(report.cases, "case"),
+        count(report.programs, "program"),
+        left_out(report),
+        100.0 * report.bound_share,
+        report.same_label,
+        corrections(report),
+        if report.programs > 1 {
+            "95 % intervals by bootstrap over programs"
+        } else {
+            "intervals need several programs"
+        },
+        count(report.computed, "score")
+    );
+    let missing: Vec<_> = report.unbound.iter().take(12).map(|(name, n)| format!("{name} ({n})")).collect();
+    if !missing.is_empty() {
+        let _ = writeln!(text, "not in the maps: {}", missing.join(", "));
+    }
+    text
+}
+
+/// Says how many programs have no case, where there are any.
+fn left_out(report: &Report) -> String {
+    match report.programs_without_case {
+        0 => String::new(),
+        without => format!(" ({without} more without a case)"),
+    }
+}
+
+/// The tables of the model card: next object and next room, both ways of binding, and the differences from the baselines.
+fn forecast_markdown(report: &Report) -> String {
+    let cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => format!("{value:.2}"),
+        Some([low, high]) => format!("{value:.2} [{low:.2}, {high:.2}]"),
+    };
+    // Of a difference it matters most on which side of zero an end is.
+    let end = |end: f64| if end != 0.0 && end.abs() < 0.005 { format!("{end:+.3}") } else { format!("{end:.2}") };
+    let less_cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
+        None => end(value),
+        Some([low, high]) => format!("{} [{}, {}]", end(value), end(low), end(high)),
+    };
+    let find = |scene: &str, predictor: &str, target: Target, items: Option<&str>| {
+        report.rows.iter().find(|row| {
+            row.scene == scene
+                && row.predictor == predictor
+                && row.target == target
+                && (row.items == items || target == Target::Object)
+        })
+    };
+    let mut scenes: Vec<&str> = report.rows.iter().map(|row| row.scene.as_str()).collect();
+    scenes.dedup();
+    let mut predictors: Vec<&str> = report.rows.iter().map(|row| row.predictor).collect();
+    predictors.sort_unstable();
+    predictors.dedup();
+    let items: Vec<&str> = BINDINGS.map(<&str>::from).to_vec();
+    let items: Vec<&str> =
+        items.into_iter().filter(|items| report.rows.iter().any(|row| row.items == Some(items))).collect();
+    let mut header: Vec<String> =
+        ["place", "predictor", "object: NLL", "MRR", "top-1", "confidence", "ECE"].map(str::to_owned).to_vec();
+    for items in &items {
+        header.extend(["room: NLL", "ECE", "changes found", "where to"].map(|name| format!("{name} ({items})")));
+    }
+    let (n, m) = (report.programs, report.activities);
+    let order = [
+        "model",
+        "model-near",
+        "model-cache",
+        "model-kneser-ney-cache",
+        "kneser-ney",
+        "kneser-ney-cache",
+        "markov2",
+        "markov1",
+        "frequency",
+        "uniform",
+        "stay",
+        "no-narration",
+    ];
+    let (mut levels, mut programs, mut activities) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut alike, mut alike_less) = (Vec::new(), Vec::new());
+    for scene in &scenes {
+        for predictor in order.into_iter().filter(|name| predictors.contains(name)) {
+            type Cell<'a> = &'a dyn Fn((f64, Option<[f64; 2]>)) -> String;
+            let figures = |of: &dyn Fn(&prediction::Row) -> Option<Summary>, cell: Cell<'_>| -> Option<Vec<String>> {
+                let object = of(find(scene, predictor, Target::Object, None)?)?;
+                let mut cells = vec![
+                    (*scene).to_owned(),
+                    predictor.to_owned(),
+                    cell(object.nll()),
+                    cell(object.mrr()),
+                    cell(object.top1()),
+                    cell(object.confidence()),
+                    cell(object.ece()),
+                ];
+                for items in &items {
+                    let room = of(find(scene, predictor, Target::Room, Some(items))?)?;
+                    let change = of(find(scene, predictor, Target::RoomChange, Some(items))?)?;
+                    let to = of(find(scene, predictor, Target::RoomIfChanged, Some(items))?)?;
+                    cells.extend([room.nll(), room.ece(), change.top1(), to.top1()].map(cell));
+                }
+                Some(cells)
+            };
+            levels.extend(figures(&|row| Some(row.summary), &cell));
+            alike.extend(figures(&|row| Some(row.macro_average), &cell));
+            if ["model-near", "kneser-ney", "kneser-ney-cache", "frequency", "stay"].contains(&predictor) {
+                programs.extend(figures(&|row| row.model_less_this, &less_cell));
+                activities.extend(figures(&|row| row.model_less_this_by_activity, &less_cell));
+                alike_less.extend(figures(&|row| row.model_less_this_macro, &less_cell));
+            }
+        }
+    }
+    let header: Vec<&str> = header.iter().map(String::as_str).collect();
+    let mut less = header.clone();
+    less[1] = "model less";
+    let mut text = format!(
+        "{}\n\nThe model less each baseline, intervals over {n} programs:\n\n{}\n",
+        markdown(&header, &levels),
+        markdown(&less, &programs)
+    );
+    if m > 1 {
+        let _ = writeln!(text, "\nThe same, intervals over {m} activities:\n\n{}", markdown(&less, &activities));
+        let _ = writeln!(
+            text,
+            "\nMeans in which each of {m} activities counts alike:\n\n{}\n\n{}",
+            markdown(&header, &alike),
+            markdown(&less, &alike_less)
+        );
+    }
+    if !report.nearness.is_empty() {
+        let rows: Vec<Vec<String>> = report
+            .nearness
+            .iter()
+            .map(|third| {
+                let (s, by) = (&third.model_less_kneser_ney_cache, &third.by_activity);
+                vec![
+                    format!("{:.2} to {:.2}", third.nearness[0], third.nearness[1]),
+                    third.programs.to_string(),
+                    less_cell(s.nll()),
+                    less_cell(s.mrr()),
+                    less_cell(by.nll()),
+                    less_cell(by.mrr()),
+                ]
+            })
+            .collect();
+        let header = [
+            "objects in common with the nearest trained program",
+            "programs",
+            "NLL",
+            "MRR",
+            "over activities: NLL",
+            "MRR",
+        ];
+        let _ = writeln!(
+            text,
+            "\nThe model less Kneser-Ney with its cache, next object, by nearness:\n\n{}",
+            markdown(&header, &rows)
+        );
+    }
+    let _ = writeln!(
+        text,
+        "\n{}, {}{}, {}; {:.1} % of the next objects are in the maps; {} with the label of the last one are no cases; {}.",
+        count(report.cases, "case"),
+        count(n, "program"),
+        left_out(report),
+        if m == 1 { "1 activity".to_owned() } else { format!("{m} activities") },
+        100.0 * report.bound_share,
+        report.same_label,
+        corrections(report)
+    );
+    text
+}
+
+/// A table in Markdown.
+fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> String {
+    let line = |cells: &mut dyn Iterator<Item = &str>| {
+        let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
+        format!("| {} |", cells.join(" | "))
+    };
+    let rule = format!("|{}", " --- |".repeat(header.len()));
+    let mut lines = vec![line(&mut header.iter().map(AsRef::as_ref)), rule];
+    lines.extend(rows.iter().map(|row| line(&mut row.iter().map(AsRef::as_ref))));
+    lines.join("\n")
+}
+
+fn target_name(target: Target) -> String {
+    serde_json::to_value(target).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// clap finds a default of another type than its option only when it reads the option.
+    #[test]
+    fn defaults_of_each_experiment_have_the_types_of_their_options() {
+        for name in Args::command().get_subcommands().map(|one| one.get_name().to_owned()) {
+            // A missing argument is an error; a wrong type is a panic.
+            let _read = Args::try_parse_from(["roomcast-lab", &name]);
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! `roomcast-lab habits`: how well a home is learned, day by day.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use super::{LikeThingsArgs, ModelArgs, maps, report_first_faults};
+use roomcast_cli::choice::choice;
+use roomcast_cli::{CommandResult, Failure, count, exit_code, print, print_json, ranges, table, tell_unfit};
+use roomcast_core::grounding::Grounding;
+use roomcast_core::habits::HabitsOptions;
+use roomcast_core::narration::Event;
+use roomcast_core::places::PlaceMatcher;
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::narration_kind;
+use roomcast_lab::experiment::Progress;
+use roomcast_lab::experiment::baselines::Statistics;
+use roomcast_lab::experiment::chart::{Chart, Mark, Series};
+use roomcast_lab::experiment::habits::{self, ALL, Days, HALF, Options, PREDICTORS, Report, TARGETS, UNSEEN};
+use roomcast_lab::experiment::report::{Report as Page, Table};
+use roomcast_services::message_text::event_of;
+use roomcast_services::narrator::{Item, Who};
+use roomcast_services::sensor_log::{Absences, Said as Narrated, SensorRules, absences};
+use roomcast_simulation::binding::ItemChoice;
+use roomcast_simulation::homer::Day;
+use roomcast_simulation::trace::{Interval, Step, Trace};
+
+/// Arguments of `roomcast-lab habits`.
+#[derive(Debug, clap::Args)]
+#[command(group(clap::ArgGroup::new("watched").required(true).args(["days", "sensors"])))]
+pub(super) struct HabitsArgs {
+    /// A folder of days (HOMER+), learned in the order of their names.
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["rules", "presence"])]
+    days: Option<PathBuf>,
+    /// A log of sensors, as docs/sensors.md describes it.
+    #[arg(long, value_name = "LOG", requires = "rules")]
+    sensors: Option<PathBuf>,
+    /// What the sensors' intervals are in words.
+    #[arg(long, value_name = "RULES", requires = "sensors")]
+    rules: Option<PathBuf>,
+    /// Intervals in which nobody was at home: when each began, when it ended and, if others are among them, which say so ("away", "leave
+    /// house", "going out to work").
+    #[arg(long, value_name = "INTERVALS", requires = "sensors")]
+    presence: Option<PathBuf>,
+    /// A scene file, or the name of a shipped scene.
+    #[arg(long, value_name = "FILE")]
+    scene: PathBuf,
+    /// Which of a label's items an object of a day means, where the map has none with its number.
+    #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::First, conflicts_with_all = ["sensors", "rules", "presence"])]
+    items: ItemChoice,
+    /// Days after which what was seen counts half; 0 for never.
+    #[arg(long, value_name = "DAYS", default_value_t = HabitsOptions::default().half_life_days, value_parser = ranges::time_s)]
+    half_life: f64,
+    /// The binding sequence: default, p0 to p5, or a text of your own.
+    #[arg(long, value_name = "TEXT", default_value = "default")]
+    binding: BindingSequence,
+    #[command(flatten)]
+    like_things: LikeThingsArgs,
+    #[command(flatten)]
+    model: ModelArgs,
+    /// Write a report with pictures of the learning curves into this folder.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Learns a home and says how well.
+pub(super) fn run(args: &HabitsArgs) -> CommandResult {
+    let (map, grounding) = maps(std::slice::from_ref(&args.scene))?.remove(0);
+    let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
+        .map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+    let trace = match (&args.days, &args.sensors, &args.rules) {
+        (Some(folder), ..) => of_days(&roomcast_cli::days::read(folder)?, &map, &grounding, args)?,
+        (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
+        _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
+    };
+    // A folder that cannot be written is said before the work is done.
+    if let Some(folder) = &args.out {
+        std::fs::create_dir_all(folder).map_err(|error| {
+            let text = format!("failed to make {}: {error}; choose another folder with --out", folder.display());
+            Failure::new(exit_code::FAILURE, text)
+        })?;
+    }
+    let mut source = args.model.source(&grounding)?;
+    let options = Options {
+        history: args.model.limits(),
+        binding: args.binding.clone(),
+        habits: HabitsOptions { half_life_days: args.half_life, ..HabitsOptions::default() },
+        forecast: args.like_things.options(),
+        seed: args.model.seed,
+    };
+    let progress = Progress::new("sentences", trace.steps.len());
+    let report = habits::run(&trace, (&map, &grounding), &mut source, &statistics, &options, &progress)?;
+    drop(progress);
+    if report.rows.is_empty() {
+        let text = "nothing could be measured: no thing is followed by another, and no place is known for a minute and the one after it; give a longer log";
+        return Err(Failure::new(exit_code::INPUT, text));
+    }
+    if let Some(folder) = &args.out {
+        page(&report, map.name()).write(folder).map_err(|e| Failure::new(exit_code::FAILURE, e))?;
+        roomcast_cli::tell(format_args!("roomcast: wrote {}", folder.join("report.html").display()));
+    }
+    if args.json {
+        return print_json(&report);
+    }
+    show(&report)
+}
+
+fn of_days(days: &[Day], map: &SemanticMap, grounding: &Grounding, args: &HabitsArgs) -> Result<Trace, Failure> {
+    let trace = Trace::of_days(days, map, grounding, args.items, args.model.seed)?;
+    let actions = days.iter().flat_map(|day| &day.actions);
+    let mut unknown = BTreeMap::new();
+    for (action, _) in actions.zip(&trace.steps).filter(|(_, step)| step.lacking) {
+        let object = action.action.objects().first().map_or_else(String::new, |object| object.name.clone());
+        *unknown.entry(object).or_default() += 1;
+    }
+    report_unknown("actions are with things that the scene lacks", trace.steps.len(), &unknown);
+    Ok(trace)
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path)
+        .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
+}
+
+/// Says which words a scene has no place for, and how often they come, the most frequent first.
+fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
+    const SHOWN: usize = 5;
+    let times: usize = unknown.values().sum();
+    if times == 0 {
+        return;
+    }
+    let mut words: Vec<_> = unknown.iter().collect();
+    words.sort_by_key(|(_, times)| std::cmp::Reverse(**times));
+    let shown: Vec<_> = words.iter().take(SHOWN).map(|(word, times)| format!("{word} ({times})")).collect();
+    let more = if words.len() > SHOWN { ", ..." } else { "" };
+    roomcast_cli::tell(format_args!("roomcast: {times} of {of} {what}: {}{more}", shown.join(", ")));
+}
+
+fn sensors(
+    log: &Path,
+    rules: &Path,
+    presence: Option<&Path>,
+    map: &SemanticMap,
+    grounding: &Grounding,
+) -> Result<Trace, Failure> {
+    let fault = |path: &Path, error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", path.display()));
+    let rules = SensorRules::load(rules).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    let narrated = rules.narrate_file(log, &Who::Somebody).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    report_first_faults(narrated.faults.told(), narrated.faults.count());
+    tell_unfit(&narrated);
+    let partition = |room: u32| grounding.partitions().iter().position(|p| p.rooms.iter().any(|id| id.0 == room));
+    let place = |words: &str| map.find_room(&words.replace('_', " ").to_lowercase()).and_then(|room| partition(room.0));
+    let read_intervals = rules.intervals(&read(log)?);
+    if read_intervals.is_empty() {
+        let fault_text = "it has no interval that can be read; docs/sensors.md shows what they look like";
+        return Err(fault(log, fault_text.to_owned()));
+    }
+    let mut unknown = BTreeMap::new();
+    // Where a sensor has no place, none is unknown.
+    for interval in read_intervals.iter().filter(|own| !own.place.is_empty() && place(&own.place).is_none()) {
+        *unknown.entry(format!("{:?}", interval.place)).or_default() += 1;
+    }
+    report_unknown("intervals are in places that are no rooms of the scene", read_intervals.len(), &unknown);
+    let intervals: Vec<Interval> = (read_intervals.iter())
+        .map(|interval| Interval { from_s: interval.start_s, to_s: interval.end_s, room: place(&interval.place) })
+        .collect();
+    if intervals.iter().all(|interval| interval.room.is_none()) {
+        let fault_text =
+            "no interval is in a room of the scene: name the column of places in the rules, and the rooms in the scene";
+        return Err(fault(log, fault_text.to_owned()));
+    }
+    let mut mentions = PlaceMatcher::new(map, grounding);
+    let weights = grounding.weights();
+    let mut steps = Vec::new();
+    for Narrated { item, at_s, interval, .. } in &narrated.said {
+        let Ok(Event::Did(sentence)) = event_of(item.kind, &item.text) else { continue };
+        let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);
+        let own = intervals.get(*interval).and_then(|interval| interval.room);
+        let of_interval = own.filter(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));
+        let only = label.and_then(|label| (0..weights.ncols()).find(|room| weights[(label, *room)] > 0.999));
+        steps.push(Step { at_s: *at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
+    }
+    let taken_for_one = taken_for_one(narrated.said.iter().map(|said| &said.item));
+    for remark in missing(&steps).into_iter().chain(taken_for_one) {
+        roomcast_cli::tell(format_args!("roomcast: {remark}"));
+    }
+    let away = match presence {
+        Some(path) => absences(&read(path)?).map_err(|error| fault(path, error))?,
+        None => Absences::default(),
+    };
+    tell_absences(&away);
+    Ok(Trace::of_sensors(steps, &intervals, &away.intervals, grounding.partitions().len())?)
+}
+
+/// What rules say of several people, or of who is out, and a log that is taken for one person's does not have.
+fn taken_for_one<'a>(items: impl Iterator<Item = &'a Item>) -> Option<&'static str> {
+    let (mut persons, mut is_out) = (HashSet::new(), false);
+    for item in items {
+        persons.insert(&item.person);
+        is_out |= item.kind == narration_kind::PRESENCE && ["away", "gone"].contains(&item.text.as_str());
+    }
+    match (persons.len() > 1, is_out) {
+        (true, _) => Some(
+            "the log is measured as that of one person: the rules' `person` and `presence` count for nothing here; give the log of one, and --presence \
+             for when they were out",
+        ),
+        (false, true) => {
+            Some("the rules' `presence` counts for nothing here: give --presence for when the person was out")
+        }
+        (false, false) => None,
+    }
+}
+
+/// What cannot be measured of a home whose sensors say so little in words, and what would help.
+fn missing(steps: &[Step]) -> Option<&'static str> {
+    if steps.is_empty() {
+        return Some(
+            "no sentence is said of any interval: rooms at times ahead are measured, next things and next rooms are not; give rules with `say` for these",
+        );
+    }
+    steps.iter().all(|step| step.label.is_none()).then_some(
+        "no sentence mentions a thing of the scene: next things are not measured; give the scene these things, or aliases",
+    )
+}
+
+/// Says what was taken for an absence.
+fn tell_absences(Absences { intervals, labels, others }: &Absences) {
+    if labels.is_empty() {
+        return;
+    }
+    let labels: Vec<_> = labels.iter().map(|(label, times)| format!("{label:?} ({times})")).collect();
+    let (absences, others) = (count(intervals.len(), "absence"), count(*others, "interval"));
+    roomcast_cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
+}
+
+/// How a stretch of days is called.
+fn called(day: Days) -> String {
+    match day {
+        Days::One(day) => day.to_string(),
+        Days::Some(name) => name.to_owned(),
+    }
+}
+
+fn tables(report: &Report) -> Vec<Table> {
+    let header = [
+        "days",
+        "target",
+        "predictor",
+        "cases",
+        "nll (nats)",
+        "top-1",
+        "mrr",
+        "brier",
+        "ece",
+        "mixture less this (nats)",
+    ];
+    let mut all = Table::new("habits", "All days, and the second half of them", &header);
+    let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
+    for day in [ALL, HALF, UNSEEN] {
+        for row in report.rows.iter().filter(|row| row.day == day) {
+            let less =
+                report.differences.iter().find(|d| d.day == day && d.target == row.target && d.less == row.predictor);
+            all.rows.push(vec![
+                called(day),
+                row.target.to_owned(),
+                row.predictor.to_owned(),
+                row.n.to_string(),
+                row.ci95.map_or_else(|| format!("{:.3}", row.nll_nats), |ci95| with(row.nll_nats, ci95.nll_nats)),
+                row.ci95.map_or_else(|| format!("{:.3}", row.top1), |ci95| with(row.top1, ci95.top1)),
+                format!("{:.3}", row.mrr),
+                format!("{:.3}", row.brier),
+                format!("{:.3}", row.ece),
+                less.map_or_else(String::new, |less| with(less.nll_nats, less.nll_ci95)),
+            ]);
+        }
+    }
+    let header = [
+        "horizon (s)",
+        "asked",
+        "held",
+        "places",
+        "places, shipped forecast",
+        "held, never empty",
+        "places, never empty",
+    ];
+    let mut sets = Table::new("sets", "Sets of places with a promise", &header);
+    for row in &report.sets {
+        sets.rows.push(vec![
+            format!("{:.0}", row.horizon_s),
+            format!("{:.2}", row.coverage_asked),
+            format!("{:.3}", row.coverage),
+            format!("{:.2}", row.size_mean),
+            format!("{:.2}", row.size_mean_shipped),
+            format!("{:.3}", row.coverage_never_empty),
+            format!("{:.2}", row.size_mean_never_empty),
+        ]);
+    }
+    vec![all, sets, cleaning(report)]
+}
+
+/// What the forecasts are worth to a robot.
+fn cleaning(report: &Report) -> Table {
+    let header = ["forecast", "policy", "disturbance (s/h)", "less", "coverage", "less"];
+    let title = "Rounds of a robot, planned against the forecast without habits (model) and with them (mixture)";
+    let mut cleaning = Table::new("cleaning", title, &header);
+    let with = |value: f64, interval: Option<[f64; 2]>| match interval {
+        None => format!("{value:.3}"),
+        Some([low, high]) => format!("{value:.3} [{low:.3}, {high:.3}]"),
+    };
+    for row in &report.cleaning {
+        let less = row.less.map(|less| {
+            let disturbance = with(less.disturbance_s_per_h, less.disturbance_ci95);
+            (disturbance, with(less.coverage, less.coverage_ci95))
+        });
+        let (disturbance, coverage) = less.unwrap_or_default();
+        cleaning.rows.push(vec![
+            row.predictor.to_owned(),
+            row.policy.to_owned(),
+            format!("{:.1}", row.disturbance_s_per_h),
+            disturbance,
+            format!("{:.3}", row.coverage),
+            coverage,
+        ]);
+    }
+    cleaning
+}
+
+/// The loss of each day, for those whom it is worth to follow.
+fn curve(report: &Report, target: &str) -> Chart {
+    let shown = ["mixture", "without-model", "model", "counts", "stay", "persistence"];
+    let series = PREDICTORS.iter().filter(|name| shown.contains(name)).map(|name| {
+        let days = report.rows.iter().filter(|row| row.predictor == *name && row.target == target);
+        let points = days.filter_map(|row| match row.day {
+            Days::One(day) => Some((day as f64, row.nll_nats)),
+            Days::Some(_) => None,
+        });
+        Series { name: (*name).to_owned(), points: points.collect(), mark: Mark::Line }
+    });
+    Chart {
+        title: format!("Learning a home: {target}"),
+        x: "day".into(),
+        y: "loss (nats)".into(),
+        series: series.collect(),
+    }
+}
+
+fn page(report: &Report, scene: &str) -> Page {
+    let figures = TARGETS.iter().filter(|target| report.rows.iter().any(|row| row.target == **target));
+    Page {
+        title: format!("Learning a home: {scene}"),
+        notes: vec![notes(report)],
+        tables: tables(report),
+        figures: figures.map(|target| (format!("habits-{target}"), curve(report, target).svg())).collect(),
+    }
+}
+
+fn notes(report: &Report) -> String {
+    let learned = &report.learned;
+    format!(
+        "{} over {}; each is forecast first and learned from then. {} of {} in {} bytes. 95 % intervals by bootstrap over days.",
+        count(report.cases, "case"),
+        count(report.days, "day"),
+        count(learned.counts, "count"),
+        count(learned.names, "thing"),
+        learned.bytes,
+    )
+}
+
+fn show(report: &Report) -> CommandResult {
+    let mut text = String::new();
+    for part in tables(report) {
+        let header: Vec<&str> = part.header.iter().map(String::as_str).collect();
+        let mut shown = table(&header);
+        part.rows.iter().for_each(|row| {
+            shown.add_row(row);
+        });
+        text += &format!("\n{}\n{shown}\n", part.title);
+    }
+    print(&format!("{text}\n{}\n", notes(report)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a log says of several people, and who is out by its rules, is not dropped in silence.
+    #[test]
+    fn a_log_of_several_people_is_told_to_be_measured_as_one() {
+        let remark = |rules: &str| {
+            let log = b"0,5,hall,PIR,Hall\n100,110,ada,phone,\n";
+            let said = SensorRules::parse(rules).unwrap().narrate(log, &Who::Somebody).said;
+            taken_for_one(said.iter().map(|said| &said.item))
+        };
+        let moves = "[[rule]]\nkind = \"PIR\"\nsay = \"They walk to the {place}.\"\n";
+        let phone = "[[rule]]\nkind = \"phone\"\npresence = \"away\"\n";
+        assert_eq!(remark(moves), None);
+        assert!(remark(&format!("{moves}{phone}")).unwrap().contains("--presence"));
+        assert!(remark(&format!("{moves}{phone}person = \"{{sensor}}\"")).unwrap().contains("of one person"));
+    }
+}

@@ -1,0 +1,155 @@
+//! `roomcast-lab persons`: the tracker's score in simulated homes with sensors.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use strum::VariantNames;
+
+use super::{maps, report_faults};
+use roomcast_cli::exit_code;
+use roomcast_cli::{CommandResult, Failure, print, print_json, ranges, table};
+use roomcast_core::tracker::{Options, TrackerError};
+use roomcast_lab::experiment::persons::{self, Method, Row, Setup};
+use roomcast_lab::experiment::{Progress, prediction};
+use roomcast_lab::home_simulation::plan::Device;
+use roomcast_lab::home_simulation::recorded::Recorded;
+
+/// Most residents of a simulated home.
+const RESIDENTS_MAX: usize = 4;
+/// Most days of one row.
+const DAYS_MAX: usize = 10_000;
+
+/// Arguments of `roomcast-lab persons`.
+#[derive(Debug, clap::Args)]
+pub(super) struct PersonsArgs {
+    /// Days per row. A home lives for ten days, then another begins.
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = ranges::whole(1..=DAYS_MAX))]
+    days: usize,
+    /// Residents, 1 to 4; all four when left out.
+    #[arg(long, value_name = "N", value_parser = ranges::whole(1..=RESIDENTS_MAX), conflicts_with = "household")]
+    residents: Option<usize>,
+    /// Seed of homes, days and devices: the same seed gives the same table.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = ranges::any())]
+    seed: u64,
+    /// Kinds of devices that the homes lack. When left out, the table has homes with all devices, without beds and without beds and presence sensors.
+    #[arg(long, value_name = "KINDS", value_delimiter = ',',
+        value_parser = PossibleValuesParser::new(Device::VARIANTS).try_map(|name| name.parse::<Device>()))]
+    without: Option<Vec<Device>>,
+    /// A cat lives there and sets off motion sensors.
+    #[arg(long)]
+    pet: bool,
+    /// Most joint states that the filter keeps.
+    #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
+    states: usize,
+    /// A folder of days in HOMER+'s format, once per resident, in place of written days.
+    #[arg(long, value_name = "FOLDER", requires = "scene")]
+    household: Vec<PathBuf>,
+    /// A folder of activity programs (VirtualHome) in place of written days.
+    #[arg(long, value_name = "FOLDER", requires = "scene", conflicts_with = "household")]
+    programs: Option<PathBuf>,
+    /// The scene of these days: a scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json).
+    #[arg(long, value_name = "FILE")]
+    scene: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &PersonsArgs) -> CommandResult {
+    let failed = |error: TrackerError| Failure::new(exit_code::INPUT, error);
+    let residents: Vec<usize> = match (args.residents, args.household.len()) {
+        (Some(residents), _) => vec![residents],
+        (None, 0) => (1..=RESIDENTS_MAX).collect(),
+        (None, households) => vec![households],
+    };
+    let lacks: Vec<Vec<Device>> = match &args.without {
+        Some(without) => vec![without.clone()],
+        None => vec![Vec::new(), vec![Device::Bed], vec![Device::Bed, Device::Presence]],
+    };
+    let methods = [Method::Tracker, Method::Assigned, Method::LastSensor];
+    let progress = Progress::new("homes", residents.len() * lacks.len() * args.days.div_ceil(10));
+    let mut rows = Vec::new();
+    for residents in residents {
+        let recorded = recorded(args, residents)?.map(Arc::new);
+        for without in &lacks {
+            let setup = Setup {
+                residents,
+                without: without.clone(),
+                days: args.days,
+                seed: args.seed,
+                pet: args.pet,
+                tracker: Options { states: args.states, ..Options::default() },
+                recorded: recorded.clone(),
+            };
+            rows.extend(persons::run(&setup, &methods, || progress.step()).map_err(failed)?);
+        }
+    }
+    drop(progress);
+    if args.json { print_json(&serde_json::json!({"seed": args.seed, "rows": rows})) } else { print(&text(&rows)) }
+}
+
+/// Days from elsewhere, if a folder names them.
+fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Failure> {
+    let Some(scene) = args.scene.as_ref().filter(|_| args.programs.is_some() || !args.household.is_empty()) else {
+        return Ok(None);
+    };
+    let maps = maps(std::slice::from_ref(scene))?;
+    let Some((map, grounding)) = maps.first() else { return Ok(None) };
+    let mut own = Recorded::new(map, grounding).map_err(|error| Failure::new(exit_code::INPUT, error))?;
+    for folder in &args.household {
+        own.add_days(&roomcast_cli::days::read(folder)?, map, grounding);
+    }
+    if let Some(folder) = &args.programs {
+        let (programs, faults) = prediction::load_programs(folder)?;
+        report_faults(&faults);
+        let programs: Vec<_> = programs.into_iter().map(|named| named.program).collect();
+        for resident in 0..residents {
+            own.add_programs(&programs, args.days, map, grounding, args.seed.wrapping_add(resident as u64));
+        }
+    }
+    if own.residents.iter().any(Vec::is_empty) {
+        let fault =
+            format!("the scene `{}` has none of the things of these days: give the scene they belong to", map.name());
+        return Err(Failure::new(exit_code::INPUT, fault));
+    }
+    Ok(Some(own))
+}
+
+fn text(rows: &[Row]) -> String {
+    let header = [
+        "residents",
+        "without",
+        "method",
+        "right %",
+        "rooms %",
+        "loss, nats",
+        "calibration",
+        "wrong > .9, %",
+        "empty while in, of 10 000 min",
+        "loss at +15 min",
+        "us a report",
+    ];
+    let mut table = table(&header);
+    for row in rows {
+        let method = match row.method {
+            Method::Tracker => "tracker",
+            Method::Assigned => "a filter per person",
+            Method::LastSensor => "last sensor",
+        };
+        table.add_row([
+            row.residents.to_string(),
+            row.without.join(", "),
+            method.to_owned(),
+            format!("{:.1}", 100.0 * row.right),
+            format!("{:.1}", 100.0 * row.rooms),
+            format!("{:.3}", row.log_loss_nats),
+            format!("{:.3}", row.calibration_error),
+            format!("{:.2}", 100.0 * row.wrong_and_sure),
+            format!("{:.1}", row.empty_while_in),
+            row.forecast_nats.map_or_else(String::new, |nats| format!("{nats:.3}")),
+            format!("{:.0}", row.report_us),
+        ]);
+    }
+    format!("{table}\n")
+}

@@ -1,0 +1,13 @@
+//! The program `roomcast-lab`: the paper's tables and figures, and ours.
+
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+use std::process::ExitCode;
+
+mod commands;
+
+fn main() -> ExitCode {
+    // Output into a pipe that closes (`| head -1`) ends the program, as it ends any other.
+    sigpipe::reset();
+    commands::main()
+}

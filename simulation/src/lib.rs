@@ -1,0 +1,126 @@
+//! Simulated persons and robots, and drawings of maps: `roomcast demo` and `roomcast-lab` use them.
+//!
+//! The simulation uses the method of `roomcast-core` exactly as the robot does, on simulated time.
+//!
+//! ```
+//! use roomcast_core::grounding::{Grounding, GroundingOptions};
+//! use roomcast_core::semantic_map::SemanticMap;
+//! use roomcast_simulation::drawing;
+//!
+//! let map = SemanticMap::from_json(include_str!("../../core/example.json"))?;
+//! let grounding = Grounding::new(&map, &GroundingOptions::default())?;
+//! let plan = drawing::svg(&map, &grounding, None)?;
+//! assert!(plan.contains("<svg"));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+pub mod binding;
+pub mod clairvoyant;
+pub mod drawing;
+pub mod homer;
+#[cfg(feature = "solver")]
+pub mod mixed_integer;
+#[cfg(feature = "png")]
+pub mod png;
+pub mod scores;
+pub mod study;
+pub mod timeline;
+pub mod trace;
+pub mod world;
+
+use roomcast_core::grounding::GroundingError;
+use roomcast_core::narration::SentenceError;
+
+pub use scores::{ScoreSource, ScoresError};
+use timeline::TimelineError;
+use world::WorldError;
+
+/// An error of a simulation.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StudyError {
+    /// More days than somebody is forecast in minute by minute.
+    #[error("{days} days, more than {}: give the first of them in a folder of their own", trace::DAYS_MAX)]
+    TooManyDays {
+        /// How many.
+        days: usize,
+    },
+    /// A log of more days than that, as one with a wrong year.
+    #[error(
+        "the log reaches from {from} to {to}, over more than {} days: correct the times that are wrong, or give a part of it",
+        trace::DAYS_MAX
+    )]
+    LongLog {
+        /// The date of its first time.
+        from: String,
+        /// The date of its last time.
+        to: String,
+    },
+    /// The scorer or its cache.
+    #[error(transparent)]
+    Scores(#[from] ScoresError),
+    /// The model.
+    #[error(transparent)]
+    Model(Box<dyn std::error::Error + Send + Sync>),
+    /// A person.
+    #[error(transparent)]
+    Timeline(#[from] TimelineError),
+    /// A simulation.
+    #[error(transparent)]
+    World(#[from] WorldError),
+    /// The mixed-integer solver.
+    #[cfg(feature = "solver")]
+    #[error(transparent)]
+    Solver(#[from] mixed_integer::SolverError),
+    /// More rooms than the dynamic program holds.
+    #[cfg(not(feature = "solver"))]
+    #[error(
+        "a map of {rooms} rooms needs the mixed-integer solver for the clairvoyant bound: build with `--features optimum`, or give a map of at most {} rooms",
+        study::ROOMS_PROGRAMMED_MAX
+    )]
+    NeedsSolver {
+        /// How many.
+        rooms: usize,
+    },
+    /// A run that no robot can have had.
+    #[error(
+        "{decider} disturbed for {found_s} s, less than the clairvoyant bound of {bound_s} s: this is a fault of the simulation, please report it"
+    )]
+    BelowBound {
+        /// Who decided.
+        decider: String,
+        /// D_T of the run.
+        found_s: f64,
+        /// The least possible.
+        bound_s: f64,
+    },
+    /// Two exact methods with different results.
+    #[cfg(feature = "solver")]
+    #[error(
+        "dynamic programming gives {dynamic_s:?} s and HiGHS {solver_s:?} s for the clairvoyant optimum: this is a fault of the simulation, please report it"
+    )]
+    SolversDisagree {
+        /// One of them.
+        dynamic_s: Option<f64>,
+        /// The other.
+        solver_s: Option<f64>,
+    },
+    /// The map.
+    #[error(transparent)]
+    Grounding(#[from] GroundingError),
+    /// An action that makes no sentence.
+    #[error(transparent)]
+    Sentence(#[from] SentenceError),
+}
+
+/// The shipped activity programs for homes, by name, for tests.
+#[cfg(test)]
+const PROGRAMS: [(&str, &str); 3] = [
+    ("p0-breakfast-and-television", include_str!("../../scenes/programs/p0-breakfast-and-television.txt")),
+    ("p1-laundry-and-to-bed", include_str!("../../scenes/programs/p1-laundry-and-to-bed.txt")),
+    ("p2-long-evening", include_str!("../../scenes/programs/p2-long-evening.txt")),
+];
+
+#[cfg(test)]
+#[path = "../../tests/support/skipped.rs"]
+mod skipped;

@@ -1,0 +1,89 @@
+//! `roomcast publish`: what Roomcast knows, for programs that speak something else.
+
+use std::io::Write;
+
+use super::{CommandResult, Failure, broker, service};
+use crate::exit_code;
+use crate::publish::{self, BridgeError, Way};
+use roomcast_services::logging;
+
+/// Arguments of `roomcast publish`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    to: To,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum To {
+    /// Publish rooms, persons, decisions and health over MQTT, with Home Assistant's discovery.
+    Mqtt(MqttArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct MqttArgs {
+    #[command(flatten)]
+    service: service::Args,
+    #[command(flatten)]
+    broker: broker::Args,
+    /// What the topics begin with, in place of the configuration's.
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// Connect to no broker; print each message that would be published, as a line of JSON. Ends with Ctrl-C.
+    #[arg(long)]
+    dry_run: bool,
+    /// With --dry-run: end when everything was printed once.
+    #[arg(long, requires = "dry_run", conflicts_with = "remove")]
+    once: bool,
+    /// Take away everything that a publisher with these topics has left at the broker, and end.
+    #[arg(long, conflicts_with = "dry_run")]
+    remove: bool,
+}
+
+/// Publishes until it is asked to stop.
+///
+/// # Errors
+///
+/// When no broker is named, its files cannot be used, or a service is lost.
+pub fn run(args: &Args) -> CommandResult {
+    let To::Mqtt(args) = &args.to;
+    let stop = service::stop()?;
+    let _log = logging::init();
+    let (mut config, domain) = args.service.load()?;
+    if let Some(topic) = &args.topic {
+        config.bridge.topic.clone_from(topic);
+    }
+    config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
+    let done = if args.dry_run {
+        let mut print = |topic: &str, payload: &str| {
+            let line = serde_json::json!({ "topic": topic, "payload": payload, "retain": true });
+            let mut out = std::io::stdout().lock();
+            writeln!(out, "{line}").and_then(|()| out.flush())
+        };
+        publish::run(&config, &domain, Way::Print { once: args.once, print: &mut print }, &stop)
+    } else {
+        let client = format!("roomcast-bridge-{}", config.bridge.topic.replace('/', "-"));
+        let broker = args.broker.broker(&config.mqtt, client)?;
+        match args.remove {
+            true => {
+                let runs = domain.open("roomcast-remove").and_then(|node| node.participants());
+                if runs.is_ok_and(|names| names.iter().any(|name| name.starts_with("roomcast-publish"))) {
+                    super::tell(format_args!(
+                        "roomcast: a publisher runs in this domain: end it first, or it says everything again"
+                    ));
+                }
+                publish::remove(&config, &broker, &stop)
+            }
+            false => publish::run(&config, &domain, Way::Broker(&broker), &stop),
+        }
+    };
+    // To take everything away, and to print everything once, has an end; all else is a service.
+    if done.is_ok() && (args.remove || args.once) && stop.requested() {
+        return Err(service::interrupted("what the publisher was to do once may not be done"));
+    }
+    done.map_err(|error| match error {
+        BridgeError::Mqtt(error) => broker::failure(error),
+        BridgeError::Ipc(_) | BridgeError::NoDaemon => Failure::new(exit_code::IPC, error),
+        BridgeError::Print(_) | BridgeError::NotRemoved => Failure::new(exit_code::FAILURE, error),
+    })
+}
