@@ -18,7 +18,7 @@
 //! | the likelihood of each observation | `observe.rs` |
 //! | the observations that moved the belief | `trace.rs` |
 //!
-//! **Inference.** [`Options::exact`] keeps every joint state. The default keeps the 1 024 heaviest, without random numbers: the same input gives
+//! **Inference.** [`Options::exact`] keeps every joint state. The default keeps the 256 heaviest, without random numbers: the same input gives
 //! the same belief to the bit. Motion and silence alternate in steps of half a second to 64 s (Strang splitting); steps double while the home
 //! is silent, and time below half a second waits for the next step.
 //!
@@ -99,7 +99,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { states: 1_024, floor: 1e-7, unknown: 1, door_misses: 0.05, learns: true }
+        Self { states: 256, floor: 1e-7, unknown: 1, door_misses: 0.05, learns: true }
     }
 }
 

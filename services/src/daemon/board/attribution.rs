@@ -352,6 +352,8 @@ impl<M: LanguageModel> Board<M> {
         const OUT: (f64, f64) = (0.9, 0.1);
         /// Above one half, and no rounding.
         const HALF: f64 = 0.55;
+        /// The device belongs to the person.
+        const SURE: f64 = 0.999;
         let Some(tracking) = &self.tracking else { return Vec::new() };
         let grounding = self.pipeline.grounding();
         let room = match &own.event {
@@ -375,7 +377,11 @@ impl<M: LanguageModel> Board<M> {
                 _ if out > OUT.0 && presence == Presence::Present => Event::Away,
                 Event::Did(_) | Event::Present(_) if is_theirs && out < 0.5 => own.event.clone(),
                 Event::Sensor(_) if is_theirs && is_here => Event::Present(room.cloned()),
-                Event::Sensor(_) if is_theirs && out < OUT.1 && presence != Presence::Present => Event::Present(None),
+                Event::Sensor(report) if presence != Presence::Present && report.on == Some(true) => {
+                    // A phone knows its person.
+                    let is_bound = tracking.share(person) > SURE;
+                    if is_bound && out < 0.5 || is_theirs && out < OUT.1 { Event::Present(None) } else { return None }
+                }
                 _ => return None,
             };
             Some(Observation { person, name: None, by_fit: true, event, ..*own })

@@ -716,10 +716,10 @@ fn a_restart_changes_nothing() {
                 // Who fell silent before the start is gone again.
                 let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
                 for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
-                    // The steps of the filter end at the times of its forecasts, which a restart has not.
-                    assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.01));
+                    // The joint filter starts again with the events that the journal kept.
+                    assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.1));
                     for (before, after) in before.probability.iter().zip(&after.probability) {
-                        assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 0.01), "{before:?} {after:?}");
+                        assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 0.1), "{before:?} {after:?}");
                     }
                 }
             }
