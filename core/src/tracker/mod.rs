@@ -495,7 +495,7 @@ impl Tracker {
     #[must_use]
     pub fn visited(&self) -> f64 {
         let is_in = |key: Key| (0..self.unknown()).any(|slot| room_of(place(key, slot)).is_some());
-        self.belief.states().iter().filter(|state| is_in(state.key)).map(|state| state.weight).sum()
+        self.belief.states().iter().filter(|state| is_in(state.key)).fold(0.0, |sum, state| sum + state.weight)
     }
 
     /// Attribution of the last observation: the probability that a person caused it.
