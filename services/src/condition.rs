@@ -94,6 +94,12 @@ impl Condition {
         self.when.as_deref().is_none_or(|when| when == compared) && !self.excepts(compared)
     }
 
+    /// Whether it compares numbers and the value of a device with a state is none.
+    #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
+    pub(crate) fn lacks_number(&self, compared: &str) -> bool {
+        self.is_numeric() && compared.parse::<f64>().is_err() && !NO_STATE.contains(&compared)
+    }
+
     fn is_within(&self, number: f64) -> bool {
         self.above.is_none_or(|above| number > above) && self.below.is_none_or(|below| number < below)
     }

@@ -237,7 +237,8 @@ impl Rules {
     #[must_use]
     pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
         let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| matches(&rule.topic, topic).is_some())?;
-        let is_read = !self.readings(topic, payload).is_empty();
+        let readings = self.readings(topic, payload);
+        let is_read = readings.iter().any(|said| !said.rule.condition.lacks_number(&said.value.compared));
         (!is_read).then(|| (number, rule.lack(&Reading::new(payload))))
     }
 
@@ -421,6 +422,9 @@ fn is_literal(topic: &str, id: Option<&str>) -> bool {
 impl Rule {
     /// What a payload that this rule cannot read lacks.
     fn lack(&self, reading: &Reading<'_>) -> String {
+        if reading.value(self.field.as_deref()).is_some_and(|value| self.condition.lacks_number(&value.compared)) {
+            return "is no number".to_owned();
+        }
         if self.field.is_none() && reading.value(None).is_none() {
             let is_empty = matches!(reading.payload.trim_ascii(), b"" | b"\"\"");
             return if is_empty { "is empty" } else { "is no text" }.to_owned();

@@ -163,6 +163,11 @@ fn what_an_unread_payload_lacks_is_known() {
     assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
     assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
     assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+    let sensors = Rules::parse(SENSORS).unwrap();
+    assert_eq!(sensors.unreadable("plug/power", b"much"), Some((3, "is no number".to_owned())));
+    for payload in ["20.5", "unavailable"] {
+        assert_eq!(sensors.unreadable("plug/power", payload.as_bytes()), None, "{payload}");
+    }
 }
 
 /// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
