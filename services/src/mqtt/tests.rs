@@ -1685,3 +1685,11 @@ fn a_subscription_that_is_left_out_is_ended_once() {
     assert_eq!(asks(&mut broker).0, 4, "it was ended");
     listening.end();
 }
+
+#[test]
+fn every_example_of_the_manual_is_a_rules_file() {
+    const MANUAL: &str = include_str!("../../../docs/mqtt.md");
+    let blocks = MANUAL.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let numbers: Vec<usize> = blocks.map(|block| Rules::parse(block).unwrap().about().count()).collect();
+    assert_eq!(numbers, [8, 1]);
+}

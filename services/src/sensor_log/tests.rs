@@ -545,3 +545,12 @@ fn faults_of_sensor_rules_are_named() {
         assert!(error.contains(fault), "{rule}: {error}");
     }
 }
+
+#[test]
+fn every_example_of_the_manual_is_a_rules_file() {
+    const MANUAL: &str = include_str!("../../../docs/sensors.md");
+    let blocks = MANUAL.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let rules = blocks.filter(|block| block.contains("[[rule]]"));
+    let numbers: Vec<usize> = rules.map(|block| SensorRules::parse(block).unwrap().rules.len()).collect();
+    assert_eq!(numbers, [1, 6, 2, 2]);
+}
