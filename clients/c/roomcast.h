@@ -25,7 +25,8 @@
 // A device's state: "the oven is on".
 #define ROOMCAST_NARRATION_KIND_DEVICE 2
 
-// Where a person is, without an action that a language model could read: present, present in the kitchen, away, gone.
+// Where a person is, without an action that a language model could read: present, present in the kitchen, away, gone. Or
+// the state of a sensor, as JSON.
 #define ROOMCAST_NARRATION_KIND_PRESENCE 3
 
 // Most rooms (partitions) in one message. A map with more cannot be served by the daemon.

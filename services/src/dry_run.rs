@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use roomcast_core::grounding::{Grounding, GroundingError};
-use roomcast_core::narration::{Observation, SOMEBODY};
+use roomcast_core::narration::{Observation, SOMEBODY, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -75,6 +75,9 @@ impl DryLine {
         if !named.is_empty() {
             let _ = write!(text, ", by {by}: {}", named.join(", "));
         }
+        if let Ok(report) = SensorReport::parse(&self.text) {
+            let _ = write!(text, "; {}", meaning(&report));
+        }
         if let Some(place) = place {
             let _ = write!(text, "; {} {place}", if *left { "leaves" } else { "place:" });
         }
@@ -90,6 +93,25 @@ impl DryLine {
         text.push('\n');
         text
     }
+}
+
+/// A sensor's report in words.
+fn meaning(report: &SensorReport) -> String {
+    let SensorReport { kind, id, room, beyond, on, only_on, .. } = report;
+    let mut words = format!("the {kind} sensor {id:?}");
+    if let Some(room) = room {
+        let _ = write!(words, " of the room {:?}", room.as_str());
+    }
+    if let Some(beyond) = beyond {
+        let _ = write!(words, " to {:?}", beyond.as_str());
+    }
+    words.push_str(match on {
+        Some(true) if *only_on => " is on for its hold time",
+        Some(true) => " is on until its next report",
+        Some(false) => " is off until its next report",
+        None => " is unavailable, and says nothing until its next report",
+    });
+    words
 }
 
 /// A daemon's reading of events, one after the other.
@@ -211,5 +233,22 @@ mod tests {
         assert!(near.contains("by name: Ada") && near.contains("nearest form is \"NAME leaves the house\""), "{near}");
         let away = shown("Ada leaves the house.");
         assert!(away.contains("away, by name: Ada; Ada in elsewhere 1.00 (was 0.00)"), "{away}");
+        for (line, part) in [
+            (
+                r#"{"sensor": "motion", "id": "pir", "room": "kitchen", "on": true}"#,
+                r#"; the motion sensor "pir" of the room "kitchen" is on until its next report"#,
+            ),
+            (
+                r#"{"sensor": "phone", "id": "p", "person": "ada", "on": null}"#,
+                r#"; the phone sensor "p" is unavailable"#,
+            ),
+            (
+                r#"{"sensor": "door", "id": "d", "room": "hall", "beyond": "porch", "on": true, "only_on": true}"#,
+                r#"of the room "hall" to "porch" is on for its hold time"#,
+            ),
+        ] {
+            let said = shown(line);
+            assert!(said.contains(part), "{said}");
+        }
     }
 }

@@ -50,6 +50,8 @@ pub mod daemon;
 
 mod line;
 
+mod condition;
+
 mod rule;
 
 pub mod narrator;

@@ -1,13 +1,15 @@
-//! What a rule of MQTT and one of sensor logs have in common: what is said, of whom, and after which silence.
+//! The common part of rules of MQTT and of sensor logs: a sentence, a presence or the state of a sensor, its person, and the silence before it.
 //!
 //! A value in braces comes from outside. In `say` it stays inside its sentence ([`inside`]), and the line has [`FILLED_KIND`], unless the
 //! placeholder stands for a name or a room in a presence form.
 
 use std::time::Duration;
 
-use roomcast_core::narration::forms::form_of;
+use roomcast_core::narration::SensorKind;
+use roomcast_core::narration::forms::{COUNT_MAX, form_of};
 use serde_json::{Map, Value};
 
+use crate::condition::State;
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
 
 /// Longest silence that a rule may wait for, in seconds: a week.
@@ -43,18 +45,42 @@ impl Whereabouts {
 }
 
 /// The keys that both kinds of rules have, as they stand in a file.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Keys<'a> {
     pub(crate) say: Option<&'a str>,
     pub(crate) presence: Option<Whereabouts>,
+    pub(crate) sensor: Option<SensorKind>,
     pub(crate) room: Option<&'a str>,
     pub(crate) person: Option<&'a Who>,
+    pub(crate) count: Option<&'a Value>,
     pub(crate) quiet_s: Option<f64>,
+    pub(crate) device: Device<'a>,
 }
 
-/// What a rule says: a sentence, or who is where, with names in braces for what its message or interval holds.
+/// The keys of a rule with a sensor.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Device<'a> {
+    pub(crate) id: Option<&'a str>,
+    pub(crate) beyond: Option<&'a str>,
+    pub(crate) hold_s: Option<f64>,
+    pub(crate) false_alarms_per_day: Option<f64>,
+    pub(crate) only_on: bool,
+}
+
+/// The class of what a rule says. A value says one thing of each class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) enum Class {
+    Sentence,
+    Presence,
+    Sensor(SensorKind),
+}
+
+/// The content of a rule: a sentence, a presence or the state of a sensor, with names in braces for values of its message or interval.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Saying {
+    pub(crate) class: Class,
+    /// The device reports no "off".
+    pub(crate) only_on: bool,
     keys: Map<String, Value>,
     quiet: Option<Duration>,
     /// The presence form of a sentence with placeholders that all stand for a name or a room.
@@ -68,16 +94,37 @@ impl Saying {
     ///
     /// Which key is wrong, and what is allowed.
     pub(crate) fn new(keys: Keys<'_>, names: &[String]) -> Result<Self, String> {
-        let Keys { say, presence, room, person, quiet_s } = keys;
-        match (say, presence) {
-            (None, None) => return Err("give say or presence".to_owned()),
-            (Some(_), Some(_)) => return Err("say and presence exclude each other; make two rules of it".to_owned()),
-            (Some(say), None) if say.trim().is_empty() => return Err("say is empty".to_owned()),
+        let Keys { say, presence, sensor, room, person, count, quiet_s, device } = keys;
+        let class = match (say, presence, sensor) {
+            (None, None, None) => return Err("give say, presence or the state of a sensor".to_owned()),
+            (Some(say), None, None) if say.trim().is_empty() => return Err("say is empty".to_owned()),
+            (Some(_), None, None) => Class::Sentence,
+            (None, Some(_), None) => Class::Presence,
+            (None, None, Some(kind)) => Class::Sensor(kind),
+            (Some(_), Some(_), None) => {
+                return Err("say and presence exclude each other; make two rules of it".to_owned());
+            }
+            (_, _, Some(_)) => {
+                return Err("the state of a sensor excludes say and presence; make two rules of it".to_owned());
+            }
+        };
+        let person = person.map_or(Value::Null, Who::json);
+        match class {
+            Class::Sensor(kind) => check_sensor(kind, &keys)?,
+            _ if device != Device::default() => {
+                return Err(
+                    "id, beyond, hold_s, false_alarms_per_day and only_on go with the state of a sensor".to_owned()
+                );
+            }
             _ => {}
         }
-        let person = person.map_or(Value::Null, Who::json);
-        if room.is_some() && !matches!(presence, Some(Whereabouts::Present | Whereabouts::Empty)) {
-            return Err("room goes with presence = \"present\" or \"empty\" alone".to_owned());
+        if room.is_some()
+            && !matches!(
+                (class, presence),
+                (Class::Sensor(_), _) | (_, Some(Whereabouts::Present | Whereabouts::Empty))
+            )
+        {
+            return Err("room goes with the state of a sensor, and with presence = \"present\" or \"empty\"".to_owned());
         }
         if presence == Some(Whereabouts::Empty) && (room.is_none() || !person.is_null()) {
             return Err(
@@ -88,8 +135,15 @@ impl Saying {
         for (key, said, value) in [
             ("text", "say", say.map(Value::from)),
             ("presence", "presence", presence.map(|presence| presence.word().into())),
+            ("sensor", "sensor", sensor.map(|kind| kind.to_string().into())),
+            ("id", "id", device.id.map(Value::from)),
             ("room", "room", room.map(Value::from)),
+            ("beyond", "beyond", device.beyond.map(Value::from)),
             ("person", "person", Some(person).filter(|person| !person.is_null())),
+            ("count", "count", count.cloned()),
+            ("hold_s", "hold_s", device.hold_s.map(Value::from)),
+            ("false_alarms_per_day", "false_alarms_per_day", device.false_alarms_per_day.map(Value::from)),
+            ("only_on", "only_on", device.only_on.then_some(Value::Bool(true))),
         ] {
             let Some(value) = value else { continue };
             if let Some(text) = value.as_str() {
@@ -103,9 +157,13 @@ impl Saying {
             quiet.ok_or_else(|| format!("quiet_s is {quiet_s}; give seconds above 0, at most {QUIET_S_MAX}"))
         });
         let form = say.and_then(|say| form_of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
-        let saying = Self { keys: written, quiet: quiet.transpose()?, form };
+        let saying = Self { class, only_on: device.only_on, keys: written, quiet: quiet.transpose()?, form };
         // What can be narrated at all is checked here, where the rule can be named.
-        line_item(&saying.line(|_| "1".to_owned()), &Who::Somebody).map_err(|error| error.to_string())?;
+        let line = match class {
+            Class::Sensor(_) => saying.report(Some(true), "1", |_| "1".to_owned()).unwrap_or_default(),
+            _ => saying.line(|_| "1".to_owned()),
+        };
+        line_item(&line, &Who::Somebody).map_err(|error| error.to_string())?;
         Ok(saying)
     }
 
@@ -138,7 +196,20 @@ impl Saying {
         self.line_within(most, &value_of).filter(|line| line.len() <= most)
     }
 
+    /// The line of JSON for a sensor's state. `None` if it has more bytes than a line may have. A rule without an id has the default one.
+    pub(crate) fn report(&self, on: State, id: &str, value_of: impl Fn(&str) -> String) -> Option<String> {
+        let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
+        let mut keys = self.filled_keys(most, &value_of)?;
+        keys.entry("id").or_insert_with(|| id.into());
+        keys.insert("on".to_owned(), on.into());
+        Some(Value::Object(keys).to_string()).filter(|line| line.len() <= most)
+    }
+
     fn line_within(&self, most: usize, value_of: &impl Fn(&str) -> String) -> Option<String> {
+        self.filled_keys(most, value_of).map(|keys| Value::Object(keys).to_string())
+    }
+
+    fn filled_keys(&self, most: usize, value_of: &impl Fn(&str) -> String) -> Option<Map<String, Value>> {
         let mut keys = Map::new();
         for (key, value) in &self.keys {
             let value = match value.as_str() {
@@ -151,12 +222,33 @@ impl Saying {
                     }
                     text.into()
                 }
+                Some(text) if key == "count" => counted(filled(text, most, value_of)?),
                 Some(text) => filled(text, most, value_of)?.into(),
                 None => value.clone(),
             };
             keys.insert(key.clone(), value);
         }
-        Some(Value::Object(keys).to_string())
+        Some(keys)
+    }
+}
+
+/// Checks the keys of a sensor's rule that its report does not have.
+fn check_sensor(kind: SensorKind, keys: &Keys<'_>) -> Result<(), String> {
+    let has_person = keys.person.is_some_and(|person| !person.is_somebody());
+    if kind == SensorKind::Phone && !has_person {
+        return Err("a phone needs the person who carries it: give person".to_owned());
+    }
+    if keys.count.is_some() || keys.quiet_s.is_some() {
+        return Err("count and quiet_s go with say or presence".to_owned());
+    }
+    Ok(())
+}
+
+/// A number of persons in a message. More than a line may count are the most that it may.
+fn counted(text: String) -> Value {
+    match text.trim().parse::<u64>() {
+        Ok(number) if number > 0 => number.min(COUNT_MAX.into()).into(),
+        _ => text.into(),
     }
 }
 
@@ -190,22 +282,6 @@ fn inside(value: &str) -> String {
     }
     out.truncate(out.trim_end().len());
     out
-}
-
-/// A value in the way in which rules compare it: numbers as numbers, texts without regard to upper and lower case.
-#[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
-pub(crate) fn comparable(value: &str) -> String {
-    // Longer ones are the codes of tags and keys, which a number does not hold exactly.
-    const DIGITS_MAX: usize = 15;
-    let value = value.trim();
-    let is_number = value.len() <= DIGITS_MAX
-        && value.contains(|c: char| c.is_ascii_digit())
-        && value.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '+' | '-' | '.'));
-    match value.parse::<f64>() {
-        // 0 and -0 are one number.
-        Ok(number) if is_number && number.is_finite() => (number + 0.0).to_string(),
-        _ => value.to_lowercase(),
-    }
 }
 
 /// The next name in braces: the text before it, the name, the text after it. None where no brace is left, an error where one is left alone.
@@ -246,7 +322,16 @@ fn filled(mut text: &str, most: usize, value_of: &impl Fn(&str) -> String) -> Op
 mod tests {
     use super::*;
 
-    const NOTHING: Keys<'static> = Keys { say: None, presence: None, room: None, person: None, quiet_s: None };
+    const NOTHING: Keys<'static> = Keys {
+        say: None,
+        presence: None,
+        sensor: None,
+        room: None,
+        person: None,
+        count: None,
+        quiet_s: None,
+        device: Device { id: None, beyond: None, hold_s: None, false_alarms_per_day: None, only_on: false },
+    };
 
     fn names() -> Vec<String> {
         ["value".to_owned(), "1".to_owned()].into()
@@ -334,31 +419,18 @@ mod tests {
     }
 
     #[test]
-    fn numbers_compare_as_numbers_and_texts_without_case() {
-        let is_same = |one, other| comparable(one) == comparable(other);
-        for (one, other) in [("0", "0.0"), ("0", "-0"), ("1", "+1.00"), ("0.5", ".5"), ("100", "1e2"), ("ON", "on")] {
-            assert!(is_same(one, other), "{one} {other}");
-        }
-        assert!(is_same("GEÖFFNET", "geöffnet"));
-        for (one, other) in [("0", ""), ("0", "off"), ("1", "true"), ("inf", "infinity"), ("0", "0 W")] {
-            assert!(!is_same(one, other), "{one} {other}");
-        }
-        assert!(!is_same("9007199254740993", "9007199254740992"), "codes of tags");
-    }
-
-    #[test]
     fn a_fault_names_its_key() {
         let say = |say| Keys { say: Some(say), ..NOTHING };
         let away = Keys { presence: Some(Whereabouts::Away), ..NOTHING };
         for (keys, part) in [
-            (NOTHING, "give say or presence"),
+            (NOTHING, "give say, presence or the state"),
             (say(" "), "say is empty"),
             (say("They use {2}."), "say has {2}; it knows {value}, {1}"),
             (say("They use {value."), "say has a brace alone"),
             (say("They use value}."), "say has a brace alone"),
             (say("[Fly] <mug> (1)"), "Fly"),
             (Keys { say: Some("They sit."), ..away }, "say and presence exclude each other"),
-            (Keys { room: Some("hall"), ..away }, "room goes with presence = \"present\""),
+            (Keys { room: Some("hall"), ..away }, "and with presence = \"present\""),
             (Keys { quiet_s: Some(0.0), ..away }, "quiet_s is 0; give seconds above 0, at most 604800"),
             (Keys { quiet_s: Some(f64::NAN), ..away }, "quiet_s is NaN"),
             (Keys { quiet_s: Some(1e300), ..away }, "quiet_s is 1"),
@@ -379,7 +451,7 @@ mod tests {
             assert!(error.contains("needs room, and has no person"), "{error}");
         }
         let away = Keys { presence: Some(Whereabouts::Away), ..empty };
-        assert!(Saying::new(away, &names()).unwrap_err().contains("\"present\" or \"empty\" alone"));
+        assert!(Saying::new(away, &names()).unwrap_err().contains("\"present\" or \"empty\""));
     }
 
     #[test]
@@ -390,5 +462,59 @@ mod tests {
         assert_eq!(of("x").as_deref(), Some(r#"{"kind":"device","text":"x, x and x"}"#));
         assert_eq!((of(&"x".repeat(3_000)), of(&"\u{1}".repeat(600))), (None, None), "as JSON they are longer");
         assert!(of(&"x".repeat(2_700)).is_some());
+    }
+
+    #[test]
+    fn a_sensors_rule_becomes_its_report() {
+        let mira = "Mira".parse().unwrap();
+        let device = Device { hold_s: Some(90.0), false_alarms_per_day: Some(2.0), ..Device::default() };
+        let bed = Keys { sensor: Some(SensorKind::Bed), room: Some("{1}"), person: Some(&mira), device, ..NOTHING };
+        let report = |keys: Keys<'_>, on| {
+            let names = ["1".to_owned()];
+            Saying::new(keys, &names).unwrap().report(on, "beds/left", |_| "bedroom".to_owned()).unwrap()
+        };
+        assert_eq!(
+            report(bed, Some(true)),
+            r#"{"false_alarms_per_day":2.0,"hold_s":90.0,"id":"beds/left","on":true,"person":"Mira","room":"bedroom","sensor":"bed"}"#
+        );
+        let door = Device { id: Some("front"), beyond: Some("porch"), ..Device::default() };
+        let door = Keys { sensor: Some(SensorKind::Door), room: Some("hall"), device: door, ..NOTHING };
+        assert_eq!(report(door, None), r#"{"beyond":"porch","id":"front","on":null,"room":"hall","sensor":"door"}"#);
+        let phone = Keys { sensor: Some(SensorKind::Phone), person: Some(&mira), ..NOTHING };
+        assert_eq!(report(phone, Some(false)), r#"{"id":"beds/left","on":false,"person":"Mira","sensor":"phone"}"#);
+        let motion = Keys { sensor: Some(SensorKind::Motion), room: Some("hall"), ..NOTHING };
+        for (keys, fault) in [
+            (Keys { person: None, ..phone }, "needs the person who carries it"),
+            (Keys { room: Some("hall"), ..phone }, "a phone has no \"room\""),
+            (Keys { room: None, ..motion }, "needs the \"room\" that it sees"),
+            (Keys { say: Some("They sit."), ..motion }, "excludes say and presence"),
+            (Keys { quiet_s: Some(5.0), ..motion }, "count and quiet_s go with say"),
+            (Keys { device: Device { beyond: Some("a"), ..Device::default() }, ..motion }, "\"beyond\" goes with"),
+            (
+                Keys { device: Device { hold_s: Some(-1.0), ..Device::default() }, ..motion },
+                "\"hold_s\" is out of range",
+            ),
+            (Keys { device: Device { id: Some("{2}"), ..Device::default() }, ..motion }, "id has {2}"),
+            (Keys { say: Some("They sit."), device, ..NOTHING }, "go with the state of a sensor"),
+        ] {
+            let error = Saying::new(keys, &names()).unwrap_err();
+            assert!(error.contains(fault), "{keys:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_rule_counts_persons_by_a_number_or_by_its_message() {
+        let two = serde_json::json!(2);
+        let value = serde_json::json!("{value}");
+        let here = Keys { presence: Some(Whereabouts::Present), room: Some("hall"), ..NOTHING };
+        let line = |count, text: &str| {
+            Saying::new(Keys { count: Some(count), ..here }, &names()).unwrap().line(|_| text.to_owned())
+        };
+        assert_eq!(line(&two, ""), r#"{"count":2,"presence":"present","room":"hall"}"#);
+        assert_eq!(line(&value, "3"), r#"{"count":3,"presence":"present","room":"hall"}"#);
+        assert_eq!(line(&value, "20"), r#"{"count":8,"presence":"present","room":"hall"}"#);
+        assert!(line_item(&line(&value, "0"), &Who::Somebody).is_err());
+        let ten = serde_json::json!(10);
+        assert!(Saying::new(Keys { count: Some(&ten), ..here }, &names()).unwrap_err().contains("from 1 to 8"));
     }
 }

@@ -846,7 +846,7 @@ mod tests {
         );
         // Without the signs they are the rules that they were.
         let all = text.replace("# [[rule]]", "[[rule]]").replace("# topic", "topic").replace("# when", "when");
-        let all = all.replace("# presence", "presence").replace("# room", "room");
+        let all = all.replace("# sensor", "sensor").replace("# id", "id").replace("# room", "room");
         assert_eq!(all.parse::<toml::Table>().unwrap()["rule"].as_array().unwrap().len(), areas.len(), "{all}");
         let none = home_of(&[("turm", "Turm")]);
         let text = in_rooms_of(

@@ -201,7 +201,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     for part in [
         "home.json: 3 rooms",
         "Rooms without things: 3; assumed in them",
-        "home.rules.toml: 9 rules",
+        "home.rules.toml: 8 rules",
         "roomcast doctor --config",
         "roomcast robot --config",
     ] {
@@ -236,7 +236,10 @@ fn a_home_that_is_set_up_well_has_no_fault() {
         (_, findings) = home.doctor();
         // The narrator writes its counts now and then, and a few minutes accuse no rule.
         let is_counted = |finding: &Value| {
-            finding["check"] == "rules that fit" && text(finding, "found").starts_with("2 rules of 9 fitted a message")
+            let found = text(finding, "found");
+            let fitted =
+                found.split_once(" rules of 8 fitted a message").and_then(|(count, _)| count.parse::<u32>().ok());
+            finding["check"] == "rules that fit" && fitted.is_some_and(|count| count >= 2)
         };
         if finding(&findings, "daemon")["verdict"] == "good" && findings.iter().any(is_counted) {
             break;
@@ -454,7 +457,7 @@ static MISTAKES: [Mistake; 35] = [
         },
         check: "topics",
         verdict: "wrong",
-        found: "nothing was said within 1 s under any topic of its 9 rules",
+        found: "nothing was said within 1 s under any topic of its 8 rules",
         remedy: "mqtt_statestream",
         code: exit_code::CHECK,
     },
@@ -1151,7 +1154,7 @@ fn a_dry_run_says_what_the_map_does_not_have() {
     home.children.push(command.spawn().unwrap());
     let start = Instant::now();
     let (mut is_on, mut said) = (false, String::new());
-    let beside = "says {\"presence\":\"present\",\"room\":\"attic\"}\n    the map has no room \"attic\"; its rooms are kitchen-16, \
+    let beside = "\"on\":true,\"room\":\"attic\",\"sensor\":\"motion\"}\n    the map has no room \"attic\"; its rooms are kitchen-16, \
         living-room-17, hallway-18\n";
     while !said.contains(beside) {
         assert!(start.elapsed() < Duration::from_secs(60), "{said}");

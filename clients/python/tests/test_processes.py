@@ -128,6 +128,18 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
     for presence, room in (("away", "kitchen"), ("present", ""), ("empty", " ")):
         with pytest.raises(ValueError, match="give a room's name, with presence 'present' or 'empty' alone"):
             narrator.presence(presence, room)
+    for kind, name, room, keys, fault in (
+        ("radar", "a", "hall", {}, "give one of motion"),
+        ("motion", " ", "hall", {}, "give a text of at most 128 bytes"),
+        ("motion", "a" * 129, "hall", {}, "give a text of at most 128 bytes"),
+        ("motion", "a", None, {}, "give the room that a sensor sees"),
+        ("phone", "a", "hall", {}, "none for a phone"),
+        ("bed", "a", "hall", {"beyond": "porch"}, "beyond for a door alone"),
+        ("motion", "a", "hall", {"hold_s": float("nan")}, "hold_s nan: give a number from 0 to 86400"),
+        ("motion", "a", "hall", {"only_on": True, "on": False}, "give on=True"),
+    ):
+        with pytest.raises(ValueError, match=fault):
+            narrator.sensor(kind, name, room, **({"on": True} | keys))  # type: ignore[arg-type]
     for room, person in ((None, None), ("kitchen", "ada"), ("kitchen", 0)):
         with pytest.raises(ValueError, match="give a room, and no person"):
             narrator.presence("empty", room, person)
@@ -255,6 +267,18 @@ def test_a_narrator_says_of_whom(domain: Domain) -> None:
     assert told() == (0, "", 3, "present in the living room")
     narrator.presence("empty", room="kitchen")
     assert told() == (somebody, "", 3, "nobody in the kitchen")
+    narrator.sensor("motion", "hall-pir", "hall", on=True)
+    assert told() == (somebody, "", 3, '{"sensor":"motion","id":"hall-pir","room":"hall","on":true}')
+    narrator.sensor("bed", "bed-left", "Küche", on=None, person="ada", hold_s=4)
+    assert told() == (somebody, "ada", 3, '{"sensor":"bed","id":"bed-left","room":"Küche","hold_s":4,"on":null}')
+    narrator.sensor("door", "porch", "hall", on=False, beyond="porch")
+    assert told() == (somebody, "", 3, '{"sensor":"door","id":"porch","room":"hall","beyond":"porch","on":false}')
+    narrator.sensor("phone", "ada-phone", on=True, person=3)
+    assert told() == (3, "", 3, '{"sensor":"phone","id":"ada-phone","on":true}')
+    narrator.sensor("appliance", "kettle", "kitchen", on=True, only_on=True, false_alarms_per_day=2)
+    assert json.loads(told()[3]) == {
+        "sensor": "appliance", "id": "kettle", "room": "kitchen", "on": True, "only_on": True, "false_alarms_per_day": 2
+    }
 
 
 def test_a_robot_follows_its_decisions_and_reports(domain: Domain) -> None:

@@ -17,7 +17,8 @@ pub mod narration_kind {
     pub const ACTION: u32 = 1;
     /// A device's state: "the oven is on".
     pub const DEVICE: u32 = 2;
-    /// Where a person is, without an action that a language model could read: `present`, `present in the kitchen`, `away`, `gone`.
+    /// Where a person is, without an action that a language model could read: `present`, `present in the kitchen`, `away`, `gone`. Or
+    /// the state of a sensor, as JSON.
     pub const PRESENCE: u32 = 3;
 }
 

@@ -1,11 +1,13 @@
 //! Which messages are said.
 
 use std::collections::{HashMap, HashSet};
+use std::mem::{Discriminant, discriminant};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use super::rules::{Fingerprint, Rules, Said, Value, fingerprint};
 use super::{PAYLOAD_BYTES_MAX, TOPICS_MAX, WAITING_BYTES_MAX, WAITING_MAX};
+use crate::rule::Class;
 
 /// What Home Assistant says of a device that it does not hear: no state of the device, unless a rule speaks of it.
 const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
@@ -108,20 +110,25 @@ impl Listener {
         if readings.iter().all(|said| said.line.is_none()) {
             self.heard.unfit += 1;
         }
-        let spoken_of: HashSet<Option<&str>> =
-            readings.iter().filter(|said| said.line.is_some()).map(|said| said.rule.field.as_deref()).collect();
-        let mut known: HashMap<Option<&str>, Option<Fingerprint>> = HashMap::new();
-        let mut spoken: HashSet<(Option<&str>, bool)> = HashSet::new();
+        let spoken_of: HashSet<Option<&str>> = (readings.iter())
+            .filter(|said| said.line.is_some() && said.held.is_none())
+            .map(|said| said.rule.field.as_deref())
+            .collect();
+        let mut known: HashMap<Fingerprint, Option<Fingerprint>> = HashMap::new();
+        let mut spoken: HashSet<(Option<&str>, Discriminant<Class>)> = HashSet::new();
         let mut outcomes = Vec::with_capacity(readings.len());
-        for Said { number, rule, line, value } in readings {
+        // A sensor that turns off does not break a silence.
+        let mut is_silence_over = false;
+        for Said { number, rule, line, value, held } in readings {
             let field = rule.field.as_deref();
-            let own = value.own;
-            // Every rule that reads one field reads one value there.
-            let known = *known.entry(field).or_insert_with(|| {
-                let place = fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes());
+            // Rules that read one field read one value there.
+            let by_value = || (fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes()), value.own);
+            let (place, own) = held.map_or_else(by_value, |held| (held.place, held.own));
+            let known = *known.entry(place).or_insert_with(|| {
                 let known = self.last.get(&place).copied();
-                let is_state =
-                    spoken_of.contains(&field) || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value.text));
+                let is_state = held.is_some()
+                    || spoken_of.contains(&field)
+                    || !NO_STATE.iter().any(|no| no.eq_ignore_ascii_case(&value.text));
                 if is_state && (known.is_some() || self.last.len() < TOPICS_MAX) {
                     self.last.insert(place, own);
                 }
@@ -132,7 +139,7 @@ impl Listener {
             let what = match line {
                 None => What::OtherValue,
                 // The first that speaks of a value at once.
-                Some(_) if quiet.is_none() && !spoken.insert((field, rule.presence)) => What::Later,
+                Some(_) if quiet.is_none() && !spoken.insert((field, discriminant(&rule.saying.class))) => What::Later,
                 Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
                 Some(_) if retained && !rule.retained && unknown => What::State,
                 Some(Err(reason)) => What::Unfit(reason),
@@ -141,11 +148,12 @@ impl Listener {
                     Some(quiet) => What::Waits(line, quiet),
                 },
             };
+            is_silence_over |= matches!(what, What::Said(_)) && held.is_none_or(|held| held.is_on);
             outcomes.push(Outcome { number, value, what });
         }
         let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
-        if said > 0 {
-            self.heard.said += said as u64;
+        self.heard.said += said as u64;
+        if is_silence_over {
             self.waiting.clear();
         }
         for outcome in &outcomes {

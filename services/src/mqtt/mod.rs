@@ -21,15 +21,14 @@
 //!
 //! [[rule]]
 //! topic = "home/motion/+/state"
-//! when = "on"
-//! presence = "present"                             # or "away", "gone": no sentence, but who is where
+//! sensor = "motion"                                # the state of a sensor: on, off, or null if it is unavailable
 //! room = "{1}"
 //!
 //! [[rule]]
-//! topic = "homeassistant/person/ada/state"
-//! unless = ["home", "unknown"]                     # the values that it does not speak of: every other zone is away
-//! presence = "away"
-//! person = "ada"
+//! topic = "home/plug/power"
+//! above = 15                                       # or `below`, `when`, `unless`: what means on
+//! sensor = "appliance"
+//! room = "kitchen"
 //!
 //! [[rule]]
 //! topic = "home/binary_sensor/front_door/state"
@@ -38,7 +37,7 @@
 //! quiet_s = 600.0                                  # said when nothing else was said for so long
 //! ```
 //!
-//! A message says one sentence and one presence for each value that rules read in it (the payload, or a `field`): the first rule that
+//! A message says one sentence, one presence and one sensor's state for each value that rules read in it (the payload, or a `field`): the first rule that
 //! fits speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is counted. A value that a topic repeats
 //! says nothing new and is left out, but where `repeats = true` stands, as for buttons. A retained message tells how things are, not what has just
 //! happened: at the first connection it is remembered and not said, unless its rule has `retained = true`; after a reconnection it is

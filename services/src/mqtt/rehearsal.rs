@@ -44,7 +44,13 @@ pub(super) fn report(
             What::OtherValue if rules.is_excepted(*number, &value.text) => {
                 format!("is silent: {} is in its `unless`", quoted(value))
             }
+            What::OtherValue if rules.is_numeric(*number) => {
+                format!("is silent: {} is outside its `above` and `below`", quoted(value))
+            }
             What::OtherValue => format!("is silent: {} is not its `when`", quoted(value)),
+            What::Repeated if rules.holds_states(*number) => {
+                format!("is silent: {} means the same state as before", quoted(value))
+            }
             What::Repeated => format!("is silent: {} is what the topic said before", quoted(value)),
             What::Unfit(reason) => {
                 format!("is silent: what it would say is no narration: {}", shown(reason.as_bytes()))

@@ -5,14 +5,16 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::rc::Rc;
 
+use roomcast_core::narration::{SENSOR_ID_BYTES_MAX, SensorKind};
 use roomcast_core::parsing::{list_of_keyed, toml_says};
 use roomcast_core::text::read_text_at_most;
 use serde::de::IgnoredAny;
 use sha2::{Digest, Sha256};
 
 use super::{MqttError, RULES_MAX};
+use crate::condition::{Condition, ConditionKeys, comparable};
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
-use crate::rule::{Keys, Saying, Whereabouts, comparable};
+use crate::rule::{Class, Device, Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
 
 /// The rules by which messages become narration.
@@ -36,15 +38,25 @@ struct RuleKeys {
     when: Option<String>,
     #[serde(default)]
     unless: Vec<String>,
+    above: Option<f64>,
+    below: Option<f64>,
     #[serde(default)]
     retained: bool,
     #[serde(default)]
     repeats: bool,
     say: Option<String>,
     presence: Option<Whereabouts>,
+    sensor: Option<SensorKind>,
+    id: Option<String>,
     room: Option<String>,
+    beyond: Option<String>,
     person: Option<Who>,
+    count: Option<serde_json::Value>,
     quiet_s: Option<f64>,
+    hold_s: Option<f64>,
+    false_alarms_per_day: Option<f64>,
+    #[serde(default)]
+    only_on: bool,
 }
 
 /// What a rule is about.
@@ -58,6 +70,8 @@ pub struct RuleAbout<'a> {
     pub when: Option<&'a str>,
     /// The room that it names; it may have placeholders.
     pub room: Option<String>,
+    /// The room beyond a door that it names; it may have placeholders.
+    pub beyond: Option<String>,
     /// The person that it names; it may have placeholders.
     pub person: Option<String>,
     /// The sentence that it says; it may have placeholders.
@@ -69,14 +83,12 @@ pub(super) struct Rule {
     topic: String,
     pub(super) field: Option<String>,
     when: Option<String>,
-    /// The same, and the values of `unless`, as values are compared.
-    compared_when: Option<String>,
-    unless: Vec<String>,
+    condition: Condition,
+    /// What tells its condition from others in [`Rules::keys`].
+    condition_key: String,
     pub(super) retained: bool,
     /// Whether each message is an event of its own, as of a button.
     pub(super) repeats: bool,
-    /// Whether it says who is where, and no sentence.
-    pub(super) presence: bool,
     /// JSON pointers in its braces.
     pointers: Vec<String>,
     pub(super) saying: Saying,
@@ -91,6 +103,18 @@ pub(super) struct Said<'a> {
     /// A line of JSON. None where the rule speaks of other values only: the value is remembered, so that the next one it speaks of is news.
     pub(super) line: Option<Line>,
     pub(super) value: Rc<Value>,
+    /// What decides whether it is news, if that is not the value.
+    pub(super) held: Option<Held>,
+}
+
+/// A state that stays the same while its value changes, such as power above a limit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Held {
+    /// The device, or the rule and its topic.
+    pub(super) place: Fingerprint,
+    pub(super) own: Fingerprint,
+    /// Whether it shows that a person is there, or did something.
+    pub(super) is_on: bool,
 }
 
 /// A line of JSON, or why there is none that can be narrated.
@@ -127,9 +151,20 @@ impl<'a> Reading<'a> {
             None => content(std::str::from_utf8(self.payload).ok()?.trim()).filter(|text| !text.is_empty())?,
             Some(field) => text_at(self.json()?, field)?,
         };
+        Some(Value::of(text))
+    }
+
+    /// A value of null, which says that a sensor has no state.
+    fn null(&self, field: Option<&str>) -> Option<Rc<Value>> {
+        self.json()?.pointer(field?)?.is_null().then(|| Value::of("null".to_owned()))
+    }
+}
+
+impl Value {
+    fn of(text: String) -> Rc<Self> {
         let compared = comparable(&text);
         let own = fingerprint(compared.as_bytes());
-        Some(Rc::new(Value { text, compared, own }))
+        Rc::new(Self { text, compared, own })
     }
 }
 
@@ -173,6 +208,7 @@ impl Rules {
             topic: &rule.topic,
             when: rule.when.as_deref(),
             room: text(rule, "room"),
+            beyond: text(rule, "beyond"),
             person: text(rule, "person"),
             sentence: text(rule, "text"),
         })
@@ -184,8 +220,7 @@ impl Rules {
         let keys = self.0.iter().map(|rule| {
             let says = rule.saying.template();
             let (field, when) = (rule.field.as_deref().unwrap_or_default(), rule.when.as_deref().unwrap_or_default());
-            let mut text = format!("{}\n{field}\n{when}\n{says}", rule.topic);
-            rule.unless.iter().for_each(|value| text.push_str(&format!("\n{value}")));
+            let text = format!("{}\n{field}\n{when}\n{says}{}", rule.topic, rule.condition_key);
             hex::encode(&fingerprint(text.as_bytes())[..8])
         });
         keys.collect()
@@ -202,20 +237,35 @@ impl Rules {
     #[must_use]
     pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
         let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| matches(&rule.topic, topic).is_some())?;
-        let is_read = !self.readings(topic, payload).is_empty();
+        let readings = self.readings(topic, payload);
+        let is_read = readings.iter().any(|said| !said.rule.condition.lacks_number(&said.value.compared));
         (!is_read).then(|| (number, rule.lack(&Reading::new(payload))))
     }
 
     /// Whether a topic is one that this rule, by its number, listens to.
     #[must_use]
     pub fn fits(&self, number: usize, topic: &str) -> bool {
-        number.checked_sub(1).and_then(|at| self.0.get(at)).is_some_and(|rule| matches(&rule.topic, topic).is_some())
+        self.rule(number).is_some_and(|rule| matches(&rule.topic, topic).is_some())
     }
 
     /// Whether a rule, by its number, leaves a value out by its `unless`.
     pub(super) fn is_excepted(&self, number: usize, value: &str) -> bool {
-        let rule = number.checked_sub(1).and_then(|at| self.0.get(at));
-        rule.is_some_and(|rule| rule.unless.contains(&comparable(value)))
+        self.rule(number).is_some_and(|rule| rule.condition.excepts(&comparable(value)))
+    }
+
+    /// Whether a rule, by its number, compares numbers.
+    pub(super) fn is_numeric(&self, number: usize) -> bool {
+        self.rule(number).is_some_and(|rule| rule.condition.is_numeric())
+    }
+
+    /// Whether different values can be the same state to a rule, by its number.
+    pub(super) fn holds_states(&self, number: usize) -> bool {
+        let is_sensor = |rule: &Rule| matches!(rule.saying.class, Class::Sensor(_));
+        self.rule(number).is_some_and(|rule| is_sensor(rule) || rule.condition.is_numeric())
+    }
+
+    fn rule(&self, number: usize) -> Option<&Rule> {
+        number.checked_sub(1).and_then(|at| self.0.get(at))
     }
 
     /// Filters to subscribe to, each once.
@@ -234,8 +284,9 @@ impl Rules {
         let readings = (1..).zip(&self.0).filter_map(|(number, rule)| {
             let places = matches(&rule.topic, topic)?;
             let field = rule.field.as_deref();
-            let value = values.entry(field).or_insert_with(|| reading.value(field)).clone()?;
-            rule.say(number, &places, &reading, value)
+            let value = values.entry(field).or_insert_with(|| reading.value(field)).clone();
+            let null = || reading.null(field).filter(|_| matches!(rule.saying.class, Class::Sensor(_)));
+            rule.say((number, topic), &places, &reading, value.or_else(null)?)
         });
         readings.collect()
     }
@@ -243,10 +294,8 @@ impl Rules {
 
 impl Rule {
     fn new(keys: RuleKeys) -> Result<Self, String> {
-        let RuleKeys { topic, field, when, unless, retained, repeats, say, presence, room, person, quiet_s } = keys;
-        if when.is_some() && !unless.is_empty() {
-            return Err("when and unless exclude each other: a rule speaks of one value, or of all but some".to_owned());
-        }
+        let RuleKeys { topic, field, when, unless, above, below, retained, repeats, say, presence, sensor, .. } = keys;
+        let condition = Condition::new(ConditionKeys { when: when.as_deref(), unless: &unless, above, below })?;
         let levels: Vec<_> = topic.split('/').collect();
         let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
         if levels.first() == Some(&"$share") {
@@ -261,23 +310,61 @@ impl Rule {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
         let places = levels.iter().filter(|level| **level == "+").count();
-        let (say, room, person) = (say.as_deref(), room.as_deref(), person.as_ref());
+        let (say, room, person) = (say.as_deref(), keys.room.as_deref(), keys.person.as_ref());
+        let (id, beyond) = (keys.id.as_deref(), keys.beyond.as_deref());
         let named = person.map(|person| person.json().as_str().unwrap_or_default().to_owned());
-        let texts = [say, room, named.as_deref()];
+        let count = keys.count.as_ref().and_then(serde_json::Value::as_str);
+        let texts = [say, room, named.as_deref(), id, beyond, count];
         let pointers: Vec<_> = texts.into_iter().flatten().flat_map(pointers).map(str::to_owned).collect();
         let places = (1..=places).map(|n| n.to_string());
         let names: Vec<_> = std::iter::once("value".to_owned()).chain(places).chain(pointers.iter().cloned()).collect();
-        let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &names)?;
-        let compared_when = when.as_deref().map(comparable);
-        let unless = unless.iter().map(|value| comparable(value)).collect();
-        let presence = presence.is_some();
-        Ok(Self { topic, field, when, compared_when, unless, retained, repeats, presence, pointers, saying })
+        let RuleKeys { hold_s, false_alarms_per_day, only_on, quiet_s, .. } = keys;
+        let device = Device { id, beyond, hold_s, false_alarms_per_day, only_on };
+        let count = keys.count.as_ref();
+        let saying = Saying::new(Keys { say, presence, sensor, room, person, count, quiet_s, device }, &names)?;
+        let mut condition_key: String = unless.iter().map(|value| format!("\n{}", comparable(value))).collect();
+        for (name, limit) in [("above", above), ("below", below)] {
+            condition_key.extend(limit.map(|limit| format!("\n{name} {limit}")));
+        }
+        if sensor.is_some() && is_literal(&topic, id) {
+            let id = default_id(&topic, field.as_deref());
+            let is_short = id.len() <= SENSOR_ID_BYTES_MAX;
+            if !is_short {
+                return Err(format!(
+                    "its topic and field are no id of a sensor, which has {SENSOR_ID_BYTES_MAX} bytes: give id"
+                ));
+            }
+        }
+        // A device without "off" reports again, and a state is not over because the narrator starts.
+        let (retained, repeats) = (retained || sensor.is_some() && !only_on, repeats || only_on);
+        Ok(Self { topic, field, when, condition, condition_key, retained, repeats, pointers, saying })
     }
 
-    fn say(&self, number: usize, places: &[&str], reading: &Reading<'_>, value: Rc<Value>) -> Option<Said<'_>> {
+    fn say(
+        &self,
+        (number, topic): (usize, &str),
+        places: &[&str],
+        reading: &Reading<'_>,
+        value: Rc<Value>,
+    ) -> Option<Said<'_>> {
         let (text, compared) = (&value.text, &value.compared);
-        if self.compared_when.as_ref().is_some_and(|when| when != compared) || self.unless.contains(compared) {
-            return Some(Said { number, rule: self, line: None, value });
+        let said = |line: Option<Line>, held: Option<Held>, value| Some(Said { number, rule: self, line, value, held });
+        let state = match self.saying.class {
+            Class::Sensor(kind) => match self.condition.state(kind, self.field.as_deref(), compared) {
+                Ok(state) if self.saying.only_on && state != Some(true) => return said(None, None, value),
+                Ok(state) => Some(state),
+                Err(fault) => return said(Some(Err(fault)), None, value),
+            },
+            _ => None,
+        };
+        // Which side of a limit a number is on is news, and the number is not.
+        let held = self.condition.is_numeric().then(|| {
+            let holds = self.condition.holds(compared);
+            let place = format!("{topic}\n{}\n{number}", self.field.as_deref().unwrap_or_default());
+            Held { place: fingerprint(place.as_bytes()), own: fingerprint(&[u8::from(holds)]), is_on: holds }
+        });
+        if state.is_none() && !self.condition.holds(compared) {
+            return said(None, held, value);
         }
         // What a pointer in braces does not find leaves nothing to say.
         let at = |pointer: &str| reading.json().and_then(|json| text_at(json, pointer));
@@ -290,28 +377,54 @@ impl Rule {
             is_structure.set(is_structure.get() || is_one);
             text
         };
-        let line = self.saying.short_line(|name| match name.parse::<usize>() {
+        let value_of = |name: &str| match name.parse::<usize>() {
             Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
             Err(_) if name.starts_with('/') => of_payload(at(name).unwrap_or_default()),
             Err(_) => of_payload(text.clone()),
-        });
+        };
+        let line = match state {
+            Some(on) => self.saying.report(on, &default_id(topic, self.field.as_deref()), value_of),
+            None => self.saying.short_line(value_of),
+        };
         if is_structure.get() {
             let reason =
                 "what stands in braces is a JSON object or list: name one of its values, as in {/state} or by `field`";
-            return Some(Said { number, rule: self, line: Some(Err(reason.to_owned())), value });
+            return said(Some(Err(reason.to_owned())), None, value);
         }
         // What no line may be is refused here: it takes no place where lines wait.
         let line = line.ok_or_else(|| format!("it has more than {LINE_BYTES_MAX} bytes")).and_then(|line| {
             let judged = line_item(&line, &Who::Somebody).map_err(|error| error.to_string());
             judged.map(|_| line)
         });
-        Some(Said { number, rule: self, line: Some(line), value })
+        let held = match (state, &line) {
+            (Some(on), Ok(line)) => {
+                // What several topics say of one device is one state.
+                let id = serde_json::from_str::<serde_json::Value>(line).ok()?["id"].to_string();
+                let (place, own) = (fingerprint(id.as_bytes()), fingerprint(line.as_bytes()));
+                Some(Held { place, own, is_on: on == Some(true) })
+            }
+            _ => held,
+        };
+        said(Some(line), held, value)
     }
+}
+
+/// The default id of a sensor: its topic, and the place of its value in the message.
+fn default_id(topic: &str, field: Option<&str>) -> String {
+    format!("{topic}{}", field.unwrap_or_default())
+}
+
+/// Whether a rule's default id is known before a message comes.
+fn is_literal(topic: &str, id: Option<&str>) -> bool {
+    id.is_none() && !topic.contains(['+', '#'])
 }
 
 impl Rule {
     /// What a payload that this rule cannot read lacks.
     fn lack(&self, reading: &Reading<'_>) -> String {
+        if reading.value(self.field.as_deref()).is_some_and(|value| self.condition.lacks_number(&value.compared)) {
+            return "is no number".to_owned();
+        }
         if self.field.is_none() && reading.value(None).is_none() {
             let is_empty = matches!(reading.payload.trim_ascii(), b"" | b"\"\"");
             return if is_empty { "is empty" } else { "is no text" }.to_owned();

@@ -163,6 +163,11 @@ fn what_an_unread_payload_lacks_is_known() {
     assert_eq!(lack("face", br#"{"name": "ada"}"#), Some((2, "has nothing at /event".to_owned())));
     assert_eq!(lack("face", br#"{"event": "seen"}"#), Some((2, "has nothing at /name".to_owned())));
     assert_eq!(lack("face", br#"{"event": "seen", "name": "ada"}"#), None);
+    let sensors = Rules::parse(SENSORS).unwrap();
+    assert_eq!(sensors.unreadable("plug/power", b"much"), Some((3, "is no number".to_owned())));
+    for payload in ["20.5", "unavailable"] {
+        assert_eq!(sensors.unreadable("plug/power", payload.as_bytes()), None, "{payload}");
+    }
 }
 
 /// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
@@ -192,6 +197,154 @@ fn an_object_in_braces_is_not_said() {
     assert_eq!(hear("lamp", "{on"), [r#"{"kind":"device","text":"the lamp is on"}"#], "no JSON");
     assert_eq!(hear("door", r#"{"state": "on"}"#).len(), 1, "it says nothing of the value");
     assert_eq!(listener.heard, Heard { said: 3, unsayable: 3, ..Heard::default() });
+}
+
+const SENSORS: &str = r#"
+    [[rule]]
+    topic = "ha/binary_sensor/+/state"
+    sensor = "motion"
+    room = "{1}"
+
+    [[rule]]
+    topic = "z/hall"
+    field = "/occupancy"
+    sensor = "presence"
+    room = "hall"
+    hold_s = 30
+    false_alarms_per_day = 4
+
+    [[rule]]
+    topic = "plug/power"
+    above = 15
+    sensor = "appliance"
+    room = "kitchen"
+    id = "kettle"
+
+    [[rule]]
+    topic = "ha/person/mira/state"
+    sensor = "phone"
+    person = "Mira"
+
+    [[rule]]
+    topic = "beam"
+    sensor = "motion"
+    room = "hall"
+    only_on = true
+"#;
+
+#[test]
+fn one_sensor_rule_reports_on_off_and_unavailable_and_no_state_twice() {
+    let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
+    let mut report = |topic: &str, payload: &str| hear(&mut listener, topic, payload, false).unwrap_or_default();
+    let hall =
+        |on: &str| format!(r#"{{"id":"ha/binary_sensor/hall/state","on":{on},"room":"hall","sensor":"motion"}}"#);
+    for (payload, expected) in [
+        ("on", hall("true")),
+        ("on", String::new()),
+        ("off", hall("false")),
+        ("clear", String::new()),
+        ("unavailable", hall("null")),
+        ("unknown", String::new()),
+        ("off", hall("false")),
+    ] {
+        assert_eq!(report("ha/binary_sensor/hall/state", payload), expected, "{payload}");
+    }
+    let presence = |on: &str| {
+        format!(
+            r#"{{"false_alarms_per_day":4.0,"hold_s":30.0,"id":"z/hall/occupancy","on":{on},"room":"hall","sensor":"presence"}}"#
+        )
+    };
+    for (payload, expected) in [
+        (r#"{"occupancy": true, "battery": 80}"#, presence("true")),
+        (r#"{"occupancy": true, "battery": 79}"#, String::new()),
+        (r#"{"battery": 78}"#, String::new()),
+        (r#"{"occupancy": null}"#, presence("null")),
+        (r#"{"occupancy": false}"#, presence("false")),
+    ] {
+        assert_eq!(report("z/hall", payload), expected, "{payload}");
+    }
+    let kettle = |on: &str| format!(r#"{{"id":"kettle","on":{on},"room":"kitchen","sensor":"appliance"}}"#);
+    for (payload, expected) in [
+        ("2.1", kettle("false")),
+        ("2.3", String::new()),
+        ("1800.5", kettle("true")),
+        ("1799", String::new()),
+        ("0", kettle("false")),
+    ] {
+        assert_eq!(report("plug/power", payload), expected, "{payload}");
+    }
+    let mira = |on: &str| format!(r#"{{"id":"ha/person/mira/state","on":{on},"person":"Mira","sensor":"phone"}}"#);
+    assert_eq!(report("ha/person/mira/state", "home"), mira("true"));
+    assert_eq!(report("ha/person/mira/state", "Work"), mira("false"));
+    assert_eq!(report("ha/person/mira/state", "not_home"), "");
+}
+
+#[test]
+fn a_sensor_that_reports_no_off_reports_each_on() {
+    let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
+    let on = Some(r#"{"id":"beam","on":true,"only_on":true,"room":"hall","sensor":"motion"}"#);
+    for (payload, retained, expected) in
+        [("on", true, None), ("on", false, on), ("on", false, on), ("off", false, None), ("offline", false, None)]
+    {
+        assert_eq!(hear(&mut listener, "beam", payload, retained).as_deref(), expected, "{payload} {retained}");
+    }
+}
+
+#[test]
+fn retained_messages_give_the_state_of_sensors_after_a_start() {
+    let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
+    let said = hear(&mut listener, "ha/binary_sensor/hall/state", "on", true).unwrap();
+    assert!(said.contains(r#""on":true"#), "{said}");
+    // At the next connection they come again.
+    listener.first_connection = false;
+    assert_eq!(hear(&mut listener, "ha/binary_sensor/hall/state", "on", true), None);
+    assert!(hear(&mut listener, "ha/binary_sensor/hall/state", "off", true).unwrap().contains(r#""on":false"#));
+}
+
+#[test]
+fn a_sensor_rule_changes_nothing_for_the_rules_beside_it() {
+    let rules = "[[rule]]\ntopic = \"lamp\"\nwhen = \"on\"\nsay = \"They turn on the lamp.\"\n\
+        [[rule]]\ntopic = \"lamp\"\nsensor = \"appliance\"\nroom = \"hall\"\n\
+        [[rule]]\ntopic = \"door\"\nwhen = \"off\"\npresence = \"away\"\nquiet_s = 600.0\n\
+        [[rule]]\ntopic = \"door\"\nsensor = \"door\"\nroom = \"hall\"\n";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let now = Instant::now();
+    let mut said = |topic: &str, payload: &str| listener.hear(topic.as_bytes(), payload.as_bytes(), false, now);
+    let counts = ["on", "unavailable", "on", "off", "on"].map(|payload| said("lamp", payload).len());
+    assert_eq!(counts, [2, 1, 1, 1, 2], "unavailable is no state of the sentence's rule");
+    // A sensor that turns off breaks no silence.
+    assert_eq!(said("door", "on").len(), 1);
+    assert_eq!(said("door", "off").len(), 1);
+    assert_eq!(said("lamp", "off").len(), 1);
+    let due = listener.due(now + Duration::from_secs(601));
+    assert_eq!(due, [r#"{"presence":"away"}"#]);
+}
+
+#[test]
+fn a_sentence_with_a_limit_is_said_when_the_number_passes_it() {
+    let rules = "[[rule]]\ntopic = \"plug\"\nfield = \"/power\"\nabove = 15\nsay = \"They use the kettle.\"\n\
+        [[rule]]\ntopic = \"plug\"\nfield = \"/power\"\nbelow = 5\nsay = \"They switch off the kettle.\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let on = Some(r#"{"text":"They use the kettle."}"#);
+    let off = Some(r#"{"text":"They switch off the kettle."}"#);
+    for (power, expected) in
+        [("1.5", off), ("20", on), ("21.5", None), ("10", None), ("20", on), ("3", off), ("2", None)]
+    {
+        let said = hear(&mut listener, "plug", &format!("{{\"power\": {power}}}"), false);
+        assert_eq!(said.as_deref(), expected, "{power}");
+    }
+}
+
+#[test]
+fn a_rehearsal_tells_the_state_of_a_sensor() {
+    let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
+    let mut told = |topic: &str, payload: &str| {
+        let outcomes = listener.outcomes(topic.as_bytes(), payload.as_bytes(), false, Instant::now());
+        report(&listener.rules, (topic.as_bytes(), payload.as_bytes(), false), &outcomes, &mut |_| None)
+    };
+    assert!(told("plug/power", "20").contains("rule 3 says {\"id\":\"kettle\",\"on\":true"));
+    assert!(told("plug/power", "21").contains("rule 3 is silent: \"21\" means the same state as before"));
+    assert!(told("plug/power", "much").contains("is no narration: its value is no number"));
 }
 
 #[test]
@@ -481,7 +634,7 @@ fn malformed_rules_are_named() {
         ),
         ("[[rule]]\ntopic = \"a\"\npresence = \"empty\"", "rule 1: presence = \"empty\" says that nobody"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nperson = -1", "expected a person's number"),
-        ("[[rule]]\ntopic = \"a\"", "rule 1: give say or presence"),
+        ("[[rule]]\ntopic = \"a\"", "rule 1: give say, presence or the state"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nfield = \"state\"", "JSON pointer"),
         ("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nwhen = \"on\"\nunless = [\"off\"]", "rule 1: when and unless exclude"),
         ("[[rule]]\ntopic = \"a\"\nsays = \"x\"", "unknown key"),
@@ -1531,4 +1684,12 @@ fn a_subscription_that_is_left_out_is_ended_once() {
     broker.grant();
     assert_eq!(asks(&mut broker).0, 4, "it was ended");
     listening.end();
+}
+
+#[test]
+fn every_example_of_the_manual_is_a_rules_file() {
+    const MANUAL: &str = include_str!("../../../docs/mqtt.md");
+    let blocks = MANUAL.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let numbers: Vec<usize> = blocks.map(|block| Rules::parse(block).unwrap().about().count()).collect();
+    assert_eq!(numbers, [8, 1]);
 }

@@ -15,6 +15,11 @@
 //! presence = "away"                  # or "gone", or with a room "present" or "empty": presence without a sentence
 //! person = "ada"                     # a name or a number
 //! quiet_s = 600.0                    # said if no other rule fits for so long
+//!
+//! [[rule]]
+//! kind = "PIR"
+//! as = "motion"                      # the state of a sensor: on from start to end; without the column "end", `kind` is the state
+//! room = "{place}"
 //! ```
 //!
 //! Pure: from the texts of log and rules to items with the times between them.
@@ -33,9 +38,11 @@ use std::path::{Path, PathBuf};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
+use crate::condition::{Condition, ConditionKeys, State, comparable};
 use crate::daemon::Zone;
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
-use crate::rule::{Keys, Saying, Whereabouts};
+use crate::rule::{Class, Device, Keys, Saying, Whereabouts};
+use roomcast_core::narration::SensorKind;
 use roomcast_core::parsing::{list_of_keyed, toml_says};
 use roomcast_core::text::{read_at_most, read_text_at_most};
 use times::{FOLD_S, begins_with_time, is_clock_time, is_date, may_be_folded};
@@ -139,17 +146,30 @@ struct RuleKeys {
     sensor: Option<String>,
     kind: Option<String>,
     place: Option<String>,
-    #[serde(default)]
-    at: Edge,
+    at: Option<Edge>,
     #[serde(default)]
     shortest_s: f64,
     #[serde(default)]
     again_s: f64,
     say: Option<String>,
     presence: Option<Whereabouts>,
+    #[serde(rename = "as")]
+    device: Option<SensorKind>,
+    when: Option<String>,
+    #[serde(default)]
+    unless: Vec<String>,
+    above: Option<f64>,
+    below: Option<f64>,
+    id: Option<String>,
     room: Option<String>,
+    beyond: Option<String>,
     person: Option<Who>,
+    count: Option<serde_json::Value>,
     quiet_s: Option<f64>,
+    hold_s: Option<f64>,
+    false_alarms_per_day: Option<f64>,
+    #[serde(default)]
+    only_on: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -160,24 +180,71 @@ struct Rule {
     at: Edge,
     shortest_s: f64,
     again_s: f64,
+    condition: Condition,
     saying: Saying,
 }
 
 impl Rule {
-    fn new(keys: RuleKeys) -> Result<Self, String> {
-        let RuleKeys { sensor, kind, place, at, shortest_s, again_s, say, presence, room, person, quiet_s } = keys;
+    fn new(keys: RuleKeys, columns: &[Column]) -> Result<Self, String> {
+        let RuleKeys { sensor, kind, place, at, shortest_s, again_s, say, presence, unless, quiet_s, .. } = keys;
         if !(shortest_s >= 0.0 && again_s >= 0.0) {
             return Err("shortest_s and again_s are 0 or more".to_owned());
         }
-        let (say, room, person) = (say.as_deref(), room.as_deref(), person.as_ref());
-        let saying = Saying::new(Keys { say, presence, room, person, quiet_s }, &NAMES.map(str::to_owned))?;
-        Ok(Self { sensor, kind, place, at, shortest_s, again_s, saying })
+        let RuleKeys { above, below, hold_s, false_alarms_per_day, only_on, device: as_kind, .. } = keys;
+        let when = keys.when.as_deref();
+        let conditions = ConditionKeys { when, unless: &unless, above, below };
+        let has_condition = conditions.when.is_some() || !unless.is_empty() || above.is_some() || below.is_some();
+        let (has_end, has_kind) = (columns.contains(&Column::End), columns.contains(&Column::Kind));
+        if as_kind.is_some() {
+            if at.is_some() || again_s > 0.0 {
+                return Err("at and again_s go with say or presence: the state of a sensor has both edges".to_owned());
+            }
+            if !has_end && !has_kind && !only_on {
+                return Err("as needs the column \"end\" or \"kind\"; or give only_on = true".to_owned());
+            }
+            if !has_end && kind.is_some() && !only_on {
+                return Err("without the column \"end\" the column \"kind\" is the state: leave kind out".to_owned());
+            }
+        }
+        if has_condition && (as_kind.is_none() || has_end) {
+            return Err("when, unless, above and below go with as, in a log without the column \"end\"".to_owned());
+        }
+        let (say, room, person) = (say.as_deref(), keys.room.as_deref(), keys.person.as_ref());
+        let (id, beyond, count) = (keys.id.as_deref(), keys.beyond.as_deref(), keys.count.as_ref());
+        let device = Device { id, beyond, hold_s, false_alarms_per_day, only_on };
+        let saying = Keys { say, presence, sensor: as_kind, room, person, count, quiet_s, device };
+        let saying = Saying::new(saying, &NAMES.map(str::to_owned))?;
+        let at = at.unwrap_or_default();
+        let condition = Condition::new(conditions)?;
+        Ok(Self { sensor, kind, place, at, shortest_s, again_s, condition, saying })
+    }
+
+    /// The state of a sensor at an edge of an interval; `None` if the rule tells nothing then.
+    fn state(&self, edge: Edge, interval: &Interval, has_end: bool) -> Result<Option<State>, String> {
+        let Some(kind) = self.device() else { return Ok(None) };
+        let is_start = edge == Edge::Start;
+        let is_event = self.saying.only_on;
+        if has_end || is_event && self.kind.is_some() {
+            return Ok((is_start || !is_event).then_some(Some(is_start)));
+        }
+        if !is_start {
+            return Ok(None);
+        }
+        // A log without the column has events alone.
+        let value = if interval.kind.is_empty() && is_event { "on" } else { &*interval.kind };
+        let on = self.condition.state(kind, None, &comparable(value))?;
+        Ok(Some(on).filter(|on| !is_event || *on == Some(true)))
+    }
+
+    /// The kind of sensor, if the rule gives the state of one.
+    fn device(&self) -> Option<SensorKind> {
+        if let Class::Sensor(kind) = self.saying.class { Some(kind) } else { None }
     }
 
     fn fits(&self, edge: Edge, interval: &Interval) -> bool {
         let fits =
             |wanted: &Option<String>, own: &str| wanted.as_ref().is_none_or(|wanted| wanted.eq_ignore_ascii_case(own));
-        self.at == edge
+        (self.at == edge || self.device().is_some())
             && fits(&self.sensor, &interval.sensor)
             && fits(&self.kind, &interval.kind)
             && fits(&self.place, &interval.place)
@@ -210,6 +277,15 @@ struct Matched<'a> {
     rule: &'a Rule,
     place: &'a str,
     said: Said,
+    /// The state of a sensor, and its id.
+    state: Option<(State, String)>,
+}
+
+impl Matched<'_> {
+    /// Whether it breaks a silence: a sensor that turns off does not.
+    fn is_heard(&self) -> bool {
+        self.rule.saying.quiet().is_none() && self.state.as_ref().is_none_or(|(on, _)| *on == Some(true))
+    }
 }
 
 /// A sentence or presence from an interval.
@@ -267,10 +343,11 @@ impl SensorRules {
             }
         }
         let rules = (1..).zip(file.rules).map(|(number, keys)| {
-            let rule = Rule::new(keys);
+            let rule = Rule::new(keys, &file.columns);
             rule.map_err(|fault: String| format!("rule {number}: {fault}"))
         });
-        Ok(Self { columns: file.columns, rules: rules.collect::<Result<_, _>>()?, zone: Zone::UTC })
+        let rules = rules.collect::<Result<_, _>>()?;
+        Ok(Self { columns: file.columns, rules, zone: Zone::UTC })
     }
 
     /// The same rules with a time zone: times with a zone, and seconds since 1970, become times of a clock in this zone.
@@ -317,7 +394,15 @@ impl SensorRules {
         let mut before_s = None;
         // The kitchen's door is another than the bathroom's, though both are "the door".
         let mut last: HashMap<(Who, String, &str), f64> = HashMap::new();
-        for Matched { rule, place, mut said } in matched {
+        let mut states: HashMap<String, State> = HashMap::new();
+        for Matched { rule, place, mut said, state } in matched {
+            if let Some((on, id)) = state
+                && states.insert(id, on) == Some(on)
+                && !rule.saying.only_on
+            {
+                narrated.silent += 1;
+                continue;
+            }
             let same = last.insert((said.item.person.clone(), said.item.text.clone(), place), said.at_s);
             if same.is_some_and(|same_s| said.at_s - same_s < rule.again_s) {
                 narrated.silent += 1;
@@ -477,29 +562,55 @@ impl SensorRules {
         let end_s = if interval.is_open { ended_s } else { interval.end_s };
         let length_s = end_s - interval.start_s;
         let mut some = false;
+        let has_end = self.columns.contains(&Column::End);
         let edges = [(Edge::Start, interval.start_s), (Edge::End, interval.end_s)];
         for (edge, at_s) in edges.into_iter().take(if interval.is_open { 1 } else { 2 }) {
             let fitting = self.rules.iter().filter(|rule| rule.fits(edge, interval));
-            let (waiting, at_once): (Vec<_>, Vec<_>) = fitting.partition(|rule| rule.saying.quiet().is_some());
-            for rule in at_once.into_iter().take(1).chain(waiting) {
+            let (devices, sayings): (Vec<_>, Vec<_>) = fitting.partition(|rule| rule.device().is_some());
+            let (waiting, at_once): (Vec<_>, Vec<_>) =
+                sayings.into_iter().partition(|rule| rule.saying.quiet().is_some());
+            let device = devices.into_iter().take(1);
+            for rule in at_once.into_iter().take(1).chain(waiting).chain(device) {
                 some = true;
                 if length_s < rule.shortest_s {
                     narrated.silent += 1;
                     continue;
                 }
                 let words = |name: &str| name.replace('_', " ").to_lowercase();
-                let json = rule.saying.line(|name| match name {
+                let value_of = |name: &str| match name {
                     "sensor" => words(&interval.sensor),
                     "kind" => words(&interval.kind),
                     "place" => words(&interval.place),
                     _ => format!("{length_s:.0}"),
-                });
-                match line_item(&json, person) {
-                    Ok(item) => {
-                        let said = Said { item, at_s, line, interval: number };
-                        matched.push(Matched { rule, place: &interval.place, said });
+                };
+                let on = match rule.state(edge, interval, has_end) {
+                    Ok(on) => on,
+                    Err(fault) => {
+                        narrated.faults.add(line, fault);
+                        continue;
                     }
-                    Err(source) => narrated.faults.add(line, source),
+                };
+                let (json, state) = match (rule.device(), on) {
+                    (None, _) => (Some(rule.saying.line(value_of)), None),
+                    (Some(_), None) => continue,
+                    (Some(_), Some(on)) => {
+                        let id = [&*interval.place, &*interval.sensor].join("/");
+                        let json = rule.saying.report(on, id.trim_start_matches('/'), value_of);
+                        (json, Some(on))
+                    }
+                };
+                let json = json.ok_or_else(|| format!("it has more than {LINE_BYTES_MAX} bytes"));
+                let item = json.and_then(|json| match line_item(&json, person) {
+                    Ok(item) => Ok((id_of(&json), item)),
+                    Err(source) => Err(source.to_string()),
+                });
+                match item {
+                    Ok((id, item)) => {
+                        let said = Said { item, at_s, line, interval: number };
+                        let state = state.map(|on| (on, id));
+                        matched.push(Matched { rule, place: &interval.place, said, state });
+                    }
+                    Err(fault) => narrated.faults.add(line, fault),
                 }
             }
         }
@@ -514,7 +625,9 @@ fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
     let mut next_s = f64::INFINITY;
     let mut again: HashMap<(Who, String), f64> = HashMap::new();
     let mut kept = Vec::with_capacity(matched.len());
-    for Matched { rule, place, mut said } in matched.into_iter().rev() {
+    for own in matched.into_iter().rev() {
+        let is_heard = own.is_heard();
+        let Matched { rule, place, mut said, state } = own;
         if let Some(quiet) = rule.saying.quiet() {
             let end_s = said.at_s + quiet.as_secs_f64();
             let same = again.insert((said.item.person.clone(), said.item.text.clone()), said.at_s);
@@ -522,10 +635,10 @@ fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
                 continue;
             }
             said.at_s = end_s;
-        } else {
+        } else if is_heard {
             next_s = said.at_s;
         }
-        kept.push(Matched { rule, place, said });
+        kept.push(Matched { rule, place, said, state });
     }
     kept.reverse();
     kept
@@ -545,6 +658,12 @@ impl Seek for Line<'_> {
     fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
         Ok(0)
     }
+}
+
+/// The id in a sensor's line of JSON.
+fn id_of(json: &str) -> String {
+    let line: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
+    line["id"].as_str().unwrap_or_default().to_owned()
 }
 
 /// The beginning of a field, for an error.

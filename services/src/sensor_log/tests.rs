@@ -466,3 +466,91 @@ fn months_may_have_english_names() {
         assert_eq!(seconds(wrong), None, "{wrong}");
     }
 }
+
+fn reports(log: &SensorLog) -> Vec<(f64, String)> {
+    log.said.iter().map(|said| (said.at_s, said.item.text.clone())).collect()
+}
+
+#[test]
+fn an_interval_of_a_sensor_is_on_from_start_to_end() {
+    let rules = "[[rule]]\nkind = \"PIR\"\nas = \"motion\"\nroom = \"{place}\"\nshortest_s = 1.0\n\
+        [[rule]]\nkind = \"Pressure\"\nas = \"bed\"\nroom = \"bedroom\"\nperson = \"ada\"\nid = \"bed\"\n\
+        [[rule]]\nkind = \"Pressure\"\nat = \"end\"\nsay = \"They get up from the {sensor}.\"";
+    let log = b"0,60,bed,Pressure,Bedroom\n70,75,ceiling,PIR,Bath\n70,70.5,ceiling,PIR,Hall\n80,-,ceiling,PIR,Bath\n\
+        90,91,fridge,Magnetic,Kitchen\n";
+    let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Somebody);
+    let bath = |on: bool| format!(r#"{{"sensor":"motion","id":"Bath/ceiling","room":"bath","on":{on}}}"#);
+    let bed = |on: bool| format!(r#"{{"sensor":"bed","id":"bed","room":"bedroom","on":{on}}}"#);
+    assert_eq!(
+        reports(&log),
+        [
+            (0.0, bed(true)),
+            (60.0, "They get up from the bed.".to_owned()),
+            (60.0, bed(false)),
+            (70.0, bath(true)),
+            (75.0, bath(false)),
+            (80.0, bath(true)),
+        ]
+    );
+    assert_eq!(log.said[0].item.person, Who::Name("ada".to_owned()));
+    assert_eq!((log.unfit, log.silent, log.faults.count()), (1, 2, 0));
+}
+
+#[test]
+fn a_log_of_states_gives_each_state_of_a_sensor_once() {
+    let rules = "columns = [\"sensor\", \"kind\", \"start\"]\n\
+        [[rule]]\nsensor = \"binary_sensor.hall\"\nas = \"presence\"\nroom = \"hall\"\n\
+        [[rule]]\nsensor = \"sensor.kettle\"\nas = \"appliance\"\nroom = \"kitchen\"\nabove = 15\nid = \"kettle\"\n\
+        [[rule]]\nsensor = \"beam\"\nas = \"motion\"\nroom = \"hall\"\nonly_on = true";
+    let log = b"binary_sensor.hall,on,100\nbinary_sensor.hall,on,110\nbinary_sensor.hall,unavailable,120\n\
+        binary_sensor.hall,off,130\nsensor.kettle,2,140\nsensor.kettle,3,141\nsensor.kettle,2000,150\n\
+        beam,on,160\nbeam,on,170\nbeam,off,180\nsensor.kettle,much,190\n";
+    let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Somebody);
+    let states: Vec<(f64, bool, &str)> = (log.said.iter())
+        .map(|said| (said.at_s, said.item.text.contains("\"on\":true"), said.item.text.split('"').nth(3).unwrap()))
+        .collect();
+    assert_eq!(
+        states,
+        [
+            (100.0, true, "presence"),
+            (120.0, false, "presence"),
+            (130.0, false, "presence"),
+            (140.0, false, "appliance"),
+            (150.0, true, "appliance"),
+            (160.0, true, "motion"),
+            (170.0, true, "motion"),
+        ]
+    );
+    assert!(log.said[1].item.text.contains("\"on\":null"), "{}", log.said[1].item.text);
+    assert_eq!((log.silent, log.faults.count()), (2, 1));
+}
+
+#[test]
+fn faults_of_sensor_rules_are_named() {
+    for (rule, fault) in [
+        ("as = \"motion\"\nroom = \"hall\"\nat = \"end\"", "at and again_s go with say or presence"),
+        ("as = \"motion\"\nroom = \"hall\"\nwhen = \"on\"", "in a log without the column \"end\""),
+        ("say = \"They sit.\"\nabove = 3", "go with as"),
+        ("as = \"radar\"\nroom = \"hall\"", "radar"),
+        ("as = \"phone\"", "needs the person"),
+    ] {
+        let error = SensorRules::parse(&format!("[[rule]]\n{rule}")).unwrap_err();
+        assert!(error.contains(fault), "{rule}: {error}");
+    }
+    for (columns, rule, fault) in [
+        ("\"start\", \"sensor\"", "as = \"motion\"\nroom = \"hall\"", "as needs the column"),
+        ("\"start\", \"sensor\", \"kind\"", "kind = \"on\"\nas = \"motion\"\nroom = \"hall\"", "leave kind out"),
+    ] {
+        let error = SensorRules::parse(&format!("columns = [{columns}]\n[[rule]]\n{rule}")).unwrap_err();
+        assert!(error.contains(fault), "{rule}: {error}");
+    }
+}
+
+#[test]
+fn every_example_of_the_manual_is_a_rules_file() {
+    const MANUAL: &str = include_str!("../../../docs/sensors.md");
+    let blocks = MANUAL.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let rules = blocks.filter(|block| block.contains("[[rule]]"));
+    let numbers: Vec<usize> = rules.map(|block| SensorRules::parse(block).unwrap().rules.len()).collect();
+    assert_eq!(numbers, [1, 6, 2, 2]);
+}

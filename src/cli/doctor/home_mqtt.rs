@@ -123,7 +123,10 @@ pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (V
 /// Rules with a room that the map does not have.
 fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Finding> {
     let known: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
-    let named = rules.about().filter_map(|rule| Some((rule.number, rule.room?)));
+    let named = rules.about().flat_map(|rule| {
+        let rooms = [rule.room, rule.beyond].into_iter().flatten();
+        rooms.map(move |room| (rule.number, room))
+    });
     let unknown: Vec<_> = named.filter(|(_, room)| !room.contains('{') && map.find_one_room(room).is_none()).collect();
     let (number, room) = unknown.first()?;
     let why = match map.find_room(room) {
@@ -208,7 +211,8 @@ fn is_of_statestream(topic: &str) -> bool {
 pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
-    if let Some(room) = of("room").filter(|room| map.find_one_room(room).is_none()) {
+    let rooms = ["room", "beyond"].into_iter().filter_map(of);
+    if let Some(room) = rooms.into_iter().find(|room| map.find_one_room(room).is_none()) {
         let rooms: Vec<&str> = (0..map.rooms().len()).map(|room| map.room_key(room)).collect();
         let has = if map.find_room(room).is_some() { "several rooms called" } else { "no room" };
         return Some(format!("the map has {has} {room:?}; its rooms are {}", rooms.join(", ")));
@@ -806,7 +810,9 @@ mod tests {
         let mut beside = |line: &str| remark(line, &map, &mut mentions);
         let rooms = map.rooms().iter().map(|room| room.id.as_str()).collect::<Vec<_>>().join(", ");
         let unknown = format!("the map has no room \"attic\"; its rooms are {rooms}");
-        assert_eq!(beside(r#"{"presence":"present","room":"attic"}"#), Some(unknown));
+        assert_eq!(beside(r#"{"presence":"present","room":"attic"}"#).as_ref(), Some(&unknown));
+        let door = r#"{"sensor":"door","id":"d","room":"kitchen","beyond":"attic","on":true}"#;
+        assert_eq!(beside(door), Some(unknown));
         assert_eq!(beside(r#"{"text":"They walk to the attic."}"#).as_deref(), Some("the map has no \"attic\""));
         for line in
             [r#"{"presence":"present","room":"kitchen"}"#, r#"{"presence":"away"}"#, r#"{"text":"They come home."}"#]

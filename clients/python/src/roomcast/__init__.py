@@ -95,6 +95,11 @@ __all__ = [
 
 SENTENCE, ACTION, DEVICE, PRESENCE = 0, 1, 2, 3
 
+#: Kinds of sensors.
+SENSOR_KINDS = ("motion", "presence", "bed", "door", "phone", "appliance", "camera")
+#: Longest id of a sensor, in bytes.
+SENSOR_ID_BYTES_MAX = 128
+
 T = TypeVar("T")
 Kind = TypeVar("Kind", RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport)
 _KINDS = (RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotReport)
@@ -393,6 +398,41 @@ class Narrator(_Participant):
         if room is not None:
             said = f"present in the {room.strip()}"
         self._send(PRESENCE, said, self._who(person))
+
+    def sensor(
+        self,
+        kind: str,
+        id: str,
+        room: str | None = None,
+        *,
+        on: bool | None,
+        person: Who = None,
+        beyond: str | None = None,
+        hold_s: float | None = None,
+        false_alarms_per_day: float | None = None,
+        only_on: bool = False,
+    ) -> None:
+        """The state of a sensor: "motion", "presence", "bed", "door", "phone", "appliance" or "camera". `id` is the device, the same in each report;
+        `room` is the room that it sees, and a phone has none. `on` is None if the device is unavailable. `person` is the owner of a bed or a phone;
+        the narrator's own person is not meant. `beyond` is the other room of a door between two rooms, and the other keys are those of a JSON line."""
+        if kind not in SENSOR_KINDS:
+            raise ValueError(f"sensor {kind!r}: give one of {', '.join(SENSOR_KINDS)}")
+        if not any(character.isalnum() for character in id) or len(id.encode()) > SENSOR_ID_BYTES_MAX:
+            raise ValueError(f"id {id!r}: give a text of at most {SENSOR_ID_BYTES_MAX} bytes with a letter or digit")
+        if (room is None) != (kind == "phone") or beyond is not None and kind != "door":
+            raise ValueError("give the room that a sensor sees, none for a phone, and beyond for a door alone")
+        if room is not None and not any(character.isalnum() for character in room):
+            raise ValueError(f"room {room!r}: give a room's name")
+        for key, value, most in (("hold_s", hold_s, 86_400), ("false_alarms_per_day", false_alarms_per_day, 10_000)):
+            if value is not None and not 0 <= value <= most:
+                raise ValueError(f"{key} {value!r}: give a number from 0 to {most}")
+        if on is not True and only_on:
+            raise ValueError("a sensor with only_on reports that it is on: give on=True")
+        report: dict[str, Any] = {"sensor": kind, "id": id}
+        options = {"room": room, "beyond": beyond, "hold_s": hold_s, "false_alarms_per_day": false_alarms_per_day}
+        report |= {key: value for key, value in options.items() if value is not None}
+        report |= {"only_on": True, "on": on} if only_on else {"on": on}
+        self._send(PRESENCE, json.dumps(report, ensure_ascii=False, separators=(",", ":")), _person(person))
 
     def _who(self, person: Who) -> tuple[int, str]:
         return _person(self.person if person is None else person)

@@ -103,14 +103,13 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
     let phrases = Phrases::of(&sensors, &plan::spoken(&plan.rooms, &areas));
     for placed in &sensors {
         let area = (plan.rooms[placed.room].id.as_str(), places.texts[placed.room].comment.as_str());
-        let tells_empty = placed.person.is_none() && placed.sensor.is_of_room() && one_occupancy.contains(&placed.room);
-        rules.sensor(placed, area, &phrases, tells_empty);
+        rules.sensor(placed, area, &phrases, one_occupancy.contains(&placed.room));
     }
     for (object, name) in &people {
         rules.person(object, name);
     }
     let with_things: HashSet<&str> = (sensors.iter())
-        .filter(|placed| placed.sensor.kind != Kind::Measured)
+        .filter(|placed| !placed.sensor.kind.is_meter())
         .map(|placed| plan.rooms[placed.room].id.as_str())
         .collect();
     let has_things: Vec<bool> = areas.iter().map(|area| with_things.contains(&*area.id)).collect();
@@ -246,7 +245,7 @@ fn sensors<'a>(
     found
 }
 
-/// The rooms that are empty when a sensor says "off": those with one sensor that holds its state and is on no seat.
+/// The rooms with one sensor that holds its state and is on no seat.
 fn with_one_occupancy(sensors: &[Placed<'_>]) -> HashSet<usize> {
     let mut count_in: HashMap<usize, usize> = HashMap::new();
     for placed in sensors.iter().filter(|placed| placed.sensor.is_of_room()) {

@@ -3,11 +3,14 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::comment;
-use super::thing::{Kind, Sensor};
-use crate::narration::{RoomName, check_name};
+use super::thing::Sensor;
+use crate::narration::{RoomName, SENSOR_ID_BYTES_MAX, SensorKind, check_name};
 
 /// The part of topics before domain and object, as `mqtt_statestream` is set up in Home Assistant's own example.
 const BASE_TOPIC: &str = "homeassistant";
+
+/// A thing that takes more is in use, in watts. Less is standby.
+const IN_USE_W: f64 = 15.0;
 
 /// A sensor in its room.
 pub(super) struct Placed<'a> {
@@ -90,50 +93,56 @@ impl Rules {
         }
     }
 
+    /// The state of a sensor, by one rule. Objects with very long names are no ids.
+    fn report(&mut self, domain: &str, object: &str, kind: SensorKind, keys: &[(&str, &str)]) {
+        let (word, id) = (kind.to_string(), format!("{domain}.{object}"));
+        if id.len() > SENSOR_ID_BYTES_MAX {
+            return;
+        }
+        self.rule(domain, object, &[&[("sensor", &*word), ("id", &*id)], keys].concat());
+        if kind == SensorKind::Appliance {
+            self.text.push_str(&format!("above = {IN_USE_W:.1}\n"));
+        }
+    }
+
     /// A person is at home, in another zone or in no zone. Each zone is a state.
     pub(super) fn person(&mut self, object: &str, name: &str) {
         self.about(&format!("{name} comes and goes. A zone other than home is away, too."));
-        self.rule("person", object, &[("when", "home"), ("presence", "present"), ("person", name)]);
-        self.text.push_str("retained = true\n");
-        self.rule("person", object, &[("presence", "away"), ("person", name)]);
-        self.text.push_str("unless = [\"home\", \"unknown\", \"unavailable\"]\nretained = true\n");
+        self.report("person", object, SensorKind::Phone, &[("when", "home"), ("person", name)]);
     }
 
-    /// The states of a sensor. `area` is the room's id and its name for a comment. `tells_empty` says that the room is empty when the sensor is off.
-    pub(super) fn sensor(&mut self, placed: &Placed<'_>, area: (&str, &str), phrases: &Phrases, tells_empty: bool) {
+    /// The states of a sensor. `area` is the room's id and its name for a comment. `sees_room` says that no other sensor holds the room's state.
+    pub(super) fn sensor(&mut self, placed: &Placed<'_>, area: (&str, &str), phrases: &Phrases, sees_room: bool) {
         let Placed { domain, object, room, sensor, person } = placed;
         let bound = person.map(|person| ("person", person));
         let (id, name) = area;
-        let mut states: Vec<Vec<(&str, &str)>> = Vec::new();
-        let thing = sensor.thing.as_deref();
-        let sentences: Vec<(&str, String)> = match thing {
+        // A cover is a motor that people operate.
+        let device = sensor.device(sees_room).filter(|_| is_room(id) && *domain != "cover");
+        let sentences: Vec<(&str, String)> = match sensor.thing.as_deref() {
             Some(seat) if sensor.is_seat() => {
                 let says = if seat == "bed" { "get out of" } else { "get up from" };
                 vec![("off", format!("They {says} the {}.", phrases.get(seat, *room)))]
             }
             Some(thing) => {
                 let phrase = phrases.get(thing, *room);
-                let verbs = sensor.kind.verbs(domain, thing).into_iter();
+                // A person may close a way out behind them, and is not in the room then.
+                let count = if device == Some(SensorKind::Door) { 1 } else { usize::MAX };
+                let verbs = sensor.kind.verbs(domain, thing).into_iter().take(count);
                 verbs.map(|(when, verb)| (when, format!("They {verb} the {phrase}."))).collect()
             }
             None => Vec::new(),
         };
-        if matches!(sensor.kind, Kind::Motion | Kind::Occupancy) && is_room(id) {
-            states.push(vec![("when", "on"), ("presence", "present"), ("room", id)]);
-            if tells_empty {
-                states.push(vec![("when", "off"), ("presence", "empty"), ("room", id)]);
-            }
-        }
-        states.extend(sentences.iter().map(|(when, say)| vec![("when", *when), ("say", &**say)]));
-        if states.is_empty() {
+        if sentences.is_empty() && device.is_none() {
             return;
         }
         self.about(&format!("{domain}.{object}, in {name}"));
-        for mut keys in states {
-            if !keys.contains(&("presence", "empty")) {
-                keys.extend(bound);
-            }
+        for (when, say) in &sentences {
+            let keys: Vec<(&str, &str)> = [("when", *when), ("say", &**say)].into_iter().chain(bound).collect();
             self.rule(domain, object, &keys);
+        }
+        if let Some(kind) = device {
+            let keys: Vec<(&str, &str)> = [("room", id)].into_iter().chain(bound).collect();
+            self.report(domain, object, kind, &keys);
         }
     }
 

@@ -99,7 +99,7 @@ fn rules_say_what_states_mean() {
         let own = list.iter().filter(|rule| rule["topic"].as_str() == Some(topic));
         own.map(|rule| {
             let text = |key: &str| rule.get(key).and_then(toml::Value::as_str).unwrap_or("-").to_owned();
-            ["when", "say", "presence", "room", "person"].map(text).join("|")
+            ["when", "say", "sensor", "room", "person"].map(text).join("|")
         })
         .collect()
     };
@@ -108,12 +108,21 @@ fn rules_say_what_states_mean() {
         ["on|They open the fridge.|-|-|-", "off|They close the fridge.|-|-|-"]
     );
     assert_eq!(of("homeassistant/binary_sensor/0x00158d/state").len(), 2, "by its device's name");
-    assert_eq!(of("homeassistant/binary_sensor/hue_motion/state"), ["on|-|present|bedroom|-"]);
+    assert_eq!(of("homeassistant/binary_sensor/hue_motion/state"), ["-|-|motion|bedroom|-"]);
     assert_eq!(of("homeassistant/media_player/wohnzimmer_tv/state")[0], "playing|They watch the television.|-|-|-");
-    assert_eq!(of("homeassistant/person/ada_lovelace/state")[1], "-|-|away|-|Ada Lovelace");
-    assert_eq!(of("homeassistant/person/grace/state")[0], "home|-|present|-|Grace \"Amazing\" Hopper");
-    assert_eq!(of("homeassistant/person/joan/state")[0], "home|-|present|-|Joan Clarke");
-    assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("washer_power"));
+    assert_eq!(of("homeassistant/person/ada_lovelace/state"), ["home|-|phone|-|Ada Lovelace"]);
+    assert_eq!(of("homeassistant/person/grace/state"), ["home|-|phone|-|Grace \"Amazing\" Hopper"]);
+    assert_eq!(of("homeassistant/person/joan/state"), ["home|-|phone|-|Joan Clarke"]);
+    // A way out is a sensor, and a person who closes it from outside is not in the room.
+    assert_eq!(
+        of("homeassistant/binary_sensor/front_door/state"),
+        ["on|They open the front door.|-|-|-", "-|-|door|living_room|-"]
+    );
+    assert_eq!(of("homeassistant/sensor/washer_power/state"), ["-|-|appliance|bedroom|-"]);
+    let washer = list.iter().find(|rule| rule["topic"].as_str() == Some("homeassistant/sensor/washer_power/state"));
+    assert_eq!(washer.unwrap()["above"].as_float(), Some(15.0));
+    assert!(list.iter().filter(|rule| rule.get("sensor").is_some()).all(|rule| rule["id"].is_str()));
+    assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("presence"));
 }
 
 /// What newer ones write: floors and labels, aliases that are no text, areas without a floor, a floor without a level, rooms of one kind.
@@ -188,7 +197,7 @@ fn registries_of_newer_homes_are_read() {
         "They watch the television.",
         "They turn on the television.",
         "topic = \"homeassistant/person/lukasz/state\"",
-        "unless = [\"home\", \"unknown\", \"unavailable\"]",
+        "sensor = \"phone\"",
         "person = \"Łukasz\"",
     ] {
         assert!(rules.contains(part), "{part} in {rules}");
@@ -312,7 +321,7 @@ fn says(home: &Home, object: &str) -> Vec<String> {
     let own = rules.iter().filter(|rule| rule["topic"].as_str() == Some(&topic));
     let text = |rule: &toml::Value, key: &str| rule.get(key).and_then(toml::Value::as_str).map(str::to_owned);
     own.map(|rule| {
-        let keys = ["when", "say", "presence", "room", "person"];
+        let keys = ["when", "say", "sensor", "room", "person"];
         keys.iter().filter_map(|key| text(rule, key)).collect::<Vec<_>>().join("|")
     })
     .collect()
@@ -441,32 +450,53 @@ fn settings_counters_and_alarms_are_no_things() {
 }
 
 #[test]
-fn occupancy_sensors_say_on_and_off_and_are_bound_to_persons_by_name() {
+fn devices_with_a_state_become_sensors_and_are_bound_to_persons_by_name() {
     let rooms = [("bedroom", "Bedroom"), ("hall", "Hall"), ("office", "Office"), ("mira", "Mira's room")];
     let entities = [
         ("binary_sensor.bed_mira", "bedroom", "occupancy"),
         ("binary_sensor.bett_jon", "bedroom", "occupancy"),
         ("binary_sensor.bedroom_presence", "bedroom", "presence"),
         ("binary_sensor.hall_motion", "hall", "motion"),
+        ("binary_sensor.hall_camera_person", "hall", "occupancy"),
+        ("binary_sensor.hall_presence", "hall", "presence"),
         ("binary_sensor.office_left", "office", "occupancy"),
         ("binary_sensor.office_right", "office", "occupancy"),
         ("binary_sensor.mira_presence", "mira", "presence"),
+        ("binary_sensor.haustuer", "hall", "door"),
+        ("binary_sensor.office_door", "office", "door"),
+        ("sensor.kettle_power", "hall", "power"),
+        ("sensor.kettle_energy", "hall", "energy"),
+        ("sensor.fridge_power", "hall", "power"),
+        ("switch.kettle", "hall", "outlet"),
     ];
     let home = home_with(&rooms, &entities, &["Mira Mint", "Jon"], &[]);
-    let bed = ["on|present|bedroom|Mira Mint", "off|They get out of the bed.|Mira Mint"];
-    assert_eq!(says(&home, "binary_sensor.bed_mira"), bed);
-    assert_eq!(says(&home, "binary_sensor.bett_jon")[0], "on|present|bedroom|Jon");
-    assert_eq!(says(&home, "binary_sensor.bedroom_presence"), ["on|present|bedroom", "off|empty|bedroom"]);
-    assert_eq!(says(&home, "binary_sensor.hall_motion"), ["on|present|hall"], "a motion sensor's off is a timeout");
-    assert_eq!(says(&home, "binary_sensor.office_left"), ["on|present|office"], "the other side may be occupied");
-    assert_eq!(
-        says(&home, "binary_sensor.mira_presence"),
-        ["on|present|mira", "off|empty|mira"],
-        "the room is named so"
-    );
+    for (object, expected) in [
+        ("binary_sensor.bed_mira", &["off|They get out of the bed.|Mira Mint", "bed|bedroom|Mira Mint"][..]),
+        ("binary_sensor.bett_jon", &["off|They get out of the bed.|Jon", "bed|bedroom|Jon"]),
+        ("binary_sensor.bedroom_presence", &["presence|bedroom"]),
+        ("binary_sensor.hall_motion", &["motion|hall"]),
+        ("binary_sensor.hall_camera_person", &["camera|hall"]),
+        // The camera beside it does not hold the room's state.
+        ("binary_sensor.hall_presence", &["presence|hall"]),
+        // Each sees a part of the room.
+        ("binary_sensor.office_left", &["motion|office"]),
+        ("binary_sensor.office_right", &["motion|office"]),
+        // The room has her name.
+        ("binary_sensor.mira_presence", &["presence|mira"]),
+        ("binary_sensor.haustuer", &["on|They open the front door.", "door|hall"]),
+        // Where it leads is not known.
+        ("binary_sensor.office_door", &["on|They open the door.", "off|They close the door."]),
+        ("sensor.kettle_power", &["appliance|hall"]),
+        ("sensor.kettle_energy", &[]),
+        // Its compressor runs by itself.
+        ("sensor.fridge_power", &[]),
+        ("switch.kettle", &["on|They turn on the kettle.", "off|They turn off the kettle."]),
+    ] {
+        assert_eq!(says(&home, object), expected, "{object}");
+    }
     // A first name of two persons binds to neither.
     let home = home_with(&rooms, &entities, &["Mira Mint", "Mira Moss"], &[]);
-    assert_eq!(says(&home, "binary_sensor.bed_mira")[0], "on|present|bedroom");
+    assert_eq!(says(&home, "binary_sensor.bed_mira"), ["motion|bedroom"]);
 }
 
 #[test]

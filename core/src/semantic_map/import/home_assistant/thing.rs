@@ -6,6 +6,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::registry::{AreaTexts, Device, Entity};
 use crate::names::Names;
+use crate::narration::SensorKind;
 
 /// More words of a name are ignored.
 const NAME_WORDS_MAX: usize = 16;
@@ -31,6 +32,33 @@ const FURNITURE: [&str; 11] = [
     "front door",
     "balcony door",
 ];
+/// Doors that lead out of the house.
+const WAYS_OUT: [&str; 7] =
+    ["front door", "main door", "entrance door", "entry door", "back door", "rear door", "garage door"];
+/// Things that take power while a person uses them. Thermostats and batteries do not turn them on.
+const OPERATED: [&str; 19] = [
+    "kettle",
+    "coffee maker",
+    "toaster",
+    "microwave",
+    "oven",
+    "stove",
+    "air fryer",
+    "mixer",
+    "washing machine",
+    "dishwasher",
+    "dryer",
+    "television",
+    "game console",
+    "iron",
+    "hair dryer",
+    "sewing machine",
+    "treadmill",
+    "exercise bike",
+    "electric toothbrush",
+];
+/// Integrations of cameras that detect persons.
+const CAMERAS: [&str; 3] = ["frigate", "reolink", "unifiprotect"];
 /// Integrations of players that only sound.
 const SPEAKERS: [&str; 14] = [
     "alexa_media",
@@ -79,6 +107,8 @@ pub(super) enum Kind {
     Switch,
     /// A sensor of a machine that runs or of a thing that shakes.
     Used,
+    /// A meter of the power of a thing.
+    Power,
     /// A meter: it names a thing and says nothing.
     Measured,
 }
@@ -111,7 +141,8 @@ impl Kind {
             ("media_player", _) if SPEAKERS.contains(&entity.platform()) => Self::Speaker,
             ("media_player", _) => Self::Player,
             ("climate", _) => Self::Climate,
-            ("sensor", "power" | "energy") => Self::Measured,
+            ("sensor", "power") => Self::Power,
+            ("sensor", "energy") => Self::Measured,
             _ => return None,
         };
         Some(kind)
@@ -135,7 +166,7 @@ impl Kind {
             Self::Humidifier => Some("humidifier"),
             Self::Dehumidifier => Some("dehumidifier"),
             Self::Climate => Some("radiator"),
-            Self::Motion | Self::Occupancy | Self::Switch | Self::Used | Self::Measured => None,
+            Self::Motion | Self::Occupancy | Self::Switch | Self::Used | Self::Power | Self::Measured => None,
         }
     }
 
@@ -151,9 +182,16 @@ impl Kind {
             Self::Fan => one_of(&["fan", "ceiling fan", "exhaust fan", "range hood", "air purifier", "heater"]),
             Self::Climate => one_of(&["radiator", "air conditioner", "heater", "heat pump"]),
             Self::Occupancy => SEATS.contains(&thing),
-            Self::Switch | Self::Used | Self::Measured => thing == "garage door" || !thing.ends_with("door"),
+            Self::Switch | Self::Used | Self::Power | Self::Measured => {
+                thing == "garage door" || !thing.ends_with("door")
+            }
             _ => false,
         }
+    }
+
+    /// Whether it measures and has no state.
+    pub(super) fn is_meter(self) -> bool {
+        matches!(self, Self::Power | Self::Measured)
     }
 
     /// The states that say something, each with the verb that stands before the thing.
@@ -164,7 +202,7 @@ impl Kind {
             _ => ("on", "off"),
         };
         match self {
-            Self::Motion | Self::Occupancy | Self::Climate | Self::Measured => Vec::new(),
+            Self::Motion | Self::Occupancy | Self::Climate | Self::Power | Self::Measured => Vec::new(),
             Self::Used => vec![(on, "use")],
             Self::Switch if FURNITURE.contains(&thing) => vec![(on, "use")],
             Self::Lock => vec![(on, "unlock"), (off, "lock")],
@@ -188,6 +226,8 @@ pub(super) struct Sensor {
     pub(super) kind: Kind,
     /// The thing in plain English. `None` for a sensor of a whole room.
     pub(super) thing: Option<String>,
+    /// Whether a camera sees it.
+    pub(super) is_camera: bool,
 }
 
 /// Why an entity is no sensor.
@@ -229,7 +269,7 @@ impl Sensor {
         let all = || own.iter().flatten().map(String::as_str);
         let words_of_entities = Names::built_in().entities();
         let is_silent = match kind {
-            Kind::Switch | Kind::Used | Kind::Measured => own.iter().any(|words| has_setting(words)),
+            Kind::Switch | Kind::Used | Kind::Power | Kind::Measured => own.iter().any(|words| has_setting(words)),
             Kind::Lamp => all().any(|word| ["indicator", "status"].contains(&word)),
             Kind::Motion | Kind::Occupancy => all().any(|word| words_of_entities.is_creature(word)),
             _ => false,
@@ -238,10 +278,11 @@ impl Sensor {
             return Err(NoSensor::Silent);
         }
         let has_noun = |noun: &str| all().any(|word| words_of_entities.is_noun(word, noun));
+        let is_camera = CAMERAS.contains(&entity.platform()) || all().any(|word| ["camera", "person"].contains(&word));
         let mut noun = kind.noun();
         match kind {
             Kind::Switch if has_noun("lamp") => kind = Kind::Lamp,
-            Kind::Used | Kind::Measured if has_noun("lamp") => noun = Some("lamp"),
+            Kind::Used | Kind::Power | Kind::Measured if has_noun("lamp") => noun = Some("lamp"),
             Kind::Door if entity.class() == "opening" && has_noun("window") => kind = Kind::Window,
             _ => {}
         }
@@ -250,14 +291,31 @@ impl Sensor {
         let thing = named.or_else(|| kind.noun().or(noun).map(str::to_owned));
         match kind {
             Kind::Switch | Kind::Used if thing.is_none() => Err(NoSensor::Nameless),
-            Kind::Measured if thing.is_none() => Err(NoSensor::Silent),
-            _ => Ok(Self { kind, thing }),
+            Kind::Power | Kind::Measured if thing.is_none() => Err(NoSensor::Silent),
+            _ => Ok(Self { kind, thing, is_camera }),
         }
     }
 
-    /// Whether it holds its state while anybody is in its room.
+    /// Whether it holds its state while a person is in its room.
     pub(super) fn is_of_room(&self) -> bool {
-        self.kind == Kind::Occupancy && self.thing.is_none()
+        self.kind == Kind::Occupancy && self.thing.is_none() && !self.is_camera
+    }
+
+    /// The kind of sensor for a rule. `None` for a thing that people operate, and for a door between two rooms: the registries do not have its
+    /// other room. `sees_room` says that no other sensor holds the state of the room.
+    pub(super) fn device(&self, sees_room: bool) -> Option<SensorKind> {
+        let is_one_of = |things: &[&str]| self.thing.as_deref().is_some_and(|thing| things.contains(&thing));
+        match self.kind {
+            Kind::Motion => Some(SensorKind::Motion),
+            Kind::Occupancy if self.is_seat() => Some(SensorKind::Bed),
+            Kind::Occupancy if self.is_camera => Some(SensorKind::Camera),
+            Kind::Occupancy if sees_room => Some(SensorKind::Presence),
+            // Each of several sensors sees a part of the room, so "off" says little.
+            Kind::Occupancy => Some(SensorKind::Motion),
+            Kind::Door | Kind::GarageDoor if is_one_of(&WAYS_OUT) => Some(SensorKind::Door),
+            Kind::Power if is_one_of(&OPERATED) => Some(SensorKind::Appliance),
+            _ => None,
+        }
     }
 
     /// Whether it is on a bed or a seat, so that a room around it can be occupied while it is not.
