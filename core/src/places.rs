@@ -138,14 +138,14 @@ impl PlaceMatcher {
     }
 
     /// The place of a text: the last thing or room that it names in whole words, the longest name first. A place that the person comes from
-    /// ("from", "out of", "leaves", "away from", "past") does not count; a room that they leave is where they are not, if the text names no
-    /// other place.
+    /// ("from", "out of", "leaves", "away from", "past") does not count; if the text names
+    /// no other place, the person is anywhere but in a room that they leave.
     #[must_use]
     pub fn last(&mut self, text: &str) -> Option<Mention> {
         self.split(text);
         let mut left = None;
         for at in (0..self.words.len()).rev() {
-            let Some((place, end)) = self.named(at).filter(|_| self.is_thing_at(at)) else { continue };
+            let Some((place, end)) = self.named(at).filter(|(_, end)| self.is_thing_at(at, *end)) else { continue };
             // "Lily's bed" is no other bed: the longest name that ends here counts.
             let starts = end.saturating_sub(self.longest_words)..at;
             let longer = starts.into_iter().find_map(|from| Some((from, self.place_of(from, end)?)));
@@ -193,8 +193,8 @@ impl PlaceMatcher {
     }
 
     /// Whether a name at this word is a thing and no verb: an article or preposition stands before it, perhaps with an adjective between; else no
-    /// article stands in the text, and the word is neither the subject nor its verb.
-    fn is_thing_at(&self, at: usize) -> bool {
+    /// article stands in the text, and the word is neither the subject nor its verb, nor part of a deed ("goes grocery shopping").
+    fn is_thing_at(&self, at: usize, end: usize) -> bool {
         let announces = |at: usize| ANNOUNCES.contains(&self.word(at));
         if at > 0 && announces(at - 1) {
             return true;
@@ -204,7 +204,8 @@ impl PlaceMatcher {
             return true;
         }
         let is_verb = at > 0 && PRONOUNS.contains(&self.word(at - 1));
-        at > 0 && !is_verb && !(0..at).any(announces)
+        let is_deed = self.word(end).ends_with("ing");
+        at > 0 && !is_verb && !is_deed && !(0..at).any(announces)
     }
 
     /// Whether the person comes from the place at this word.
@@ -228,7 +229,7 @@ impl PlaceMatcher {
         LEAVES.contains(&self.word(at)) && at > 0 && self.word(at - 1) != "to"
     }
 
-    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may be said of a thing that is taken.
+    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may stand before a thing that a person takes something from.
     fn is_exit(&self, at: usize) -> bool {
         let before = (at.saturating_sub(3)..at).rev().take_while(|at| !matches!(self.word(*at), "and" | "then"));
         before.into_iter().any(|at| self.leaves(at) || self.word(at) == "out")
@@ -330,6 +331,7 @@ mod tests {
             let found = matcher.last(text)?;
             Some((grounding.scored_labels[found.label].text.clone(), found.is_left))
         };
+        assert_eq!(found("Ada goes grocery shopping."), None);
         for text in ["They walk past the kitchen.", "They come from the kitchen.", "They walk away from the fridge."] {
             assert_eq!(found(text), None, "{text}");
         }

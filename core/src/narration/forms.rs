@@ -69,6 +69,14 @@ fn may_be_form(text: &str) -> bool {
 
 /// Reads a text that is a form. `is_name` knows the names of the home; `is_room` knows the rooms of the map.
 pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -> bool) -> Option<(Subject, Event)> {
+    matched(text, is_name, is_room).map(|(_, subject, event)| (subject, event))
+}
+
+fn matched(
+    text: &str,
+    is_name: impl Fn(&str) -> bool,
+    is_room: impl Fn(&str) -> bool,
+) -> Option<(&'static Form, Subject, Event)> {
     let text = text.trim();
     let text = text.strip_suffix('.').unwrap_or(text).trim_end();
     if !may_be_form(text) {
@@ -79,11 +87,11 @@ pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -
         let (one, they) = form.verbs;
         match form.kind {
             Kind::AllAway => {
-                return (lower == form.sentence.to_lowercase()).then_some((Subject::House, Event::AllAway));
+                return (lower == form.sentence.to_lowercase()).then_some((form, Subject::House, Event::AllAway));
             }
             Kind::Empty => {
                 let room = lower.strip_prefix(one)?.strip_suffix(they)?;
-                return is_room(room).then_some((Subject::House, Event::Empty(RoomName::new(room).ok()?)));
+                return is_room(room).then_some((form, Subject::House, Event::Empty(RoomName::new(room).ok()?)));
             }
             _ => {}
         }
@@ -102,22 +110,15 @@ pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -
             Kind::PresentIn => Event::Present(Some(RoomName::new(room?).ok()?)),
             _ => Event::Present(None),
         };
-        Some((if is_unknown { Subject::Unknown } else { Subject::Named(name.to_owned()) }, event))
+        let subject = if is_unknown { Subject::Unknown } else { Subject::Named(name.to_owned()) };
+        Some((form, subject, event))
     })
 }
 
 /// The form of a text for any name and any room, as the manual shows it.
 #[must_use]
 pub fn form_of(text: &str) -> Option<&'static str> {
-    let (_, event) = read(text, |name| super::check_name(name).is_ok(), |_| true)?;
-    let text = text.trim().trim_end_matches('.').to_lowercase();
-    let has = |form: &&Form| match event {
-        Event::AllAway => text == form.sentence.to_lowercase(),
-        Event::Present(Some(_)) => form.kind == Kind::PresentIn,
-        Event::Empty(_) => form.kind == Kind::Empty && text.starts_with(form.verbs.0) && text.ends_with(form.verbs.1),
-        _ => [form.verbs.0, form.verbs.1].iter().any(|verb| !verb.is_empty() && text.ends_with(&format!(" {verb}"))),
-    };
-    FORMS.iter().find(has).map(|form| form.sentence)
+    matched(text, |name| super::check_name(name).is_ok(), |_| true).map(|(form, ..)| form.sentence)
 }
 
 /// Words of a sentence that speaks of presence without being a form.
@@ -188,23 +189,7 @@ pub const COUNT_MAX: u8 = 8;
 /// ```
 #[must_use]
 pub fn count_of_persons(text: &str) -> Option<u8> {
-    const NUMBERS: [(&str, u8); 15] = [
-        ("two", 2),
-        ("three", 3),
-        ("four", 4),
-        ("five", 5),
-        ("six", 6),
-        ("seven", 7),
-        ("eight", 8),
-        ("2", 2),
-        ("3", 3),
-        ("4", 4),
-        ("5", 5),
-        ("6", 6),
-        ("7", 7),
-        ("8", 8),
-        ("both", 2),
-    ];
+    const NUMBERS: [&str; 7] = ["two", "three", "four", "five", "six", "seven", "eight"];
     const PERSONS: [&str; 11] =
         ["people", "persons", "men", "women", "adults", "children", "kids", "boys", "girls", "residents", "visitors"];
     let lower = text.to_lowercase();
@@ -217,8 +202,9 @@ pub fn count_of_persons(text: &str) -> Option<u8> {
             return Some(2);
         }
         let is_couple_of = word == "couple" && words.peek() == Some(&"of");
-        let number = NUMBERS.iter().find(|(name, _)| *name == word).map(|(_, number)| *number);
-        if let Some(number) = number.or(is_couple_of.then_some(2)) {
+        let number = (2..=COUNT_MAX).zip(NUMBERS).find(|(number, name)| *name == word || word.parse() == Ok(*number));
+        let two = (is_couple_of || word == "both").then_some(2);
+        if let Some(number) = number.map(|(number, _)| number).or(two) {
             (count, since) = (Some(number), 0);
         } else if PERSONS.contains(&word) && since <= 2 {
             if count.is_some() {
