@@ -629,7 +629,7 @@ fn print_understood(robot: &str, mut last: u64, Understood { understood, .. }: U
         if number > last {
             last = number;
             line.insert("robot".to_owned(), robot.into());
-            // Nobody may read it.
+            // Standard output may be closed.
             let _printed = writeln!(io::stdout(), "{}", serde_json::Value::Object(line));
         }
     }

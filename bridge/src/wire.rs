@@ -175,7 +175,7 @@ pub struct Confirmed {
     pub refused: u64,
 }
 
-/// What a robot tells a hub of its narration.
+/// A robot's message to a hub about its narration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Said {
     /// How far it is.
