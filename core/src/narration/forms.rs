@@ -141,6 +141,7 @@ const NEAR: [(&str, usize); 12] = [
 #[must_use]
 pub fn near_miss(text: &str) -> Option<&'static Form> {
     const WORDS_MAX: usize = 6;
+    const HOMES: [&str; 5] = ["house", "home", "building", "flat", "apartment"];
     let text = text.trim().trim_end_matches(['.', '!']);
     if text.split_whitespace().count() > WORDS_MAX {
         return None;
@@ -150,8 +151,10 @@ pub fn near_miss(text: &str) -> Option<&'static Form> {
         let found = text.as_bytes().windows(words.trim_end().len()).rposition(is_at);
         // A word that ends there, unless more words follow.
         found.is_some_and(|at| {
-            let rest = &text[at..].get(words.trim_end().len()..);
-            rest.is_none_or(|rest| rest.is_empty() || rest.starts_with(' '))
+            let rest = text.get(at + words.trim_end().len()..).unwrap_or_default();
+            // "They leave the kitchen." speaks of a room.
+            let is_of_room = rest.starts_with(" the ") && !HOMES.iter().any(|home| rest.contains(home));
+            rest.is_empty() || rest.starts_with(' ') && !(words.starts_with(" le") && is_of_room)
         })
     };
     let begins = |word: &str| text.split(' ').next().is_some_and(|first| first.eq_ignore_ascii_case(word));
@@ -297,12 +300,18 @@ mod tests {
             ("Ada leaves.", "NAME leaves the house"),
             ("Ada is at work.", "NAME is away"),
             ("Carl leaves the house.", "NAME leaves the house"),
+            ("Ben left the building.", "NAME leaves the house"),
             ("Everyone is gone.", "Everybody leaves the house"),
             ("Ada is in the pharmacy.", "NAME is in the ROOM"),
         ] {
             assert_eq!(near_miss(text).map(|form| form.sentence), Some(form), "{text}");
         }
-        for text in ["They open the fridge.", "A man leaves the mug on the table in the kitchen.", ""] {
+        for text in [
+            "They open the fridge.",
+            "They leave the kitchen.",
+            "A man leaves the mug on the table in the kitchen.",
+            "",
+        ] {
             assert!(near_miss(text).is_none(), "{text}");
         }
     }

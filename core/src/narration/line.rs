@@ -10,8 +10,8 @@ use serde_json::Value;
 
 use super::forms::{COUNT_MAX, form_of};
 use super::{
-    Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, PresenceError, RoomName, SOMEBODY, Sentence,
-    check_name, is_number,
+    Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SOMEBODY, Sentence, check_name,
+    is_number,
 };
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
@@ -210,9 +210,6 @@ pub enum LineError {
     /// It is no observation.
     #[error(transparent)]
     Observed(#[from] ObservedError),
-    /// It says nothing about presence.
-    #[error(transparent)]
-    Presence(#[from] PresenceError),
     /// It is malformed JSON, or a key is.
     #[error("{reason}; docs/json-lines.md has every key with an example")]
     Json {
@@ -346,7 +343,7 @@ fn count_of(value: &Value) -> Result<u8, LineError> {
 
 /// The presence that the keys of a line state.
 fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
-    let room = room.map(RoomName::new).transpose()?;
+    let room = room.map(RoomName::new).transpose().map_err(ObservedError::from)?;
     let event = match presence {
         "present" => return Ok(Event::Present(room)),
         "empty" => {
