@@ -280,7 +280,7 @@ impl Forecaster {
         let moved = if self.sensed && !is_late { self.options.moved() } else { 0.0 };
         let weigh = |mention: Mention, room: usize, p: f64| {
             let p = (1.0 - moved) * p + moved / rooms as f64;
-            let share = grounding.weights[(mention.label, room)];
+            let share = mention.share(grounding, room);
             let fits = if mention.is_left { 1.0 - share } else { share };
             p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
         };
@@ -1034,7 +1034,7 @@ mod tests {
             let mut now_s = 0.0;
             for (wait_s, mention, share) in events {
                 now_s += wait_s;
-                let mention = mention.map(|(label, is_left)| Mention { label, is_left });
+                let mention = mention.map(|(label, is_left)| Mention { is_left, ..label.into() });
                 forecaster.observe(now_s, mention, &grounding, &[share, 1.0 - share, 0.0]);
                 let p: Vec<f64> = forecaster.at(now_s, horizon_s).collect();
                 prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);

@@ -11,6 +11,8 @@ use crate::semantic_map::SemanticMap;
 pub struct Mention {
     /// The label, as an index of [`Grounding::scored_labels`].
     pub label: usize,
+    /// The room, as a partition of the grounding, if the text names one of several rooms with this label ("Lena's room" of two bedrooms).
+    pub room: Option<usize>,
     /// It is a room that the person leaves ("They leave the *kitchen*"): they are anywhere else.
     pub is_left: bool,
 }
@@ -18,15 +20,24 @@ pub struct Mention {
 impl From<usize> for Mention {
     /// A label that the person turns to.
     fn from(label: usize) -> Self {
-        Self { label, is_left: false }
+        Self { label, room: None, is_left: false }
+    }
+}
+
+impl Mention {
+    /// The share of the label's items in a partition: all of it in the room that the text names.
+    #[must_use]
+    pub fn share(&self, grounding: &Grounding, partition: usize) -> f64 {
+        let only = |room| if room == partition { 1.0 } else { 0.0 };
+        self.room.map_or_else(|| grounding.weights[(self.label, partition)], only)
     }
 }
 
 /// The names of a map. It is built once per map; a text allocates nothing once the buffers are warm.
 #[derive(Debug, Clone)]
 pub struct PlaceMatcher {
-    /// Each name of a label or room, in singular and plural, to an index of [`Grounding::scored_labels`].
-    label_of_name: HashMap<String, usize>,
+    /// Each name of a label or room, in singular and plural.
+    place_of_name: HashMap<String, Mention>,
     /// The number of words of the longest name.
     longest_words: usize,
     /// Whether a label is that of a room.
@@ -90,25 +101,30 @@ impl PlaceMatcher {
             grounding.scored_labels.iter().enumerate().map(|(index, label)| (label.text.as_str(), index)).collect();
         let meant = |name: &str| {
             let item = map.find_label(name).map(|label| map.labels[label.0 as usize].as_str());
-            let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()));
-            label_of_text.get(text?).copied()
+            let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()))?;
+            let label = *label_of_text.get(text)?;
+            let is_shared = map.rooms.iter().filter(|room| room.label == text).count() > 1;
+            let has_columns = grounding.weights.ncols() == map.rooms.len();
+            let one = || map.find_one_room(name).map(|room| room.0 as usize);
+            let room = (item.is_none() && is_shared && has_columns).then(one).flatten();
+            Some(Mention { room, ..label.into() })
         };
         let aliases = map.aliases.values().flatten().map(String::as_str);
         let rooms = map.rooms.iter().map(|room| room.id.as_str());
         let names = Names::built_in().names().chain(aliases).chain(rooms);
         let forms = names.flat_map(|name| [name.to_owned(), plain_words(name)]);
-        let known = forms.filter_map(|name| meant(&name).map(|label| (name, label)));
+        let known = forms.filter_map(|name| meant(&name).map(|place| (name, place)));
         // The labels themselves come last and win.
-        let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), *label));
-        let mut label_of_name: HashMap<String, usize> = known.chain(labels).collect();
+        let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), (*label).into()));
+        let mut place_of_name: HashMap<String, Mention> = known.chain(labels).collect();
         // "tv (left)" has no brackets in a text.
-        add_new(&mut label_of_name, |name| [Some(words_of(name).collect::<Vec<_>>().join(" ")), None, None]);
-        add_new(&mut label_of_name, other_numbers);
+        add_new(&mut place_of_name, |name| [Some(words_of(name).collect::<Vec<_>>().join(" ")), None, None]);
+        add_new(&mut place_of_name, other_numbers);
         let is_room = |text: &str| map.rooms.iter().any(|room| room.label.as_str() == text);
         Self {
             is_room: grounding.scored_labels.iter().map(|label| is_room(&label.text)).collect(),
-            longest_words: label_of_name.keys().map(|name| words_of(name).count()).max().unwrap_or(0),
-            label_of_name,
+            longest_words: place_of_name.keys().map(|name| words_of(name).count()).max().unwrap_or(0),
+            place_of_name,
             lower: String::new(),
             plain: String::new(),
             words: Vec::new(),
@@ -118,27 +134,27 @@ impl PlaceMatcher {
     /// Whether these words, in lower case, name a thing or a room of the map.
     #[must_use]
     pub fn knows(&self, words: &str) -> bool {
-        self.label_of_name.contains_key(words)
+        self.place_of_name.contains_key(words)
     }
 
     /// The place of a text: the last thing or room that it names in whole words, the longest name first. A place that the person comes from
-    /// ("from", "out of", "leaves", "away from", "past") does not count; a room that they leave is where they are not, if the text names no
-    /// other place.
+    /// ("from", "out of", "leaves", "away from", "past") does not count; if the text names
+    /// no other place, the person is anywhere but in a room that they leave.
     #[must_use]
     pub fn last(&mut self, text: &str) -> Option<Mention> {
         self.split(text);
         let mut left = None;
         for at in (0..self.words.len()).rev() {
-            let Some((label, end)) = self.named(at).filter(|_| self.is_thing_at(at)) else { continue };
+            let Some((place, end)) = self.named(at).filter(|(_, end)| self.is_thing_at(at, *end)) else { continue };
             // "Lily's bed" is no other bed: the longest name that ends here counts.
             let starts = end.saturating_sub(self.longest_words)..at;
-            let longer = starts.into_iter().find_map(|from| Some((from, self.label_of(from, end)?)));
-            let (at, label) = longer.unwrap_or((at, label));
+            let longer = starts.into_iter().find_map(|from| Some((from, self.place_of(from, end)?)));
+            let (at, place) = longer.unwrap_or((at, place));
             if !self.is_origin(at) {
-                return Some(label.into());
+                return Some(place);
             }
-            if self.is_room[label] && left.is_none() && self.is_exit(at) {
-                left = Some(Mention { label, is_left: true });
+            if self.is_room[place.label] && left.is_none() && self.is_exit(at) {
+                left = Some(Mention { is_left: true, ..place });
             }
         }
         left
@@ -163,22 +179,22 @@ impl PlaceMatcher {
         self.words.get(at).map_or("", |&(start, end)| &self.lower[start..end])
     }
 
-    /// The label of the words `from..to`.
-    fn label_of(&self, from: usize, to: usize) -> Option<usize> {
+    /// The place of the words `from..to`.
+    fn place_of(&self, from: usize, to: usize) -> Option<Mention> {
         let (start, end) = (self.words[from].0, self.words[to - 1].1);
-        let plain = || self.label_of_name.get(self.plain[start..end].trim());
-        self.label_of_name.get(&self.lower[start..end]).or_else(plain).copied()
+        let plain = || self.place_of_name.get(self.plain[start..end].trim());
+        self.place_of_name.get(&self.lower[start..end]).or_else(plain).copied()
     }
 
-    /// The label of the longest name that begins at a word, and its end.
-    fn named(&self, at: usize) -> Option<(usize, usize)> {
+    /// The place of the longest name that begins at a word, and its end.
+    fn named(&self, at: usize) -> Option<(Mention, usize)> {
         let ends = at + 1..=self.words.len().min(at + self.longest_words);
-        ends.rev().find_map(|end| Some((self.label_of(at, end)?, end)))
+        ends.rev().find_map(|end| Some((self.place_of(at, end)?, end)))
     }
 
     /// Whether a name at this word is a thing and no verb: an article or preposition stands before it, perhaps with an adjective between; else no
-    /// article stands in the text, and the word is neither the subject nor its verb.
-    fn is_thing_at(&self, at: usize) -> bool {
+    /// article stands in the text, and the word is neither the subject nor its verb, nor part of a deed ("goes grocery shopping").
+    fn is_thing_at(&self, at: usize, end: usize) -> bool {
         let announces = |at: usize| ANNOUNCES.contains(&self.word(at));
         if at > 0 && announces(at - 1) {
             return true;
@@ -188,7 +204,8 @@ impl PlaceMatcher {
             return true;
         }
         let is_verb = at > 0 && PRONOUNS.contains(&self.word(at - 1));
-        at > 0 && !is_verb && !(0..at).any(announces)
+        let is_deed = self.word(end).ends_with("ing");
+        at > 0 && !is_verb && !is_deed && !(0..at).any(announces)
     }
 
     /// Whether the person comes from the place at this word.
@@ -212,7 +229,7 @@ impl PlaceMatcher {
         LEAVES.contains(&self.word(at)) && at > 0 && self.word(at - 1) != "to"
     }
 
-    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may be said of a thing that is taken.
+    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may stand before a thing that a person takes something from.
     fn is_exit(&self, at: usize) -> bool {
         let before = (at.saturating_sub(3)..at).rev().take_while(|at| !matches!(self.word(*at), "and" | "then"));
         before.into_iter().any(|at| self.leaves(at) || self.word(at) == "out")
@@ -220,15 +237,15 @@ impl PlaceMatcher {
 }
 
 /// Adds the forms of each name that are no names yet; of several the same one in each run.
-fn add_new(label_of_name: &mut HashMap<String, usize>, forms: impl Fn(&str) -> [Option<String>; 3]) {
-    let known: Vec<_> = label_of_name.iter().map(|(name, label)| (name.clone(), *label)).collect();
-    let mut new: Vec<(String, usize)> = known
+fn add_new(place_of_name: &mut HashMap<String, Mention>, forms: impl Fn(&str) -> [Option<String>; 3]) {
+    let known: Vec<_> = place_of_name.iter().map(|(name, place)| (name.clone(), *place)).collect();
+    let mut new: Vec<(String, Mention)> = known
         .iter()
-        .flat_map(|(name, label)| forms(name).into_iter().flatten().map(|form| (form, *label)))
-        .filter(|(form, _)| !form.is_empty() && !label_of_name.contains_key(form))
+        .flat_map(|(name, place)| forms(name).into_iter().flatten().map(|form| (form, *place)))
+        .filter(|(form, _)| !form.is_empty() && !place_of_name.contains_key(form))
         .collect();
-    new.sort_unstable_by(|a, b| b.cmp(a));
-    label_of_name.extend(new);
+    new.sort_unstable_by(|(a, own), (b, other)| (b, other.label, other.room).cmp(&(a, own.label, own.room)));
+    place_of_name.extend(new);
 }
 
 #[cfg(test)]
@@ -314,6 +331,7 @@ mod tests {
             let found = matcher.last(text)?;
             Some((grounding.scored_labels[found.label].text.clone(), found.is_left))
         };
+        assert_eq!(found("Ada goes grocery shopping."), None);
         for text in ["They walk past the kitchen.", "They come from the kitchen.", "They walk away from the fridge."] {
             assert_eq!(found(text), None, "{text}");
         }
@@ -322,6 +340,24 @@ mod tests {
         }
         assert_eq!(found("They leave the mug in the kitchen."), Some(("kitchen".to_owned(), false)));
         assert_eq!(found("They take the milk from the fridge to the table.").map(|found| found.1), Some(false));
+    }
+
+    #[test]
+    fn the_name_of_one_of_two_bedrooms_means_that_room() {
+        let bedrooms = FLAT.replacen("\"label\": \"home office\"", "\"label\": \"bedroom\"", 1).replacen(
+            "\"aliases\": {",
+            "\"aliases\": {\"study\": [\"zimmer lena\"], ",
+            1,
+        );
+        let (map, grounding, mut matcher) = matcher(&bedrooms);
+        let lena = map.rooms.iter().position(|room| room.id == "study");
+        for text in ["They turn on the zimmer lena lamp.", "Ada is reading in Zimmer Lena.", "They go to the study."] {
+            let found = matcher.last(text).unwrap();
+            assert_eq!(found.room, lena, "{text}");
+            let shares: f64 = (0..map.rooms.len()).map(|room| found.share(&grounding, room)).sum();
+            assert!((shares - 1.0).abs() < 1e-9 && (found.share(&grounding, lena.unwrap()) - 1.0).abs() < 1e-9);
+        }
+        assert_eq!(matcher.last("They go to the bedroom.").map(|found| found.room), Some(None));
     }
 
     #[test]
@@ -398,12 +434,8 @@ mod tests {
                     if expected.is_none() {
                         continue;
                     }
-                    assert_eq!(
-                        mentions.last(&format!("They see the {name}.")),
-                        expected.map(Mention::from),
-                        "{}: {name}",
-                        map.name
-                    );
+                    let mention = mentions.last(&format!("They see the {name}."));
+                    assert_eq!(mention.map(|found| found.label), expected, "{}: {name}", map.name);
                     found += 1;
                 }
             }

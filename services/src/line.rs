@@ -38,7 +38,7 @@ impl Item {
         Self { kind, text: text.into(), person, observed_unix_ns: None, count: 0, duration_s: 0.0 }
     }
 
-    /// What a line says, as far as it can be a message.
+    /// The item of a line.
     fn of_line(line: Line) -> Result<Self, LineError> {
         let Line { kind, text, person, observed_unix_ns, count } = line;
         let item = Self { observed_unix_ns, count, ..Self::new(kind.number(), text, person) };
@@ -88,10 +88,10 @@ pub enum InputError {
         embedded::program_names()
     )]
     Missing {
-        /// What was given.
+        /// The given path.
         name: String,
     },
-    /// What is to be a FIFO is something else.
+    /// The path of the FIFO is another kind of file.
     #[error("{path} is there and is no named pipe: remove it, give another path, or leave out --fifo to read it once")]
     NoFifo {
         /// The file.
@@ -118,7 +118,7 @@ pub enum InputError {
     },
 }
 
-/// Lines that are no narration: how many there are, and of the first of them what is wrong, in words. However many there are, they take no
+/// Lines that are no narration: their count, and the faults of the first ones in words. However many there are, they take no
 /// more memory.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Faults {
@@ -127,15 +127,15 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Of so many lines it is told what is wrong.
+    /// Most lines with a fault in words.
     pub const TOLD: usize = 100;
 
-    /// Takes in what is wrong with a line.
+    /// Adds the fault of a line.
     pub fn add(&mut self, line: u64, reason: impl fmt::Display) {
         self.add_at(format_args!("line {line}"), reason);
     }
 
-    /// Takes in what is wrong at a place that is no line.
+    /// Adds a fault at a place that is no line.
     pub fn add_at(&mut self, place: impl fmt::Display, reason: impl fmt::Display) {
         self.count += 1;
         if self.told.len() < Self::TOLD {
@@ -143,7 +143,7 @@ impl Faults {
         }
     }
 
-    /// What is wrong with the first of them, each with its line's number.
+    /// The faults of the first lines, each with its line's number.
     #[must_use]
     pub fn told(&self) -> &[String] {
         &self.told
@@ -156,16 +156,16 @@ impl Faults {
     }
 }
 
-/// One line as an item, as [`Line::read`] reads it. What the daemon would refuse is refused here, where somebody sees it.
+/// One line as an item, as [`Line::read`] reads it. Lines that the daemon would refuse are refused here, so that their writer sees it.
 ///
 /// # Errors
 ///
-/// [`LineError`] with the key, where it is JSON, and what is allowed.
+/// [`LineError`] with the key of a line of JSON, and the allowed values.
 pub fn line_item(line: &str, person: &Who) -> Result<Item, LineError> {
     Item::of_line(Line::read(line, person)?)
 }
 
-/// The item of a line's bytes, of what was observed by now; none of a blank line.
+/// The item of a line's bytes, unless its time is too far ahead; `None` for a blank line.
 ///
 /// # Errors
 ///

@@ -1,7 +1,7 @@
 //! The narrator: publishes observations from activity programs, JSON lines or plain lines.
 //!
-//! Nothing it sends is lost as long as it lives: it has at most as many narrations under way as the service keeps in its history
-//! (32), so a daemon that restarts gets all that it has not confirmed yet. Room scores confirm: they name the newest
+//! While a narrator runs, none of its narrations are lost: it has at most as many under way as the service keeps in its history
+//! (32), so a restarted daemon gets each narration that it has not confirmed yet. Room scores confirm: they name the newest
 //! narration of each source that they contain.
 
 use std::collections::VecDeque;
@@ -33,7 +33,7 @@ use roomcast_core::text::odd_name;
 /// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
 const TICK: Duration = Duration::from_millis(100);
-/// So many refused lines are told at once, for whoever writes a file by hand, and then one in this time: a broker has any number of them.
+/// The log names this many refused lines at once, for files that a person writes, and then one in this time: a broker has any number of them.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
 /// The log says once in this time that a person's name is odd.
@@ -49,16 +49,16 @@ fn program_items(program: &Program, person: &Who) -> Vec<Item> {
     items.collect()
 }
 
-/// What the input says next, and when that was read, where it comes as it happens.
+/// The next item of the input, and the time at which it was read, if it is live.
 type Told = (Option<u64>, Result<Item, InputError>);
 
 /// Where narration comes from.
 pub enum Input {
     /// Everything is there.
     Items(Vec<Item>),
-    /// Everything is there, and what is known of lines that are malformed.
+    /// All items, and the faults of malformed lines.
     Log {
-        /// What is narrated.
+        /// The items.
         items: Vec<Item>,
         /// The lines that are not.
         faults: Faults,
@@ -71,13 +71,13 @@ pub enum Input {
         stream: Box<dyn Read + Send>,
         /// The person when a line names none.
         person: Who,
-        /// Is told of the lines from the first on that are settled; none where nobody asks.
+        /// Hears how many lines from the first on are settled; `None` if not needed.
         settled: Option<Settled>,
     },
 }
 
-/// Takes the number of lines, from the first on, that are settled: the daemon has confirmed or dropped them, or they are no narration. What is
-/// settled need not be kept any more by whoever gave the line.
+/// Takes the number of lines, from the first on, that are settled: the daemon has confirmed or dropped them, or they are no narration. The
+/// sender of a settled line need not keep it.
 pub type Settled = Box<dyn FnMut(u64) + Send>;
 
 impl Input {
@@ -100,7 +100,7 @@ impl Input {
         }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
-            // With a writer of its own the stream does not end when the last other writer leaves.
+            // With a writer of its own the stream does not end with its last other writer.
             let stream = File::options().read(true).write(true).open(path).map_err(read)?;
             return Ok(Self::lines(name, stream, person));
         }
@@ -132,7 +132,7 @@ impl Input {
 }
 
 impl Input {
-    /// Gives each item, and each fault in words, to `take`, until that gives false. Nothing is published.
+    /// Gives each item, and each fault in words, to `take`, until that gives false. It publishes no events.
     pub fn each(self, mut take: impl FnMut(Result<Item, String>) -> bool) {
         let (items, faults) = match self {
             Self::Items(items) => (items, Faults::default()),
@@ -174,7 +174,7 @@ impl Pace {
     }
 }
 
-/// What became of the narrations.
+/// The outcome of the narrations.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Outcome {
     /// Narrations sent.
@@ -185,7 +185,7 @@ pub struct Outcome {
     pub dropped: u64,
     /// Lines that were no narration.
     pub refused: u64,
-    /// The input was read to its end, and what was sent is settled or was waited for: nobody has stopped it before.
+    /// The input was read to its end, and each sent narration is settled or was waited for: no signal stopped it before.
     #[serde(skip)]
     pub is_whole: bool,
     /// The source and the epoch of this start.
@@ -193,7 +193,7 @@ pub struct Outcome {
     pub start: (u64, u64),
 }
 
-/// Numbers narrations and keeps account of which are confirmed. Pure: time comes in as a number.
+/// Numbers narrations and keeps track of the confirmed ones. Pure: time comes in as a number.
 #[derive(Debug, Clone)]
 pub struct Account {
     source: u64,
@@ -217,7 +217,7 @@ impl Account {
         }
     }
 
-    /// The next message, of what is observed at this moment, unless the item says when it was.
+    /// The next message, observed at this moment unless the item has a time.
     ///
     /// # Errors
     ///
@@ -227,7 +227,7 @@ impl Account {
         let observed_unix_ns = item.observed_unix_ns.unwrap_or(now_unix_ns);
         // If the input's clock is fast, both times say so: the daemon corrects and counts it.
         let ahead_ns = observed_unix_ns.saturating_sub(now_unix_ns);
-        // What was observed before the machine's start has no monotonic time: 0, as the contract has it.
+        // An observation from before the machine's start has no monotonic time: 0, as in the contract.
         let age_ns = now_unix_ns.saturating_sub(observed_unix_ns);
         self.outcome.sent += 1;
         Ok(NarrationV1 {
@@ -241,7 +241,7 @@ impl Account {
         })
     }
 
-    /// Takes note of what checked scores contain.
+    /// Takes the confirmations of checked scores.
     pub fn confirm(&mut self, scores: &RoomScoresV1) {
         for included in scores.included() {
             if (included.source, included.epoch) != (self.source, self.epoch) {
@@ -254,7 +254,7 @@ impl Account {
                 continue;
             }
             let (dealt_with, dropped) = (sequence - before, sequence.saturating_sub(included.accepted));
-            // What was named before is settled. A restarted daemon may know less of it than it did: then nobody can say more than that all
+            // Narrations that scores have named before are settled. A restarted daemon may know less of it than it did: then it is only known that all
             // since was taken.
             let dropped = dropped.saturating_sub(before.saturating_sub(taken_before));
             let dropped = if same_daemon || dropped <= dealt_with { dropped.min(dealt_with) } else { 0 };
@@ -264,7 +264,7 @@ impl Account {
         }
     }
 
-    /// What became of the narrations so far.
+    /// The outcome of the narrations so far.
     #[must_use]
     pub fn outcome(&self) -> Outcome {
         self.outcome
@@ -283,7 +283,7 @@ impl Account {
     }
 }
 
-/// Keeps a narrator below what the daemon takes from one source, since what is above it is dropped there. Pure: time comes in as a number.
+/// Keeps a narrator below the daemon's rate for one source: the daemon drops narrations above it. Pure: time comes in as a number.
 ///
 /// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
 #[derive(Debug, Clone)]
@@ -309,7 +309,7 @@ impl Throttle {
     }
 }
 
-/// Which lines are settled. Pure: what the account says comes in as numbers.
+/// The settled lines. Pure: the account comes in as numbers.
 #[derive(Debug, Default)]
 struct Lines {
     /// For each line that is not: so many narrations are settled when it is, those before it included.
@@ -352,7 +352,7 @@ impl Narrator {
         Ok(Self { narration, scores, account, throttle, lines: Lines::default(), settled: None })
     }
 
-    /// Takes note of a line that was sent, or that is no narration, and says what is settled.
+    /// Adds a line that was sent or that is no narration, and reports the settled lines.
     fn take_line(&mut self) {
         if self.settled.is_some() {
             self.lines.take(self.account.outcome.sent);
@@ -368,7 +368,7 @@ impl Narrator {
         }
     }
 
-    /// Sends what was observed then.
+    /// Sends an item observed at that time.
     fn send(&mut self, item: &Item, observed_ns: u64) -> Result<(), IpcError> {
         let waited_ns = clock::monotonic_ns().saturating_sub(observed_ns);
         let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
@@ -458,7 +458,7 @@ pub fn run(
         while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
-        // However long it then waits for the daemon: that is no later observation. What is played is observed when its turn comes.
+        // However long it then waits for the daemon: that is no later observation. The item of a recorded input is observed at its turn.
         let observed_ns = read_ns.filter(|_| pause.is_zero()).unwrap_or_else(clock::monotonic_ns);
         loop {
             let wait = sender.throttle.wait(clock::monotonic_ns());
@@ -490,7 +490,7 @@ pub fn run(
         sender.confirm(TICK)?;
     }
     sender.account.outcome.is_whole = is_read && (sender.account.under_way() == 0 || !stop.requested());
-    // The daemon has it all; a recorder that looks now and then gets its chance before what was sent goes with its publisher.
+    // The daemon has every narration. A recorder reads seldom, and sent messages leave with their publisher: wait for it.
     if sender.account.outcome.sent > 0 && !stop.requested() {
         sender.confirm(Duration::ZERO)?;
         std::thread::sleep(TICK);
@@ -499,7 +499,7 @@ pub fn run(
     Ok(sender.account.outcome)
 }
 
-/// The next item; none at the end. Meanwhile the ports are kept up.
+/// The next item; `None` at the end. It keeps the ports up while it waits.
 fn next(items: &Receiver<Told>, sender: &mut Narrator, stop: &Stop) -> Result<Option<Told>, IpcError> {
     while !stop.requested() {
         match items.recv_timeout(TICK) {
@@ -613,7 +613,7 @@ mod tests {
         assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, ..limits }, 0).wait(0), Duration::ZERO);
     }
 
-    /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: what was not taken is not confirmed.
+    /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: a refused narration is not confirmed.
     #[test]
     fn what_the_daemon_dropped_is_not_confirmed() {
         let mut account = Account::new("test", 5);
@@ -633,7 +633,7 @@ mod tests {
         account.confirm(&scores(1, 4, 3));
         account.confirm(&scores(1, 6, 5));
         assert_eq!(figures(&account), (5, 1, 4));
-        // A restarted daemon with all of the journal, and one whose journal has let go of most.
+        // A restarted daemon with all of the journal, and another with a journal that has dropped most.
         account.confirm(&scores(2, 8, 6));
         assert_eq!(figures(&account), (6, 2, 2));
         account.confirm(&scores(3, 9, 1));
@@ -672,7 +672,7 @@ mod tests {
         }
     }
 
-    /// Without a daemon a narrator waits with its hands full: what it then tells was observed when it was read, and not when it is told.
+    /// Without a daemon a narrator waits with items that it has read: their time is that of reading, and not that of sending.
     #[test]
     fn what_waited_for_a_daemon_was_observed_before() {
         use std::sync::atomic::Ordering::SeqCst;

@@ -18,7 +18,7 @@ const QUIET_S_MAX: f64 = 604_800.0;
 /// The kind of a line with values in its text: a device's state, in any words. A line of this kind never sets presence.
 const FILLED_KIND: &str = "device";
 
-/// What a rule says of who is where.
+/// The presence that a rule reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Whereabouts {
@@ -28,7 +28,7 @@ pub(crate) enum Whereabouts {
     Away,
     /// Out of the house, and not expected back.
     Gone,
-    /// Nobody is in the room.
+    /// The room has no people in it.
     Empty,
 }
 
@@ -67,7 +67,7 @@ pub(crate) struct Device<'a> {
     pub(crate) only_on: bool,
 }
 
-/// The class of what a rule says. A value says one thing of each class.
+/// The class of a rule's event. A value gives one event of each class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Class {
     Sentence,
@@ -75,7 +75,7 @@ pub(crate) enum Class {
     Sensor(SensorKind),
 }
 
-/// The content of a rule: a sentence, a presence or the state of a sensor, with names in braces for values of its message or interval.
+/// The event of a rule: a sentence, a presence or the state of a sensor, with names in braces for values of its message or interval.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Saying {
     pub(crate) class: Class,
@@ -92,7 +92,7 @@ impl Saying {
     ///
     /// # Errors
     ///
-    /// Which key is wrong, and what is allowed.
+    /// The wrong key, and the allowed values.
     pub(crate) fn new(keys: Keys<'_>, names: &[String]) -> Result<Self, String> {
         let Keys { say, presence, sensor, room, person, count, quiet_s, device } = keys;
         let class = match (say, presence, sensor) {
@@ -158,7 +158,7 @@ impl Saying {
         });
         let form = say.and_then(|say| form_of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
         let saying = Self { class, only_on: device.only_on, keys: written, quiet: quiet.transpose()?, form };
-        // What can be narrated at all is checked here, where the rule can be named.
+        // Checked here, since the error can name the rule.
         let line = match class {
             Class::Sensor(_) => saying.report(Some(true), "1", |_| "1".to_owned()).unwrap_or_default(),
             _ => saying.line(|_| "1".to_owned()),
@@ -167,7 +167,7 @@ impl Saying {
         Ok(saying)
     }
 
-    /// How long nothing else must be heard before it is said; none where it is said at once.
+    /// The silence before it is sent; `None` for at once.
     pub(crate) fn quiet(&self) -> Option<Duration> {
         self.quiet
     }
@@ -189,7 +189,7 @@ impl Saying {
         self.line_within(usize::MAX, &value_of).unwrap_or_default()
     }
 
-    /// As [`Self::line`], but none where the line has more bytes than a line of narration may have. It is given up before it grows.
+    /// As [`Self::line`], but `None` if the line has more bytes than a line of narration may have. It is given up before it grows.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
@@ -284,7 +284,7 @@ fn inside(value: &str) -> String {
     out
 }
 
-/// The next name in braces: the text before it, the name, the text after it. None where no brace is left, an error where one is left alone.
+/// The next name in braces: the text before it, the name, the text after it. `None` if no brace is left, an error for a brace without its partner.
 fn next_name(text: &str) -> Option<Result<(&str, &str, &str), ()>> {
     let (before, rest) = text.split_at(text.find(['{', '}'])?);
     let inner = rest.strip_prefix('{').and_then(|rest| rest.split_once('}')).filter(|(name, _)| !name.contains('{'));
@@ -303,7 +303,7 @@ fn check_names(mut text: &str, names: &[String]) -> Result<(), String> {
     Ok(())
 }
 
-/// A checked text with the names' values; a brace in a value stays what it is. None where it would have more bytes than `most`.
+/// A checked text with the names' values; a brace in a value stays. `None` if the text would have more bytes than `most`.
 fn filled(mut text: &str, most: usize, value_of: &impl Fn(&str) -> String) -> Option<String> {
     let mut out = String::with_capacity(text.len());
     while let Some(Ok((before, name, after))) = next_name(text) {

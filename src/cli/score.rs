@@ -12,7 +12,7 @@ use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::narration::history::HistoryLimits;
-use roomcast_core::narration::{Observation, Observed, Sentence};
+use roomcast_core::narration::{Action, Observation, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::certified::Effort;
@@ -182,8 +182,8 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     }
     for line in args.narration.as_deref().unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
         if line.trim_start().starts_with('[') {
-            let observed = Observed::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
-            sentences.push(observed.sentence().map_err(|e| Failure::new(exit_code::INPUT, e))?);
+            let action = Action::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
+            sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
         } else {
             for sentence in line.split_inclusive(". ").filter(|s| !s.trim().is_empty()) {
                 sentences.push(Sentence::new(sentence).map_err(|e| Failure::new(exit_code::INPUT, e))?);

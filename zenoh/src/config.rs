@@ -236,6 +236,9 @@ pub struct Narrator {
     /// What of it reaches the daemon over time.
     #[serde(default = "rate")]
     pub rate_per_s: f64,
+    /// Whether its hub hears how the daemon understood each event.
+    #[serde(default)]
+    pub understood: bool,
 }
 
 fn rate() -> f64 {

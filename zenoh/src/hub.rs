@@ -2,7 +2,7 @@
 
 use std::any::Any;
 use std::fs::{self, File};
-use std::io::{self, BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::fs::{DirEntryExt, FileExt, FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -25,7 +25,8 @@ use crate::namesake::{Order, Rival};
 use crate::robot::notify;
 use crate::spool::{Dated, Place, Spool, SpoolError, open_plain};
 use crate::stop::Stop;
-use crate::wire::{self, Confirmed, Fault, Hex, Narrated};
+use crate::understood::Understood;
+use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Said};
 
 /// Lines that wait to be kept; the input waits then.
 const LINES_MAX: usize = 256;
@@ -92,6 +93,8 @@ impl HubError {
     }
 }
 
+/// After the last confirmation the hub waits at most so long to hear how the last events were understood.
+const EXPLAINED_NS: u64 = 3_000_000_000;
 /// A robot that was not heard for so long since the start is told of.
 const UNHEARD_NS: u64 = 15_000_000_000;
 
@@ -372,6 +375,8 @@ struct Robot {
     key: String,
     delivery: Delivery,
     rival: Rival,
+    /// If the robot says how its daemon understood events: the number of the last one.
+    explained: Option<u64>,
     /// It was told that nothing is heard of it.
     is_told: bool,
     log: Limiter,
@@ -384,6 +389,8 @@ struct Hub {
     started_ns: u64,
     refused: u64,
     log: Limiter,
+    /// When every robot had confirmed the last line.
+    done_ns: Option<u64>,
     /// The disk failed, so nothing more is read for a moment.
     unsaved: Vec<Dated>,
 }
@@ -394,13 +401,13 @@ impl Hub {
             let key = Keys::new(&config.site.name, robot).narration(&config.hub.name);
             let delivery = Delivery::from(spool.first(), spool.last(), spool.confirmed());
             let (rival, log) = (Rival::default(), Limiter::default());
-            Robot { name: robot.clone(), key, delivery, rival, is_told: false, log }
+            Robot { name: robot.clone(), key, delivery, rival, explained: None, is_told: false, log }
         });
         let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
         let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
         // What is too much of what an earlier start kept counts as lost by this one.
         spool.trim();
-        Self { name, clock, robots, started_ns, refused, log, unsaved }
+        Self { name, clock, robots, started_ns, refused, log, done_ns: None, unsaved }
     }
 
     /// Keeps the lines that have come; whether the input has ended.
@@ -454,10 +461,23 @@ impl Hub {
     /// Takes what robots say of how far they are.
     fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) -> Result<(), HubError> {
         for (robot, bytes) in heard.try_iter() {
-            let Some(Robot { name, delivery, rival, log, .. }) = self.robots.get_mut(robot) else { continue };
+            let Some(Robot { name, delivery, rival, explained, log, .. }) = self.robots.get_mut(robot) else {
+                continue;
+            };
             let now_ns = clock::monotonic_ns();
-            let said = match wire::read::<Confirmed>(&bytes) {
-                Ok(said) => said,
+            if let Ok(understood) = wire::read::<Understood>(&bytes) {
+                if understood.epoch.0 == spool.epoch() {
+                    *explained = Some(print_understood(name, explained.unwrap_or(0), understood));
+                }
+                continue;
+            }
+            let said = match wire::read::<Said>(&bytes) {
+                Ok(Said { confirmed, explains }) => {
+                    if explains {
+                        explained.get_or_insert(0);
+                    }
+                    confirmed
+                }
                 Err(fault) => {
                     if let Some(not_told) = log.pass("no confirmation", now_ns) {
                         tracing::warn!(robot = name, %fault, not_told, "no confirmation");
@@ -581,8 +601,14 @@ impl Hub {
         }
     }
 
-    fn is_done(&self, spool: &Spool) -> bool {
-        self.unsaved.is_empty() && self.robots.iter().all(|robot| robot.delivery.begin() >= spool.last())
+    fn is_done(&mut self, spool: &Spool) -> bool {
+        if !self.unsaved.is_empty() || self.robots.iter().any(|robot| robot.delivery.begin() < spool.last()) {
+            return false;
+        }
+        let now_ns = clock::monotonic_ns();
+        let since_ns = *self.done_ns.get_or_insert(now_ns);
+        let is_explained = |robot: &Robot| robot.explained.is_none_or(|last| last >= spool.last());
+        self.robots.iter().all(is_explained) || now_ns.saturating_sub(since_ns) >= EXPLAINED_NS
     }
 
     fn outcome(&self, spool: &Spool) -> Outcome {
@@ -594,6 +620,20 @@ impl Hub {
             lost: of_all().map(|delivery| delivery.lost().saturating_add(delivery.refused())).max().unwrap_or(0),
         }
     }
+}
+
+/// Prints how a robot understood the events behind a number, a line of JSON each; gives the number of the last one.
+fn print_understood(robot: &str, mut last: u64, Understood { understood, .. }: Understood) -> u64 {
+    for mut line in understood {
+        let number = line.get("sequence").and_then(serde_json::Value::as_u64).unwrap_or(0);
+        if number > last {
+            last = number;
+            line.insert("robot".to_owned(), robot.into());
+            // Standard output may be closed.
+            let _printed = writeln!(io::stdout(), "{}", serde_json::Value::Object(line));
+        }
+    }
+    last
 }
 
 fn declare(config: &Config, heard: SyncSender<(usize, Vec<u8>)>) -> Declare {

@@ -14,7 +14,8 @@ use crate::line::{Age, line};
 use crate::link::Link;
 use crate::relay::{Offered, Relay};
 use crate::stop::Stop;
-use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated, Numbered};
+use crate::understood::Wanted;
+use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated, Numbered, Said};
 
 /// Messages that wait to be looked at; more are dropped, and sent again by their hub.
 pub const HEARD_MAX: usize = 256;
@@ -78,6 +79,8 @@ struct Narrator {
     port: Publisher<NarrationV1>,
     said: Confirmed,
     said_ns: u64,
+    /// Where it asks how the daemon understood events, if its hub hears that; and the number of the last event that it asked for.
+    understood: Option<(SyncSender<Wanted>, u64)>,
     log: Limiter,
 }
 
@@ -91,6 +94,7 @@ pub fn run(
     domain: &Domain,
     link: Option<&Link>,
     heard: &Receiver<Heard>,
+    wanted: &SyncSender<Wanted>,
     stop: &Stop,
 ) -> Result<(), IpcError> {
     let node = domain.open("roomcast-zenoh-in")?;
@@ -99,7 +103,9 @@ pub fn run(
     let mut narrators = Vec::new();
     for narrator in &config.narrator {
         let from = From::Hub { key: keys.confirmed(&narrator.name) };
-        narrators.push(Narrator::new(&narrator.name, narrator.rate_per_s, from, node.publisher()?));
+        let understood = narrator.understood.then(|| (wanted.clone(), 0));
+        let new = Narrator::new(&narrator.name, narrator.rate_per_s, from, node.publisher()?);
+        narrators.push(Narrator { understood, ..new });
     }
     if config.ros2.narration {
         let from = From::Ros2 { epoch: sequence::random_epoch(), next: 1 };
@@ -159,7 +165,7 @@ impl Narrator {
     fn new(name: &str, rate_per_s: f64, from: From, port: Publisher<NarrationV1>) -> Self {
         let relay = Relay::new(name, rate_per_s);
         let (said, said_ns) = (Confirmed::default(), 0);
-        Self { name: name.to_owned(), from, relay, port, said, said_ns, log: Limiter::default() }
+        Self { name: name.to_owned(), from, relay, port, said, said_ns, understood: None, log: Limiter::default() }
     }
 
     fn hear(&mut self, heard: &Heard) {
@@ -256,6 +262,19 @@ impl Narrator {
         Ok(())
     }
 
+    /// Asks how the daemon understood the events that it has confirmed since.
+    fn ask_understood(&mut self, confirmed: Confirmed) {
+        let Some((wanted, last)) = &mut self.understood else { return };
+        if confirmed.epoch != self.said.epoch {
+            // The daemon dealt with the events before the first confirmation of this start under another one.
+            *last = if self.said.epoch == Hex(0) { confirmed.confirmed } else { 0 };
+        }
+        let (narrator, epoch, from, to) = (self.name.clone(), confirmed.epoch.0, *last + 1, confirmed.confirmed);
+        if to >= from && wanted.try_send(Wanted { narrator, epoch, from, to }).is_ok() {
+            *last = to;
+        }
+    }
+
     /// Tells the hub how far its narration is, where that is new or was told long ago.
     fn say(&mut self, link: Option<&Link>, now_ns: u64) {
         let confirmed = self.relay.confirmed();
@@ -263,9 +282,10 @@ impl Narrator {
         if (confirmed == self.said && now_ns.saturating_sub(self.said_ns) < SAY_NS) || !link.is_connected() {
             return;
         }
-        if let Ok(bytes) = serde_json::to_vec(&confirmed)
+        if let Ok(bytes) = serde_json::to_vec(&Said { confirmed, explains: self.understood.is_some() })
             && link.put(key, bytes)
         {
+            self.ask_understood(confirmed);
             (self.said, self.said_ns) = (confirmed, now_ns);
         }
     }

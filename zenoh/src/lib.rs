@@ -29,6 +29,7 @@ pub mod inward;
 pub mod namesake;
 pub mod outward;
 pub mod peers;
+pub mod understood;
 
 pub mod habits;
 

@@ -20,7 +20,7 @@ use crate::namesake::{self, Namesake, Order, Other};
 use crate::outward::{self, Last};
 use crate::ros2::run::{Places, Ros2Error};
 use crate::stop::Stop;
-use crate::{ask, habits, inward, peers, ros2};
+use crate::{ask, habits, inward, peers, ros2, understood};
 
 const NAMESAKE: &str = "another bridge uses this robot's name; this one was first, and the other one ends: give each robot of the site a name of \
     its own (robot.key, else robot.name)";
@@ -79,6 +79,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let last = Last::new();
     let (ear, heard) = inward::ear();
     let (asking, asked) = sync_channel(ask::WAITING_MAX);
+    let (wanting, wanted) = understood::queue();
     // A narrator's number is its place; ROS 2's comes behind the hubs'.
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
@@ -103,7 +104,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
         let domain = &domain;
         let inward = move || {
             let _ends = stopper.at_end();
-            inward::run(config, domain, link, &heard, stopper)
+            inward::run(config, domain, link, &heard, &wanting, stopper)
         };
         let inward = start("inward").spawn_scoped(scope, inward).map_err(failed)?;
         let answering = if ask::allowed(&config.ask).is_empty() {
@@ -134,6 +135,18 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             }
             None => None,
         };
+        let tells_understood = config.narrator.iter().any(|narrator| narrator.understood);
+        let understanding = match link.filter(|_| tells_understood) {
+            Some(link) => {
+                let keys = Keys::new(&config.site.name, config.robot.key());
+                let tell = move || {
+                    let _ends = stopper.at_end();
+                    understood::run(&keys, domain, link, &wanted, stopper)
+                };
+                Some(start("understood").spawn_scoped(scope, tell).map_err(failed)?)
+            }
+            None => None,
+        };
         let spoken = match ros2 {
             Some((places, link)) => {
                 let speak = move || {
@@ -156,7 +169,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             outward::run(config, domain, (link, &last), stopper, &alive).map_err(BridgeError::Ipc)
         };
         notify(&[NotifyState::Stopping]);
-        let threads = [Some(inward), answering, spoken, listening, sharing];
+        let threads = [Some(inward), answering, spoken, listening, sharing, understanding];
         let ends: Vec<_> = threads.into_iter().flatten().map(ended).collect();
         outward.and(ends.into_iter().collect())
     });

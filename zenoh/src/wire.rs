@@ -175,6 +175,17 @@ pub struct Confirmed {
     pub refused: u64,
 }
 
+/// A robot's message to a hub about its narration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Said {
+    /// How far it is.
+    #[serde(flatten)]
+    pub confirmed: Confirmed,
+    /// The hub will hear how the daemon understood each confirmed event.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub explains: bool,
+}
+
 #[cfg(test)]
 mod tests {
     use roomcast_ipc::{ALL_PERSONS, narration_kind};

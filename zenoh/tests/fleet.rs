@@ -386,12 +386,14 @@ fn who_joins_late_has_the_last_values_and_sees_who_is_there() {
 }
 
 #[test]
-fn a_hub_ends_when_every_robot_has_what_it_read() {
+fn a_hub_ends_when_every_robot_has_what_it_read_and_says_how_it_was_understood() {
     let Some(python) = python() else { return skipped(NO_ROUTER) };
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();
     let way = format!("[router]\nconnect = \"tcp/127.0.0.1:{port}\"");
-    let robot = Robot::start("robot-1", &way, &["hall-camera"], "");
+    let daemon = "[planner]\nrobot = \"robot-1\"\n[daemon]\njournal_bytes = 67108864\n[model]\nthreads = 1\n[[daemon.narrator]]\nname = \"hall-camera\"\nrelayed = true\n";
+    let hears = "[[narrator]]\nname = \"hall-camera\"\nunderstood = true\n";
+    let robot = Robot::start_with("robot-1", &way, daemon, hears);
     let input = folder.path().join("lines");
     std::fs::write(&input, "They walk to the kitchen.\n\nno\u{7}\n[Fly] <mug> (1)\n{\"text\":\"away\",\"kind\":\"presence\",\"person\":\"Ada\"}\n").unwrap();
     let spool = folder.path().join("spool");
@@ -413,6 +415,15 @@ fn a_hub_ends_when_every_robot_has_what_it_read() {
     assert_eq!(hub.wait(), 0, "{}", hub.said());
     let said = hub.said();
     assert!(said.contains(r#"{"last":2,"confirmed":2,"refused":2,"lost":0}"#), "{said}");
+    // How the robot's daemon understood both.
+    let explained: Vec<serde_json::Value> = said.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let of = |number: u64| explained.iter().find(|line| line["sequence"] == number).unwrap();
+    assert_eq!((&of(1)["event"], &of(1)["place"]), (&"did".into(), &"kitchen".into()), "{said}");
+    assert_eq!(
+        (&of(2)["presence"], &of(2)["persons"][0]["name"], &of(2)["robot"]),
+        (&"away".into(), &"Ada".into(), &"robot-1".into()),
+        "{said}"
+    );
     drop(robot);
 }
 

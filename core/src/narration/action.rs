@@ -40,7 +40,7 @@ pub enum ActionError {
         /// Column in characters, from 1.
         column: usize,
     },
-    /// No such action.
+    /// The action is unknown.
     #[error("unknown action `{verb}`{}", hint(.nearest))]
     UnknownVerb {
         /// As written.
@@ -97,7 +97,7 @@ pub struct Action {
     objects: Vec<ObjectRef>,
 }
 
-/// The words and the typical duration of one action: an entry of `actions.toml`, whose header documents the keys.
+/// The words and the typical duration of one action: an entry of `actions.toml`; its header documents the keys.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ActionEntry {
@@ -166,7 +166,7 @@ impl Action {
         self.verb
     }
 
-    /// What it is done to, in the order written.
+    /// Its objects, in the order written.
     #[must_use]
     pub fn objects(&self) -> &[ObjectRef] {
         &self.objects

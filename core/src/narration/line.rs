@@ -2,17 +2,16 @@
 //! `docs/json-lines.md` is the manual. Narrators, hubs and ROS 2 all read their lines here, so that none takes what another one refuses.
 //! Pure.
 
-use std::fmt;
 use std::str::FromStr;
 
-use serde::de::{Deserialize, Deserializer, Unexpected, Visitor};
+use serde::de::{Deserialize, Deserializer, Error};
 use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use super::forms::{COUNT_MAX, form_of};
 use super::{
-    Action, DeviceState, Event, Named, Observed, ObservedError, PERSON_NAME_BYTES_MAX, PresenceError, RoomName,
-    SOMEBODY, SensorReport, Sentence,
+    Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SOMEBODY, SensorReport, Sentence,
+    check_name, is_number,
 };
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
@@ -53,15 +52,15 @@ impl Kind {
         Self::ALL.into_iter().find(|kind| kind.number() == number)
     }
 
-    /// The kind of a text that stands alone.
-    fn of(text: &str) -> Result<Self, ObservedError> {
-        Ok(match Observed::parse(text)? {
-            Observed::Action(_) => Self::Action,
+    /// The kind of a text that stands alone: an action if it opens with `[`, a device's state if it reads "the ... is ...", else a sentence.
+    #[must_use]
+    pub fn of(text: &str) -> Self {
+        match text.trim_start().starts_with('[') {
+            true => Self::Action,
             // "The kitchen is empty." is a presence form.
-            Observed::Device(_) if form_of(text).is_none() => Self::Device,
-            Observed::Device(_) => Self::Sentence,
-            Observed::Sentence(_) => Self::Sentence,
-        })
+            false if DeviceState::parse(text).is_some() && form_of(text).is_none() => Self::Device,
+            false => Self::Sentence,
+        }
     }
 
     /// The event of a text of this kind. A sentence may still be a presence form; the daemon decides that, since it knows names and
@@ -70,16 +69,11 @@ impl Kind {
     /// # Errors
     /// The text's fault, as this kind.
     pub fn event(self, text: &str) -> Result<Event, ObservedError> {
-        let sentence = match self {
-            Self::Presence => return Ok(Event::presence(text)?),
-            Self::Action => Observed::Action(Action::parse(text)?).sentence()?,
-            Self::Device => match DeviceState::parse(text) {
-                Some(device) => device.sentence()?,
-                None => Sentence::new(text)?,
-            },
-            Self::Sentence => Sentence::new(text)?,
-        };
-        Ok(Event::Did(sentence))
+        Ok(match self {
+            Self::Presence => Event::presence(text)?,
+            Self::Action => Event::Did(Sentence::new(&Action::parse(text)?.sentence())?),
+            Self::Device | Self::Sentence => Event::Did(Sentence::new(text)?),
+        })
     }
 }
 
@@ -157,17 +151,17 @@ impl FromStr for Who {
 
     /// A number, or else a name.
     fn from_str(text: &str) -> Result<Self, WhoError> {
-        match Named::parse(text) {
-            Ok(Named::Number(number)) => Ok(Self::Number(number)),
-            Ok(Named::Name(name)) => Ok(Self::Name(name.to_owned())),
-            Err(_) => {
-                let shown = text.trim().chars().take(80).collect();
-                Err(match text.trim().chars().find(|character| is_hidden(*character)) {
-                    Some(hidden) => WhoError::Control { text: shown, code: hidden.into() },
-                    None => WhoError::NoPerson { text: shown },
-                })
-            }
+        let text = text.trim();
+        match text.parse() {
+            Ok(number) if number != SOMEBODY && is_number(text) => return Ok(Self::Number(number)),
+            _ if check_name(text).is_ok() => return Ok(Self::Name(text.to_owned())),
+            _ => {}
         }
+        let shown = text.chars().take(80).collect();
+        Err(match text.chars().find(|character| is_hidden(*character)) {
+            Some(hidden) => WhoError::Control { text: shown, code: hidden.into() },
+            None => WhoError::NoPerson { text: shown },
+        })
     }
 }
 
@@ -179,35 +173,18 @@ impl Serialize for Who {
 
 impl<'de> Deserialize<'de> for Who {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct OfWhom;
-        impl Visitor<'_> for OfWhom {
-            type Value = Who;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "a person's number from 0 to {}, or name", SOMEBODY - 1)
-            }
-
-            fn visit_i64<E: serde::de::Error>(self, number: i64) -> Result<Who, E> {
-                let inside = u32::try_from(number).ok().filter(|number| *number != SOMEBODY);
-                inside.map(Who::Number).ok_or_else(|| E::invalid_value(Unexpected::Signed(number), &self))
-            }
-
-            fn visit_u64<E: serde::de::Error>(self, number: u64) -> Result<Who, E> {
-                match i64::try_from(number) {
-                    Ok(number) => self.visit_i64(number),
-                    Err(_) => Err(E::invalid_value(Unexpected::Unsigned(number), &self)),
-                }
-            }
-
-            fn visit_unit<E>(self) -> Result<Who, E> {
-                Ok(Who::Somebody)
-            }
-
-            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Who, E> {
-                text.parse().map_err(E::custom)
-            }
+        let value = Value::deserialize(deserializer)?;
+        let number = value.as_u64().and_then(|number| u32::try_from(number).ok()).filter(|number| *number != SOMEBODY);
+        let wrong = |found: &str| {
+            D::Error::custom(format!("{found}, expected a person's number from 0 to {}, or name", SOMEBODY - 1))
+        };
+        match (value, number) {
+            (Value::Null, _) => Ok(Self::Somebody),
+            (Value::String(text), _) => text.parse().map_err(D::Error::custom),
+            (_, Some(number)) => Ok(Self::Number(number)),
+            (Value::Number(number), None) => Err(wrong(&format!("the number `{number}`"))),
+            _ => Err(wrong("neither a number nor a text")),
         }
-        deserializer.deserialize_any(OfWhom)
     }
 }
 
@@ -233,9 +210,6 @@ pub enum LineError {
     /// It is no observation.
     #[error(transparent)]
     Observed(#[from] ObservedError),
-    /// It says nothing about presence.
-    #[error(transparent)]
-    Presence(#[from] PresenceError),
     /// It is malformed JSON, or a key is.
     #[error("{reason}; docs/json-lines.md has every key with an example")]
     Json {
@@ -331,7 +305,7 @@ impl Line {
     /// line without one. JSON that is no object is refused.
     ///
     /// # Errors
-    /// [`LineError`] with the key, where it is JSON, and what is allowed.
+    /// [`LineError`] with the key of a line of JSON, and the allowed values.
     pub fn read(line: &str, person: &Who) -> Result<Self, LineError> {
         let line = line.trim();
         if line.starts_with('{') {
@@ -342,7 +316,7 @@ impl Line {
                 "a line of JSON is an object, such as {\"text\": \"They sit down.\"}; a sentence stands without quotes",
             ));
         }
-        let kind = Kind::of(line)?;
+        let kind = Kind::of(line);
         kind.event(line)?;
         Ok(Self { kind, text: line.to_owned(), person: person.clone(), observed_unix_ns: None, count: 0 })
     }
@@ -356,7 +330,7 @@ impl Line {
         let (kind, text) = match (text, presence) {
             _ if is_sensor => (Kind::Presence, sensor.unwrap_or_default()),
             (Some(text), None) if json.room.is_none() => {
-                let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)?), kind_of)?;
+                let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)), kind_of)?;
                 (kind, text.trim().to_owned())
             }
             (None, Some(presence)) if json.kind.is_none() => {
@@ -425,7 +399,7 @@ fn count_of(value: &Value) -> Result<u8, LineError> {
 
 /// The presence that the keys of a line state.
 fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
-    let room = room.map(RoomName::new).transpose()?;
+    let room = room.map(RoomName::new).transpose().map_err(ObservedError::from)?;
     let event = match presence {
         "present" => return Ok(Event::Present(room)),
         "empty" => {

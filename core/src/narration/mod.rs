@@ -21,8 +21,8 @@ pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, ta
 pub use event::{Event, Presence, PresenceError, RoomName};
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{
-    Named, PERSON_NAME_BYTES_MAX, ReadName, SOMEBODY, check_name, is_number, name_words, person_number,
-    same_but_for_accents, same_name,
+    PERSON_NAME_BYTES_MAX, ReadName, SOMEBODY, check_name, is_number, name_words, person_number, same_but_for_accents,
+    same_name,
 };
 pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 pub use sensor::{SENSOR_ID_BYTES_MAX, SensorKind, SensorReport};
@@ -127,25 +127,6 @@ impl DeviceState {
         let (device, state) = (device.trim(), state.trim());
         (!device.is_empty() && !state.is_empty()).then(|| Self { device: device.to_owned(), state: state.to_owned() })
     }
-
-    /// "The oven is on."
-    ///
-    /// # Errors
-    /// As [`Sentence::new`].
-    pub fn sentence(&self) -> Result<Sentence, SentenceError> {
-        Sentence::new(&format!("The {} is {}", self.device, self.state))
-    }
-}
-
-/// An input before it becomes a sentence.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub enum Observed {
-    /// An atomic action, complete.
-    Action(Action),
-    /// A device changed its state.
-    Device(DeviceState),
-    /// Any other sentence.
-    Sentence(Sentence),
 }
 
 /// Why a text is no observation.
@@ -161,32 +142,6 @@ pub enum ObservedError {
     /// It is of the kind presence and states none.
     #[error(transparent)]
     Presence(#[from] PresenceError),
-}
-
-impl Observed {
-    /// Reads one line of any kind: an action if it opens with `[`, a device state if it reads "the ... is ...", else a sentence.
-    ///
-    /// # Errors
-    /// The line's own fault, as an action or as a sentence.
-    pub fn parse(line: &str) -> Result<Self, ObservedError> {
-        if line.trim_start().starts_with('[') {
-            return Ok(Self::Action(Action::parse(line)?));
-        }
-        let sentence = Sentence::new(line)?;
-        Ok(DeviceState::parse(sentence.as_str()).map_or(Self::Sentence(sentence), Self::Device))
-    }
-
-    /// Its sentence in the narration.
-    ///
-    /// # Errors
-    /// A device state made by hand may hold what no sentence may.
-    pub fn sentence(&self) -> Result<Sentence, SentenceError> {
-        match self {
-            Self::Action(action) => Sentence::new(&action.sentence()),
-            Self::Device(device) => device.sentence(),
-            Self::Sentence(sentence) => Ok(sentence.clone()),
-        }
-    }
 }
 
 /// One event with person, narrator and times.
@@ -266,6 +221,7 @@ impl Observation {
 
 #[cfg(test)]
 mod tests {
+    use super::line::Kind;
     use super::*;
     use proptest::prelude::*;
 
@@ -284,12 +240,12 @@ mod tests {
 
     #[test]
     fn every_kind_of_line_becomes_a_sentence() {
-        let sentence = |line: &str| Observed::parse(line).unwrap().sentence().unwrap().to_string();
+        let sentence = |line: &str| Kind::of(line).event(line).unwrap().to_string();
         assert_eq!(sentence("[Walk] <washing_machine> (1)"), "They walk to the washing machine.");
         assert_eq!(sentence("the oven is on"), "The oven is on.");
         assert_eq!(sentence("Somebody sings"), "Somebody sings.");
-        assert!(matches!(Observed::parse("the oven is on").unwrap(), Observed::Device(_)));
-        assert!(matches!(Observed::parse("[Fly] <mug> (1)"), Err(ObservedError::Action(_))));
+        assert_eq!(Kind::of("the oven is on"), Kind::Device);
+        assert!(matches!(Kind::of("[Fly] <mug> (1)").event("[Fly] <mug> (1)"), Err(ObservedError::Action(_))));
     }
 
     proptest! {

@@ -55,9 +55,13 @@ impl ReadName {
     #[must_use]
     pub fn new(name: &str) -> Self {
         const TITLES: [&str; 7] = ["dr", "mr", "mrs", "ms", "miss", "prof", "sir"];
-        let bare_name = spaced(name);
-        let first = bare_name.split_once(' ').map(|(first, _)| first).filter(|first| !TITLES.contains(first));
-        Self { whole: bare(name), number: person_number(name), first: first.map(str::to_owned), bare: bare_name }
+        let whole = bare(name);
+        let bare_name = spaced(&whole);
+        // "Night falls." is not about the night nurse.
+        let has_article = name.trim_start().to_lowercase().starts_with("the ");
+        let first = bare_name.split_once(' ').map(|(first, _)| first);
+        let first = first.filter(|first| !TITLES.contains(first) && !has_article);
+        Self { whole, number: person_number(name), first: first.map(str::to_owned), bare: bare_name }
     }
 
     /// The name in lower case. Two names with the same one are one name.
@@ -78,7 +82,7 @@ impl ReadName {
         &self.bare
     }
 
-    /// The first of several words: "ada" of "Ada Lovelace". `None` for a name of one word and for a title.
+    /// The first of several words: "ada" of "Ada Lovelace". `None` for a name of one word, and for a title or "the".
     #[must_use]
     pub fn first(&self) -> Option<&str> {
         self.first.as_deref()
@@ -114,37 +118,6 @@ pub fn person_number(name: &str) -> u32 {
         hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
     }
     (hash | 1 << 31).min(SOMEBODY - 1)
-}
-
-/// Whom a text names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Named<'a> {
-    /// The person of this number.
-    Number(u32),
-    /// The person of this name.
-    Name(&'a str),
-}
-
-impl<'a> Named<'a> {
-    /// A text of digits alone is a person's number; any other is a name, which [`check_name`] judges.
-    ///
-    /// # Errors
-    /// What is wrong with it, and what to do.
-    ///
-    /// ```
-    /// use roomcast_core::narration::Named;
-    ///
-    /// assert_eq!(Named::parse(" 3"), Ok(Named::Number(3)));
-    /// assert_eq!(Named::parse("Ada "), Ok(Named::Name("Ada")));
-    /// assert!(Named::parse("-1").is_err() && Named::parse("me").is_err());
-    /// ```
-    pub fn parse(text: &'a str) -> Result<Self, String> {
-        let text = text.trim();
-        match text.parse() {
-            Ok(number) if number != SOMEBODY && is_number(text) => Ok(Self::Number(number)),
-            _ => check_name(text).map(|()| Self::Name(text)),
-        }
-    }
 }
 
 /// Words that stand for any person.
@@ -208,6 +181,7 @@ pub fn is_number(text: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::line::Who;
     use super::*;
 
     #[test]
@@ -216,9 +190,9 @@ mod tests {
             check_name(number).unwrap_err();
         }
         check_name("R2").unwrap();
-        assert_eq!(Named::parse("007"), Ok(Named::Number(7)));
+        assert_eq!("007".parse(), Ok(Who::Number(7)));
         for none in ["-3", "٣", "4294967295", "99999999999", ""] {
-            Named::parse(none).unwrap_err();
+            none.parse::<Who>().unwrap_err();
         }
     }
 
@@ -239,6 +213,8 @@ mod tests {
             assert!(!is_one(name, other) && !same_but_for_accents(name, other), "{name} {other}");
         }
         assert_eq!(ReadName::new("Ada Lovelace").first(), Some("ada"));
+        assert!(is_one("The plumber", "plumber"), "\"the\" is no first name");
+        assert_eq!((ReadName::new("The Plumber").first(), ReadName::new("the night nurse").first()), (None, None));
         assert_eq!((ReadName::new("Mrs. Novak").first(), ReadName::new("Ada").first()), (None, None));
     }
 

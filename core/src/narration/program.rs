@@ -51,7 +51,7 @@ pub enum ProgramError {
     Step {
         /// From 1.
         line: usize,
-        /// What is wrong with it.
+        /// The fault of the step.
         source: ActionError,
     },
     /// A day of a household, where one activity is expected.
@@ -91,7 +91,7 @@ pub enum ProgramError {
     In {
         /// Which file.
         path: PathBuf,
-        /// What is wrong in it.
+        /// The fault in it.
         source: Box<ProgramError>,
     },
 }

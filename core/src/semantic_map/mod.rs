@@ -300,9 +300,11 @@ impl SemanticMap {
     pub fn find_one_room(&self, name: &str) -> Option<RoomId> {
         let found = self.find_room(name)?;
         let own = &self.rooms[found.0 as usize];
-        let is_its_id = plain_words(&own.id) == plain_words(name);
+        let plain = plain_words(name);
+        let is_its_id = plain_words(&own.id) == plain;
+        let is_its_alias = || self.aliases.get(&own.id).is_some_and(|own| own.contains(&plain));
         let is_one = || self.rooms.iter().filter(|other| other.label == own.label).count() == 1;
-        (is_its_id || is_one()).then_some(found)
+        (is_its_id || is_its_alias() || is_one()).then_some(found)
     }
 
     /// A name of a room for people: its label if no other room has it, else an alias of the room, else its id.

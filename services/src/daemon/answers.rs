@@ -3,7 +3,8 @@
 use std::io;
 use std::time::{Duration, Instant};
 
-use roomcast_core::narration::{Named, Observation, SOMEBODY};
+use roomcast_core::narration::line::Who;
+use roomcast_core::narration::{Observation, SOMEBODY};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_ipc::clock;
@@ -105,7 +106,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
             let is_somebody = is_known.is_ok() || is_learned;
             if !is_somebody {
-                Named::parse(&who)?;
+                who.parse::<Who>().map_err(|error| error.to_string())?;
             }
             let (left, records) = forget(board, (journal, keeper), person, &who, is_somebody);
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }

@@ -104,6 +104,9 @@ pub enum DaemonError {
     /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
+    /// The limit on address space is too low.
+    #[error("{0}")]
+    AddressSpace(String),
     /// The cores.
     #[error(transparent)]
     Affinity(#[from] AffinityError),
@@ -162,6 +165,11 @@ fn run_with<M: LanguageModel + Send + 'static>(
     stop: &Stop,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
 ) -> Result<(), DaemonError> {
+    // llama.cpp, and a thread without memory for its first allocations, end the process by a signal.
+    let model_bytes = config.model.path.as_deref().and_then(|path| path.metadata().ok()).map_or(0, |file| file.len());
+    if let Some(fault) = limits::too_little_address_space(limits::DAEMON_BYTES_MIN.saturating_add(model_bytes)) {
+        return Err(DaemonError::AddressSpace(fault));
+    }
     let node = join(domain, "roomcast-daemon")?;
     // First the services, of which only one daemon can hold the scores', then the inbox, then the model, which takes longest: narration
     // that comes meanwhile waits in the port.

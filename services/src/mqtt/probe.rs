@@ -12,7 +12,8 @@ const SILENCE: Duration = Duration::from_secs(10);
 /// A broker that answered probes before is given so much time for another answer.
 const ANSWER: Duration = Duration::from_secs(5);
 /// Why a connection is renewed.
-pub(super) const SILENT: &str = "the broker delivers no messages any more: it did not answer a probe within 5 s";
+pub(super) const SILENT: &str = "the broker delivers no messages any more: it did not answer a probe within 5 s. If devices publish messages above \
+                                 16 MiB on topics of the rules, leave these topics out: some brokers drop each of them and then wait for its acknowledgement";
 
 /// Decides when to probe a connection and when to give it up. Only a broker that has answered a probe is given up: another broker may lack the topic,
 /// or refuse it to this client. Pure: time comes in.

@@ -407,6 +407,7 @@ fn a_first_line_that_begins_with_a_time_is_no_heading() {
         "25-Feb-2008 x",
         "1709280900 M003 ON",
         "00:03:50 M003",
+        "07:13 1 March 2010,M003",
     ] {
         let faults =
             rules.narrate(format!("{first}\n2010-11-04 00:03:57 M003 OFF\n").as_bytes(), &Who::Somebody).faults;
@@ -456,13 +457,21 @@ fn months_may_have_english_names() {
     for (text, same) in [
         ("25-Feb-2008 00:20:14", "2008-02-25 00:20:14"),
         ("1/MAY/2024 08:15:00.5", "2024-05-01 08:15:00.5"),
+        ("25 February 2008 00:20:14", "2008-02-25 00:20:14"),
+        ("Feb 25, 2008 00:20:14", "2008-02-25 00:20:14"),
+        ("25.02.2008 00:20:14", "2008-02-25 00:20:14"),
         ("31-October-2024T23:59:59Z", "2024-10-31 23:59:59"),
     ] {
         assert_eq!(seconds(text), seconds(same), "{text}");
     }
-    for wrong in
-        ["30-Feb-2008 00:20:14", "25-Foo-2008 00:20:14", "25-F-2008 00:20:14", "2008-Feb-25 00:20:14", "25-Feb-2008"]
-    {
+    for wrong in [
+        "30-Feb-2008 00:20:14",
+        "25-Foo-2008 00:20:14",
+        "25-F-2008 00:20:14",
+        "2008-Feb-25 00:20:14",
+        "25-Feb-2008",
+        "02/03/2008 00:20:14",
+    ] {
         assert_eq!(seconds(wrong), None, "{wrong}");
     }
 }

@@ -62,9 +62,9 @@ pub fn seconds(text: &str) -> Option<f64> {
         return (seconds.abs() <= SECONDS_MAX).then_some(seconds);
     }
     let (clock, ahead_s) = zone_of(text);
-    // Some months have a T.
+    // The time of the day stands behind the last space or T before the first colon. Some months have a T.
     let ends_date = |at: usize, c: char| c == ' ' || (c == 'T' && clock[..at].ends_with(|c: char| c.is_ascii_digit()));
-    let (at, _) = clock.char_indices().find(|(at, c)| ends_date(*at, *c))?;
+    let (at, _) = clock[..clock.find(':')?].char_indices().rfind(|(at, c)| ends_date(*at, *c))?;
     let (year, month, day) = date(&clock[..at])?;
     let mut parts = clock[at + 1..].trim().splitn(3, ':');
     let (hour, minute) = (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?);
@@ -76,15 +76,20 @@ pub fn seconds(text: &str) -> Option<f64> {
     Some(whole.unix_time() as f64 + second.fract() - ahead_s.unwrap_or_default())
 }
 
-/// Year, month and day of `2024-03-01`, or of `01-Mar-2024` with the month's English name; `/` for `-` as well.
+/// Year, month and day of `2024-03-01`, of `01.03.2024`, and of `01-Mar-2024` or `Mar 1, 2024` with the month's English name. `/` and a space
+/// separate as well. `01/03/2024` is two dates, so it is none.
 fn date(text: &str) -> Option<(i32, u8, u8)> {
-    let mut parts = text.splitn(3, ['-', '/']);
+    let mut parts = text.split(['-', '/', '.', ',', ' ']).filter(|part| !part.is_empty());
     let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
-    let (year, month, day) = match month(second) {
-        Some(month) => (third.parse().ok()?, month, first.parse().ok()?),
-        None => (first.parse().ok()?, second.parse().ok()?, third.parse().ok()?),
+    let is_german = || text.contains('.') && third.len() == 4;
+    let (year, month, day) = match (month(first), month(second)) {
+        (Some(month), _) => (third, month, second),
+        (None, Some(month)) => (third, month, first),
+        (None, None) if is_german() => (third, second.parse().ok()?, first),
+        (None, None) => (first, second.parse().ok()?, third),
     };
-    (1..=9_999).contains(&year).then_some((year, month, day))
+    let (year, day) = (year.parse().ok()?, day.parse().ok()?);
+    (parts.next().is_none() && (1..=9_999).contains(&year)).then_some((year, month, day))
 }
 
 /// The number of a month by its English name, or by its first three letters.
@@ -104,5 +109,5 @@ pub(super) fn begins_with_time(field: &str) -> bool {
     let Some(word) = field.split_whitespace().next() else { return false };
     let is_number = word.parse().is_ok_and(f64::is_finite);
     let separators = word.chars().filter(|c| matches!(c, '-' | '/' | '.' | ':')).count();
-    is_number || (word.starts_with(|c: char| c.is_ascii_digit()) && separators >= 2)
+    is_number || (word.starts_with(|c: char| c.is_ascii_digit()) && separators > 0)
 }

@@ -26,7 +26,7 @@ const MARK: &str =
     "Things whose ids begin with \"assumed\" are not measured: they are the usual furniture of their rooms.";
 /// So many kinds of things tell a room from the others. The usual furniture of a few kinds of rooms has fewer.
 const ENOUGH_KINDS: usize = 3;
-/// What is no furniture: a room with nothing else counts as bare.
+/// Labels of things that are no furniture: a room with these alone counts as bare.
 const BARE: [&str; 10] =
     [CHARGER, "wall", "floor", "ceiling", "door", "window", "blinds", "curtain", "curtains", "radiator"];
 /// How densely places for a piece are tried, in metres; and the most along one side of a room.
@@ -34,7 +34,7 @@ const STEP_M: f64 = 0.1;
 const MOST_STEPS: f64 = 60.0;
 /// Most edges and things that are looked at to find places in a room; a piece for which none are left stands in the middle.
 const MOST_LOOKS: usize = 1 << 24;
-/// Most edges that are looked at to find the rooms of things; where none are left, boxes around footprints say it.
+/// Most edges that the search for the rooms of things looks at; then the boxes around footprints decide.
 const MOST_LOOKS_FOR_ROOMS: usize = 1 << 26;
 /// How near a wall a piece stands at it, and how far from a door it keeps, in metres.
 const AT_WALL_M: f64 = 0.15;
@@ -43,7 +43,7 @@ const DOOR_M: f64 = 0.7;
 /// The usual furniture of a room by its label: "guest bedroom", "bedroom 2" and "küche" are of their kinds.
 fn usual(label: &str) -> &'static [Piece] {
     let known = |kind: &str| USUAL.get(kind).map(Vec::as_slice);
-    // Whose room it is, there they sleep.
+    // A person sleeps in their own room.
     let of_somebody = || label.ends_with("'s room").then_some("bedroom").and_then(known);
     let found = known(label).or_else(|| Names::built_in().kind_of_room(label).and_then(known)).or_else(of_somebody);
     found.or_else(|| known(ANY)).unwrap_or_default()
@@ -161,7 +161,7 @@ impl Furnisher<'_> {
 
 /// The things of one room that count as furniture, of a map.
 struct Standing<'a> {
-    /// What they are, each kind once.
+    /// The kinds of things, each once.
     kinds: BTreeSet<&'a str>,
     things: Vec<(&'a str, Box3)>,
 }
@@ -204,7 +204,7 @@ impl Imported {
         self.furnish(false)
     }
 
-    /// As [`Imported::furnished`]. Rooms with one or two kinds of things alone, such as a lamp that is all that a home knows of there, get the
+    /// As [`Imported::furnished`]. Rooms with one or two kinds of things alone, such as a lamp, get the
     /// pieces of the usual furniture of their kind that they lack.
     ///
     /// # Errors
@@ -240,7 +240,7 @@ impl Imported {
             let mut furnisher = Furnisher { room, doors, taken, left: MOST_LOOKS };
             for piece in pieces {
                 if let Some((_, bounds)) = standing.things.iter().find(|(label, _)| *label == piece.0) {
-                    // What stands on a piece stands on the room's own.
+                    // A thing on a piece of furniture stands on the room's own piece.
                     furnisher.taken.push(*bounds);
                     continue;
                 }
@@ -377,7 +377,7 @@ mod tests {
         assert_eq!(holder(&[room], &item, &mut 0), Some(0));
     }
 
-    /// What a home's devices are is not all that stands in a room.
+    /// A home's devices are not all things of a room.
     #[test]
     fn rooms_with_one_or_two_kinds_of_things_get_what_they_lack_on_request() {
         let bare = include_str!("../../../../tests/data/corners.json");

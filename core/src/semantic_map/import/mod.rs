@@ -27,9 +27,9 @@ pub use virtualhome::virtualhome;
 pub struct Imported {
     /// The checked map.
     pub map: SemanticMap,
-    /// What was left out or changed, one sentence each, for people.
+    /// The parts that were left out or changed, one sentence each, for people.
     pub notes: Vec<String>,
-    /// Ids of the rooms whose polygon is no outline, so that they are the boxes around them now.
+    /// Ids of the rooms with a polygon that is no outline: they are the boxes around it.
     pub boxed: Vec<String>,
 }
 
@@ -58,7 +58,7 @@ pub enum ImportError {
     Names {
         /// The segment that is not there.
         unknown: String,
-        /// Those that are.
+        /// The areas of the home.
         there: Vec<String>,
     },
     /// An area that is to be left out is not there.
@@ -105,7 +105,7 @@ impl Ids {
     }
 }
 
-/// A name that somebody gave a room, as plain words; none where it cannot stand in a map.
+/// A given name of a room as plain words; `None` if it cannot stand in a map.
 fn room_words(name: &str) -> Option<String> {
     let shown: String = name.chars().filter(|c| c.is_whitespace() || !is_hidden(*c)).collect();
     let plain = plain_words(&shown);
@@ -114,18 +114,18 @@ fn room_words(name: &str) -> Option<String> {
     fits.then_some(plain)
 }
 
-/// The label of a room by the name that somebody gave it, in any language; none where the name says nothing.
+/// The label of a room by its given name, in any language; `None` for a name without words.
 fn room_label(name: &str) -> Option<String> {
     let plain = room_words(name)?;
     Some(Names::built_in().room(&plain).map_or(plain, str::to_owned))
 }
 
 /// Names that rooms were given, each with its room's place, as aliases: of the room's label where no other room bears it, else of the room by
-/// its id. A name of several rooms is none, and what is the room's label or id already needs none.
+/// its id. A name of several rooms is no alias, and neither is the room's own label or id.
 fn room_aliases(rooms: &[RoomEntry], named: Vec<(usize, String)>) -> BTreeMap<String, Vec<String>> {
     let named: Vec<(usize, String)> =
         named.into_iter().filter_map(|(place, name)| Some((place, room_words(&name)?))).collect();
-    // The one room of a name; none where it is that of several.
+    // The room of a name; `None` for a name of several rooms.
     let mut room_of: HashMap<&str, Option<usize>> = HashMap::new();
     for (place, name) in &named {
         let own = room_of.entry(name).or_insert(Some(*place));

@@ -33,7 +33,7 @@ const CELLS_MIN: usize = 64;
 const CELLS_ASIDE_MAX: f64 = 10_000.0;
 /// How far a vertex may lie off the grid, in cells: numbers are rounded.
 const OFF_GRID: f64 = 0.1;
-/// Height of a room whose polygon comes without one, in metres.
+/// Height of a room if its polygon comes without one, in metres.
 const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
@@ -134,7 +134,7 @@ enum Candidate {
     },
 }
 
-/// The smallest box around points; none for no point.
+/// The smallest box around points; `None` without points.
 fn around(points_m: impl Iterator<Item = [f64; 3]>) -> Option<Box3> {
     points_m.map(|point_m| Box3 { min_m: point_m, max_m: point_m }).reduce(|a, b| Box3 {
         min_m: std::array::from_fn(|axis| a.min_m[axis].min(b.min_m[axis])),
@@ -146,7 +146,7 @@ fn turned(bounds: &Box3, up: Up) -> Option<Box3> {
     around([up.turn(bounds.min_m), up.turn(bounds.max_m)].into_iter())
 }
 
-/// Vertices with z up, at height 0 where they have two coordinates; none where one has fewer.
+/// Vertices with z up, at height 0 if they have two coordinates; `None` if a vertex has fewer.
 fn points(vertices: &[Vec<f64>], up: Up) -> Option<Vec<[f64; 3]>> {
     let point = |vertex: &Vec<f64>| match (vertex[..].try_into().ok(), up) {
         (Some(point), _) => Some(up.turn(point)),
@@ -196,7 +196,7 @@ impl Room {
         points(&self.vertices, up)
     }
 
-    /// Whether its outline is that of the box: each of its corners is one of the box's, and each of these is one of its own.
+    /// Whether its outline is that of the box: both have the same corners.
     fn is_box(&self, bounds: &Box3, up: Up) -> bool {
         let near = |a: &[f64; 3], b: &[f64; 2]| (a[0] - b[0]).abs() <= ROUNDED_M && (a[1] - b[1]).abs() <= ROUNDED_M;
         let (min, max) = (bounds.min_m, bounds.max_m);
@@ -267,7 +267,7 @@ impl Object {
     }
 }
 
-/// The label that a caption comes to: "A white coffee_maker." is "white coffee maker"; none where it says nothing.
+/// The label that a caption comes to: "A white coffee_maker." is "white coffee maker"; `None` for a caption without words.
 fn label_of(caption: &str) -> Option<String> {
     let bare = caption.trim().trim_end_matches(['.', '!', ',', ';']);
     let label = words(bare);
@@ -299,7 +299,7 @@ pub fn combine<'a>(files: impl IntoIterator<Item = &'a str>) -> Result<String, I
     Ok(Value::Object(all.map(|(key, value)| (key.to_owned(), value)).into_iter().collect()).to_string())
 }
 
-/// What several files come to.
+/// The rooms and objects of several files.
 #[derive(Default)]
 struct Parts {
     up: Value,
@@ -379,7 +379,7 @@ fn whole(entry: Map<String, Value>) -> Map<String, Value> {
 /// note: objects without box or caption, rooms without outline.
 ///
 /// # Errors
-/// When the text is no such map, has no room, or breaks a rule of scenes.
+/// When the text is no open-vocabulary map, has no room, or breaks a rule of scenes.
 pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, ImportError> {
     let File { up: own_up, rooms: room_list, objects } = parse(&combine([json])?, EXPECTED)?;
     let up = own_up.unwrap_or(up);
@@ -407,7 +407,7 @@ pub fn open_vocabulary(json: &str, name: &str, up: Up) -> Result<Imported, Impor
             outline_of_cells(&corners).unwrap_or_else(|| vec![corners.iter().map(|&[x, y, _]| [x, y]).collect()])
         };
         let footprint = if room.is_box(&bounds, up) { None } else { Some(outline()) };
-        // Also of those that turn out to be none.
+        // Also if the outline turns out to be faulty.
         footprint.iter().try_for_each(|rings| corners.take("rooms", index, &id, rings))?;
         rooms.push(match footprint {
             Some(rings) if Footprint::new(&rings).is_ok() => {

@@ -46,7 +46,7 @@ impl Imported {
     }
 }
 
-/// Label to the label that stands for it, for those that change.
+/// Each changed label and its replacement.
 fn kept_labels(items: &[ItemEntry]) -> BTreeMap<String, String> {
     let mut bearers: HashMap<&str, usize> = HashMap::new();
     for item in items {

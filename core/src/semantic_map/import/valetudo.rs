@@ -196,12 +196,12 @@ impl Raster {
     }
 }
 
-/// The four pixels beside one.
+/// The four neighbours of a pixel.
 fn beside([x, y]: Cell) -> [Cell; 4] {
     [[x + 1, y], [x - 1, y], [x, y + 1], [x, y - 1]]
 }
 
-/// The pixels that can be reached from one, side by side, over those that have a place; nothing where that one was seen before, or has none.
+/// The pixels of a room that can be reached from a pixel, side by side; empty if that pixel was seen before or has no room.
 fn piece(start: Cell, seen: &mut [bool], place_of: impl Fn(Cell) -> Option<usize>) -> Option<Vec<Cell>> {
     let mut take = |cell: Cell| place_of(cell).is_some_and(|place| !std::mem::replace(&mut seen[place], true));
     let mut piece = Vec::from_iter(take(start).then_some(start));
@@ -398,10 +398,10 @@ fn tidy(metres: f64) -> f64 {
     (metres * 1e4).round() / 1e4
 }
 
-/// The outlines of a room, and the share of its pixels that lies apart from them; none where it has no pixels.
+/// The outlines of a room, and the share of its pixels that lies apart from them; `None` for a room without pixels.
 type Traced = Option<(Vec<Vec<Cell>>, f64)>;
 
-/// The rooms' outlines in metres, each a footprint as simple as the tolerance allows, or none where it is no footprint. None at all where
+/// The rooms' outlines in metres, each a footprint as simple as the tolerance allows, or `None` if it is no footprint. None at all where
 /// the map has too many corners then, or where more are looked at than are left.
 fn footprints(traced: &[Traced], pixel_m: f64, tolerance_m: f64, left: &mut usize) -> Option<Vec<Option<Rings>>> {
     let metres = |ring: &Vec<Cell>| -> Vec<[f64; 2]> {
@@ -449,7 +449,7 @@ fn outlines(raster: &Raster, mark: u8, largest: &[Cell], reach: usize, left: &mu
     Some(rings)
 }
 
-/// The outline of the largest piece of the cells, without holes, in metres, with y upwards; none where they are no area that one can walk around.
+/// The outline of the largest piece of the cells, without holes, in metres, with y upwards; `None` if the cells are no area with an outline.
 pub(super) fn outline(cells: &[Cell], cell_m: f64) -> Option<Rings> {
     let mut left = MAX_PIXELS;
     let mask = Mask::around(cells, 0, &mut left)?;
@@ -551,7 +551,7 @@ fn text_of(value: &Value) -> Option<String> {
 /// Reads names of segments: a TOML table from a segment's number to the room's name.
 ///
 /// # Errors
-/// When the text is no such table.
+/// When the text is no table of names.
 pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError> {
     toml::from_str(toml).map_err(|error: toml::de::Error| ImportError::Json {
         element: ".".to_owned(),
@@ -564,10 +564,10 @@ pub fn segment_names(toml: &str) -> Result<HashMap<String, String>, ImportError>
 ///
 /// Room names come from `names` (by the segment's number), else from the map; names that the built-in table knows become English.
 /// A segment without a name is "room" and its number. Ids end with the segment's number. A map without segments becomes one room.
-/// Left out, with a note: pieces of a segment apart from its largest, what has no outline, paths, virtual walls and areas.
+/// Left out, with a note: pieces of a segment apart from its largest, segments without outline, paths, virtual walls and areas.
 ///
 /// # Errors
-/// When the text is no such map, has no pixels or too many, `names` names a segment that is not there, or the scene breaks a rule.
+/// When the text is no map of Valetudo, has no pixels or too many, `names` names a segment that is not there, or the scene breaks a rule.
 #[expect(clippy::implicit_hasher, reason = "whoever reads names gets them from segment_names")]
 pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Result<Imported, ImportError> {
     let file: File = parse(json, EXPECTED)?;
@@ -661,7 +661,7 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
             notes.push(format!("Left out segment {number}: it has no pixels of its own."));
             continue;
         };
-        // Rooms of one kind are told apart by the names that they were given, where these differ.
+        // The given names distinguish rooms of one kind, if they differ.
         let bearers = |of: &[Option<String>]| of.iter().filter(|other| **other == of[index]).count();
         let is_told_apart = bearers(&labels) > 1 && bearers(&words) == 1;
         let label = labels[index].clone();
@@ -773,7 +773,7 @@ mod tests {
     use crate::grounding::{Grounding, GroundingOptions};
     use proptest::prelude::*;
 
-    /// Two rooms of 3 m with a door between, a wall beside it; a speck of the kitchen far away, and a table's hole in it.
+    /// Two rooms of 3 m with a door between, a wall next to it; a speck of the kitchen far away, and a table's hole in it.
     const FLAT: &str = include_str!("../../../../tests/data/valetudo.json");
 
     fn none() -> HashMap<String, String> {
@@ -818,7 +818,7 @@ mod tests {
         assert!(segment_names("3 = 4").unwrap_err().to_string().contains("11 = \"kitchen\""));
     }
 
-    /// The least number has no absolute value: whoever may publish at a broker ended `init` by it.
+    /// The least number has no absolute value: a message at the broker ended `init`.
     #[test]
     fn pixels_at_the_ends_of_the_numbers_are_refused() {
         for far in [i64::MIN, i64::MAX] {
@@ -1000,7 +1000,7 @@ mod tests {
         serde_json::json!({"pixelSize": pixel_cm, "layers": [layer]}).to_string()
     }
 
-    /// What lies too far out is refused before names are compared, and so before anything is traced.
+    /// Pixels too far out are refused before names are compared, and so before anything is traced.
     #[test]
     fn a_map_beyond_10_km_is_refused_before_it_is_traced() {
         let unknown = segment_names("4 = \"attic\"").unwrap();
@@ -1029,7 +1029,7 @@ mod tests {
         };
         assert!(footprints(&[traced(1_000)], 0.05, 0.1, &mut left).unwrap()[0].is_some());
         assert!(MAX_LOOKS - left < 1_000_000, "{left}");
-        // More corners than a map may have; and then nothing is left to look.
+        // More corners than a map may have; then no steps are left.
         assert_eq!(footprints(&[traced(5_000), traced(5_000)], 0.3, 0.1, &mut left), None);
         assert_eq!(footprints(&[traced(1_000)], 0.05, 0.1, &mut 1_000), None);
         // Whatever the outline, a map comes of it.
@@ -1059,7 +1059,7 @@ mod tests {
         assert!(imported.notes[0].contains("no pixels of its own"));
     }
 
-    /// Six maps of real robots, where they are at hand: rooms as large as the robot counts them, every room reached but by a closed door.
+    /// Six maps of real robots, if present: rooms as large as the robot counts them, every room reached but by a closed door.
     #[test]
     fn real_maps_become_rooms() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/valetudo");
@@ -1136,7 +1136,7 @@ mod tests {
             prop_assert_eq!(mask.set, every.set);
         }
 
-        /// Any raster: what comes out is a checked map whose rooms hold their pixels, to the tolerance.
+        /// Any raster becomes a checked map, and its rooms hold their pixels, to the tolerance.
         #[test]
         fn rooms_hold_their_pixels(cells in prop::collection::vec(0..4u8, 24 * 24)) {
             let mut layers = String::new();

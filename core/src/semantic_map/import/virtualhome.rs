@@ -50,14 +50,14 @@ impl Extent {
 
 /// Turns an environment graph into a map.
 ///
-/// Nodes of the category `Rooms` become rooms, all others items, except characters (they are who is forecast, not where
+/// Nodes of the category `Rooms` become rooms, all others items, except characters (the forecast is about them, not about where
 /// they go) and nodes without a box. Doors come from BETWEEN edges. Class names become words by the built-in table; several
-/// rooms or items of one class get ids of their own, items by their number in the graph ("mug-173"), to which
-/// activity programs refer. `equivalence` is VirtualHome's table of class names (a JSON object from a program's name to the
+/// rooms or items of one class get ids of their own, items by their number in the graph ("mug-173"), as
+/// activity programs have it. `equivalence` is VirtualHome's table of class names (a JSON object from a program's name to the
 /// scene's names) and adds aliases for the labels that the map has.
 ///
 /// # Errors
-/// When the text is no such graph, has no room, or breaks a rule of scenes.
+/// When the text is no graph of VirtualHome, has no room, or breaks a rule of scenes.
 pub fn virtualhome(json: &str, name: &str, equivalence: Option<&str>) -> Result<Imported, ImportError> {
     let graph: Graph = parse(json, "a VirtualHome environment graph: an object with `nodes` and `edges`")?;
     let mut notes = Vec::new();

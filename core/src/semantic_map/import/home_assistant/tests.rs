@@ -403,6 +403,7 @@ fn domain_and_class_give_the_thing() {
         ("cover.living_room_blinds", "living_room", "blind", "open|They open the living room blinds."),
         ("cover.fenetre_jar", "bedroom", "shutter", "open|They open the bedroom blinds."),
         ("cover.garage_door", "garage", "garage", "open|They open the garage door."),
+        ("cover.garage", "garage", "", "open|They open the garage door."),
         ("cover.vorhang", "kitchen", "curtain", "open|They open the curtain."),
         ("cover.markise", "garage", "awning", "open|They open the awning."),
         ("cover.tor", "garage", "gate", "open|They open the gate."),

@@ -279,16 +279,23 @@ impl Sensor {
         }
         let has_noun = |noun: &str| all().any(|word| words_of_entities.is_noun(word, noun));
         let is_camera = CAMERAS.contains(&entity.platform()) || all().any(|word| ["camera", "person"].contains(&word));
+        let is_garage = |word: &str| Names::built_in().kind_of_room(word) == Some("garage");
         let mut noun = kind.noun();
         match kind {
-            Kind::Switch if has_noun("lamp") => kind = Kind::Lamp,
+            // Few homes have blinds at a garage.
+            Kind::Cover if all().chain(area.words.iter().map(String::as_str)).any(is_garage) => {
+                noun = Some("garage door")
+            }
+            Kind::Switch if has_noun("lamp") => (kind, noun) = (Kind::Lamp, Some("lamp")),
             Kind::Used | Kind::Power | Kind::Measured if has_noun("lamp") => noun = Some("lamp"),
-            Kind::Door if entity.class() == "opening" && has_noun("window") => kind = Kind::Window,
+            Kind::Door if entity.class() == "opening" && has_noun("window") => {
+                (kind, noun) = (Kind::Window, Some("window"))
+            }
             _ => {}
         }
         let texts = entity.names(object, device).map(|text| words(text, area));
         let named = texts.into_iter().find_map(|words| thing_in(&words, &area.words, kind));
-        let thing = named.or_else(|| kind.noun().or(noun).map(str::to_owned));
+        let thing = named.or_else(|| noun.map(str::to_owned));
         match kind {
             Kind::Switch | Kind::Used if thing.is_none() => Err(NoSensor::Nameless),
             Kind::Power | Kind::Measured if thing.is_none() => Err(NoSensor::Silent),
