@@ -52,6 +52,10 @@ format:
 structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
 	@.ci/structure
 
+.PHONY: sizes
+sizes: build lab ## Prints the size of each program and the packages of each build, before and now; fails above a budget.
+	@.ci/sizes
+
 .PHONY: lint
 lint:
 	@echo "test: lints (the first run compiles llama.cpp and HiGHS: some minutes on two cores)"
