@@ -39,7 +39,7 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: test
-test: setup format counts structure lint unit zenoh docs licences scenes python ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts structure lint unit zenoh docs licences scenes python clients ## Runs every check: format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: format
@@ -47,10 +47,15 @@ format:
 	@echo "test: format"
 	cargo fmt --all --check
 	cargo fmt --manifest-path zenoh/Cargo.toml --check
+	cargo fmt --manifest-path clients/rust/Cargo.toml --check
 
 .PHONY: structure
 structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
 	@.ci/structure
+
+.PHONY: sizes
+sizes: build lab ## Prints the size of each program and the packages of each build, before and now; fails above a budget.
+	@.ci/sizes
 
 .PHONY: lint
 lint:
@@ -161,6 +166,11 @@ python:
 	        echo "SKIPPED the Python client: iceoryx2 cannot be installed from PyPI (no network?)"; \
 	    fi; \
 	fi
+
+.PHONY: clients
+clients: setup ## Builds the programs of clients/rust against the packaged crate, and tries them with a daemon.
+	test -x $(TARGET)/release/roomcast || cargo build --release --locked
+	@if test -x $(VENV)/bin/python && $(VENV)/bin/python -c 'import roomcast' 2>/dev/null; then export PYTHON=$(abspath $(VENV))/bin/python; fi; .ci/clients
 
 .PHONY: known-scores
 known-scores: build ## After a change of the embedded model: records the scores that it is known for.

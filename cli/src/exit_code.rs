@@ -10,7 +10,7 @@ pub const USAGE: u8 = 2;
 pub const INPUT: u8 = 3;
 /// The configuration is malformed or contradicts itself.
 pub const CONFIG: u8 = 4;
-/// The model cannot be loaded, or cannot do what was asked of it.
+/// The model cannot be loaded, or cannot do the requested work.
 pub const MODEL: u8 = 5;
 /// A service cannot be opened or was lost: shared memory, versions, a second daemon.
 pub const IPC: u8 = 6;

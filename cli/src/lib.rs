@@ -114,8 +114,8 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
-/// Prints on standard output, to the end: what is left in a buffer would be lost without an error. Much of it comes from outside, and
-/// none of it reaches a terminal as anything but text.
+/// Prints on standard output and flushes it: a buffer that is lost gives no error. Much of the text comes from outside, and it reaches
+/// a terminal as plain text only.
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
@@ -123,7 +123,7 @@ pub fn print(text: &str) -> CommandResult {
     print_styled(&visible_lines(text))
 }
 
-/// The same for a text with colours, of which every part that comes from outside is [`visible`](roomcast_core::text::visible).
+/// As [`print`] for a text with colours. The caller has made every part from outside [`visible`](roomcast_core::text::visible).
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
@@ -135,7 +135,7 @@ pub fn print_styled(text: &str) -> CommandResult {
     })
 }
 
-/// Writes a line on standard error. Where that cannot be written, on a full disk for instance, nobody is left to tell.
+/// Writes a line on standard error. On a full disk the line is lost.
 pub fn tell(line: impl fmt::Display) {
     let _untold = writeln!(std::io::stderr(), "{}", visible_lines(&line.to_string()));
 }

@@ -1,4 +1,4 @@
-//! Model files that a user names: a process of its own tries each before this one loads it, because llama.cpp may end its process.
+//! Model files that a user names. Another process tries each file before this process loads it, because llama.cpp may end its process.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -13,12 +13,11 @@ use roomcast_services::setup;
 
 use crate::{CommandResult, Failure, exit_code, print};
 
-/// Loads the model file at `path`, or the embedded one: what every command does that loads a file by its path. A process of its own
-/// tries the file first.
+/// Loads the model file at `path`, or the embedded model. Another process tries the file first.
 ///
 /// # Errors
 ///
-/// When that process dies or the file cannot be loaded.
+/// When the other process dies or the file cannot be loaded.
 pub fn load(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, Failure> {
     if let Some(path) = path {
         try_elsewhere(path, options)?;
@@ -26,11 +25,11 @@ pub fn load(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaModel, F
     Ok(setup::load_model(path, options)?)
 }
 
-/// Lets a process of its own try the model file that a configuration names. A pinned file is known to be good.
+/// Lets another process try the model file of a configuration. A file with a pinned checksum needs no trial.
 ///
 /// # Errors
 ///
-/// When that process dies or cannot load the model, with what it said.
+/// When the other process dies or cannot load the model. The error is its message.
 pub fn try_configured(config: &Config) -> CommandResult {
     match (&config.model.path, &config.model.sha256) {
         (Some(path), None) => try_elsewhere(path, &config.model.llama_options()),
@@ -44,8 +43,7 @@ fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
     elsewhere(arguments.into_iter().chain(["--".into(), file.into()]), file)
 }
 
-/// Runs this program on a model file in a process of its own, so that a file on which llama.cpp gives up, which ends its process, is an
-/// error here.
+/// Runs this program on a model file in another process. If llama.cpp gives up and ends that process, this process gets an error.
 pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
     let failed = |why: String| Failure::new(exit_code::MODEL, why);
     let own = std::env::current_exe();
@@ -56,7 +54,7 @@ pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> 
     match tried.status.code().and_then(|code| u8::try_from(code).ok()) {
         Some(exit_code::OK) => Ok(()),
         Some(code @ exit_code::FAILURE..=exit_code::CHECK) => {
-            // The error is its last word, behind what was logged.
+            // The error is the last line, after the log.
             let said =
                 said.strip_prefix("roomcast: ").or_else(|| Some(said.rsplit_once("\nroomcast: ")?.1)).unwrap_or(&said);
             Err(Failure::new(code, said.trim().to_owned()))

@@ -1,17 +1,17 @@
-//! A planner in ten lines: prints the room where the robot disturbs least, whenever there are new scores.
+//! A planner in ten lines: sends the robot to the room that is least likely to be occupied in a minute.
 
 use std::time::Duration;
 
-use roomcast_ipc::{Domain, RoomScoresV1, clock};
+use roomcast_ipc::{Domain, Error};
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let node = Domain::default_for_user()?.open("example-planner")?;
-    let scores = node.subscriber::<RoomScoresV1>()?;
-    loop {
-        scores.wait(Duration::from_millis(500))?;
-        let Some(snapshot) = scores.newest()? else { continue };
-        let calmest = snapshot.rooms().iter().min_by(|a, b| a.probability.total_cmp(&b.probability));
-        let age_ms = snapshot.age_ns(clock::monotonic_ns()) / 1_000_000;
-        println!("go to {} (scores are {age_ms} ms old)", calmest.map_or("nowhere", |room| room.id()));
+fn main() -> Result<(), Error> {
+    let mut planner = Domain::for_user()?.planner("example-planner")?;
+    while let Some(forecast) = planner.next_forecast(Duration::MAX)? {
+        let soon = Duration::from_secs(60);
+        let rooms = forecast.rooms().filter_map(|room| Some((room.to_owned(), forecast.occupied(room, soon)?)));
+        let Some((calmest, p)) = rooms.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+        println!("go to {calmest}: occupied in a minute with {:.0} %", 100.0 * p);
+        planner.decide(&calmest, "it is the calmest room")?;
     }
+    Ok(())
 }

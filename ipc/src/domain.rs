@@ -134,6 +134,15 @@ impl Domain {
         Self::new(root.unwrap_or_else(|| own_root(variable)), &name)
     }
 
+    /// As [`Self::default_for_user`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::new`], for what the environment says.
+    pub fn for_user() -> Result<Self, IpcError> {
+        Self::default_for_user()
+    }
+
     /// The root path when neither command line nor configuration nor environment name one: under `$XDG_RUNTIME_DIR` when it is
     /// set and short enough, else `/tmp/roomcast-UID`.
     #[must_use]
@@ -170,7 +179,7 @@ impl Domain {
         self.remove_unmade_memory();
         // iceoryx2 logs to standard error; what matters comes back as an error.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
-        let join = |cause: String| IpcError::Join { root: self.root.clone(), cause };
+        let join = |cause: String| IpcError::Join { root: self.root.clone(), cause: cause.into() };
         let config = self.config()?;
         // iceoryx2's names are ASCII; people's are not.
         let shown: String =
@@ -486,8 +495,15 @@ impl Domain {
     fn prepare_root(&self) -> Result<(), IpcError> {
         use std::os::unix::fs::DirBuilderExt;
 
-        let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(&self.root);
-        made.map_err(|error| self.bad_root(format!("cannot make it: {error}; give another folder")))?;
+        let made = fs::DirBuilder::new().mode(0o700).create(&self.root);
+        made.or_else(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => Ok(()),
+            io::ErrorKind::NotFound => {
+                let parent = self.root.parent().unwrap_or(&self.root).display();
+                Err(self.bad_root(format!("it does not exist, and neither does {parent}: give the root of the running daemon, or make {parent}")))
+            }
+            _ => Err(self.bad_root(format!("cannot make it: {error}; give another folder"))),
+        })?;
         let metadata =
             fs::symlink_metadata(&self.root).map_err(|error| self.bad_root(format!("cannot look at it: {error}")))?;
         if !metadata.is_dir() {
@@ -751,7 +767,7 @@ impl Node {
         let path = self.domain.root.join(file);
         let failed = |error: io::Error| {
             let cause = format!("{} cannot be locked: {error}", path.display());
-            OpenFailure::Passing(IpcError::Join { root: self.domain.root.clone(), cause })
+            OpenFailure::Passing(IpcError::Join { root: self.domain.root.clone(), cause: cause.into() })
         };
         let only = self.retry(|| {
             // Whoever can open it can lock it, so it is its owner's alone.
@@ -791,7 +807,7 @@ impl Node {
         });
         listed.map_err(|error| IpcError::Join {
             root: self.domain.root.clone(),
-            cause: format!("the participants cannot be listed: {error:?}"),
+            cause: format!("the participants cannot be listed: {error:?}").into(),
         })?;
         names.sort();
         Ok(names)
@@ -1106,6 +1122,23 @@ mod tests {
         drop(domain.open("one").unwrap().be_the_only_one().unwrap());
         drop(watcher);
         domain.clean_up().unwrap();
+    }
+
+    #[test]
+    fn a_root_in_a_folder_that_does_not_exist_is_refused_with_the_folders_name() {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let domain = Domain::new(directory.path().join("typo/d"), "nowhere").unwrap();
+        let error = domain.open("test").unwrap_err().to_string();
+        assert!(error.contains("does not exist") && error.contains("typo: "), "{error}");
+        Domain::new(directory.path().join("d"), "here").unwrap().open("test").unwrap();
+    }
+
+    #[test]
+    fn an_error_of_iceoryx2s_is_the_source_of_the_error() {
+        use std::error::Error;
+
+        let error = IpcError::Port { service: "s", operation: "send", cause: "no memory".into() };
+        assert_eq!(error.source().map(ToString::to_string).as_deref(), Some("no memory"));
     }
 
     #[test]

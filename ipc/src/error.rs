@@ -64,6 +64,9 @@ pub enum MessageError {
     },
 }
 
+/// An error of iceoryx2's or of the system, below one of this crate's.
+pub type Cause = Box<dyn std::error::Error + Send + Sync>;
+
 /// A service, port or domain that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -119,8 +122,9 @@ pub enum IpcError {
     Join {
         /// The domain's root path.
         root: PathBuf,
-        /// iceoryx2's word for it.
-        cause: String,
+        /// iceoryx2's error.
+        #[source]
+        cause: Cause,
     },
     /// The service exists with other message types.
     #[error(
@@ -174,8 +178,9 @@ pub enum IpcError {
     Open {
         /// Service name.
         service: &'static str,
-        /// iceoryx2's word for it.
-        cause: String,
+        /// iceoryx2's error.
+        #[source]
+        cause: Cause,
         /// How long it was tried.
         tried_ms: u128,
     },
@@ -210,8 +215,9 @@ pub enum IpcError {
         service: &'static str,
         /// "send", "receive", "wait", "connect".
         operation: &'static str,
-        /// iceoryx2's word for it.
-        cause: String,
+        /// iceoryx2's error, or the system's.
+        #[source]
+        cause: Cause,
     },
     /// What was to be sent is malformed.
     #[error("service {service}: refused to send")]
@@ -229,6 +235,33 @@ pub enum IpcError {
         service: &'static str,
         /// Why, and what to do.
         reason: String,
+    },
+    /// An argument that no message can have.
+    #[error("{0}")]
+    Argument(String),
+    /// The daemon's scores do not contain an event.
+    #[error(
+        "narrator {narrator:?}: {problem}: of {sent} events {under_way} are under way, and the daemon dropped {dropped}; does the daemon run in this domain? Its log and its status say why it drops events"
+    )]
+    NotIncluded {
+        /// The narrator's name.
+        narrator: String,
+        /// What is missing.
+        problem: &'static str,
+        /// Events that the daemon has not dealt with.
+        under_way: u64,
+        /// Events that the daemon dropped.
+        dropped: u64,
+        /// Events that were sent.
+        sent: u64,
+    },
+    /// The answer cannot be read.
+    #[error("service {service}: the answer cannot be read; use one version of Roomcast throughout")]
+    Answer {
+        /// Service name.
+        service: &'static str,
+        /// The fault.
+        source: serde_json::Error,
     },
     /// Nobody answered.
     #[error(

@@ -1,7 +1,59 @@
-//! The contract between Roomcast's processes: services, messages and ports over iceoryx2.
+//! Talk to Roomcast: report what persons do, follow the forecasts, tell a robot where to go.
 //!
-//! A planner of somebody else's needs this crate alone. Three contracts, one direction, and the robot's
-//! reports back to the planner:
+//! Roomcast's daemon reads events, and forecasts which rooms people will be in. This crate is all that a narrator, a planner or a robot
+//! needs. The processes exchange messages through shared memory ([iceoryx2](https://docs.rs/iceoryx2)).
+//!
+//! ```no_run
+//! use std::time::Duration;
+//! use roomcast_ipc::Domain;
+//!
+//! # fn main() -> Result<(), roomcast_ipc::Error> {
+//! let domain = Domain::for_user()?;
+//! let mut camera = domain.narrator("hall-camera")?;
+//! camera.present("ada", Some("kitchen"))?;
+//! let understood = camera.did("ada", "opens the fridge")?.confirmed(Duration::from_millis(500))?;
+//! println!("{:?} is {} at {:?}", understood.persons, understood.presence, understood.place);
+//!
+//! for forecast in domain.forecasts()? {
+//!     let busy = forecast?.occupied("kitchen", Duration::from_secs(600));
+//!     println!("somebody is in the kitchen in 10 minutes: {busy:?}");
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | to | use | Python |
+//! | --- | --- | --- |
+//! | report events | [`Domain::narrator`] | `Narrator` |
+//! | decide for a robot | [`Domain::planner`] | `Planner` |
+//! | drive a robot | [`Domain::robot`] | `Robot` |
+//! | follow forecasts | [`Domain::forecasts`] | `Forecasts` |
+//! | follow room scores | [`Domain::scores`] | `Scores` |
+//! | follow decisions | [`Domain::decisions`] | `Decisions` |
+//! | ask about persons, habits, the map | [`Domain::persons`], [`Domain::habits`], [`Domain::moment`], [`Domain::change_map`] | `persons`, `habits`, `moment`, `change_map` |
+//!
+//! A planner sends a robot to the calmest room:
+//!
+//! ```no_run
+//! # use std::time::Duration;
+//! # use roomcast_ipc::Domain;
+//! # fn main() -> Result<(), roomcast_ipc::Error> {
+//! let mut planner = Domain::for_user()?.planner("calm-planner")?;
+//! while let Some(forecast) = planner.next_forecast(Duration::MAX)? {
+//!     let soon = Duration::from_secs(60);
+//!     let rooms = forecast.rooms().filter_map(|room| Some((room.to_owned(), forecast.occupied(room, soon)?)));
+//!     let Some((calmest, p)) = rooms.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+//!     planner.decide(&calmest, &format!("occupied in a minute with {:.0} %", 100.0 * p))?;
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The messages themselves are in [`raw`], with their ports ([`Publisher`], [`Subscriber`]) and the layout of every byte.
+//!
+//! # The contract
+//!
+//! Three contracts go in one direction, and the robot's reports go back to the planner:
 //!
 //! ```text
 //! narrator --(narration)--> daemon --(room, person and item scores, forecasts)--> planner --(decision)--> robot
@@ -10,15 +62,15 @@
 //!
 //! | service | payload | publishers | subscribers | buffer | history |
 //! | --- | --- | --- | --- | --- | --- |
-//! | `roomcast/v1/narration` | [`NarrationV1`] | 8 | 4 | 256 | 32 |
-//! | `roomcast/v1/room-scores` | [`RoomScoresV1`], a full snapshot | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-scores` | [`PersonScoresV1`], those of each person | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`] with [`ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
-//! | `roomcast/v1/forecast` | [`ForecastV1`] | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-forecasts` | [`PersonForecastsV1`], those of each person | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/decision` | [`DecisionV1`] | 8 | 16 | 16 | 1 |
-//! | `roomcast/v1/robot-report` | [`RobotReportV1`] | 8 | 8 | 64 | 8 |
-//! | `roomcast/v1/status` | [`StatusRequestV1`] to [`StatusResponseV1`] | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/narration` | [`NarrationV1`](raw::NarrationV1) | 8 | 4 | 256 | 32 |
+//! | `roomcast/v1/room-scores` | [`RoomScoresV1`](raw::RoomScoresV1), a full snapshot | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-scores` | [`PersonScoresV1`](raw::PersonScoresV1), those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`](raw::ItemScoreV1) with [`ItemScoresHeaderV1`](raw::ItemScoresHeaderV1) | 1 | 8 | 2 | 1 |
+//! | `roomcast/v1/forecast` | [`ForecastV1`](raw::ForecastV1) | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-forecasts` | [`PersonForecastsV1`](raw::PersonForecastsV1), those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/decision` | [`DecisionV1`](raw::DecisionV1) | 8 | 16 | 16 | 1 |
+//! | `roomcast/v1/robot-report` | [`RobotReportV1`](raw::RobotReportV1) | 8 | 8 | 64 | 8 |
+//! | `roomcast/v1/status` | [`StatusRequestV1`](raw::StatusRequestV1) to [`StatusResponseV1`](raw::StatusResponseV1) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/map-change` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/moment` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
@@ -39,58 +91,116 @@
 //! - Scores are f64 in nats. `-inf` says that nothing of the map's labels lies there.
 //! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change is a new
 //!   type name and a new service name, published beside the old one.
-//! - A message is data: it is copied out of shared memory before it is looked at, and [`Message::check`] judges the copy.
-//!
-//! # A planner in ten lines
-//!
-//! ```no_run
-//! use std::time::Duration;
-//! use roomcast_ipc::{Domain, RoomScoresV1};
-//!
-//! let node = Domain::default_for_user()?.open("my-planner")?;
-//! let scores = node.subscriber::<RoomScoresV1>()?;
-//! loop {
-//!     scores.wait(Duration::from_millis(500))?;
-//!     let Some(snapshot) = scores.newest()? else { continue };
-//!     for room in snapshot.rooms() {
-//!         println!("{} {:.3}", room.id(), room.probability);
-//!     }
-//! }
-//! # #[expect(unreachable_code)]
-//! # Ok::<(), roomcast_ipc::IpcError>(())
-//! ```
+//! - A message is data: it is copied out of shared memory before it is looked at, and [`Message::check`](raw::Message::check) judges the copy.
 
+mod ask;
 #[cfg(feature = "yardstick")]
 pub mod bare;
 pub mod clock;
 mod domain;
 mod error;
+mod follow;
 mod give_up;
 pub mod limits;
 mod message;
+mod narrator;
 pub mod own_file;
+mod planner;
 mod port;
 pub mod question;
+mod robot;
 pub mod sequence;
 pub mod text;
 mod unused;
+mod who;
+mod words;
 
 pub use domain::{Domain, Node};
 pub use error::{IpcError, MessageError};
 pub use give_up::end_where_iceoryx2_panics;
-pub use message::{
-    ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1,
-    LEARNED_SHARE_S, Layout, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES,
-    NARRATION_TEXT_BYTES, NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality, StatusRequestV1,
-    StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags, presence, reached,
-    report_flags, report_kind, score_flags,
-};
+/// The messages as they lie in shared memory, and the numbers in them.
+pub mod raw {
+    pub use crate::message::{
+        ALL_PERSONS, ByteImage, DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1,
+        LEARNED_SHARE_S, Layout, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES,
+        NARRATION_TEXT_BYTES, NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1,
+        PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality,
+        StatusRequestV1, StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags,
+        presence, reached, report_flags, report_kind, score_flags,
+    };
+}
+
+pub use ask::{ChangedMap, KnownPerson, LearnedHabits, Moment, PersonHabits, Understood, UnderstoodPerson};
+pub use error::IpcError as Error;
+pub use follow::{Decision, Decisions, Forecast, Forecasts, RoomScores, Scores};
+pub use narrator::{Narrator, Said, UNDER_WAY_MAX};
+pub use planner::{Order, Planner};
 pub use port::{
     Awaited, ItemScores, ItemScoresPublisher, ItemScoresSubscriber, Judged, Publisher, Sender, StatusClient,
     StatusServer, Subscriber, wait_for_any,
 };
 pub use question::{AnswerPort, QuestionPort};
+#[doc(hidden)]
+pub use raw::*;
+pub use robot::{Report, Robot};
+pub use who::Who;
+pub use words::{Action, NarrationKind, Presence, Reached, ReportKind};
 
 /// The exact version of iceoryx2 that every participant of a domain must run, patch included.
 pub const ICEORYX2_VERSION: &str = "0.10.0";
+
+impl Domain {
+    /// A narrator of this name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::open`] and [`Node::publisher`].
+    pub fn narrator(&self, name: &str) -> Result<Narrator, Error> {
+        Narrator::open(self, name)
+    }
+
+    /// A planner of this name. It decides for the robot of the same name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::narrator`].
+    pub fn planner(&self, name: &str) -> Result<Planner, Error> {
+        Planner::open(self, name)
+    }
+
+    /// A robot of this name, `planner.robot` in the planner's configuration.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::narrator`].
+    pub fn robot(&self, name: &str) -> Result<Robot, Error> {
+        Robot::open(self, name)
+    }
+
+    /// The room scores as they come.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::narrator`].
+    pub fn scores(&self) -> Result<Scores, Error> {
+        Scores::open(self)
+    }
+
+    /// The forecasts as they come.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::narrator`].
+    pub fn forecasts(&self) -> Result<Forecasts, Error> {
+        Forecasts::open(self)
+    }
+
+    /// The decisions of all planners as they come.
+    ///
+    /// # Errors
+    ///
+    /// As [`Domain::narrator`].
+    pub fn decisions(&self) -> Result<Decisions, Error> {
+        Decisions::open(self)
+    }
+}

@@ -1,6 +1,7 @@
 //! Ports: what a participant sends and receives through.
 
 use std::cell::{Cell, RefCell};
+use std::error::Error;
 use std::fmt::Debug;
 use std::hint::black_box;
 use std::os::fd::BorrowedFd;
@@ -138,8 +139,17 @@ impl<M: Message> Publisher<M> {
     ///
     /// [`IpcError::Refused`] when the message is malformed; [`IpcError::Port`] when iceoryx2 cannot deliver.
     pub fn send(&self, message: &M) -> Result<(), IpcError> {
+        self.deliver(message).map(|_receivers| ())
+    }
+
+    /// As [`Publisher::send`]. Returns the number of subscribers that received the message: 0 if no process listens.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::send`].
+    pub fn deliver(&self, message: &M) -> Result<usize, IpcError> {
         message.check().map_err(|source| IpcError::Refused { service: M::SERVICE.name, source })?;
-        self.send_unchecked(message)
+        self.put(message)
     }
 
     /// As [`Publisher::send`] without the check: for tests of what receivers do with malformed messages.
@@ -148,10 +158,14 @@ impl<M: Message> Publisher<M> {
     ///
     /// [`IpcError::Port`].
     pub fn send_unchecked(&self, message: &M) -> Result<(), IpcError> {
+        self.put(message).map(|_receivers| ())
+    }
+
+    fn put(&self, message: &M) -> Result<usize, IpcError> {
         let sample = self.publisher.loan_uninit().map_err(|error| port(M::SERVICE.name, "send", &error))?;
-        sample.write_payload(*message).send().map_err(|error| port(M::SERVICE.name, "send", &error))?;
+        let receivers = sample.write_payload(*message).send().map_err(|error| port(M::SERVICE.name, "send", &error))?;
         self.wake();
-        Ok(())
+        Ok(receivers)
     }
 
     /// Hands the history to subscribers that joined since; to be called every 100 ms or so. Returns whether any joined or left.
@@ -889,7 +903,8 @@ fn publish_subscribe_failure(
             service,
             cause: format!(
                 "{cause:?}; a participant that started earlier set it up otherwise: stop it, or make both the same"
-            ),
+            )
+            .into(),
             tried_ms: 0,
         }),
         _ => passing(service, &error),
@@ -981,12 +996,16 @@ pub(crate) fn service_name(name: &'static str) -> Result<ServiceName, OpenFailur
     ServiceName::new(name).map_err(|error| passing(name, &error))
 }
 
-pub(crate) fn passing(service: &'static str, error: &impl Debug) -> OpenFailure {
-    OpenFailure::Passing(IpcError::Open { service, cause: format!("{error:?}"), tried_ms: 0 })
+pub(crate) fn passing<E: Error + Clone + Send + Sync + 'static>(service: &'static str, error: &E) -> OpenFailure {
+    OpenFailure::Passing(IpcError::Open { service, cause: Box::new(error.clone()), tried_ms: 0 })
 }
 
-pub(crate) fn port(service: &'static str, operation: &'static str, error: &impl Debug) -> IpcError {
-    IpcError::Port { service, operation, cause: format!("{error:?}") }
+pub(crate) fn port<E: Error + Clone + Send + Sync + 'static>(
+    service: &'static str,
+    operation: &'static str,
+    error: &E,
+) -> IpcError {
+    IpcError::Port { service, operation, cause: Box::new(error.clone()) }
 }
 
 /// Opens them.
@@ -1103,7 +1122,9 @@ mod tests {
             ..RobotReportV1::default()
         };
         let most = RobotReportV1::SERVICE.buffer as u64;
-        (1..=most).for_each(|sequence| publisher.send(&report(sequence)).unwrap());
+        for sequence in 1..=most {
+            publisher.send(&report(sequence)).unwrap();
+        }
         let before = subscriber.subscribers();
         subscriber.connect_again();
         assert_eq!(subscriber.subscribers(), before + 1, "the one before it has messages");

@@ -153,9 +153,9 @@ impl AnswerPort {
     ///
     /// [`IpcError::Port`].
     pub fn answer(&self, mut respond: impl FnMut(Result<&str, MessageError>) -> String) -> Result<usize, IpcError> {
-        let fail = |error: &dyn std::fmt::Debug| port(self.service, "receive", &error);
+        let service = self.service;
         let mut answered = 0;
-        while let Some(request) = self.server.receive().map_err(|error| fail(&error))? {
+        while let Some(request) = self.server.receive().map_err(|error| port(service, "receive", &error))? {
             let copy = copied("question", request.payload());
             let question = copy.as_ref().map_err(Clone::clone).and_then(|copy| {
                 std::str::from_utf8(copy)
@@ -232,7 +232,10 @@ impl QuestionPort {
                             Ok(long) => long,
                             // It gave way to newer ones, or somebody was forgotten: this is asked again.
                             Err(error) if error.kind() == io::ErrorKind::NotFound => break,
-                            Err(error) => return Err(port(service, "read the answer of", &error)),
+                            Err(error) => {
+                                let operation = "read the answer of";
+                                return Err(IpcError::Port { service, operation, cause: Box::new(error) });
+                            }
                         };
                         let _gone = fs::remove_file(&file);
                     }

@@ -1,6 +1,6 @@
 //! The program `roomcast-lab`: its arguments, and experiments that take files.
 
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+#![expect(clippy::unwrap_used, reason = "a panic in a test is the report")]
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -79,7 +79,7 @@ fn write_fold(folder: &Path, fold: &str, trained: &str, held_out: &str) {
     std::fs::write(folder.join("manifest.json"), manifest.to_string()).unwrap();
 }
 
-/// Folds are pooled, and the sealed split is opened once: what is found is in the file before it is shown.
+/// Folds are pooled, and the sealed split is opened once: the result is in the file before the program prints it.
 #[test]
 fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let folder = tempfile::tempdir().unwrap();

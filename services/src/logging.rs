@@ -1,11 +1,12 @@
 //! Logs: to the journal when systemd listens, else to standard error; filtered by `ROOMCAST_LOG` (`FILTER_DEFAULT` when unset).
 //!
-//! Standard error may be a pipe that nobody reads, or a file on a disk that is busy for seconds. So a thread of its own writes it, and
-//! lines that it cannot keep up with (`LINES_MAX` may wait) are lost: what is logged never holds up what acts.
+//! Standard error may be a pipe without a reader, or a file on a disk that is busy for seconds. So one thread writes it, `LINES_MAX` lines
+//! may wait, and further lines are lost: the log never delays the scorer.
 
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
+use std::time::Duration;
 
-use tracing_appender::non_blocking::{NonBlocking, NonBlockingBuilder, WorkerGuard};
+use crossbeam::channel::{Receiver, Sender, bounded};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, fmt};
@@ -18,12 +19,14 @@ const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error,rumqttc=er
 
 /// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
 const LINES_MAX: usize = 8_192;
+/// How long the end of the program waits for lines that are still to be written.
+const LAST_LINES: Duration = Duration::from_secs(1);
 
-/// Keeps the log's thread alive. Dropping it writes what is still to be written, for a second at most.
+/// Keeps the log's thread alive. The drop writes the waiting lines, for a second at most.
 #[must_use = "the log ends when this is dropped"]
 #[derive(Debug)]
 pub struct Log {
-    _writer: Option<WorkerGuard>,
+    _writer: Option<Writer>,
 }
 
 /// Sets up logging, once per process; a second call changes nothing.
@@ -43,13 +46,14 @@ pub fn init() -> Log {
             Log { _writer: None }
         }
         None => {
-            let colours = std::io::stderr().is_terminal();
+            let colours = io::stderr().is_terminal();
             let started = writer();
             let _set = match &started {
                 Some((lines, _)) => {
-                    registry.with(fmt::layer().with_writer(lines.clone()).with_ansi(colours)).try_init()
+                    let lines = lines.clone();
+                    registry.with(fmt::layer().with_writer(move || lines.clone()).with_ansi(colours)).try_init()
                 }
-                None => registry.with(fmt::layer().with_writer(std::io::stderr).with_ansi(colours)).try_init(),
+                None => registry.with(fmt::layer().with_writer(io::stderr).with_ansi(colours)).try_init(),
             };
             if started.is_none() {
                 tracing::warn!(
@@ -65,14 +69,53 @@ pub fn init() -> Log {
     log
 }
 
-/// The thread that writes the log; none where the system gives no thread, of which the library makes a panic.
-fn writer() -> Option<(NonBlocking, WorkerGuard)> {
-    let hook = std::panic::take_hook();
-    std::panic::set_hook(Box::new(|_| {}));
-    let builder = || NonBlockingBuilder::default().buffered_lines_limit(LINES_MAX).finish(std::io::stderr());
-    let started = std::panic::catch_unwind(builder).ok();
-    std::panic::set_hook(hook);
-    started
+/// Lines on their way to the thread that writes them. A line that finds no place is lost.
+#[derive(Debug, Clone)]
+struct Lines(Sender<Vec<u8>>);
+
+impl Write for Lines {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        // An empty line is the end.
+        if !line.is_empty() {
+            let _lost = self.0.try_send(line.to_vec());
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// The thread that writes the lines.
+#[derive(Debug)]
+struct Writer {
+    lines: Sender<Vec<u8>>,
+    ended: Receiver<()>,
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        if self.lines.send_timeout(Vec::new(), LAST_LINES).is_ok() {
+            // The sender's end is the thread's end.
+            let _ended = self.ended.recv_timeout(LAST_LINES);
+        }
+    }
+}
+
+/// Starts the thread; `None` if the system gives no thread.
+fn writer() -> Option<(Lines, Writer)> {
+    let (lines, waiting) = bounded::<Vec<u8>>(LINES_MAX);
+    let (end, ended) = bounded::<()>(1);
+    let write = move || {
+        let _end = end;
+        for line in waiting.iter().take_while(|line| !line.is_empty()) {
+            // A full disk, or a pipe without a reader: the line is lost.
+            let _lost = io::stderr().write_all(&line);
+        }
+    };
+    std::thread::Builder::new().name("log".to_owned()).spawn(write).ok()?;
+    Some((Lines(lines.clone()), Writer { lines, ended }))
 }
 
 /// An error with its causes, in one line.
@@ -128,6 +171,16 @@ impl Limiter {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_writer_ends_when_its_lines_are_written_and_later_lines_are_lost_without_a_wait() {
+        let (mut lines, writer) = writer().unwrap();
+        lines.write_all(b"the last line\n").unwrap();
+        drop(writer);
+        for _ in 0..2 * LINES_MAX {
+            lines.write_all(b"too late\n").unwrap();
+        }
+    }
 
     #[test]
     fn a_flood_of_messages_is_one_line_per_interval() {

@@ -429,7 +429,7 @@ pub fn run(
     };
     let reader = std::thread::Builder::new().name("reader".to_owned()).spawn(reader);
     if let Err(error) = reader {
-        return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: error.to_string() });
+        return Err(IpcError::Port { service: NarrationV1::SERVICE.name, operation: "read", cause: Box::new(error) });
     }
     notify(&[NotifyState::Ready]);
     let mut log = Limiter::with_burst(REFUSAL_NS, REFUSALS_AT_ONCE);

@@ -14,6 +14,7 @@ use rustix::process::{Pid, Signal, kill_process};
 mod commands;
 mod daemon;
 mod demo;
+mod front_door;
 mod habits;
 mod map;
 mod metrics;

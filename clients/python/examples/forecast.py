@@ -2,10 +2,10 @@
 
 from contextlib import suppress
 
-from roomcast import Forecast, Subscription
+from roomcast import Forecasts
 
-with suppress(KeyboardInterrupt), Subscription(Forecast, "example-forecast") as subscription:
-    for forecast in subscription:
+with suppress(KeyboardInterrupt), Forecasts() as forecasts:
+    for forecast in forecasts:
         for index, horizon_s in enumerate(forecast.horizons_s):
             room = max(forecast.rooms, key=lambda room: room.probabilities[index])
             print(f"in {horizon_s:.0f} s: {room.id} is occupied with {room.probabilities[index]:.0%}", flush=True)

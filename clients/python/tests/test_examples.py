@@ -119,7 +119,7 @@ SAYS = {
     "narrator.py": "{'kitchen': 0.75, 'bathroom': 0.25, 'attic': 0.0}",
     "person_forecasts.py": "Ada in 0 s: kitchen",
     "persons.py": "0 is present: kitchen next",
-    "planner.py": "go to attic (scores are ",
+    "planner.py": "go to kitchen (the forecast is ",
     "presence.py": "the daemon knows",
     "reports.py": "robot: finished bathroom the carpet too",
     "robot.py": "bathroom is done",

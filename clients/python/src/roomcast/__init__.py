@@ -3,9 +3,9 @@
     from roomcast import Planner
 
     with Planner("my-planner") as planner:
-        for scores in planner.scores():
-            calmest = min(scores.rooms, key=lambda room: room.probability)
-            planner.decide(calmest.id, "where the person is least likely to go next")
+        for forecast in planner.forecasts():
+            calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
+            planner.decide(calmest.id, "the room is least likely to be occupied in a minute")
 """
 
 from __future__ import annotations
@@ -56,9 +56,11 @@ __all__ = [
     "ClosedError",
     "Decision",
     "DecisionFlags",
+    "Decisions",
     "Domain",
     "Forecast",
     "ForecastFlags",
+    "Forecasts",
     "ItemScore",
     "ItemScores",
     "ItemScoresSubscription",
@@ -83,12 +85,15 @@ __all__ = [
     "RoomSet",
     "RoomcastError",
     "ScoreFlags",
+    "Scores",
     "Source",
     "Status",
     "StatusSubscription",
     "Subscription",
     "change_map",
+    "habits",
     "moment",
+    "persons",
     "source_of_name",
     "status",
 ]
@@ -200,6 +205,27 @@ class Subscription(_Follows[Kind]):
 
     def _sleep(self, timeout_s: float) -> None:
         self._subscriber.wait(timeout_s)
+
+
+class Forecasts(Subscription[Forecast]):
+    """Follows the forecasts."""
+
+    def __init__(self, name: str = "forecasts", domain: Domain | None = None) -> None:
+        super().__init__(Forecast, name, domain)
+
+
+class Scores(Subscription[RoomScores]):
+    """Follows the room scores, without the heartbeats."""
+
+    def __init__(self, name: str = "scores", domain: Domain | None = None) -> None:
+        super().__init__(RoomScores, name, domain)
+
+
+class Decisions(Subscription[Decision]):
+    """Follows the decisions of all planners."""
+
+    def __init__(self, name: str = "decisions", domain: Domain | None = None) -> None:
+        super().__init__(Decision, name, domain)
 
 
 class ItemScoresSubscription(_Follows[ItemScores]):
@@ -378,6 +404,34 @@ class Narrator(_Participant):
             raise ValueError(f"action {action!r}: give a verb in brackets, then things such as \"[Grab] <mug> (1)\"")
         self._send(ACTION, action, self._who(person))
 
+    def did(self, person: Who, text: str) -> None:
+        """An action of a person: `did("ada", "opens the fridge")`. The text is what the person does, or a whole sentence."""
+        text = text.strip()
+        if text[:1].islower():
+            _, name = _person(person)
+            text = f"{name or 'Somebody'} {text.rstrip('.')}."
+        self._send(SENTENCE, text, self._who(person))
+
+    def several(self, count: int, sentence: str) -> None:
+        """A sentence about so many unknown persons, at most 8."""
+        self._send(SENTENCE, sentence, _person(None), count)
+
+    def present(self, person: Who, room: str | None = None) -> None:
+        """A person is in the house, in a room if it is known."""
+        self.presence("present", room, person)
+
+    def away(self, person: Who) -> None:
+        """A person is out of the house, and expected back."""
+        self.presence("away", person=person)
+
+    def gone(self, person: Who) -> None:
+        """A person is out of the house, and not expected back."""
+        self.presence("gone", person=person)
+
+    def empty(self, room: str) -> None:
+        """A room has no people in it."""
+        self.presence("empty", room)
+
     def device(self, state: str, person: Who = None) -> None:
         """A device's state: "the oven is on"."""
         self._send(DEVICE, state, self._who(person))
@@ -551,6 +605,9 @@ class Planner(_Participant):
         self.robot = self._number
         self.room, self._paused = "", False
         self._last: RoomScores | None = None
+        #: Opened by the first call of `forecasts`.
+        self._forecasts: ports.Subscriber[Forecast] | None = None
+        self._forecast: Forecast | None = None
 
     def newest(self) -> RoomScores | None:
         with self._scores.alone():
@@ -572,11 +629,34 @@ class Planner(_Participant):
                 deadline = ports.deadline_of(timeout_s)
                 yield scores
 
+    def forecasts(self, timeout_s: float | None = None) -> Iterator[Forecast]:
+        """Every forecast as it comes; ends when none came for `timeout_s`, or when it is closed."""
+        with self._publisher.alone():
+            if self._forecasts is None:
+                self._forecasts = ports.Subscriber(self.node, ports.FORECAST, Forecast.from_message)
+                self._ports = (*self._ports, self._forecasts)
+        return self._follow(self._forecasts, timeout_s)
+
+    def _follow(self, subscriber: ports.Subscriber[Forecast], timeout_s: float | None) -> Iterator[Forecast]:
+        deadline = ports.deadline_of(timeout_s)
+        with suppress(ClosedError):
+            while time.monotonic() < deadline:
+                self._publisher.tick()
+                if (forecast := subscriber.newest()) is None:
+                    subscriber.wait(0.25)
+                    continue
+                self._forecast = forecast
+                # Decisions name the scores that they rest on.
+                self.newest()
+                deadline = ports.deadline_of(timeout_s)
+                yield forecast
+
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> None:
         """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time.
         ValueError when the scores that were taken last have no such room."""
         with self._publisher.alone():
-            rooms = [each.id for each in self._last.rooms] if self._last else []
+            known = self._last or self._forecast
+            rooms = [each.id for each in known.rooms] if known else []
             if room and rooms and room not in rooms:
                 raise ValueError(f"room {room!r}: the scores that were taken last have no such room; give one of {', '.join(rooms)}")
             stays = room == self.room and not self._paused
@@ -601,6 +681,8 @@ class Planner(_Participant):
             message.scores_age_ns = max(0, message.decided_ns - last.computed_ns)
             message.observed_ns = last.observed_ns
             message.probability = next((r.probability for r in last.rooms if r.id == room), 0.0)
+        if self._forecast is not None and (occupied := self._forecast.occupied(room, stay_s)) is not None:
+            message.probability = min(max(occupied, 0.0), 1.0)
         layouts.write_text("from", getattr(message, "from"), self.room)
         layouts.write_text("to", message.to, room)
         layouts.write_cut("policy", message.policy, self.name)
@@ -737,6 +819,18 @@ def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any
     adds to their sum (`prior_nats`)."""
     node = (domain or Domain.default_for_user()).open("python-moment")
     return _ask(node, ports.MOMENT, {}, timeout_s)
+
+
+def persons(domain: Domain | None = None, timeout_s: float = 10) -> list[dict[str, Any]]:
+    """The persons that the daemon knows: `person`, `name`, `presence`, `since_s`, `silent_s`, `flags`."""
+    node = (domain or Domain.default_for_user()).open("python-persons")
+    return list(_ask(node, ports.PERSON, {"ask": "list"}, timeout_s).get("persons", []))
+
+
+def habits(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
+    """What the daemon has learned of the home."""
+    node = (domain or Domain.default_for_user()).open("python-habits")
+    return _ask(node, ports.HABITS, {"ask": "show"}, timeout_s)
 
 
 def status(domain: Domain | None = None, timeout_s: float = 10) -> Status:

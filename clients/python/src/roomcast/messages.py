@@ -338,6 +338,26 @@ class Forecast:
     #: How likely everybody is outside the map's rooms, per horizon.
     elsewhere: tuple[float, ...] = ()
 
+    @property
+    def age_s(self) -> float:
+        """Seconds since the forecast was computed."""
+        return max(0.0, (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - self.computed_ns) * 1e-9)
+
+    def occupied(self, room: str, ahead_s: float = 0) -> float | None:
+        """The probability that people are in a room `ahead_s` seconds from now; none if the map has no such room. The forecast's age counts.
+        Between two horizons the probability is interpolated. After the last horizon it stays the same."""
+        row = next((each.probabilities for each in self.rooms if each.id == room), None)
+        if row is None:
+            return None
+        at_s, before = self.age_s + ahead_s, None
+        for horizon_s, probability in zip(self.horizons_s, row):
+            if horizon_s >= at_s:
+                if before is None:
+                    return probability
+                return before[1] + (at_s - before[0]) / (horizon_s - before[0]) * (probability - before[1])
+            before = (horizon_s, probability)
+        return before[1] if before else 0.0
+
     @staticmethod
     def from_message(message: layouts.ForecastV1) -> Forecast:
         """Checks and reads a message; MessageError says what is malformed."""

@@ -75,6 +75,7 @@ STATUS = "roomcast/v1/status"
 MAP_CHANGE = "roomcast/v1/map-change"
 MOMENT = "roomcast/v1/moment"
 PERSON = "roomcast/v1/person"
+HABITS = "roomcast/v1/habits"
 
 
 class RoomcastError(Exception):
@@ -127,6 +128,11 @@ class Domain:
         if not os.path.isabs(root) or len(os.fsencode(root)) > _ROOT_LIMIT:
             root = f"/tmp/roomcast-{os.geteuid()}"
         return Domain(root, name)
+
+    @staticmethod
+    def for_user() -> Domain:
+        """As `default_for_user`."""
+        return Domain.default_for_user()
 
     @property
     def prefix(self) -> str:

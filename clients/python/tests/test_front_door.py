@@ -1,0 +1,85 @@
+"""The classes of the first page, which Rust has with the same names."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+import samples
+from roomcast import Decisions, Forecast, Forecasts, Narrator, Planner, Scores, layouts, ports
+
+
+def forecast_of(age_s: float) -> Forecast:
+    message = samples.forecast()
+    message.computed_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) - round(age_s * 1e9)
+    return Forecast.from_message(message)
+
+
+@pytest.mark.parametrize(("ahead_s", "expected"), [(0, 0.75), (35, 0.625), (60, 0.5), (330, 0.375), (9000, 0.25)])
+def test_a_forecast_between_two_horizons_is_interpolated(ahead_s: float, expected: float) -> None:
+    assert forecast_of(0).occupied("kitchen", ahead_s) == pytest.approx(expected, abs=1e-3)
+
+
+def test_an_old_forecast_is_corrected_for_its_age() -> None:
+    assert forecast_of(25).occupied("kitchen", 10) == pytest.approx(0.625, abs=1e-3)
+
+
+def test_an_unknown_room_has_no_forecast() -> None:
+    assert forecast_of(0).occupied("cellar") is None
+
+
+def test_a_narrators_words_become_events() -> None:
+    with samples.private_domain() as domain:
+        heard: ports.Subscriber[Any] = ports.Subscriber(domain.open("daemon"), ports.NARRATION, lambda message: message)
+        narrator = Narrator("hall-camera", domain)
+        narrator.did("ada", "opens the fridge")
+        narrator.did(None, "sits down.")
+        narrator.present("ada", "kitchen")
+        narrator.away("ada")
+        narrator.gone("ada")
+        narrator.empty("hall")
+        narrator.several(2, "They dance.")
+        said = []
+        while (message := heard.receive()) is not None:
+            said.append((layouts.read_text("text", message.text), layouts.read_text("person_name", message.person_name), message.count))
+        narrator.close()
+    assert said == [
+        ("ada opens the fridge.", "ada", 0),
+        ("Somebody sits down.", "", 0),
+        ("present in the kitchen", "ada", 0),
+        ("away", "ada", 0),
+        ("gone", "ada", 0),
+        ("nobody in the hall", "", 0),
+        ("They dance.", "", 2),
+    ]
+
+
+def test_a_planner_that_follows_forecasts_decides_by_them() -> None:
+    with samples.private_domain() as domain:
+        node = domain.open("daemon")
+        with Planner("robot", domain) as planner, Decisions("watcher", domain) as decisions, Forecasts("watcher", domain) as forecasts:
+            found = planner.forecasts(timeout_s=5)
+            publisher = ports.Publisher(node, ports.FORECAST)
+            publisher.send(samples.forecast())
+            for _ in range(100):
+                publisher.tick()
+            forecast = next(found)
+            planner.decide("bathroom", "it is quiet")
+            decision = decisions.next(timeout_s=5)
+            assert decision is not None and decision.to_room == "bathroom" and decision.probability == pytest.approx(0.25, abs=1e-2)
+            followed = forecasts.next(timeout_s=5)
+            assert followed is not None and followed.sequence == forecast.sequence
+            with pytest.raises(ValueError, match="bathroom"):
+                planner.decide("cellar", "it is quiet")
+
+
+def test_scores_leave_out_heartbeats() -> None:
+    with samples.private_domain() as domain:
+        publisher = ports.Publisher(domain.open("daemon"), ports.ROOM_SCORES)
+        with Scores(domain=domain) as scores:
+            publisher.send(samples.scores())
+            publisher.send(samples.scores())
+            assert scores.next(timeout_s=5) is not None
+            assert scores.next(timeout_s=0.05) is None

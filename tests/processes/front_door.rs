@@ -1,0 +1,44 @@
+//! The front door of `roomcast-ipc`, against a daemon.
+
+use std::time::Duration;
+
+use roomcast_ipc::Error;
+
+use super::World;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+#[test]
+fn a_narrators_event_is_confirmed_and_the_daemon_answers_typed_questions() {
+    let mut world = World::new("front");
+    world.start_daemon();
+    let domain = world.domain.clone();
+    let mut camera = domain.narrator("hall-camera").unwrap();
+    camera.present("ada", Some("kitchen")).unwrap();
+    let understood = camera.did("ada", "opens the fridge").unwrap().confirmed(PATIENCE).unwrap();
+    assert_eq!((understood.event.as_str(), understood.presence.as_str()), ("did", "present"), "{understood:?}");
+    assert_eq!(understood.place.as_deref(), Some("fridge"), "{understood:?}");
+    assert_eq!(understood.persons[0].name.as_deref(), Some("ada"), "{understood:?}");
+
+    let persons = domain.persons(PATIENCE).unwrap();
+    assert!(persons.iter().any(|person| person.name.as_deref() == Some("ada") && person.presence == "present"));
+    assert!(
+        domain.rename_person("nobody-here", "Bo", PATIENCE).is_err_and(|error| matches!(error, Error::NotGiven { .. }))
+    );
+    assert!(domain.moment(PATIENCE).unwrap().scene.is_object());
+    domain.habits(PATIENCE).unwrap();
+    let refused = domain.change_map(&[serde_json::json!({"change": "remove-item", "id": "no-such-item"})], PATIENCE);
+    assert!(refused.is_err_and(|error| error.to_string().contains("no-such-item")));
+    domain.status(PATIENCE).unwrap();
+
+    // Ada is in the kitchen now, and the forecast says so, where the scores name the next room.
+    let mut forecasts = domain.forecasts().unwrap();
+    let forecast = forecasts.next_within(PATIENCE).unwrap().unwrap();
+    let kitchen = forecast.rooms().find(|room| room.contains("kitchen")).unwrap().to_owned();
+    assert!(
+        forecast.occupied(&kitchen, Duration::ZERO).unwrap() > 0.9,
+        "{:?}",
+        forecast.occupied(&kitchen, Duration::ZERO)
+    );
+    camera.close().unwrap();
+}
