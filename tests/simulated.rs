@@ -1145,6 +1145,7 @@ impl World {
         let forecast = *daemon.cycle.board_mut().forecast(now_ns);
         let forecasts = *daemon.cycle.board_mut().person_forecasts(now_ns);
         let (map, scored, all_read) = (daemon.scored_map, daemon.scored, daemon.read.clone());
+        let is_joint = daemon.cycle.board().is_joint();
         for checked in [told.check(), forecast.check(), forecasts.check(), message.check()] {
             checked.map_err(|error| format!("a message is malformed: {error}"))?;
         }
@@ -1168,7 +1169,9 @@ impl World {
             let number = person.person;
             let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(number)).collect();
             let told_by_name = |o: &&Observation| o.name.is_some() || o.person != SOMEBODY;
-            let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named;
+            // The joint filter gives an unnamed event to a resident, too, who was not observed yet.
+            let lives_here = is_joint && self.residents.iter().any(|who| number_of(who) == number);
+            let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named || lives_here;
             let all = own.len();
             // Damage may have taken where they were named.
             ensure(is_named || self.tally.is_hurt() || self.tally.rotated + self.tally.lost_with_power > 0, || {
@@ -1188,6 +1191,11 @@ impl World {
             let expired = person.presence == presence::GONE && last != Presence::Gone;
             self.tally.visitors_gone += u64::from(expired);
             let as_told = [presence::UNKNOWN, presence::PRESENT, presence::AWAY, presence::GONE];
+            // The joint filter can believe that a person left.
+            if is_joint && person.presence == presence::AWAY && last == Presence::Present {
+                self.tally.untold += 1;
+                continue;
+            }
             ensure(expired || person.presence == as_told[last as usize], || {
                 format!("person {number} was last said to be {last:?}, and has the presence {}", person.presence)
             })?;

@@ -359,6 +359,12 @@ impl<M: LanguageModel> Board<M> {
         &mut self.home
     }
 
+    /// Whether the joint filter runs: a sensor reported, or an unnamed event that two persons can have caused.
+    #[must_use]
+    pub fn is_joint(&self) -> bool {
+        self.tracking.is_some()
+    }
+
     /// Binds habits that were replaced to the map in use.
     pub(super) fn bind_habits(&mut self) {
         self.home.bind(self.pipeline.grounding());

@@ -93,11 +93,13 @@ impl<M: LanguageModel> Board<M> {
             }
             Err(reason) => understood.reason = Some(reason),
         };
+        if who == Who::Key && !is_sensor {
+            let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
+            take(self, Observation { person, ..own });
+            self.understood.add(understood);
+            return (is_read_alone, moves);
+        }
         let parts = match who {
-            Who::Key if !is_sensor => {
-                let person = own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name));
-                vec![Observation { person, ..own }]
-            }
             _ if is_sensor => self.shares(&own, 1),
             Who::Unknown(count) if is_weighed && !own.by_fit => self.shares(&own, count),
             _ => self.each(own, &who, reporter),
@@ -234,7 +236,7 @@ impl<M: LanguageModel> Board<M> {
     /// One observation for each person of an event that has one person at most.
     fn each(&mut self, own: Observation, who: &Who, reporter: Reporter) -> Vec<Observation> {
         match who {
-            Who::Key => vec![own],
+            Who::Key => Vec::new(),
             Who::Named(person, name) => vec![Observation { person: *person, name: Some(name.clone()), ..own }],
             Who::House => {
                 let away = Observation { event: Event::Away, ..own };
@@ -294,8 +296,11 @@ impl<M: LanguageModel> Board<M> {
         let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
         let grounding = self.pipeline.grounding();
         let row = mention.map(|found| {
-            let fits = |share: &f64| if found.is_left { 1.0 - share } else { *share };
-            grounding.weights().row(found.label).iter().map(fits).collect::<Vec<f64>>()
+            let fits = |room| {
+                let share = found.share(grounding, room);
+                if found.is_left { 1.0 - share } else { share }
+            };
+            (0..grounding.partitions().len()).map(fits).collect::<Vec<f64>>()
         });
         let room = match &own.event {
             Event::Did(_) => row.as_deref().and_then(likeliest),
@@ -374,7 +379,7 @@ impl<M: LanguageModel> Board<M> {
             let event = match &own.event {
                 Event::Away | Event::Gone if is_theirs && out > 0.5 => own.event.clone(),
                 Event::Sensor(report) if is_theirs && report.on == Some(false) && out > 0.5 => Event::Away,
-                _ if out > OUT.0 && presence == Presence::Present => Event::Away,
+                Event::Sensor(_) if out > OUT.0 && presence == Presence::Present => Event::Away,
                 Event::Did(_) | Event::Present(_) if is_theirs && out < 0.5 => own.event.clone(),
                 Event::Sensor(_) if is_theirs && is_here => Event::Present(room.cloned()),
                 Event::Sensor(report) if presence != Presence::Present && report.on == Some(true) => {

@@ -209,7 +209,10 @@ impl Tracking {
         said: Said<'_>,
         (at_ns, local_ahead_s): (i64, f64),
     ) -> bool {
-        self.pass(seconds(at_ns), local_ahead_s);
+        let at_s = seconds(at_ns);
+        self.pass(at_s, local_ahead_s);
+        // Persons and devices are added at the time of the event, with and without a look before it.
+        self.tracker.advance(at_s);
         let who = match said.who {
             Some(person) => match self.index_of(person) {
                 Some(index) => Some(index),
@@ -219,7 +222,6 @@ impl Tracking {
         };
         self.room = said.room;
         let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
-        let at_s = seconds(at_ns);
         let observation = match said.event {
             Event::Sensor(report) => {
                 let Some(sensor) = self.sensor_of(home, report, said.who) else { return false };
