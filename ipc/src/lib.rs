@@ -62,15 +62,15 @@
 //!
 //! | service | payload | publishers | subscribers | buffer | history |
 //! | --- | --- | --- | --- | --- | --- |
-//! | `roomcast/v1/narration` | [`NarrationV1`](raw::NarrationV1) | 8 | 4 | 256 | 32 |
-//! | `roomcast/v1/room-scores` | [`RoomScoresV1`](raw::RoomScoresV1), a full snapshot | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-scores` | [`PersonScoresV1`](raw::PersonScoresV1), those of each person | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/item-scores` | slice of [`ItemScoreV1`](raw::ItemScoreV1) with [`ItemScoresHeaderV1`](raw::ItemScoresHeaderV1) | 1 | 8 | 2 | 1 |
-//! | `roomcast/v1/forecast` | [`ForecastV1`](raw::ForecastV1) | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-forecasts` | [`PersonForecastsV1`](raw::PersonForecastsV1), those of each person | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/decision` | [`DecisionV1`](raw::DecisionV1) | 8 | 16 | 16 | 1 |
-//! | `roomcast/v1/robot-report` | [`RobotReportV1`](raw::RobotReportV1) | 8 | 8 | 64 | 8 |
-//! | `roomcast/v1/status` | [`StatusRequestV1`](raw::StatusRequestV1) to [`StatusResponseV1`](raw::StatusResponseV1) | 1 server | 8 clients | 2 | - |
+//! | `roomcast/v1/narration` | [`raw::NarrationV1`] | 8 | 4 | 256 | 32 |
+//! | `roomcast/v1/room-scores` | [`raw::RoomScoresV1`], a full snapshot | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-scores` | [`raw::PersonScoresV1`], those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/item-scores` | slice of [`raw::ItemScoreV1`] with [`raw::ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
+//! | `roomcast/v1/forecast` | [`raw::ForecastV1`] | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-forecasts` | [`raw::PersonForecastsV1`], those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/decision` | [`raw::DecisionV1`] | 8 | 16 | 16 | 1 |
+//! | `roomcast/v1/robot-report` | [`raw::RobotReportV1`] | 8 | 8 | 64 | 8 |
+//! | `roomcast/v1/status` | [`raw::StatusRequestV1`] to [`raw::StatusResponseV1`] | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/map-change` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/moment` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
@@ -91,7 +91,7 @@
 //! - Scores are f64 in nats. `-inf` says that nothing of the map's labels lies there.
 //! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change is a new
 //!   type name and a new service name, published beside the old one.
-//! - A message is data: it is copied out of shared memory before it is looked at, and [`Message::check`](raw::Message::check) judges the copy.
+//! - A message is data: it is copied out of shared memory before it is looked at, and [`raw::Message::check`] judges the copy.
 
 mod ask;
 #[cfg(feature = "yardstick")]
