@@ -228,8 +228,8 @@ typedef struct RoomcastNarrationV1 {
   // When it was observed: Unix nanoseconds, for people.
   // (Offset 32.)
   uint64_t observed_unix_ns;
-  // Which person, where person_name is empty; each has a history of its own. ALL_PERSONS is somebody: the daemon
-  // takes the person whom the text fits best.
+  // Which person, where person_name is empty; each has a history of its own. ALL_PERSONS is an unknown
+  // person: the daemon weighs the event for all persons.
   // (Offset 40.)
   uint32_t person;
   // One of narration_kind.

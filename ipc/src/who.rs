@@ -31,7 +31,7 @@ const NO_NAMES: [&str; 21] = [
 /// The person that an event is about.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Who {
-    /// An unknown person. The daemon takes the person that fits best.
+    /// An unknown person: the daemon weighs the event for all persons.
     #[default]
     Somebody,
     /// A person's number.

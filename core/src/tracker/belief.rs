@@ -99,6 +99,11 @@ impl Belief {
         }
     }
 
+    /// Sets how many states are kept from the next step on.
+    pub(super) fn keep_at_most(&mut self, most: usize) {
+        self.most = most;
+    }
+
     pub(super) fn states(&self) -> &[State] {
         &self.states
     }

@@ -296,7 +296,7 @@ class _Participant(_Open):
         return self._scores.newest()
 
 
-#: A person by number or by name; none is somebody, whom the daemon takes for the person that fits best.
+#: A person by number or by name; none is an unknown person: the daemon weighs the event for all.
 Who = int | str | None
 
 
@@ -378,8 +378,8 @@ class Narrator(_Participant):
     """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in, and
     raises NotIncludedError where it has not taken everything.
 
-    `person` is whom all is said of, by name or number; each call may name another. Without either it is somebody: the daemon takes the
-    person whom it fits best. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
+    `person` is whom all is said of, by name or number; each call may name another. Without either it is unknown: the daemon weighs the
+    event for all persons. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
     NotIncludedError when it does not for 10 seconds. Threads may share it.
     """
 
