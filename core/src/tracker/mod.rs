@@ -180,6 +180,12 @@ impl Tracker {
         &self.home
     }
 
+    /// The time of the belief, in seconds.
+    #[must_use]
+    pub fn now_s(&self) -> f64 {
+        self.now_s
+    }
+
     /// Adds a person who may be anywhere. Returns the person's index.
     ///
     /// # Errors
@@ -221,9 +227,9 @@ impl Tracker {
             match sensor.slot {
                 Some(own) if own == slot => {
                     sensor.on = None;
-                    sensor.slot = Some(SLOTS - 1);
+                    sensor.slot = Some(usize::MAX);
                 }
-                Some(own) if own > slot && own < SLOTS - 1 => sensor.slot = Some(own - 1),
+                Some(own) if own > slot && own < SLOTS => sensor.slot = Some(own - 1),
                 _ => {}
             }
         }
@@ -333,7 +339,7 @@ impl Tracker {
         self.silent_s = 0.0;
         self.summarise();
         if self.options.learns {
-            self.learn_time(self.now_s - self.learned_s);
+            self.learn_time((self.now_s - self.learned_s).min(LONGEST_S));
         }
         self.learned_s = self.now_s;
     }
@@ -341,6 +347,11 @@ impl Tracker {
     /// Takes the long steps up to a time, and leaves what is shorter to [`Tracker::advance`]. Beliefs after a later advance are the same with and
     /// without it, to the bit.
     pub fn settle(&mut self, now_s: f64) {
+        let longest_s = step_s(LEVELS - 1);
+        if now_s.is_finite() && now_s - self.now_s > LONGEST_S {
+            // After such a silence the belief no longer changes: whole steps are left out.
+            self.now_s += ((now_s - self.now_s - LONGEST_S) / longest_s).ceil() * longest_s;
+        }
         while now_s.is_finite() && now_s - self.now_s >= step_s(self.level) {
             self.step(self.level);
         }
@@ -471,6 +482,7 @@ impl Tracker {
     /// Times that go backwards count as now. Persons, rooms and sensors that do not exist are ignored.
     pub fn observe(&mut self, at_s: f64, observation: &Observation<'_>, trust: f64) {
         self.advance(at_s);
+        self.trace.begin();
         self.earlier.clone_from(&self.marginals);
         let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
         let Some(cause) = observe::weigh(self, observation, trust) else { return };
@@ -589,6 +601,9 @@ impl Tracker {
 
 /// The classes of an empty room.
 const EMPTY_ROOM: [f64; CLASSES] = [1.0, 0.0, 0.0, 0.0];
+
+/// Longest silence that is played in steps, in seconds.
+const LONGEST_S: f64 = 2.0 * 86_400.0;
 
 /// Farther ahead the forecast no longer changes, in seconds.
 const HORIZON_S: f64 = 86_400.0;

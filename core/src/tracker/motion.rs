@@ -84,10 +84,16 @@ const HOUR_S: f64 = 3_600.0;
 const OUT_S: f64 = 5.0 * HOUR_S;
 
 impl Movement {
+    /// Whether people usually sleep at a local hour.
+    #[must_use]
+    pub fn is_night(hour: u8) -> bool {
+        !(6..23).contains(&hour)
+    }
+
     /// Stays and destinations of a resident before the home is known. `hour` is the local hour, 0 to 23.
     #[must_use]
     pub fn usual(home: &Home, hour: u8) -> Self {
-        let is_night = !(6..23).contains(&hour);
+        let is_night = Self::is_night(hour);
         // Mean stay in seconds, probability to stay after entering, weight as a destination.
         let of = |usage: RoomUse| match usage {
             RoomUse::Bedroom if is_night => (3.0 * HOUR_S, 0.95, 0.5),

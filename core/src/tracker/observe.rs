@@ -127,7 +127,8 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         }
         Observation::Lies { who } => {
             let slot = own.slot(who)?;
-            own.belief.weigh(|key| if visibility(place(key, slot)) == 1 { 1.0 } else { LIES_ELSE });
+            let else_ = trust * LIES_ELSE + (1.0 - trust);
+            own.belief.weigh(|key| if visibility(place(key, slot)) == 1 { 1.0 } else { else_ });
         }
         Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
             let slot = own.slot(person)?;
@@ -405,7 +406,9 @@ pub(super) fn attribute(own: &Tracker, observation: &Observation<'_>) -> [f64; S
         Observation::Sensor { sensor, .. } => {
             let Some(sensor) = own.sensors.get(sensor) else { return shares };
             if let Some(slot) = sensor.slot {
-                shares[slot.min(SLOTS_MAX - 1)] = 1.0;
+                if let Some(share) = shares.get_mut(slot) {
+                    *share = 1.0;
+                }
             } else if sensor.spec.kind == SensorKind::Door {
                 let (room, beyond) = (sensor.spec.room, sensor.spec.beyond);
                 let moved = |slot: usize, place: Place| {

@@ -103,7 +103,7 @@ fn defaults(spec: &SensorSpec) -> [[f64; CLASSES]; 2] {
         SensorKind::Appliance => (1.0, 1_800.0),
         SensorKind::Camera => (2.0, 15.0),
     };
-    let sound = |value: Option<f64>, default: f64| value.filter(|v| v.is_finite() && *v > 0.0).unwrap_or(default);
+    let sound = |value: Option<f64>, default: f64| value.filter(|v| v.is_finite() && *v >= 0.0).unwrap_or(default);
     let alarm = sound(spec.false_alarms_per_day, per_day).clamp(1e-3, 1e5) / DAY_S;
     let hold_s = sound(spec.hold_s, hold_s).clamp(0.5, DAY_S);
     let goes = 1.0 / hold_s;

@@ -90,6 +90,11 @@ impl Trace {
         self.last = [0.0; SLOTS_MAX];
     }
 
+    /// A new observation: no person has caused it yet.
+    pub(super) fn begin(&mut self) {
+        self.last = [0.0; SLOTS_MAX];
+    }
+
     pub(super) fn last_share(&self, slot: usize) -> f64 {
         self.last[slot]
     }

@@ -468,6 +468,9 @@ impl<M: LanguageModel> Board<M> {
         self.followed.values_mut().for_each(|own| own.come_in_by(&ways_in));
         // It starts again with the rooms of the changed map.
         self.tracking = None;
+        if !self.sensors.is_empty() {
+            self.start_tracking(i64::try_from(self.snapshot.computed_ns).unwrap_or(i64::MAX));
+        }
     }
 
     /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
@@ -629,7 +632,10 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
-                self.weigh_again(&observation, reporter, at_ns);
+                // What the former run refused has no moves.
+                if !moves.is_empty() {
+                    self.weigh_again(&observation, reporter, at_ns);
+                }
                 for own in moves {
                     let person = self.persons.file().current(own.person);
                     let own = Move { person, ..own }.apply(&observation);
@@ -644,11 +650,12 @@ impl<M: LanguageModel> Board<M> {
                     persons.push(own.person);
                     board.enter_restored(voice, own);
                 };
-                let (is_read_alone, moves) = self.attribute(observation, Voice::EARLIER, reporter, at_ns, enter);
+                let (is_read_alone, mut moves) = self.attribute(observation, Voice::EARLIER, reporter, at_ns, enter);
                 // It stays so, whoever is known at the next start. Whose one of one person is was told already.
                 if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.moved.push(Moved { observation: name, moves });
                 } else {
+                    moves.clear();
                     self.no_moves.push(moves);
                 }
             }
@@ -748,6 +755,7 @@ impl<M: LanguageModel> Board<M> {
         self.pipeline.forget_person(person);
         self.askings += 1;
         self.followed.remove(&person);
+        self.told.remove(&person);
         if let Some(tracking) = &mut self.tracking {
             tracking.remove(person);
         }
@@ -791,21 +799,21 @@ impl<M: LanguageModel> Board<M> {
                 self.rescored.push(person);
             }
         }
+        while let Some(person) = self.persons.expired(now_ns) {
+            self.persons.expire(person, now_ns);
+            self.drop_person(person);
+            if !self.gone.contains(&person) {
+                self.gone.push(person);
+            }
+        }
         while let Some(person) = self.departed() {
             // A restart believes the same without a record: the filter says it again.
             let last = self.persons.get(person).map_or((0, 0, 0), |known| known.last);
             let observed_ns = u64::try_from(now_ns).unwrap_or_default();
             let away = Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.2, Event::Away) };
             let away = Observation { source: last.0, epoch: last.1, ..away };
-            if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.0, false), true), Some(now_ns)) {
+            if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.0, true), true), Some(now_ns)) {
                 self.pipeline.enter(Voice::EARLIER, own);
-            }
-        }
-        while let Some(person) = self.persons.expired(now_ns) {
-            self.persons.expire(person, now_ns);
-            self.drop_person(person);
-            if !self.gone.contains(&person) {
-                self.gone.push(person);
             }
         }
     }

@@ -17,7 +17,7 @@ use crate::config::PersonsConfig;
 const NIGHT_NS: i64 = 12 * 3_600_000_000_000;
 
 /// An event this much older than its person's newest event changes nothing.
-const LATE_NS: i64 = 60_000_000_000;
+pub(super) const LATE_NS: i64 = 60_000_000_000;
 
 /// Times of one source may be out of order by this much: clock errors and delays on the way.
 const ORDER_NS: i64 = 100_000_000;

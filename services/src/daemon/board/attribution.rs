@@ -9,6 +9,7 @@ use roomcast_ipc::RoomV1;
 
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
+use super::super::persons::LATE_NS;
 use super::super::sleep::{is_bed, sleeps};
 use super::super::understood::{By, Reason, Understood};
 use super::tracking::{Said, Tracking};
@@ -61,7 +62,8 @@ impl<M: LanguageModel> Board<M> {
                 return (false, moves);
             }
         };
-        let is_read_alone = who == Who::Key && event == observation.event;
+        let is_sensor = matches!(event, Event::Sensor(_));
+        let is_read_alone = who == Who::Key && event == observation.event && !is_sensor;
         self.note_near_miss(&observation, &event);
         understood.event = event.clone();
         understood.by = match who {
@@ -72,7 +74,6 @@ impl<M: LanguageModel> Board<M> {
         };
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
-        let is_sensor = matches!(own.event, Event::Sensor(_));
         let is_weighed = self.weigh(&own, &who, reporter, at_ns);
         if let Event::Empty(_) = own.event {
             if self.exclude(&own, reporter, at_ns) {
@@ -100,7 +101,8 @@ impl<M: LanguageModel> Board<M> {
             return (is_read_alone, moves);
         }
         let parts = match who {
-            _ if is_sensor => self.shares(&own, 1),
+            _ if is_sensor && is_weighed => self.shares(&own, 1),
+            _ if is_sensor => Vec::new(),
             Who::Unknown(count) if is_weighed && !own.by_fit => self.shares(&own, count),
             _ => self.each(own, &who, reporter),
         };
@@ -111,6 +113,10 @@ impl<M: LanguageModel> Board<M> {
         }
         if is_sensor && is_weighed {
             understood.reason = None;
+        }
+        if is_weighed && moves.is_empty() {
+            // A restart weighs it again.
+            moves.push(Move::of_nobody());
         }
         self.understood.add(understood);
         (is_read_alone, moves)
@@ -273,16 +279,18 @@ impl<M: LanguageModel> Board<M> {
             Some(person) => self.persons.is_guarded(person, at_ns) || !self.persons.is_trusted(person),
             None => self.persons.is_anybody_guarded(at_ns),
         };
-        let is_late = who_is.is_some_and(|person| {
-            let part = Observation { person, event: own.event.clone(), name: None, ..*own };
-            self.persons.is_outdated(&part, at_ns)
-        });
-        if is_guarded || is_late {
-            return false;
-        }
-        if let Event::Sensor(report) = &own.event
-            && !self.sensors.note(report, who_is)
-        {
+        let is_late = match (&own.event, who_is) {
+            // A device's own reports have their order.
+            (Event::Sensor(report), _) => !self.sensors.note(report, who_is, at_ns),
+            (_, Some(person)) => {
+                let part = Observation { person, event: own.event.clone(), name: None, ..*own };
+                self.persons.is_outdated(&part, at_ns)
+            }
+            // What an unknown person did long ago says nothing about the present.
+            (_, None) => self.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS)),
+        };
+        // The filter knows no rooms of a changed map before its first scores.
+        if is_guarded || is_late || self.next_rooms.is_some() {
             return false;
         }
         let count = if let Who::Unknown(count) = who { *count } else { 0 };
@@ -331,9 +339,12 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Starts the joint filter with what the forecasters believe.
-    fn start_tracking(&mut self, at_ns: i64) {
+    pub(super) fn start_tracking(&mut self, at_ns: i64) {
         self.watch();
         let persons = self.persons.followed();
+        if persons.is_empty() && self.sensors.is_empty() {
+            return;
+        }
         let home = (&self.map, self.pipeline.grounding());
         let of = (at_ns, self.local_ahead_s);
         let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
@@ -391,12 +402,21 @@ impl<M: LanguageModel> Board<M> {
             };
             Some(Observation { person, name: None, by_fit: true, event, ..*own })
         };
-        let parts: Vec<Observation> = tracking.persons().iter().filter_map(part).collect();
+        let followed = self.persons.followed();
+        let persons = tracking.persons().iter().filter(|person| followed.contains(person) || count > 1);
+        let parts: Vec<Observation> = persons.filter_map(part).collect();
+        let unknown = |person: &u32| self.persons.get(*person).is_none() && !followed.contains(person);
+        let took_part = |person: &u32| parts.iter().any(|own| own.person == *person);
+        let idle: Vec<u32> =
+            tracking.persons().iter().copied().filter(|person| unknown(person) && !took_part(person)).collect();
         if let [only] = &parts[..]
             && only.event == own.event
         {
             let person = only.person;
             self.note_attributed(own, &[person]);
+        }
+        if let Some(tracking) = &mut self.tracking {
+            idle.into_iter().for_each(|person| tracking.remove(person));
         }
         parts
     }

@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 
+use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Partition;
 use roomcast_core::narration::Presence;
 use roomcast_core::pipeline::Included;
@@ -42,7 +43,17 @@ impl<M: LanguageModel> Board<M> {
         if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
         }
-        if tracker.map_or(self.persons.nobody_is_home(), |own| own.house_empty() > SURELY_EMPTY) {
+        // Persons that the filter does not follow count by their own forecasts.
+        let tracking = self.tracking.as_deref();
+        let untracked: Vec<&Forecaster> = match tracking {
+            Some(own) => followed.iter().filter(|(person, _)| !own.follows(**person)).map(|(_, own)| own).collect(),
+            None => Vec::new(),
+        };
+        let now_s = now_ns as f64 / 1e9;
+        let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
+        let is_empty =
+            tracker.map_or(self.persons.nobody_is_home(), |own| own.house_empty() * others_out > SURELY_EMPTY);
+        if is_empty && !not_known {
             message.flags |= forecast_flags::NOBODY_HOME;
         }
         if !not_known && self.persons.misses_residents() {
@@ -51,7 +62,10 @@ impl<M: LanguageModel> Board<M> {
         for (id, room) in message.id.iter_mut().zip(rooms) {
             *id = room.id;
         }
-        let now_s = now_ns as f64 / 1e9;
+        let mut others_free = [1.0; MAX_ROOMS];
+        for own in &untracked {
+            others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
+        }
         let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
         let mut elsewhere = [1.0; MAX_HORIZONS];
         // The joint belief differs from the product of the persons' own by what persons still have in common then.
@@ -75,14 +89,17 @@ impl<M: LanguageModel> Board<M> {
             for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
                 let occupied = match tracker {
                     _ if not_known => 1.0 / rooms.len() as f64,
-                    Some(own) => joint(own.occupied(room), 1.0 - free[0][room], 1.0 - free[place][room]),
+                    Some(own) => {
+                        let occupied = 1.0 - (1.0 - own.occupied(room)) * others_free[room];
+                        joint(occupied, 1.0 - free[0][room], 1.0 - free[place][room])
+                    }
                     None => 1.0 - free[place][room],
                 };
                 row[place] = occupied.clamp(0.0, 1.0) as f32;
             }
             message.elsewhere[place] = match tracker {
                 _ if not_known => 0.0,
-                Some(own) => joint(own.house_empty(), elsewhere[0], elsewhere[place]) as f32,
+                Some(own) => joint(own.house_empty() * others_out, elsewhere[0], elsewhere[place]) as f32,
                 None => elsewhere[place] as f32,
             };
         }

@@ -11,12 +11,17 @@ use super::{Board, room_named};
 /// Most robots; reports of further ones explain nothing.
 const ROBOTS_MAX: usize = 16;
 
+/// A robot without a report or decision for this long explains nothing.
+const SILENT_NS: u64 = 900_000_000_000;
+
 /// One robot.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Robot {
     room: Option<usize>,
     to: Option<usize>,
-    is_docked: bool,
+    /// It stands: at its dock, after its work, or in a pause.
+    stands: bool,
+    heard_ns: u64,
 }
 
 /// The robots, by the number that decisions name them with.
@@ -32,9 +37,10 @@ impl Robots {
     }
 
     /// The rooms in which robots may move: each robot's room, and the rooms on its way.
-    pub(super) fn rooms(&self, home: &Home) -> Vec<usize> {
+    pub(super) fn rooms(&self, home: &Home, now_ns: u64) -> Vec<usize> {
         let mut rooms = Vec::new();
-        for robot in self.0.values().filter(|robot| !robot.is_docked) {
+        for robot in self.0.values().filter(|robot| !robot.stands && now_ns.saturating_sub(robot.heard_ns) < SILENT_NS)
+        {
             rooms.extend(robot.room);
             let mut here = robot.room;
             for _ in 0..home.rooms() {
@@ -69,14 +75,15 @@ impl<M: LanguageModel> Board<M> {
         let room = named.or_else(|| report.position_m().and_then(holds));
         let Some(robot) = self.robots.get(report.robot) else { return };
         let before = *robot;
-        let ends = [report_kind::FINISHED, report_kind::FAILED, report_kind::BLOCKED, report_kind::CANCELLED];
-        robot.is_docked = report.kind == report_kind::DOCKED;
-        if report.kind == report_kind::STARTED {
-            robot.room = room.or(robot.to).or(robot.room);
-        } else {
-            robot.room = room.or(robot.room);
+        robot.heard_ns = now_ns;
+        robot.room = room.or(if report.kind == report_kind::STARTED { robot.to } else { None }).or(robot.room);
+        match report.kind {
+            report_kind::STARTED => robot.stands = false,
+            report_kind::POSITION => robot.stands &= before.room == robot.room,
+            report_kind::BATTERY => {}
+            _ => (robot.to, robot.stands) = (None, true),
         }
-        if robot.is_docked || robot.room == robot.to || ends.contains(&report.kind) {
+        if robot.room == robot.to {
             robot.to = None;
         }
         if before != *robot {
@@ -89,8 +96,11 @@ impl<M: LanguageModel> Board<M> {
         let to = room_named(decision.to(), &self.map, self.pipeline.grounding());
         let Some(robot) = self.robots.get(decision.robot) else { return };
         let before = *robot;
+        robot.heard_ns = now_ns;
         if decision.action == action::GO {
-            (robot.to, robot.is_docked) = (to, false);
+            (robot.to, robot.stands) = (to, false);
+        } else {
+            (robot.to, robot.stands) = (None, true);
         }
         if before != *robot {
             self.tell_robots(now_ns);

@@ -10,7 +10,7 @@ use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::tracker::{Home, Observation, Options, Reason, SensorSpec, Tracker};
+use roomcast_core::tracker::{Home, Movement, Observation, Options, Reason, SensorSpec, Tracker};
 
 use super::robots::Robots;
 use super::{attribution::ways_out, room_named, seconds};
@@ -27,6 +27,7 @@ const TRUST_OTHERS: f64 = 0.7;
 struct Last {
     report: Arc<SensorReport>,
     person: Option<u32>,
+    at_ns: i64,
 }
 
 /// The devices that reported so far. They outlive a change of the map.
@@ -34,14 +35,16 @@ struct Last {
 pub(super) struct Sensors(BTreeMap<Box<str>, Last>);
 
 impl Sensors {
-    /// Takes note of a report. Returns whether there is room for the device.
-    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>) -> bool {
-        let is_new = !self.0.contains_key(&report.id);
-        if is_new && self.0.len() >= SENSORS_MAX {
-            return false;
+    /// Takes note of a report. Returns whether it counts: there is room for the device, and it has no newer report.
+    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>, at_ns: i64) -> bool {
+        let counts = match self.0.get(&report.id) {
+            Some(last) => last.at_ns <= at_ns,
+            None => self.0.len() < SENSORS_MAX,
+        };
+        if counts {
+            self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person, at_ns });
         }
-        self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person });
-        true
+        counts
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -66,6 +69,8 @@ pub(super) struct Tracking {
     hour: u8,
     /// Until when the hours have passed.
     passed_s: f64,
+    /// `now` is of the filter as it is.
+    is_looked: bool,
     /// A device or its person changed: the filter has to start again.
     is_stale: bool,
     /// The room of the last event.
@@ -111,6 +116,7 @@ impl Tracking {
             sensors: Vec::new(),
             hour,
             passed_s: at_s,
+            is_looked: false,
             is_stale: false,
             room: None,
         };
@@ -118,9 +124,12 @@ impl Tracking {
             own.index_of(person);
         }
         for last in sensors.0.values() {
-            own.sensor_of((map, grounding), &last.report, last.person);
+            // A person that is gone takes the devices along.
+            if last.person.is_none_or(|person| own.persons.contains(&person)) {
+                own.sensor_of((map, grounding), &last.report, last.person);
+            }
         }
-        own.move_by(hour);
+        own.refill();
         for (person, forecaster) in followed {
             let Some(who) = own.persons.iter().position(|other| other == person) else { continue };
             let rooms: Vec<f64> = forecaster.at(at_s, 0.0).collect();
@@ -188,14 +197,24 @@ impl Tracking {
         let index = self.tracker.add_sensor(spec).ok()?;
         self.sensors.push((report.id.clone(), spec));
         if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
-            self.move_by(self.hour);
+            self.refill();
         }
         Some(index)
     }
 
     /// Lets all persons move as is usual at a local hour.
     fn move_by(&mut self, hour: u8) {
+        let was_night = Movement::is_night(self.hour);
         self.hour = hour;
+        if was_night == Movement::is_night(hour) {
+            return;
+        }
+        self.refill();
+    }
+
+    /// Fills all persons' movement again.
+    fn refill(&mut self) {
+        let hour = self.hour;
         for index in 0..self.persons.len() {
             let usual = self.tracker.usual(index, hour);
             self.tracker.set_movement(index, &usual);
@@ -210,6 +229,7 @@ impl Tracking {
         (at_ns, local_ahead_s): (i64, f64),
     ) -> bool {
         let at_s = seconds(at_ns);
+        self.is_looked = false;
         self.pass(at_s, local_ahead_s);
         // Persons and devices are added at the time of the event, with and without a look before it.
         self.tracker.advance(at_s);
@@ -272,11 +292,12 @@ impl Tracking {
         self.tracker.settle(now_s);
         self.now.clone_from(&self.tracker);
         self.now.advance(now_s);
+        self.is_looked = true;
     }
 
     /// Takes in the rooms in which robots may move.
     pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
-        let rooms = robots.rooms(self.tracker.home());
+        let rooms = robots.rooms(self.tracker.home(), u64::try_from(at_ns).unwrap_or_default());
         self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
     }
 
@@ -284,15 +305,23 @@ impl Tracking {
     pub(super) fn remove(&mut self, person: u32) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
             self.tracker.remove_person(index);
+            self.now.remove_person(index);
+            self.is_looked = false;
             self.persons.remove(index);
-            // The person's devices are silent now; indices of others moved down.
-            for (_, spec) in &mut self.sensors {
-                spec.person = match spec.person {
-                    Some(own) if own > index => Some(own - 1),
-                    own => own,
-                };
+            // The person's devices are silent now, and new ones if they report again; indices of others moved down.
+            for (id, spec) in &mut self.sensors {
+                match spec.person {
+                    Some(own) if own == index => *id = "".into(),
+                    Some(own) if own > index => spec.person = Some(own - 1),
+                    _ => {}
+                }
             }
         }
+    }
+
+    /// Whether a time lies more than `late_ns` before the filter's.
+    pub(super) fn is_older(&self, at_ns: i64, late_ns: i64) -> bool {
+        seconds(at_ns.saturating_add(late_ns)) < self.tracker.now_s()
     }
 
     /// Whether a device or its person changed, so that the filter has to start again.
@@ -317,7 +346,7 @@ impl Tracking {
 
     /// The probability that a person was out of the house at the last look.
     pub(super) fn out_now(&self, person: u32) -> f64 {
-        self.at(person).map_or(0.0, |index| self.now.probability(index, None))
+        self.at(person).filter(|_| self.is_looked).map_or(0.0, |index| self.now.probability(index, None))
     }
 
     fn at(&self, person: u32) -> Option<usize> {
@@ -334,6 +363,11 @@ impl Tracking {
             }
             None => told.clone_from(own),
         }
+    }
+
+    /// Whether the filter follows a person.
+    pub(super) fn follows(&self, person: u32) -> bool {
+        self.at(person).is_some()
     }
 
     /// The observations that moved the belief about a person and a place most, the strongest first.

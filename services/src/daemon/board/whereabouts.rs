@@ -16,7 +16,7 @@ impl<M: LanguageModel> Board<M> {
     /// Where a person is believed to be at a time, and why.
     pub(in crate::daemon) fn whereabouts(&mut self, person: u32, now_ns: u64) -> Whereabouts {
         self.forecast(now_ns);
-        let rooms: Vec<String> = self.room_ids().map(str::to_owned).collect();
+        let rooms: Vec<String> = self.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
         let now_s = now_ns as f64 / 1e9;
         let own = self.told.get(&person).filter(|_| self.tracking.is_some()).or_else(|| self.followed.get(&person));
         let tracking = self.tracking.as_deref();

@@ -124,6 +124,12 @@ impl Move {
         Self { person: own.person, name: own.name.clone(), by_fit: own.by_fit, event }
     }
 
+    /// The part of no person, in an event that the joint filter weighed.
+    #[must_use]
+    pub(in crate::daemon) fn of_nobody() -> Self {
+        Self { person: SOMEBODY, name: None, by_fit: true, event: None }
+    }
+
     /// The same of one that says that a room is empty.
     #[must_use]
     pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Event) -> Self {

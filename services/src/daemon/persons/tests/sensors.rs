@@ -122,6 +122,55 @@ fn persons_whose_phone_left_are_away_after_some_silence() {
 }
 
 #[test]
+fn persons_that_come_home_are_present_at_once() {
+    let mut flat = Flat::new();
+    flat.after(60, PHONE_JON, false);
+    flat.0.wait(3_600);
+    assert!(flat.at("Jon", "") > 0.95);
+    flat.0.wait(1);
+    assert_eq!(flat.0.presence("Jon"), Some(presence::AWAY));
+    assert!(flat.at("Jon", "") > 0.95);
+    flat.0.after(1, "Jon", "They open the fridge.");
+    assert_eq!(flat.0.presence("Jon"), Some(presence::PRESENT));
+}
+
+#[test]
+fn events_with_a_date_of_1970_cost_no_time_and_no_belief() {
+    let mut house = House::new(&["Jon", "Mira"]);
+    house.board = board_of(FLAT, &house.config);
+    let old = |own: Observation| Observation { observed_ns: 0, observed_unix_ns: S, ..own };
+    let first = old(house.observation("somebody", r#"{"sensor":"motion","id":"m","room":"corridor","on":true}"#));
+    house.enter(first);
+    house.after(1, "Jon", "They open the fridge.");
+    let counted = old(house.observation("somebody", "Two people cook in the kitchen."));
+    house.enter(counted);
+    assert_eq!(house.presence("Jon"), Some(presence::PRESENT));
+}
+
+#[test]
+fn repeated_reports_of_one_state_move_nobody() {
+    let mut flat = Flat::new();
+    flat.after(60, LIVING, true);
+    flat.0.after(1, "Mira", "They sit on the sofa.");
+    let before = flat.0.person("Mira").unwrap().observed_ns;
+    flat.after(10, LIVING, true);
+    assert_eq!(flat.0.person("Mira").unwrap().observed_ns, before);
+}
+
+#[test]
+fn forgotten_persons_take_no_belief_of_others_along() {
+    let mut flat = Flat::new();
+    flat.0.after(1, "Guest", "They open the fridge.");
+    flat.0.after(1, "Guest", "away");
+    flat.0.after(1, "Mira", "They sit on the sofa.");
+    assert!(flat.at("Mira", "living-room") > 0.8);
+    forget(&mut flat.0, "Guest");
+    flat.0.step(None);
+    assert_eq!(flat.0.presence("Mira"), Some(presence::PRESENT));
+    assert!(flat.at("Mira", "living-room") > 0.8);
+}
+
+#[test]
 fn unnamed_departures_turn_no_resident_away_whose_bed_or_phone_says_otherwise() {
     let mut flat = Flat::new();
     flat.after(60, LIVING, true);
