@@ -225,10 +225,10 @@ mod tests {
             let item = line_item(line, &Who::Somebody).unwrap();
             dry_run.take(&item).unwrap().unwrap().shown()
         };
-        let ada = shown(r#"{"person": "ada", "text": "They open the fridge."}"#);
-        assert!(ada.contains("did, by key: Ada; place: fridge; Ada in kitchen 0.9"), "{ada}");
         let two = shown("Two people are in the bathroom.");
         assert!(two.contains("by fit: Ada, Ben; place: bathroom"), "{two}");
+        let ada = shown(r#"{"person": "ada", "text": "They open the fridge."}"#);
+        assert!(ada.contains("did, by key: Ada; place: fridge; Ada in kitchen 0.9"), "{ada}");
         let near = shown("Ada leaves.");
         assert!(near.contains("by name: Ada") && near.contains("nearest form is \"NAME leaves the house\""), "{near}");
         let away = shown("Ada leaves the house.");

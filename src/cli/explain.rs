@@ -63,7 +63,7 @@ pub struct Args {
     #[arg(long, value_name = "WHO")]
     person: Option<String>,
     /// Say where the running daemon believes this person to be, and which observations moved that belief most.
-    #[arg(long = "where", value_name = "WHO", conflicts_with_all = ["live", "recording", "person", "plan"], conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
+    #[arg(long = "where", value_name = "WHO", conflicts_with_all = ["live", "recording", "at", "sequence", "person", "plan"], conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     whereabouts: Option<String>,
     /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format. PNG needs a
     /// build with the feature `png`.

@@ -398,7 +398,9 @@ fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
         let file = world.directory.path().join("home.mcap");
         let recorder = world.start(&["record", file.to_str().unwrap()]);
         recorder_listens(&node);
-        let lines = ["They grab the milk.", "They dry themselves with the towel.", "They close the fridge."];
+        // Alone at home, she is not in two rooms within a second.
+        let second = ["They dry themselves with the towel.", "They drink the milk."][round];
+        let lines = ["They grab the milk.", second, "They close the fridge."];
         for (number, line) in lines.iter().enumerate() {
             assert_eq!(world.narrate(&format!("camera-{number}"), &format!("{line}\n")).0, 0);
         }

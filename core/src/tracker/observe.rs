@@ -68,6 +68,8 @@ pub enum Observation<'a> {
 const LOST_PRESENT: f64 = 0.3;
 /// The same for an action.
 const LOST_DEED: f64 = 0.1;
+/// Probability that a person left unseen, given a report by name that the person is out.
+const LEFT: f64 = 0.7;
 /// In states below this probability the person stays.
 const LIGHT: f64 = 1e-5;
 /// Rooms with a smaller share of a text's likelihood are no place to put a lost person.
@@ -132,7 +134,7 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         }
         Observation::Away { who: Some(person) } | Observation::Gone { who: Some(person) } => {
             let slot = own.slot(person)?;
-            relocate(own, slot, LOST_PRESENT, &[(ELSEWHERE, 1.0 - FORGETS), (PHONELESS, FORGETS)]);
+            relocate(own, slot, LEFT, &[(ELSEWHERE, 1.0 - FORGETS), (PHONELESS, FORGETS)]);
             own.belief.weigh(|key| if room_of(place(key, slot)).is_none() { trust } else { 1.0 - trust });
         }
         Observation::Away { who: None } => departure(own, trust, false),

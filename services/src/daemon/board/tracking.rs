@@ -19,7 +19,7 @@ use super::{attribution::ways_out, room_named, seconds};
 const SENSORS_MAX: usize = 256;
 
 /// The probability that an event of a narrator is right, if the configuration knows it, and if not.
-const TRUST: f64 = 0.97;
+const TRUST: f64 = 0.99;
 const TRUST_OTHERS: f64 = 0.7;
 
 /// The last report of a device.
