@@ -28,15 +28,17 @@ use roomcast_core::prepared::Answer;
 use roomcast_core::scorer::{LanguageModel, Progress};
 use roomcast_core::semantic_map::SemanticMap;
 
-use attribution::{Reporter, ways_out};
+use attribution::Reporter;
 use messages::{NamedRooms, named_rooms};
 use robots::Robots;
 use tracking::{Sensors, Tracking};
+use ways_out::ways_out;
 
 mod attribution;
 mod messages;
 mod robots;
 mod tracking;
+mod ways_out;
 mod whereabouts;
 
 /// A map that messages cannot carry.

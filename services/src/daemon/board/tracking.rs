@@ -13,7 +13,8 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{Home, Movement, Observation, Options, Reason, SensorSpec, Tracker};
 
 use super::robots::Robots;
-use super::{attribution::ways_out, room_named, seconds};
+use super::ways_out::ways_out;
+use super::{room_named, seconds};
 
 /// Most sensors; reports of further ones change no belief.
 const SENSORS_MAX: usize = 256;

@@ -918,7 +918,7 @@ fn narrate(house: &mut House, said: &[(usize, usize, usize, bool)]) {
 }
 
 proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig { cases: 150, ..Default::default() })]
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 50, ..Default::default() })]
 
     /// Nobody else is moved by what the home forgets of somebody, nor by who lives there from now on.
     #[test]
@@ -955,7 +955,7 @@ proptest::proptest! {
 }
 
 proptest::proptest! {
-    #![proptest_config(proptest::prelude::ProptestConfig { cases: 150, ..Default::default() })]
+    #![proptest_config(proptest::prelude::ProptestConfig { cases: 50, ..Default::default() })]
 
     /// What is said after a restart moves whom it would have moved without one: also what is known of who is "she" outlives it.
     #[test]
