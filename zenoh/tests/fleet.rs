@@ -416,7 +416,7 @@ fn a_hub_ends_when_every_robot_has_what_it_read_and_says_how_it_was_understood()
     let said = hub.said();
     assert!(said.contains(r#"{"last":2,"confirmed":2,"refused":2,"lost":0}"#), "{said}");
     // How the robot's daemon understood both.
-    let explained: Vec<serde_json::Value> = said.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let explained: Vec<Value> = said.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
     let of = |number: u64| explained.iter().find(|line| line["sequence"] == number).unwrap();
     assert_eq!((&of(1)["event"], &of(1)["place"]), (&"did".into(), &"kitchen".into()), "{said}");
     assert_eq!(
