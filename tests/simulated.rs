@@ -870,7 +870,8 @@ impl World {
         // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
         let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
         let all = whole && !late && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
-        let all = all && self.unheard.is_empty();
+        // What no person took teaches nothing.
+        let all = all && self.unheard.is_empty() && !self.was_joint;
         self.tally.habits_whole += u64::from(all);
         ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }

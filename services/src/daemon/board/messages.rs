@@ -36,7 +36,7 @@ impl<M: LanguageModel> Board<M> {
         let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
         let followed = if tracker.is_some() { &self.told } else { &self.followed };
         // Somebody who lives here may be anywhere, also out, as long as nothing was observed of them.
-        let not_known = self.followed.is_empty() || tracker.is_none() && self.persons.is_anybodys_guess();
+        let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
         if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
         }
