@@ -158,9 +158,10 @@ def test_what_is_refused_leaves_no_gap(domain: Domain) -> None:
 
 
 def test_no_persons_names_are_those_of_the_daemon() -> None:
-    source = (pathlib.Path(__file__).parents[3] / "core/src/narration/person.rs").read_text()
-    words = re.search(r"const NO_NAMES: \[&str; \d+\] = \[(.*?)\];", source, re.DOTALL)
-    assert words is not None and roomcast._NO_NAMES == set(re.findall(r'"([^"]+)"', words[1]))
+    for file in ["core/src/narration/person.rs", "ipc/src/who.rs"]:
+        source = (pathlib.Path(__file__).parents[3] / file).read_text()
+        words = re.search(r"const NO_NAMES: \[&str; \d+\] = \[(.*?)\];", source, re.DOTALL)
+        assert words is not None and roomcast._NO_NAMES == set(re.findall(r'"([^"]+)"', words[1])), file
 
 
 class Includes:

@@ -76,6 +76,8 @@ const LIGHT: f64 = 1e-5;
 const LEAST_SHARE: f64 = 0.01;
 /// A robot explains what sensors see for this long after it left, in seconds.
 const ROBOT_S: f64 = 30.0;
+/// A robot without a further report explains nothing after this time, in seconds.
+pub const ROBOT_SILENT_S: f64 = 3_600.0;
 /// Chance that a held phone or bed is wrong about its person at the moment of an anonymous departure.
 const HELD_WRONG: f64 = 0.003;
 /// Weight of a departure by an unseen visitor, next to a person at the door with weight 1.
@@ -157,9 +159,9 @@ pub(super) fn weigh(own: &mut Tracker, observation: &Observation<'_>, trust: f64
         Observation::Robot { rooms: list } => {
             for (room, until_s) in own.robot_until_s.iter_mut().enumerate() {
                 if list.contains(&room) {
-                    *until_s = f64::INFINITY;
-                } else if *until_s == f64::INFINITY {
-                    *until_s = own.now_s + ROBOT_S;
+                    *until_s = own.now_s + ROBOT_SILENT_S;
+                } else {
+                    *until_s = until_s.min(own.now_s + ROBOT_S);
                 }
             }
             return None;

@@ -39,7 +39,7 @@ pub(super) struct PersonsArgs {
     /// A cat lives there and sets off motion sensors.
     #[arg(long)]
     pet: bool,
-    /// Most joint states that the filter keeps.
+    /// Most joint states that the filter keeps; a home of two or one keeps a quarter.
     #[arg(long, value_name = "N", default_value_t = Options::default().states, value_parser = ranges::whole(2..=100_000_usize))]
     states: usize,
     /// A folder of days in HOMER+'s format, once per resident, in place of written days.

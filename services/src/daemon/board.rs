@@ -374,10 +374,10 @@ impl<M: LanguageModel> Board<M> {
 
     /// Lets habits count the time spent, about once a minute, and gives whether it did.
     pub fn tick(&mut self, now_ns: u64, now_unix_ns: u64) -> bool {
-        self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         if !self.home.is_tick_due(now_ns) || !self.is_scored() {
             return false;
         }
+        self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         self.watch();
         self.home.tick(now_ns, now_unix_ns, &self.followed);
         true

@@ -19,7 +19,7 @@ pub(super) enum Reason {
     NoPerson,
     /// A named narrator reported this person within `guard_s`.
     Guarded,
-    /// A later event of the person says otherwise.
+    /// A later event of the person or device says otherwise.
     Outdated,
     /// The filter weighed it, and no person has caused it with more than one half.
     Unclear,
@@ -34,7 +34,7 @@ impl Reason {
             Self::MayNotDid => "this narrator may send presence only (daemon.narrator.may)",
             Self::NoPerson => "the text begins with a name from persons.not_persons",
             Self::Guarded => "a named narrator reported this person within persons.guard_s",
-            Self::Outdated => "a later event of this person says otherwise",
+            Self::Outdated => "a later event of this person or device says otherwise",
             Self::Unclear => "several persons can have caused it: the belief about each of them changed a little",
             Self::NoSensor => "the map lacks the room of this sensor, or there are too many sensors",
         }
@@ -50,7 +50,7 @@ pub enum By {
     Key,
     /// A known name at the start of the text.
     Name,
-    /// The persons that fit best.
+    /// The joint filter found them, or the home has one person.
     Fit,
     /// The event is about the house or a room.
     House,

@@ -1,4 +1,4 @@
-//! From an event to its persons: the key, the name at the start of the text, or the persons that fit best.
+//! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SOMEBODY, SensorKind, Voice, same_name};
@@ -34,6 +34,15 @@ enum Who {
     Unknown(u8),
     /// All persons, or none: the event is about the house or a room.
     House,
+}
+
+/// Whether the joint filter took an event.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Weighed {
+    Yes,
+    /// One person at most can have caused the event, or the filter waits for the first scores of a changed map.
+    NotNeeded,
+    Refused(Reason),
 }
 
 fn is_keyed(observation: &Observation) -> bool {
@@ -72,7 +81,8 @@ impl<M: LanguageModel> Board<M> {
         };
         let observed = observation.event.clone();
         let own = Observation { event, ..observation };
-        let is_weighed = self.weigh(&own, &who, reporter, at_ns);
+        let weighed = self.weigh(&own, &who, reporter, at_ns);
+        let is_weighed = weighed == Weighed::Yes;
         if let Event::Empty(_) = own.event {
             if self.exclude(&own, reporter, at_ns) {
                 moves.push(Move::of_a_room(&own, &observed));
@@ -98,19 +108,20 @@ impl<M: LanguageModel> Board<M> {
             self.understood.add(understood);
             return (is_read_alone, moves);
         }
-        let parts = match who {
-            _ if is_sensor && is_weighed => self.shares(&own, 1),
+        let is_unnamed = is_sensor || matches!(who, Who::Unknown(_)) && !own.by_fit;
+        let parts = match (weighed, &who) {
+            (Weighed::Yes, Who::Unknown(count)) if is_unnamed => self.shares(&own, *count),
+            (Weighed::Yes, _) if is_sensor => self.shares(&own, 1),
+            (Weighed::Refused(_), _) if is_unnamed => Vec::new(),
             _ if is_sensor => Vec::new(),
-            Who::Unknown(count) if is_weighed && !own.by_fit => self.shares(&own, count),
             _ => self.each(own, &who, reporter),
         };
-        let is_unclear = parts.is_empty();
+        let is_unclear = parts.is_empty() && !is_sensor && is_weighed;
         parts.into_iter().for_each(|own| take(self, own));
         if is_unclear {
-            understood.reason = Some(if is_weighed { Reason::Unclear } else { Reason::NoSensor });
-        }
-        if is_sensor && is_weighed {
-            understood.reason = None;
+            understood.reason = Some(Reason::Unclear);
+        } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
+            understood.reason = Some(reason);
         }
         if is_weighed && moves.is_empty() {
             // A restart weighs it again.
@@ -264,9 +275,9 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Weighs an event in the joint filter, which starts if the event needs it. Returns whether the filter took it.
-    fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> bool {
-        let Some(at_ns) = at_ns else { return false };
+    /// Weighs an event in the joint filter, which starts if the event needs it.
+    fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Weighed {
+        let Some(at_ns) = at_ns else { return Weighed::NotNeeded };
         let who_is = match who {
             Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.persons.number_of(name))),
             Who::Named(person, _) => Some(*person),
@@ -277,19 +288,28 @@ impl<M: LanguageModel> Board<M> {
             Some(person) => self.persons.is_guarded(person, at_ns) || !self.persons.is_trusted(person),
             None => self.persons.is_anybody_guarded(at_ns),
         };
-        let is_late = match (&own.event, who_is) {
+        if is_guarded {
+            return Weighed::Refused(Reason::Guarded);
+        }
+        let fault = match (&own.event, who_is) {
             // A device's own reports have their order.
-            (Event::Sensor(report), _) => !self.sensors.note(report, who_is, at_ns),
+            (Event::Sensor(report), _) => self.sensors.note(report, who_is, at_ns).err(),
             (_, Some(person)) => {
                 let part = Observation { person, event: own.event.clone(), name: None, ..*own };
-                self.persons.is_outdated(&part, at_ns)
+                self.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
             }
             // What an unknown person did long ago says nothing about the present.
-            (_, None) => self.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS)),
+            (_, None) => {
+                let is_late = self.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS));
+                is_late.then_some(Reason::Outdated)
+            }
         };
+        if let Some(fault) = fault {
+            return Weighed::Refused(fault);
+        }
         // The filter knows no rooms of a changed map before its first scores.
-        if is_guarded || is_late || self.next_rooms.is_some() {
-            return false;
+        if self.next_rooms.is_some() {
+            return Weighed::NotNeeded;
         }
         let count = if let Who::Unknown(count) = who { *count } else { 0 };
         let is_shared = count > 1 || count == 1 && self.persons.are_several(reporter.is_unknown);
@@ -297,7 +317,7 @@ impl<M: LanguageModel> Board<M> {
             self.start_tracking(at_ns);
         }
         if self.tracking.is_none() {
-            return false;
+            return Weighed::NotNeeded;
         }
         let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
         let grounding = self.pipeline.grounding();
@@ -320,7 +340,7 @@ impl<M: LanguageModel> Board<M> {
         let said =
             Said { event: &own.event, who: who_is, count, rooms, room, is_lying, is_strange: reporter.is_unknown };
         let home = (&self.map, grounding);
-        let Some(tracking) = &mut self.tracking else { return false };
+        let Some(tracking) = &mut self.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.persons.has_residents() {
             // Nothing limits the number of persons.
             for person in self.persons.unnamed(reporter.is_unknown).into_iter().take(count.into()) {
@@ -331,9 +351,13 @@ impl<M: LanguageModel> Board<M> {
         if tracking.is_stale() {
             // A device or its person changed; the filter starts again with its newest report.
             self.start_tracking(at_ns);
-            return self.tracking.is_some();
+            return Weighed::NotNeeded;
         }
-        is_taken
+        match own.event {
+            _ if is_taken => Weighed::Yes,
+            Event::Sensor(_) => Weighed::Refused(Reason::NoSensor),
+            _ => Weighed::NotNeeded,
+        }
     }
 
     /// Starts the joint filter with what the forecasters believe.

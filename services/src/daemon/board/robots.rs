@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::scorer::LanguageModel;
-use roomcast_core::tracker::Home;
+use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
 use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
 
 use super::{Board, room_named};
@@ -11,8 +11,11 @@ use super::{Board, room_named};
 /// Most robots; reports of further ones explain nothing.
 const ROBOTS_MAX: usize = 16;
 
-/// A robot without a report or decision for this long explains nothing.
-const SILENT_NS: u64 = 900_000_000_000;
+/// A robot without a report or decision for this long explains nothing: an hour, as the filter has it.
+const SILENT_NS: u64 = (ROBOT_SILENT_S * 1e9) as u64;
+
+/// Unchanged rooms are given to the filter again after this time.
+const AGAIN_NS: u64 = 60_000_000_000;
 
 /// One robot.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -24,22 +27,33 @@ struct Robot {
     heard_ns: u64,
 }
 
+impl Robot {
+    /// Whether it may move in the same rooms.
+    fn is_alike(&self, other: &Self) -> bool {
+        (self.room, self.to, self.stands) == (other.room, other.to, other.stands)
+    }
+}
+
 /// The robots, by the number that decisions name them with.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Robots(BTreeMap<u64, Robot>);
+pub(super) struct Robots {
+    robots: BTreeMap<u64, Robot>,
+    told_ns: u64,
+}
 
 impl Robots {
     fn get(&mut self, robot: u64) -> Option<&mut Robot> {
-        if self.0.len() >= ROBOTS_MAX && !self.0.contains_key(&robot) {
+        if self.robots.len() >= ROBOTS_MAX && !self.robots.contains_key(&robot) {
             return None;
         }
-        Some(self.0.entry(robot).or_default())
+        Some(self.robots.entry(robot).or_default())
     }
 
     /// The rooms in which robots may move: each robot's room, and the rooms on its way.
     pub(super) fn rooms(&self, home: &Home, now_ns: u64) -> Vec<usize> {
         let mut rooms = Vec::new();
-        for robot in self.0.values().filter(|robot| !robot.stands && now_ns.saturating_sub(robot.heard_ns) < SILENT_NS)
+        for robot in
+            self.robots.values().filter(|robot| !robot.stands && now_ns.saturating_sub(robot.heard_ns) < SILENT_NS)
         {
             rooms.extend(robot.room);
             let mut here = robot.room;
@@ -55,7 +69,7 @@ impl Robots {
 
     /// The rooms have other numbers now.
     pub(super) fn forget_rooms(&mut self) {
-        self.0.clear();
+        self.robots.clear();
     }
 }
 
@@ -86,7 +100,7 @@ impl<M: LanguageModel> Board<M> {
         if robot.room == robot.to {
             robot.to = None;
         }
-        if before != *robot {
+        if !before.is_alike(robot) || now_ns.saturating_sub(self.robots.told_ns) > AGAIN_NS {
             self.tell_robots(now_ns);
         }
     }
@@ -102,13 +116,14 @@ impl<M: LanguageModel> Board<M> {
         } else {
             (robot.to, robot.stands) = (None, true);
         }
-        if before != *robot {
+        if !before.is_alike(robot) || now_ns.saturating_sub(self.robots.told_ns) > AGAIN_NS {
             self.tell_robots(now_ns);
         }
     }
 
     /// Gives the filter the robots' rooms.
     pub(super) fn tell_robots(&mut self, now_ns: u64) {
+        self.robots.told_ns = now_ns;
         if let Some(tracking) = &mut self.tracking {
             tracking.robots(&self.robots, i64::try_from(now_ns).unwrap_or(i64::MAX));
         }

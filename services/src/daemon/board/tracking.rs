@@ -10,8 +10,9 @@ use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_core::tracker::{Home, Movement, Observation, Options, Reason, SensorSpec, Tracker};
+use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
+use super::super::understood::Reason;
 use super::robots::Robots;
 use super::ways_out::ways_out;
 use super::{room_named, seconds};
@@ -36,16 +37,18 @@ struct Last {
 pub(super) struct Sensors(BTreeMap<Box<str>, Last>);
 
 impl Sensors {
-    /// Takes note of a report. Returns whether it counts: there is room for the device, and it has no newer report.
-    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>, at_ns: i64) -> bool {
-        let counts = match self.0.get(&report.id) {
-            Some(last) => last.at_ns <= at_ns,
-            None => self.0.len() < SENSORS_MAX,
-        };
-        if counts {
-            self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person, at_ns });
+    /// Takes note of a report.
+    ///
+    /// # Errors
+    /// The device has a newer report, or there are too many devices.
+    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>, at_ns: i64) -> Result<(), Reason> {
+        match self.0.get(&report.id) {
+            Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
+            None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
+            _ => {}
         }
-        counts
+        self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person, at_ns });
+        Ok(())
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -70,8 +73,8 @@ pub(super) struct Tracking {
     hour: u8,
     /// Until when the hours have passed.
     passed_s: f64,
-    /// `now` is of the filter as it is.
-    is_looked: bool,
+    /// The time of that look, while the filter is as it was.
+    looked_ns: Option<i64>,
     /// A device or its person changed: the filter has to start again.
     is_stale: bool,
     /// The room of the last event.
@@ -117,7 +120,7 @@ impl Tracking {
             sensors: Vec::new(),
             hour,
             passed_s: at_s,
-            is_looked: false,
+            looked_ns: None,
             is_stale: false,
             room: None,
         };
@@ -230,7 +233,7 @@ impl Tracking {
         (at_ns, local_ahead_s): (i64, f64),
     ) -> bool {
         let at_s = seconds(at_ns);
-        self.is_looked = false;
+        self.looked_ns = None;
         self.pass(at_s, local_ahead_s);
         // Persons and devices are added at the time of the event, with and without a look before it.
         self.tracker.advance(at_s);
@@ -288,16 +291,20 @@ impl Tracking {
 
     /// Looks at the filter at a time. Its own steps end at the same times with and without a look at it, so that a restart believes the same.
     pub(super) fn look(&mut self, now_ns: i64, local_ahead_s: f64) {
+        if self.looked_ns == Some(now_ns) {
+            return;
+        }
         let now_s = seconds(now_ns);
         self.pass(now_s, local_ahead_s);
         self.tracker.settle(now_s);
         self.now.clone_from(&self.tracker);
         self.now.advance(now_s);
-        self.is_looked = true;
+        self.looked_ns = Some(now_ns);
     }
 
     /// Takes in the rooms in which robots may move.
     pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
+        self.looked_ns = None;
         let rooms = robots.rooms(self.tracker.home(), u64::try_from(at_ns).unwrap_or_default());
         self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
     }
@@ -307,7 +314,7 @@ impl Tracking {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
             self.tracker.remove_person(index);
             self.now.remove_person(index);
-            self.is_looked = false;
+            self.looked_ns = None;
             self.persons.remove(index);
             // The person's devices are silent now, and new ones if they report again; indices of others moved down.
             for (id, spec) in &mut self.sensors {
@@ -347,7 +354,7 @@ impl Tracking {
 
     /// The probability that a person was out of the house at the last look.
     pub(super) fn out_now(&self, person: u32) -> f64 {
-        self.at(person).filter(|_| self.is_looked).map_or(0.0, |index| self.now.probability(index, None))
+        self.at(person).filter(|_| self.looked_ns.is_some()).map_or(0.0, |index| self.now.probability(index, None))
     }
 
     fn at(&self, person: u32) -> Option<usize> {
@@ -372,7 +379,7 @@ impl Tracking {
     }
 
     /// The observations that moved the belief about a person and a place most, the strongest first.
-    pub(super) fn why(&self, person: u32, room: Option<usize>) -> impl Iterator<Item = Reason> {
+    pub(super) fn why(&self, person: u32, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
         let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
         reasons.into_iter().flatten()
     }

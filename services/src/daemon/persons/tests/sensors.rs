@@ -148,6 +148,24 @@ fn events_with_a_date_of_1970_cost_no_time_and_no_belief() {
 }
 
 #[test]
+fn late_unnamed_events_and_late_reports_move_nobody_and_say_why() {
+    let mut flat = Flat::new();
+    flat.0.after(200, "Jon", "They open the fridge.");
+    flat.0.after(1, "Mira", "They sit on the sofa.");
+    let late = |own: Observation| Observation { observed_ns: own.observed_ns - 120 * S, ..own };
+    let text = late(flat.0.observation("somebody", "They close the fridge."));
+    let sensor = late(flat.report(KITCHEN, true));
+    let newer = flat.report(KITCHEN, false);
+    for observation in [text, newer, sensor] {
+        flat.0.enter(observation);
+    }
+    let lines = flat.0.board.understood_lines(7, 1, 1);
+    let why: Vec<_> = lines.iter().rev().take(3).map(|line| (line.persons.len(), line.why.clone())).collect();
+    let outdated = (0, Some("a later event of this person or device says otherwise".to_owned()));
+    assert_eq!(why, [outdated.clone(), (0, None), outdated]);
+}
+
+#[test]
 fn repeated_reports_of_one_state_move_nobody() {
     let mut flat = Flat::new();
     flat.after(60, LIVING, true);
