@@ -1231,7 +1231,7 @@ impl World {
             let first = sentences.iter().position(is_first).unwrap_or(sentences.len());
             let inner = first + 1..sentences.len();
             let mut gaps = inner.map(|place| silent_s(sentences[place].observed_ns, &sentences[..place]));
-            let has_ended = window > 0 && limits.is_gap(silent_s(message.computed_ns, &sentences));
+            let has_ended = window > 0 && limits.is_gap(silent_s(BootNs(message.computed_ns), &sentences));
             ensure(!gaps.any(|gap_s| limits.is_gap(gap_s)) && !has_ended, || {
                 format!("the window of person {number} holds what lies before a gap")
             })?;
@@ -1935,7 +1935,7 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
         if is_late && presence != said {
             continue;
         }
-        (newest_ns, presence) = (newest_ns.max(observation.observed_ns), said);
+        (newest_ns, presence) = (newest_ns.max(observation.observed_ns.0), said);
         was_gone |= said == Presence::Gone;
         kept.push(observation);
     }
