@@ -11,7 +11,7 @@ use super::{CommandResult, Failure, count, draw, ranges, record, score, service}
 use crate::exit_code;
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Event, Observation};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -300,7 +300,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
         person,
         source: 1,
         epoch: 1,
-        observed_ns: sequence,
+        observed_ns: BootNs(sequence),
         ..Observation::saying(sequence, event)
     });
     pipeline.step(observations).map_err(failed)?;
