@@ -191,9 +191,9 @@ impl View {
         self.status = Some(status);
     }
 
-    /// Counts a message that was malformed.
-    pub fn malformed(&mut self) {
-        self.malformed += 1;
+    /// Shows so many malformed messages.
+    pub fn malformed(&mut self, messages: u64) {
+        self.malformed = messages;
     }
 
     /// Adds a point to every room's line; to be called every [`POINT_NS`].

@@ -118,8 +118,8 @@ pub fn run(
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
         let picture = &mut live.picture;
         // What is malformed is passed over; `roomcast top` and the metrics count it.
-        while let Some(received) = narration.receive()? {
-            received.iter().for_each(|message| picture.narration(message, told_ns(message.observed_ns, now_ns)));
+        while let Some(message) = narration.receive()? {
+            picture.narration(&message, told_ns(message.observed_ns, now_ns));
         }
         if let Some(message) = scores.newest()? {
             picture.scores(&message, now_ns);
@@ -133,8 +133,8 @@ pub fn run(
         if let Some(message) = forecasts.newest()? {
             picture.forecasts(&message, now_ns);
         }
-        while let Some(received) = decisions.receive()? {
-            received.iter().for_each(|message| picture.decision(message, told_ns(message.decided_ns, now_ns)));
+        while let Some(message) = decisions.receive()? {
+            picture.decision(&message, told_ns(message.decided_ns, now_ns));
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);

@@ -83,8 +83,7 @@ fn memory_and_descriptors_stay_flat() {
         narration_in.wait(Duration::from_secs(1)).unwrap();
         while let Some(received) = narration_in.receive().unwrap() {
             let now_ns = clock::monotonic_ns();
-            let Taken::Accepted { observation, missed: 0, .. } =
-                intake.take(&received.unwrap(), Sender::simulated(1), now_ns)
+            let Taken::Accepted { observation, missed: 0, .. } = intake.take(&received, Sender::simulated(1), now_ns)
             else {
                 panic!("{event}")
             };

@@ -374,7 +374,8 @@ impl Narrator {
         let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
         let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
         self.throttle.sent();
-        self.narration.send(&message)
+        self.narration.send(&message)?;
+        Ok(())
     }
 
     /// Sleeps up to `timeout` for a confirmation.
@@ -382,10 +383,8 @@ impl Narrator {
         self.narration.tick()?;
         notify(&[NotifyState::Watchdog]);
         self.scores.wait(timeout.min(TICK))?;
-        while let Some(received) = self.scores.receive()? {
-            if let Ok(scores) = received {
-                self.account.confirm(&scores);
-            }
+        while let Some(scores) = self.scores.receive()? {
+            self.account.confirm(&scores);
         }
         self.settle();
         Ok(())
@@ -702,7 +701,6 @@ mod tests {
         while newest.is_none_or(|newest| newest.sequence < UNDER_WAY + 8) {
             heard.wait(TICK).unwrap();
             while let Some(narration) = heard.receive().unwrap() {
-                let narration = narration.unwrap();
                 assert!(narration.observed_ns > 0 && narration.sequence > newest.map_or(0, |newest| newest.sequence));
                 let wall_ns = clock::unix_ns().saturating_sub(clock::monotonic_ns() - narration.observed_ns);
                 assert!(wall_ns.abs_diff(narration.observed_unix_ns) < 1_000_000_000, "both clocks say the same");

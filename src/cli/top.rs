@@ -103,23 +103,15 @@ fn screen(
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
         if !view.paused {
-            while let Some(received) = narration.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.narration(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = narration.receive().map_err(ipc)? {
+                view.narration(&message);
             }
-            while let Some(received) = scores.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => {
-                        view.scores(&message);
-                        heard = Instant::now();
-                        let name = Some((message.epoch, message.sequence));
-                        count += u64::from(taken != name);
-                        taken = name;
-                    }
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = scores.receive().map_err(ipc)? {
+                view.scores(&message);
+                heard = Instant::now();
+                let name = Some((message.epoch, message.sequence));
+                count += u64::from(taken != name);
+                taken = name;
             }
             if let Some(message) = forecasts.newest().map_err(ipc)? {
                 view.forecasts(&message);
@@ -133,12 +125,10 @@ fn screen(
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
             }
-            while let Some(received) = decisions.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.decision(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = decisions.receive().map_err(ipc)? {
+                view.decision(&message);
             }
+            view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
             if now_ns.saturating_sub(status_ns) >= STATUS_NS {
                 // A daemon that is busy or gone does not hold up the view: its last answer stays.
                 if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
@@ -293,11 +283,13 @@ impl Others {
         self.persons = persons.newest()?.or(self.persons);
         self.forecast = forecast.newest()?.or(self.forecast);
         self.forecasts = forecasts.newest()?.or(self.forecasts);
-        while let Some(received) = narration.receive()? {
-            self.narration.extend(received.iter().map(narration_json));
+        while let Some(message) = narration.receive()? {
+            self.narration.push(narration_json(&message));
         }
-        while let Some(received) = decisions.receive()? {
-            self.decisions.extend(received.iter().filter(|told| self.decided.take(told) != News::None));
+        while let Some(message) = decisions.receive()? {
+            if self.decided.take(&message) != News::None {
+                self.decisions.push(message);
+            }
         }
         Ok(())
     }

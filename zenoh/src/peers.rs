@@ -307,7 +307,9 @@ pub fn run(
         }
         for heard in first.into_iter().chain(heard.try_iter()) {
             match peers.hear(&heard) {
-                Ok(Some(decision)) => decisions.send(&decision)?,
+                Ok(Some(decision)) => {
+                    decisions.send(&decision)?;
+                }
                 Ok(None) => {}
                 Err(fault) => {
                     if let Some(not_told) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
@@ -329,7 +331,9 @@ pub fn run(
         }
         // Whoever has heard them takes them for no news, and who comes as others go has not.
         if decisions.tick()? {
-            peers.standing().try_for_each(|decision| decisions.send(&decision))?;
+            for decision in peers.standing() {
+                decisions.send(&decision)?;
+            }
         }
     }
     Ok(())
@@ -410,7 +414,6 @@ mod tests {
                 let mut rooms = std::collections::BTreeSet::new();
                 while rooms.len() < 3 {
                     while let Some(decision) = planner.receive().unwrap() {
-                        let decision = decision.unwrap();
                         assert_eq!(decision.has(decision_flags::ELSEWHERE), decision.robot != robot_5);
                         if decision.robot != robot_5 {
                             rooms.insert(decision.to().to_owned());
