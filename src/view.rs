@@ -13,10 +13,10 @@ use hyper::{Response, StatusCode};
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, Subscriber, action, clock,
-    presence, question, sequence,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RoomScoresV1, RoomV1, Subscriber, action,
+    clock, presence, question, sequence,
 };
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
 use roomcast_services::moment::{Moment, MomentError};
 use roomcast_services::recording::{Recorded, Recording};
@@ -642,7 +642,7 @@ impl Picture {
             let own =
                 forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
             let mut card = json!({
-                "name": who(person.person, person.name()), "presence": presence_word(person.presence),
+                "name": who(person.person, person.name()), "presence": Presence::of(person.presence).word(),
                 "flags": flag_words(person.flags).collect::<Vec<_>>(),
                 "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
             });

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::narration::SOMEBODY;
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
+    Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, Presence, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
 };
 use serde_json::{Value, json};
 
@@ -16,8 +16,7 @@ use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
 use crate::top::{POINT_NS, View, set_places};
-use roomcast_ipc::action::word as action_word;
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast top`.
@@ -335,7 +334,7 @@ fn persons_json(told: &PersonScoresV1) -> Value {
     let person = |person: &PersonV1| {
         let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "since_ns": person.since_ns, "observed_ns": person.observed_ns, "elsewhere": person.elsewhere,
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "rooms": rooms.collect::<Vec<_>>(),
         })
@@ -360,7 +359,7 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
         let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
         let sets = (0..horizons).map_while(|horizon| set_places(told, person, horizon));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
             "rooms": rooms.collect::<Vec<_>>(),
             "set_coverage": person.set_coverage, "sets": sets.collect::<Vec<_>>(),
@@ -413,7 +412,7 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
         rooms.filter(|(room, _)| told.covered >> room & 1 == 1).map(|(_, room)| room.id()).collect::<Vec<_>>()
     });
     json!({
-        "robot_name": name, "action_name": action_word(told.action), "covered": covered,
+        "robot_name": name, "action_name": Action::of(told.action).word(), "covered": covered,
         "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": given(told.from()),
         "to": given(told.to()), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
         "cancels": Some(told.cancels).filter(|cancelled| *cancelled > 0), "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,

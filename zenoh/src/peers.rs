@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
+    Action, DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
 };
 use serde::Deserialize;
 use zenoh::query::Reply;
@@ -257,7 +257,7 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
         // A later version may have more actions. This robot's planner then keeps clear of the room that the other robot is sent to.
-        action: action::of_word(&decision.action).unwrap_or(action::STAY),
+        action: Action::of_word(&decision.action).unwrap_or(Action::Stay).number(),
         flags: decision.flags | decision_flags::ELSEWHERE,
         probability: decision.probability,
         minor: 3,
