@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::SensorKind;
 use roomcast_core::narration::forms::{COUNT_MAX, form_of};
 use serde_json::{Map, Value};
@@ -341,7 +342,8 @@ mod tests {
     fn a_saying_becomes_a_line_of_json() {
         let line = |keys| Saying::new(keys, &names()).unwrap().line(|name| format!("<{name}> {{1}}"));
         let ada = "ada".parse().unwrap();
-        let sentence = Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(2)), ..NOTHING };
+        let sentence =
+            Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(PersonId(2))), ..NOTHING };
         assert_eq!(line(sentence), r#"{"kind":"device","person":2,"text":"They set the 1 to value."}"#);
         let fixed = Keys { say: Some("They sit."), ..NOTHING };
         assert_eq!(line(fixed), r#"{"text":"They sit."}"#);

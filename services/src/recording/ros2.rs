@@ -6,6 +6,7 @@ use std::path::Path;
 
 use mcap::records::{MessageHeader, Metadata};
 use roomcast_core::grounding::{Partition, partitions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{ForecastV1, NarrationV1, PersonForecastsV1, probability_at};
 use roomcast_ipc::sequence;
@@ -83,7 +84,7 @@ fn ahead_s() -> impl Iterator<Item = f64> {
 pub struct Ros2Recorder {
     tape: Tape,
     channels: BTreeMap<String, u16>,
-    persons: BTreeMap<u32, String>,
+    persons: BTreeMap<PersonId, String>,
     robots: BTreeMap<u64, String>,
     /// The map's fingerprint, and its rooms.
     map: Option<(String, Vec<Partition>)>,
@@ -203,7 +204,7 @@ impl Ros2Recorder {
     fn narrated(&self, message: &NarrationV1) -> Text {
         let said = event_of(message.kind, message.text()).map(|said| said.to_string());
         let own = Some(message.person_name()).filter(|name| !name.is_empty());
-        let name = own.or_else(|| self.persons.get(&message.person).map(String::as_str));
+        let name = own.or_else(|| self.persons.get(&PersonId(message.person)).map(String::as_str));
         words::narration(said.as_deref().unwrap_or(message.text()), name)
     }
 
@@ -218,7 +219,7 @@ impl Ros2Recorder {
     fn persons(&mut self, message: &PersonForecastsV1, stamp: Stamp) -> Result<(), RecordingError> {
         for (person, topic) in message.persons().iter().zip(content::person_topics(message.persons())) {
             if !person.name().is_empty() {
-                self.persons.insert(person.person, person.name().to_owned());
+                self.persons.insert(PersonId(person.person), person.name().to_owned());
             }
             for ahead_s in ahead_s() {
                 let places = content::of_person(message, person, ahead_s, stamp.header());
@@ -305,7 +306,7 @@ mod tests {
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map(), &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-        Moment { names: [(4, "Ben".to_owned())].into(), ..Moment::of(&pipeline, &map(), &options, None) }
+        Moment { names: [(PersonId(4), "Ben".to_owned())].into(), ..Moment::of(&pipeline, &map(), &options, None) }
     }
 
     fn scores(sequence: u64, map_fingerprint: [u8; 32]) -> Recorded {

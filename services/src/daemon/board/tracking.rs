@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
@@ -28,7 +29,7 @@ const TRUST_OTHERS: f64 = 0.7;
 #[derive(Debug, Clone)]
 struct Last {
     report: Arc<SensorReport>,
-    person: Option<u32>,
+    person: Option<PersonId>,
     at_ns: i64,
 }
 
@@ -41,7 +42,12 @@ impl Sensors {
     ///
     /// # Errors
     /// The device has a newer report, or there are too many devices.
-    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>, at_ns: i64) -> Result<(), Reason> {
+    pub(super) fn note(
+        &mut self,
+        report: &Arc<SensorReport>,
+        person: Option<PersonId>,
+        at_ns: i64,
+    ) -> Result<(), Reason> {
         match self.0.get(&report.id) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
@@ -56,7 +62,7 @@ impl Sensors {
     }
 
     /// Forgets the devices of a person.
-    pub(super) fn forget(&mut self, person: u32) {
+    pub(super) fn forget(&mut self, person: PersonId) {
         self.0.retain(|_, own| own.person != Some(person));
     }
 }
@@ -68,7 +74,7 @@ pub(super) struct Tracking {
     /// The same, at the time of the last look.
     now: Tracker,
     /// By the tracker's index.
-    persons: Vec<u32>,
+    persons: Vec<PersonId>,
     sensors: Vec<(Box<str>, SensorSpec)>,
     hour: u8,
     /// Until when the hours have passed.
@@ -86,7 +92,7 @@ pub(super) struct Tracking {
 pub(super) struct Said<'a> {
     pub(super) event: &'a Event,
     /// The person, if the event names one.
-    pub(super) who: Option<u32>,
+    pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
     pub(super) count: u8,
     /// Per room the likelihood of an action's text; empty if it names no place.
@@ -103,8 +109,8 @@ impl Tracking {
     /// A filter that believes what the forecasters believe. `None` if the map has too many rooms for it.
     pub(super) fn new(
         (map, grounding): (&SemanticMap, &Grounding),
-        persons: impl Iterator<Item = u32>,
-        (followed, is_lying): (&BTreeMap<u32, Forecaster>, impl Fn(u32) -> bool),
+        persons: impl Iterator<Item = PersonId>,
+        (followed, is_lying): (&BTreeMap<PersonId, Forecaster>, impl Fn(PersonId) -> bool),
         sensors: &Sensors,
         (at_ns, local_ahead_s): (i64, f64),
     ) -> Option<Self> {
@@ -159,7 +165,7 @@ impl Tracking {
     }
 
     /// The tracker's index of a person, who is added if there is room.
-    pub(super) fn index_of(&mut self, person: u32) -> Option<usize> {
+    pub(super) fn index_of(&mut self, person: PersonId) -> Option<usize> {
         if let Some(known) = self.persons.iter().position(|other| *other == person) {
             return Some(known);
         }
@@ -175,7 +181,7 @@ impl Tracking {
         &mut self,
         (map, grounding): (&SemanticMap, &Grounding),
         report: &SensorReport,
-        person: Option<u32>,
+        person: Option<PersonId>,
     ) -> Option<usize> {
         let room = |name: &Option<_>| match name {
             None => Some(None),
@@ -310,7 +316,7 @@ impl Tracking {
     }
 
     /// Removes a person.
-    pub(super) fn remove(&mut self, person: u32) {
+    pub(super) fn remove(&mut self, person: PersonId) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
             self.tracker.remove_person(index);
             self.now.remove_person(index);
@@ -338,31 +344,31 @@ impl Tracking {
     }
 
     /// The persons in the filter's order.
-    pub(super) fn persons(&self) -> &[u32] {
+    pub(super) fn persons(&self) -> &[PersonId] {
         &self.persons
     }
 
     /// The probability that a person caused the last event.
-    pub(super) fn share(&self, person: u32) -> f64 {
+    pub(super) fn share(&self, person: PersonId) -> f64 {
         self.at(person).map_or(0.0, |index| self.tracker.attribution(index))
     }
 
     /// The probability that a person is in a room; of `None`, out of the house.
-    pub(super) fn probability(&self, person: u32, room: Option<usize>) -> f64 {
+    pub(super) fn probability(&self, person: PersonId, room: Option<usize>) -> f64 {
         self.at(person).map_or(0.0, |index| self.tracker.probability(index, room))
     }
 
     /// The probability that a person was out of the house at the last look.
-    pub(super) fn out_now(&self, person: u32) -> f64 {
+    pub(super) fn out_now(&self, person: PersonId) -> f64 {
         self.at(person).filter(|_| self.looked_ns.is_some()).map_or(0.0, |index| self.now.probability(index, None))
     }
 
-    fn at(&self, person: u32) -> Option<usize> {
+    fn at(&self, person: PersonId) -> Option<usize> {
         self.persons.iter().position(|other| *other == person)
     }
 
     /// A person's forecast with the filter's belief about the present.
-    pub(super) fn tell(&self, person: u32, own: &Forecaster, told: &mut Forecaster) {
+    pub(super) fn tell(&self, person: PersonId, own: &Forecaster, told: &mut Forecaster) {
         match self.at(person) {
             Some(index) => {
                 let rooms = 0..self.now.home().rooms();
@@ -374,12 +380,12 @@ impl Tracking {
     }
 
     /// Whether the filter follows a person.
-    pub(super) fn follows(&self, person: u32) -> bool {
+    pub(super) fn follows(&self, person: PersonId) -> bool {
         self.at(person).is_some()
     }
 
     /// The observations that moved the belief about a person and a place most, the strongest first.
-    pub(super) fn why(&self, person: u32, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
+    pub(super) fn why(&self, person: PersonId, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
         let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
         reasons.into_iter().flatten()
     }
