@@ -442,18 +442,13 @@ pub fn run(
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(received) = scores.receive()? {
-            match received {
-                Ok(scores) => metrics.take(&scores),
-                Err(_) => {
-                    metrics.malformed_scores.inc();
-                }
-            }
+        while let Some(scores) = scores.receive()? {
+            metrics.take(&scores);
         }
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received {
-                metrics.decide(&decision);
-            }
+        let new = scores.malformed() - metrics.malformed_scores.get();
+        metrics.malformed_scores.inc_by(new);
+        while let Some(decision) = decisions.receive()? {
+            metrics.decide(&decision);
         }
         drop(metrics);
         server.look_after()?;

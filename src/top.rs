@@ -10,14 +10,14 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RoomScoresV1,
     StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
 use crate::bar::bar;
 use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
 
@@ -148,7 +148,7 @@ impl View {
         for person in scores.persons() {
             let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
             let mut line =
-                format!("{}: {}", who(PersonId(person.person), person.name()), presence_word(person.presence));
+                format!("{}: {}", who(PersonId(person.person), person.name()), Presence::of(person.presence));
             if let (Some(told), Some(own)) = (forecasts, own) {
                 line.push_str(&forecast_words(told, own));
             }
@@ -193,9 +193,9 @@ impl View {
         self.status = Some(status);
     }
 
-    /// Counts a message that was malformed.
-    pub fn malformed(&mut self) {
-        self.malformed += 1;
+    /// Shows so many malformed messages.
+    pub fn malformed(&mut self, messages: u64) {
+        self.malformed = messages;
     }
 
     /// Adds a point to every room's line; to be called every [`POINT_NS`].

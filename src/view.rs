@@ -14,10 +14,10 @@ use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, Subscriber, action, clock,
-    presence, question, sequence,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RoomScoresV1, RoomV1, Subscriber, action,
+    clock, presence, question, sequence,
 };
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
 use roomcast_services::moment::{Moment, MomentError};
 use roomcast_services::recording::{Recorded, Recording};
@@ -119,8 +119,8 @@ pub fn run(
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
         let picture = &mut live.picture;
         // What is malformed is passed over; `roomcast top` and the metrics count it.
-        while let Some(received) = narration.receive()? {
-            received.iter().for_each(|message| picture.narration(message, told_ns(message.observed_ns, now_ns)));
+        while let Some(message) = narration.receive()? {
+            picture.narration(&message, told_ns(message.observed_ns, now_ns));
         }
         if let Some(message) = scores.newest()? {
             picture.scores(&message, now_ns);
@@ -134,8 +134,8 @@ pub fn run(
         if let Some(message) = forecasts.newest()? {
             picture.forecasts(&message, now_ns);
         }
-        while let Some(received) = decisions.receive()? {
-            received.iter().for_each(|message| picture.decision(message, told_ns(message.decided_ns, now_ns)));
+        while let Some(message) = decisions.receive()? {
+            picture.decision(&message, told_ns(message.decided_ns, now_ns));
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
@@ -643,7 +643,7 @@ impl Picture {
             let own =
                 forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
             let mut card = json!({
-                "name": who(PersonId(person.person), person.name()), "presence": presence_word(person.presence),
+                "name": who(PersonId(person.person), person.name()), "presence": Presence::of(person.presence).word(),
                 "flags": flag_words(person.flags).collect::<Vec<_>>(),
                 "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
             });

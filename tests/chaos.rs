@@ -391,11 +391,12 @@ impl World {
         // Decisions first: the scores that they rest on were sent before them, and are here then.
         let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
         let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
+        assert_eq!((observer.decisions.malformed(), observer.scores.malformed()), (0, 0));
         for scores in scores {
-            self.look_at_scores(&scores.unwrap());
+            self.look_at_scores(&scores);
         }
         for decision in decisions {
-            self.look_at_decision(&decision.unwrap());
+            self.look_at_decision(&decision);
         }
     }
 

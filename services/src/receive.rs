@@ -11,7 +11,7 @@ use crate::logging::Limiter;
 /// # Errors
 /// [`IpcError::Port`] when the port fails.
 pub fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
-    while let Some(checked) = port.receive_into(message)? {
+    while let Some((checked, _)) = port.receive_from(message)? {
         let Err(error) = checked else { return Ok(true) };
         if let Some(not_told) = log.pass(clock::monotonic_ns()) {
             tracing::warn!(%error, not_told, service = M::SERVICE.name, "malformed message");

@@ -79,7 +79,6 @@ pub use person_question::{
 };
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
-pub use roomcast_ipc::presence::word as presence_word;
 pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread looks after the others.

@@ -1096,7 +1096,7 @@ fn who_was_never_known_is_not_forgotten() {
 fn a_presence_has_one_word() {
     use roomcast_core::narration::Presence;
     for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
-        assert_eq!(presence::word(presence_value(all)), all.as_str());
+        assert_eq!(roomcast_ipc::Presence::of(presence_value(all)).word(), all.as_str());
     }
 }
 
