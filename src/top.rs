@@ -1,7 +1,7 @@
 //! What `roomcast top` shows: the state gathered from the services, and its drawing. No port, no clock, no terminal: a test feeds it
 //! messages and looks at the text.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -61,6 +61,8 @@ pub struct View {
     rooms: Vec<Room>,
     /// Each person's line, where it says more than the rooms do.
     persons: Vec<String>,
+    /// By person: the observation that moved the belief most.
+    reasons: BTreeMap<u32, String>,
     forecasts: Option<Box<PersonForecastsV1>>,
     forecast_flags: u32,
     narration: VecDeque<(String, String)>,
@@ -161,6 +163,7 @@ impl View {
                 line.push_str(crate::flags::plain(word));
             }
             self.persons.push(line);
+            self.persons.extend(self.reasons.get(&person.person).map(|reason| format!("  {reason}")));
             // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
             let has_learned = self.status.as_ref().is_none_or(|status| status.learned > 0);
             self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own, has_learned)));
@@ -169,6 +172,11 @@ impl View {
         if left_out > 0 {
             self.persons.push(format!("and {left_out} more"));
         }
+    }
+
+    /// Takes in why persons are believed to be where they are, which the next scores are shown with.
+    pub fn reasons(&mut self, reasons: &BTreeMap<u32, String>) {
+        self.reasons.clone_from(reasons);
     }
 
     /// Takes in each person's forecast, which the next scores are shown with.

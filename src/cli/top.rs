@@ -16,6 +16,7 @@ use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
 use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
@@ -95,6 +96,7 @@ fn screen(
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
+    let mut reasons = Reasons::new(&node).map_err(ipc)?;
     let mut view = View::of_robot(robot);
     let (mut point_ns, mut status_ns) = (BootNs(0), BootNs(0));
     let mut taken = None;
@@ -120,6 +122,7 @@ fn screen(
                 view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
+                view.reasons(reasons.refresh(message.persons().iter().map(|person| person.person)));
                 view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {

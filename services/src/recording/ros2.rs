@@ -187,7 +187,9 @@ impl Ros2Recorder {
                 self.undrawn = Some((forecast.clone(), stamp));
                 self.draw()
             }
-            Recorded::PersonForecasts(message) => self.persons(message, at(received.before(BootNs(message.computed_ns)))),
+            Recorded::PersonForecasts(message) => {
+                self.persons(message, at(received.before(BootNs(message.computed_ns))))
+            }
             Recorded::Decision(decision) => {
                 let said = words::decision(decision, &self.robot(decision.robot, decision.robot_name()));
                 self.say("decision", Kept::Last, at(received.or(UnixNs(decision.decided_unix_ns))), &said)
