@@ -336,9 +336,10 @@ impl Line {
         let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
         let (kind, text) = match (text, presence) {
             _ if is_sensor => (Kind::Presence, sensor.unwrap_or_default()),
-            (Some(text), None) if json.room.is_none() => {
+            (Some(text), None) => {
                 let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)), kind_of)?;
-                (kind, text.trim().to_owned())
+                let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
+                (kind, room.map_or_else(|| Ok(text.trim().to_owned()), |room| said_in(kind, text.trim(), room))?)
             }
             (None, Some(presence)) if json.kind.is_none() => {
                 let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
@@ -348,9 +349,6 @@ impl Line {
                 return Err(reason("\"text\" and \"presence\" exclude each other; send two lines"));
             }
             (None, None) => return Err(reason("give \"text\", \"presence\" or \"sensor\"")),
-            (Some(_), None) => {
-                return Err(reason("\"room\" goes with \"presence\": \"present\", and not with \"text\""));
-            }
             (None, Some(_)) => return Err(reason("\"kind\" goes with \"text\", and not with \"presence\"")),
         };
         let own = json.person.as_ref().filter(|person| !person.is_null());
@@ -402,6 +400,18 @@ fn count_of(value: &Value) -> Result<u8, LineError> {
     count
         .filter(|count| (1..=COUNT_MAX).contains(count))
         .ok_or_else(|| key_error("count", value, &format!("a number of persons from 1 to {COUNT_MAX}")))
+}
+
+/// A sentence with the room of its camera: the room's name ends the text, unless the text has it. A presence form stays as it is.
+fn said_in(kind: Kind, text: &str, room: &str) -> Result<String, LineError> {
+    let room = RoomName::new(room).map_err(ObservedError::from)?.as_str().replace('_', " ");
+    if !matches!(kind, Kind::Sentence | Kind::Device) || DeviceState::parse(text).is_some() {
+        return Err(reason("\"room\" goes with a sentence; an action, a device or a presence names its own room"));
+    }
+    if form_of(text).is_some() || text.to_lowercase().contains(&room.to_lowercase()) {
+        return Ok(text.to_owned());
+    }
+    Ok(format!("{} in the {room}.", text.trim_end_matches(['.', '!', '?'])))
 }
 
 /// The presence that the keys of a line state.
@@ -458,7 +468,19 @@ fn reason(reason: &str) -> LineError {
 mod tests {
     use super::*;
 
-    /// A log has one line for each refused one, whatever its keys are.
+    #[test]
+    fn sentences_of_a_camera_end_with_its_room() {
+        for (text, room, expected) in [
+            ("A woman is chopping vegetables.", "living_room", "A woman is chopping vegetables in the living room."),
+            ("A woman sits on the sofa", "the hall", "A woman sits on the sofa in the hall."),
+            ("They walk through the Living Room!", "living_room", "They walk through the Living Room!"),
+            ("Ada leaves the house.", "hall", "Ada leaves the house."),
+        ] {
+            let json = serde_json::json!({ "text": text, "room": room }).to_string();
+            assert_eq!(Line::read(&json, &Who::Somebody).unwrap().text, expected);
+        }
+    }
+
     #[test]
     fn a_refused_line_forges_no_line_of_a_log() {
         let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
@@ -543,7 +565,9 @@ mod tests {
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
             (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
             (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
-            (r#"{"text": "They sit.", "room": "hall"}"#, "\"room\" goes with \"presence\""),
+            (r#"{"text": "[Walk] <hall> (1)", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "the lamp is on", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "They sit.", "room": ""}"#, "is no presence"),
             (
                 r#"{"presence": "away", "room": "hall"}"#,
                 "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",

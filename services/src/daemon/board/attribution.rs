@@ -295,7 +295,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let fault = match (&own.event, who_is) {
             // A device's own reports have their order.
-            (Event::Sensor(report), _) => self.sensors.note(report, who_is, at_ns).err(),
+            (Event::Sensor(report), _) => self.sensors.note((own.source, report), who_is, at_ns).err(),
             (_, Some(person)) => {
                 let part = Observation { person, event: own.event.clone(), name: None, ..*own };
                 self.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
@@ -339,8 +339,16 @@ impl<M: LanguageModel> Board<M> {
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
         let rooms = row.as_deref().unwrap_or_default();
-        let said =
-            Said { event: &own.event, who: who_is, count, rooms, room, is_lying, is_strange: reporter.is_unknown };
+        let said = Said {
+            event: &own.event,
+            source: own.source,
+            who: who_is,
+            count,
+            rooms,
+            room,
+            is_lying,
+            is_strange: reporter.is_unknown,
+        };
         let home = (&self.map, grounding);
         let Some(tracking) = &mut self.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.persons.has_residents() {
