@@ -244,7 +244,7 @@ impl Ours {
     /// The tokens that the model has read and keeps, after the idle work.
     fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
         let pipeline = self.cycle.board().pipeline();
-        let history = pipeline.histories().get(PersonId(0)).expect("there is one person");
+        let history = pipeline.inside().histories().get(PersonId(0)).expect("there is one person");
         if history.left() == before {
             return prompt.to_vec();
         }
@@ -252,7 +252,7 @@ impl Ours {
     }
 
     fn left(&self) -> u64 {
-        self.cycle.board().pipeline().histories().get(PersonId(0)).map_or(0, |history| history.left())
+        self.cycle.board().pipeline().inside().histories().get(PersonId(0)).map_or(0, |history| history.left())
     }
 }
 
@@ -295,7 +295,7 @@ fn tell(
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
         let mut ranking = Ours::new(load(), map, Effort::Ranking, &domains[1]);
-        let prepared = exact.cycle.board().pipeline().prepared().clone();
+        let prepared = exact.cycle.board().pipeline().inside().prepared().clone();
         let tree = TokenTree::of_inner_nodes(prepared.trie());
         assert!(tree.path_count() <= options.sequences, "the whole trie fits into one call");
         let mut bare_exact = Bare::new(&weights, options, tree.path_count());
@@ -305,7 +305,7 @@ fn tell(
         let mut prompt_text = String::new();
         for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
             let pipeline = exact.cycle.board().pipeline();
-            let history = pipeline.histories().get(PersonId(0));
+            let history = pipeline.inside().histories().get(PersonId(0));
             let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
             write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
             let prompt = tokens(&weights, &prompt_text);

@@ -1,6 +1,7 @@
 //! Work that can be done before it is needed.
 
 use super::{Due, Pipeline};
+use crate::ids::PersonId;
 use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
 use crate::scorer::{LanguageModel, Progress};
@@ -18,7 +19,7 @@ impl<M: LanguageModel> Ahead<'_, M> {
     /// What says which prompts may come next. Kept answers that are stale are dropped.
     pub fn outlook(&mut self) -> Outlook {
         let round = self.0.answers.begin(&self.0.histories);
-        let of = |(person, history): (u32, &History)| {
+        let of = |(person, history): (PersonId, &History)| {
             let own = self.0.persons.iter().find(|own| own.id == person && own.at_home && own.due == Due::Nothing);
             let label_log_prob_nats = own.map(|own| own.scores.log_prob_nats.clone()).unwrap_or_default();
             PersonOutlook { person, history: history.clone(), label_log_prob_nats }

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use super::{Effort, Method, Person, PersonScores, Pipeline, PipelineOptions};
+use crate::ids::PersonId;
 use crate::narration::history::Histories;
 use crate::prepared::Preparer;
-use crate::scorer::{IsStopped, LanguageModel, ModelError, PreparedLabels, Token, TokenCounter};
+use crate::scorer::{IsStopped, LanguageModel, ModelError, ModelInfo, PreparedLabels, Token, TokenCounter};
 
 /// The parts of a pipeline, to be read: [`Pipeline::inside`].
 #[derive(Debug)]
@@ -20,6 +21,11 @@ impl<M> Clone for Inside<'_, M> {
 impl<M> Copy for Inside<'_, M> {}
 
 impl<'a, M: LanguageModel> Inside<'a, M> {
+    /// The model's own description.
+    pub fn model(self) -> &'a ModelInfo {
+        self.0.scorer.info()
+    }
+
     /// The labels' tokens and trie.
     pub fn prepared(self) -> &'a Arc<PreparedLabels> {
         &self.0.prepared
@@ -36,19 +42,19 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
     }
 
     /// The sentences that the model read for the newest scores, with their person, oldest first.
-    pub fn read_sentences(self) -> impl Iterator<Item = (u32, &'a str)> + use<'a, M> {
+    pub fn read_sentences(self) -> impl Iterator<Item = (PersonId, &'a str)> + use<'a, M> {
         self.0.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
     }
 
     /// One person's own scores, if they have any.
     #[must_use]
-    pub fn person(self, person: u32) -> Option<PersonScores<'a>> {
+    pub fn person(self, person: PersonId) -> Option<PersonScores<'a>> {
         self.0.persons().find(|scores| scores.person == person)
     }
 
     /// Whether the model has to be asked about a person: their scores are of what they did before, or there are none yet.
     #[must_use]
-    pub fn waits(self, person: u32) -> bool {
+    pub fn waits(self, person: PersonId) -> bool {
         self.0.persons.iter().any(|own| own.id == person && own.waits())
     }
 
@@ -102,7 +108,7 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
 
     /// The same for one person; 0 for somebody unknown.
     #[must_use]
-    pub fn prior_nats_of_person(self, person: u32, label: usize) -> f64 {
+    pub fn prior_nats_of_person(self, person: PersonId, label: usize) -> f64 {
         let own = self.0.persons.iter().find(|known| known.id == person);
         own.map_or(0.0, |own| self.0.prior_nats_of(own, label))
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::{Pipeline, Voice};
+use crate::ids::{EventId, PersonId};
 use crate::narration::Observation;
 use crate::scorer::LanguageModel;
 
@@ -25,7 +26,7 @@ impl<M: LanguageModel> Intake<'_, M> {
             let tokens = observation.sentence().map(|text| self.0.scorer.cost_of(text));
             if tokens.is_some_and(|tokens| tokens > self.0.options.history.tokens) {
                 costly += 1;
-                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                self.pass_over(observation.id());
                 continue;
             }
             self.include(&observation, voice);
@@ -60,7 +61,7 @@ impl<M: LanguageModel> Intake<'_, M> {
 
     /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
     /// their scores, which the next step computes.
-    pub fn end_window(&mut self, person: u32) -> bool {
+    pub fn end_window(&mut self, person: PersonId) -> bool {
         let ended = self.0.histories.get_mut(person).is_some_and(|history| history.end() > 0);
         if let Some(own) = self.0.persons.iter_mut().find(|own| ended && own.id == person) {
             own.wait_from(self.0.heard.turns());
@@ -69,8 +70,8 @@ impl<M: LanguageModel> Intake<'_, M> {
     }
 
     /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
-    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.0.heard.pass_over(source, epoch, sequence);
+    pub fn pass_over(&mut self, event: EventId) {
+        self.0.heard.pass_over(event);
     }
 
     /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
@@ -90,7 +91,7 @@ impl<M: LanguageModel> Intake<'_, M> {
     }
 
     /// Forgets a person, for instance one who has left the map.
-    pub fn forget_person(&mut self, person: u32) {
+    pub fn forget_person(&mut self, person: PersonId) {
         // Their prompts hold what they did.
         self.0.answers.clear();
         self.0.histories.remove(person);

@@ -396,8 +396,8 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.ready {
             self.ready = true;
             let board = self.cycle.board();
-            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name());
-            let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
+            let (model, map) = (board.pipeline().inside().model().name.as_str(), board.map().name());
+            let (labels, rooms) = (board.pipeline().inside().prepared().labels().len(), message.rooms().len());
             tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
         }

@@ -1068,7 +1068,7 @@ fn who_is_forgotten_is_in_no_window() {
         house.after(1, who, said);
     }
     let told = |house: &House| {
-        let histories = house.board.pipeline().histories().iter();
+        let histories = house.board.pipeline().inside().histories().iter();
         histories.flat_map(|(_, history)| history.sentences()).map(str::to_owned).collect::<Vec<_>>()
     };
     assert_eq!(told(&house).len(), 4);
