@@ -493,7 +493,11 @@ fn what_lies_hours_back_leaves_the_prompt() {
     let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
     let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
     silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
-    assert!(silent.intake().end_window(PersonId(0)) && !silent.intake().end_window(PersonId(0)) && !silent.intake().end_window(PersonId(1)));
+    assert!(
+        silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(1))
+    );
     silent.score().unwrap();
     unknown.score().unwrap();
     assert_eq!(silent.inside().person(PersonId(0)).unwrap().window, 0);
