@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::Pipeline;
 use roomcast_ipc::{
@@ -482,7 +482,7 @@ impl World {
         };
         let room = decision.to().to_owned();
         let report = Report { room: Some(room.clone()), decision: Some(decision.sequence), ..Report::new(kind) };
-        let message = self.reporter.message(&report, clock::monotonic_ns(), clock::unix_ns()).unwrap();
+        let message = self.reporter.message(&report, BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();
         observer.reports.send(&message).unwrap();
         observer.reports.tick().unwrap();
         if kind == Kind::Finished {

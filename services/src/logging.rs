@@ -7,6 +7,7 @@ use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
+use roomcast_core::ids::BootNs;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
@@ -141,7 +142,7 @@ pub struct Limiter {
     interval_ns: u64,
     /// Of how many intervals messages may come ahead of their time.
     ahead_ns: u64,
-    next_ns: u64,
+    next_ns: BootNs,
     held: u64,
 }
 
@@ -155,11 +156,11 @@ impl Limiter {
     /// One message per `interval_ns` over time, of which `burst` may come at once.
     #[must_use]
     pub(crate) fn with_burst(interval_ns: u64, burst: u64) -> Self {
-        Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: 0, held: 0 }
+        Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: BootNs(0), held: 0 }
     }
 
     /// Whether to log now, and then how many were held back since the last.
-    pub fn pass(&mut self, now_ns: u64) -> Option<u64> {
+    pub fn pass(&mut self, now_ns: BootNs) -> Option<u64> {
         if now_ns.saturating_add(self.ahead_ns) < self.next_ns {
             self.held += 1;
             return None;
@@ -196,14 +197,15 @@ mod tests {
     #[test]
     fn a_flood_of_messages_is_one_line_per_interval() {
         let mut limiter = Limiter::new(100);
-        let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(now)).collect();
+        let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(BootNs(now))).collect();
         assert_eq!(passed, [0, 99, 99]);
     }
 
     #[test]
     fn a_few_messages_come_at_once_and_a_flood_does_not() {
         let mut limiter = Limiter::with_burst(100, 3);
-        let mut passed = |from, until| (from..until).filter_map(|now| limiter.pass(now)).collect::<Vec<_>>();
+        let mut passed =
+            |from: u64, until: u64| (from..until).filter_map(|now| limiter.pass(BootNs(now))).collect::<Vec<_>>();
         assert_eq!(passed(1000, 1250), [0, 0, 0, 97, 99]);
         // A silence fills it up again, and no more than that.
         assert_eq!(passed(9000, 9003), [49, 0, 0]);

@@ -1,7 +1,9 @@
 //! Messages from a port, one after the other; what is malformed is logged.
 
-use roomcast_ipc::{IpcError, Message, Subscriber, clock};
+use roomcast_core::ids::BootNs;
+use roomcast_ipc::{IpcError, Message, Subscriber};
 
+use crate::clock;
 use crate::logging::Limiter;
 
 /// Takes the next good message that waits, if any; malformed ones are left out, and logged as often as `log` lets through.

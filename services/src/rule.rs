@@ -119,13 +119,8 @@ impl Saying {
             }
             _ => {}
         }
-        if room.is_some()
-            && !matches!(
-                (class, presence),
-                (Class::Sensor(_), _) | (_, Some(Whereabouts::Present | Whereabouts::Empty))
-            )
-        {
-            return Err("room goes with the state of a sensor, and with presence = \"present\" or \"empty\"".to_owned());
+        if room.is_some() && matches!(presence, Some(Whereabouts::Away | Whereabouts::Gone)) {
+            return Err("room goes with say, a sensor, and presence = \"present\" or \"empty\"".to_owned());
         }
         if presence == Some(Whereabouts::Empty) && (room.is_none() || !person.is_null()) {
             return Err(

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Subscriber, clock, limits, question, score_flags,
+    RoomScoresV1, Subscriber, limits, question, score_flags,
 };
+use roomcast_services::clock;
 
 use super::choice::choice;
 use super::top::{SILENCE, silence};
@@ -172,7 +174,7 @@ struct Known {
 
 impl Known {
     /// Whether a message only says again what the recording has.
-    fn repeats(&mut self, message: &Recorded, now_ns: u64) -> bool {
+    fn repeats(&mut self, message: &Recorded, now_ns: BootNs) -> bool {
         match message {
             // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
             Recorded::RoomScores(scores) => {
@@ -202,14 +204,14 @@ impl Known {
 struct Forecasts {
     last: Option<Name>,
     /// When the minute began.
-    minute_ns: Option<u64>,
+    minute_ns: Option<BootNs>,
 }
 
 impl Forecasts {
-    fn repeats(&mut self, name: Name, now_ns: u64) -> bool {
+    fn repeats(&mut self, name: Name, now_ns: BootNs) -> bool {
         let is_same = self.last.replace(name) == Some(name);
         // What is new in between begins no other minute: whoever compares forecasts with what came finds one of each.
-        let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.saturating_sub(begun_ns) < FORECAST_NS);
+        let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.since(begun_ns) < FORECAST_NS);
         if !is_within {
             self.minute_ns = Some(now_ns);
         }
@@ -378,7 +380,7 @@ mod tests {
         for second in 0..200 {
             // Something is said after 100 s.
             for (message, kept) in both(1 + u64::from(second >= 100)).iter().zip(&mut kept) {
-                if !known.repeats(message, (7 + second) * second_ns) {
+                if !known.repeats(message, BootNs((7 + second) * second_ns)) {
                     kept.push(second);
                 }
             }

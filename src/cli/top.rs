@@ -4,17 +4,19 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
     Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, Presence, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
+    PersonScoresV1, PersonV1, Presence, RoomScoresV1, Subscriber, narration_kind, sequence,
 };
+use roomcast_services::clock;
 use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
 use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
@@ -94,8 +96,9 @@ fn screen(
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
+    let mut reasons = Reasons::new(&node).map_err(ipc)?;
     let mut view = View::of_robot(robot);
-    let (mut point_ns, mut status_ns) = (0, 0);
+    let (mut point_ns, mut status_ns) = (BootNs(0), BootNs(0));
     let mut taken = None;
     let mut count = 0;
     let mut heard = Instant::now();
@@ -119,6 +122,7 @@ fn screen(
                 view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
+                view.reasons(reasons.refresh(message.persons().iter().map(|person| person.person)));
                 view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {
@@ -128,14 +132,14 @@ fn screen(
                 view.decision(&message);
             }
             view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
-            if now_ns.saturating_sub(status_ns) >= STATUS_NS {
+            if now_ns.since(status_ns) >= STATUS_NS {
                 // A daemon that is busy or gone does not hold up the view: its last answer stays.
                 if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
                     view.status(answer);
                 }
                 status_ns = now_ns;
             }
-            if now_ns.saturating_sub(point_ns) >= POINT_NS {
+            if now_ns.since(point_ns) >= POINT_NS {
                 view.point();
                 point_ns = now_ns;
             }
@@ -217,7 +221,7 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
         .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
         .collect();
     let mut line = json!({
-        "epoch": format!("{:016x}", snapshot.epoch), "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
+        "epoch": format!("{:016x}", snapshot.epoch), "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns().0),
         "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
         "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
         "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,

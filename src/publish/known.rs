@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1,
     decision_flags, forecast_flags, person_flags, presence, sequence,
@@ -97,8 +98,8 @@ impl Known {
     }
 
     /// Nanoseconds since the daemon last said that it lives; none where it never did.
-    pub(super) fn silence_ns(&self, now_ns: u64) -> Option<u64> {
-        self.scores.as_ref().map(|scores| scores.silence_ns(now_ns))
+    pub(super) fn silence_ns(&self, now_ns: BootNs) -> Option<u64> {
+        self.scores.as_ref().map(|scores| scores.silence_ns(now_ns.0))
     }
 
     /// Whether all rooms and persons are known, so that what an earlier run told of others may go.

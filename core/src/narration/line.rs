@@ -13,7 +13,7 @@ use super::{
     Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SensorReport, Sentence, check_name,
     is_number,
 };
-use crate::ids::PersonId;
+use crate::ids::{PersonId, UnixNs};
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
 
@@ -205,7 +205,7 @@ pub struct Line {
     /// The person observed.
     pub person: Who,
     /// When it was observed, in Unix nanoseconds; none for now.
-    pub observed_unix_ns: Option<u64>,
+    pub observed_unix_ns: Option<UnixNs>,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
 }
@@ -336,9 +336,10 @@ impl Line {
         let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
         let (kind, text) = match (text, presence) {
             _ if is_sensor => (Kind::Presence, sensor.unwrap_or_default()),
-            (Some(text), None) if json.room.is_none() => {
+            (Some(text), None) => {
                 let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)), kind_of)?;
-                (kind, text.trim().to_owned())
+                let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
+                (kind, room.map_or_else(|| Ok(text.trim().to_owned()), |room| said_in(kind, text.trim(), room))?)
             }
             (None, Some(presence)) if json.kind.is_none() => {
                 let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
@@ -348,9 +349,6 @@ impl Line {
                 return Err(reason("\"text\" and \"presence\" exclude each other; send two lines"));
             }
             (None, None) => return Err(reason("give \"text\", \"presence\" or \"sensor\"")),
-            (Some(_), None) => {
-                return Err(reason("\"room\" goes with \"presence\": \"present\", and not with \"text\""));
-            }
             (None, Some(_)) => return Err(reason("\"kind\" goes with \"text\", and not with \"presence\"")),
         };
         let own = json.person.as_ref().filter(|person| !person.is_null());
@@ -378,10 +376,10 @@ impl Line {
     ///
     /// # Errors
     /// [`LineError`] with how far ahead that is.
-    pub fn observed_by(self, now_unix_ns: u64) -> Result<Self, LineError> {
+    pub fn observed_by(self, now_unix_ns: UnixNs) -> Result<Self, LineError> {
         match self.observed_unix_ns {
             Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
-                let (ahead_s, most_s) = ((observed_ns - now_unix_ns) as f64 / 1e9, AHEAD_NS / 1_000_000_000);
+                let (ahead_s, most_s) = (observed_ns.since(now_unix_ns) as f64 / 1e9, AHEAD_NS / 1_000_000_000);
                 Err(reason(&format!(
                     "\"observed_unix_s\" lies {ahead_s:.0} s ahead, at most {most_s} s are allowed: set the clock of the machine that gives it (NTP), or leave the key out for now"
                 )))
@@ -402,6 +400,18 @@ fn count_of(value: &Value) -> Result<u8, LineError> {
     count
         .filter(|count| (1..=COUNT_MAX).contains(count))
         .ok_or_else(|| key_error("count", value, &format!("a number of persons from 1 to {COUNT_MAX}")))
+}
+
+/// A sentence with the room of its camera: the room's name ends the text, unless the text has it. A presence form stays as it is.
+fn said_in(kind: Kind, text: &str, room: &str) -> Result<String, LineError> {
+    let room = RoomName::new(room).map_err(ObservedError::from)?.as_str().replace('_', " ");
+    if !matches!(kind, Kind::Sentence | Kind::Device) || DeviceState::parse(text).is_some() {
+        return Err(reason("\"room\" goes with a sentence; an action, a device or a presence names its own room"));
+    }
+    if form_of(text).is_some() || text.to_lowercase().contains(&room.to_lowercase()) {
+        return Ok(text.to_owned());
+    }
+    Ok(format!("{} in the {room}.", text.trim_end_matches(['.', '!', '?'])))
 }
 
 /// The presence that the keys of a line state.
@@ -429,11 +439,11 @@ fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
 }
 
 /// Whole nanoseconds of seconds since 1970; the caller checks for future times.
-fn unix_ns(value: &Value) -> Result<u64, LineError> {
+fn unix_ns(value: &Value) -> Result<UnixNs, LineError> {
     const ALLOWED: &str = "seconds since 1970, as in 1709280900.5, or leave it out for now";
     match value.as_f64() {
         // About the year 2500. 0 is what a clock that was never set says.
-        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok((seconds * 1e9) as u64),
+        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok(UnixNs((seconds * 1e9) as u64)),
         _ => Err(key_error("observed_unix_s", value, ALLOWED)),
     }
 }
@@ -458,7 +468,19 @@ fn reason(reason: &str) -> LineError {
 mod tests {
     use super::*;
 
-    /// A log has one line for each refused one, whatever its keys are.
+    #[test]
+    fn sentences_of_a_camera_end_with_its_room() {
+        for (text, room, expected) in [
+            ("A woman is chopping vegetables.", "living_room", "A woman is chopping vegetables in the living room."),
+            ("A woman sits on the sofa", "the hall", "A woman sits on the sofa in the hall."),
+            ("They walk through the Living Room!", "living_room", "They walk through the Living Room!"),
+            ("Ada leaves the house.", "hall", "Ada leaves the house."),
+        ] {
+            let json = serde_json::json!({ "text": text, "room": room }).to_string();
+            assert_eq!(Line::read(&json, &Who::Somebody).unwrap().text, expected);
+        }
+    }
+
     #[test]
     fn a_refused_line_forges_no_line_of_a_log() {
         let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
@@ -543,7 +565,9 @@ mod tests {
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
             (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
             (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
-            (r#"{"text": "They sit.", "room": "hall"}"#, "\"room\" goes with \"presence\""),
+            (r#"{"text": "[Walk] <hall> (1)", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "the lamp is on", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "They sit.", "room": ""}"#, "is no presence"),
             (
                 r#"{"presence": "away", "room": "hall"}"#,
                 "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",
@@ -632,7 +656,7 @@ mod tests {
     #[test]
     fn a_time_of_observation_is_kept_to_the_microsecond() {
         let item = item(r#"{"text": "They sit.", "observed_unix_s": 1709280900.5}"#).unwrap();
-        assert_eq!(item.observed_unix_ns, Some(1_709_280_900_500_000_000));
+        assert_eq!(item.observed_unix_ns, Some(UnixNs(1_709_280_900_500_000_000)));
     }
 
     #[test]
@@ -641,12 +665,12 @@ mod tests {
             let line = item(&format!(r#"{{"text": "They sit.", "observed_unix_s": {observed_s}}}"#)).unwrap();
             line.observed_by(now_ns)
         };
-        let error = by(62, 1_000_000_000).unwrap_err().to_string();
+        let error = by(62, UnixNs(1_000_000_000)).unwrap_err().to_string();
         assert!(
             error.contains("\"observed_unix_s\" lies 61 s ahead, at most 60 s are allowed: set the clock"),
             "{error}"
         );
-        by(61, 1_000_000_000).unwrap();
+        by(61, UnixNs(1_000_000_000)).unwrap();
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use proptest::prelude::*;
 
 use super::*;
-use crate::ids::PersonId;
+use crate::ids::{BootNs, PersonId};
 use crate::label_trie::TokenTree;
 use crate::narration::{Event, Sentence};
 use crate::prepared::{Answer, Preparer};
@@ -493,7 +493,11 @@ fn what_lies_hours_back_leaves_the_prompt() {
     let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
     let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
     silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
-    assert!(silent.intake().end_window(PersonId(0)) && !silent.intake().end_window(PersonId(0)) && !silent.intake().end_window(PersonId(1)));
+    assert!(
+        silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(1))
+    );
     silent.score().unwrap();
     unknown.score().unwrap();
     assert_eq!(silent.inside().person(PersonId(0)).unwrap().window, 0);
@@ -638,7 +642,7 @@ proptest! {
                     3 => presence(sequence, PersonId(person), "gone"),
                     _ => observation(sequence, PersonId(person)),
                 };
-                Observation { observed_ns: at_s * 1_000_000_000, ..said }
+                Observation { observed_ns: BootNs(at_s * 1_000_000_000), ..said }
             }).collect();
             // Silence ends a window.
             if *pause_s % 5 == 0 {

@@ -23,6 +23,7 @@ use roomcast_ipc::{
 
 use crate::config::{Forced, PlannerConfig};
 use roomcast_core::grounding::PartitionLevel;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
 use roomcast_core::semantic_map::SemanticMap;
 
@@ -94,7 +95,7 @@ pub struct Planner {
     finished: bool,
     /// Epoch and sequence of the scores last decided upon, and when that was.
     decided: Option<(u64, u64)>,
-    decided_ns: u64,
+    decided_ns: BootNs,
     /// What the next decision has to say of the work before it.
     notice: Notice,
     /// The fallback has been published and holds until scores are fresh.
@@ -127,8 +128,8 @@ pub struct DatedAhead {
 }
 
 impl DatedAhead {
-    fn refuse(dated_ns: u64, now_ns: u64) -> Result<(), Self> {
-        let ahead_ns = dated_ns.saturating_sub(now_ns);
+    fn refuse(dated_ns: BootNs, now_ns: BootNs) -> Result<(), Self> {
+        let ahead_ns = dated_ns.since(now_ns);
         if ahead_ns > AHEAD_NS { Err(Self { ahead_s: ahead_ns / 1_000_000_000 }) } else { Ok(()) }
     }
 }
@@ -177,7 +178,7 @@ impl Planner {
             decisions: VecDeque::new(),
             finished: false,
             decided: None,
-            decided_ns: 0,
+            decided_ns: BootNs(0),
             notice: Notice::default(),
             falling_back: false,
             pausing: None,
@@ -204,8 +205,8 @@ impl Planner {
     /// # Errors
     ///
     /// [`DatedAhead`]; nothing is taken then.
-    pub fn take(&mut self, scores: &RoomScoresV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(scores.published_ns.max(scores.computed_ns), now_ns)?;
+    pub fn take(&mut self, scores: &RoomScoresV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(scores.published_ns.max(scores.computed_ns)), now_ns)?;
         if let Some(known) = &self.scores {
             if known.epoch == scores.epoch
                 && (known.sequence, known.published_ns) > (scores.sequence, scores.published_ns)
@@ -253,8 +254,8 @@ impl Planner {
     /// # Errors
     ///
     /// As [`Planner::take`].
-    pub fn take_forecast(&mut self, forecast: &ForecastV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(forecast.published_ns.max(forecast.computed_ns), now_ns)?;
+    pub fn take_forecast(&mut self, forecast: &ForecastV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(forecast.published_ns.max(forecast.computed_ns)), now_ns)?;
         self.forecast = Some(*forecast);
         Ok(())
     }
@@ -275,8 +276,8 @@ impl Planner {
     /// # Errors
     ///
     /// As [`Planner::take`].
-    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(forecasts.published_ns.max(forecasts.computed_ns), now_ns)?;
+    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(forecasts.published_ns.max(forecasts.computed_ns)), now_ns)?;
         if self.avoid_sets {
             self.sets = Some(Box::new(*forecasts));
         }
@@ -284,19 +285,19 @@ impl Planner {
     }
 
     /// Rooms that are not to be entered because somebody may be there, no room where sets are not looked at; none where that is not known.
-    fn avoided(&self, now_ns: u64) -> Option<Vec<bool>> {
+    fn avoided(&self, now_ns: BootNs) -> Option<Vec<bool>> {
         let Some(scores) = self.scores.as_ref().filter(|_| self.avoid_sets) else { return Some(Vec::new()) };
         outlook::in_sets(self.sets.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
     /// Whether sets are to be looked at, and those that belong to the newest scores have not come.
     #[must_use]
-    pub(crate) fn lacks_sets(&self, now_ns: u64) -> bool {
+    pub(crate) fn lacks_sets(&self, now_ns: BootNs) -> bool {
         self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
     /// Takes note of what another robot is told, where rooms of others are not entered.
-    pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
+    pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
         }
@@ -312,7 +313,7 @@ impl Planner {
     /// # Errors
     ///
     /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
-    pub fn decide(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<Option<DecisionV1>, PolicyError> {
+    pub fn decide(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_at_work(now_ns);
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
@@ -329,8 +330,8 @@ impl Planner {
     fn decide_on(
         &mut self,
         scores: &RoomScoresV1,
-        now_ns: u64,
-        now_unix_ns: u64,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
     ) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_for_persons(scores, now_ns);
         self.look_for_robots(scores, now_ns);
@@ -338,7 +339,7 @@ impl Planner {
             && let Some(work) = self.robot.work.clone()
         {
             // Where its time is over it owes a report, which it may have sent while nobody listened.
-            let left_ns = work.ends_ns.saturating_sub(now_ns);
+            let left_ns = work.ends_ns.since(now_ns);
             let reason = match left_ns {
                 0 => "asks what became of what it was sent to do before the planner's restart",
                 _ => "goes on with what it was sent to do before the planner's restart",
@@ -431,7 +432,7 @@ impl Planner {
     }
 
     /// Ends the work whose time is over: by the clock it is done, and a robot that owes a report has given it up.
-    fn look_at_work(&mut self, now_ns: u64) {
+    fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             let why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
             (self.notice.why, self.pausing) = (why, None);
@@ -454,7 +455,7 @@ impl Planner {
     }
 
     /// Ends the work in a room that somebody has come into.
-    fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+    fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let Some(forecast) = forecast else { return self.interruption.look_away() };
         let works = self.robot.work.as_ref().filter(|work| !work.waits && self.round.stay_ns > 0);
@@ -475,7 +476,7 @@ impl Planner {
     }
 
     /// Ends the work, or the wait, in a room that another robot has, too, and keeps.
-    fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+    fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let Some(work) = self.robot.work.as_ref() else { return };
         let room = scores.rooms().get(work.room).map(|room| room.id);
         if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, work.waits, now_ns)) {
@@ -489,14 +490,14 @@ impl Planner {
     }
 
     /// Whether somebody is likely in the room where the robot waits.
-    fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: u64) -> bool {
+    fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let likely = forecast.filter(|forecast| !forecast.knows_nobody()).map(|forecast| forecast.now());
         likely.is_some_and(|likely| likely.get(work.room).is_some_and(|likely| self.interruption.is_met(*likely)))
     }
 
     /// Whether the robot is free and something may have changed since the last decision.
-    fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
+    fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
         let sets_came = self.pausing == Some(Pause::NoSets) && !self.lacks_sets(now_ns);
         let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
@@ -514,7 +515,7 @@ impl Planner {
     }
 
     /// Rooms that other robots work in, or also wait in; none where they are not looked at.
-    fn taken(&self, waiting_too: bool, now_ns: u64) -> Vec<bool> {
+    fn taken(&self, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let known = self.scores.as_ref().zip(self.others.as_ref());
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
     }
@@ -525,7 +526,7 @@ impl Planner {
     }
 
     /// The policy's choice, among the rooms that the robot may go to.
-    fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
+    fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: BootNs) -> Result<Next, PolicyError> {
         let (occupied, empty) = self.occupied;
         let Some(avoided) = self.avoided(now_ns) else {
             let reason = "it is not known which rooms are in somebody's set: no room is entered until it is".to_owned();
@@ -589,7 +590,7 @@ impl Planner {
     }
 
     /// The policy's choice: rooms that the robot could not do come after the others. None when no room is open.
-    fn choose(&mut self, closed: &[bool], outlook: &Outlook, now_ns: u64) -> Result<Option<Choice>, PolicyError> {
+    fn choose(&mut self, closed: &[bool], outlook: &Outlook, now_ns: BootNs) -> Result<Option<Choice>, PolicyError> {
         let close = |also: &dyn Fn(usize) -> bool| -> Vec<bool> {
             closed.iter().enumerate().map(|(room, closed)| *closed || also(room)).collect()
         };
@@ -614,7 +615,7 @@ impl Planner {
     }
 
     /// The room that the robot is in, where it has nothing to do and nothing is gained by another.
-    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: u64) -> Option<usize> {
+    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: BootNs) -> Option<usize> {
         let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
         let closed = |rooms: &[bool]| rooms.get(here).copied().unwrap_or(false);
         let open = !closed(self.interruption.held()) && !closed(&self.taken(true, now_ns));
@@ -645,7 +646,7 @@ impl Planner {
     }
 
     /// The robot stays, since the scores may not be acted upon.
-    fn fall_back(&mut self, stale: u32, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+    fn fall_back(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         if self.robot.work.is_some() || self.is_finished() || self.falling_back {
             return None;
         }
@@ -666,7 +667,7 @@ impl Planner {
     }
 
     /// The robot pauses; said once.
-    fn pause(&mut self, why: Pause, reason: &str, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+    fn pause(&mut self, why: Pause, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         if self.pausing.replace(why).is_some() && self.notice.why.is_empty() {
             return None;
         }
@@ -675,7 +676,7 @@ impl Planner {
     }
 
     /// A decision to be in a room.
-    fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: u64, now_unix_ns: u64) -> DecisionV1 {
+    fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
         if self.decisions.len() == DECISIONS {
             self.decisions.pop_front();
@@ -686,15 +687,15 @@ impl Planner {
     }
 
     /// The robot's new work, in a room that somebody is in with this probability, if that is known.
-    fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: u64, sequence: u64) {
-        let ends_ns = now_ns.saturating_add(self.round.stay_ns).max(1);
+    fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: BootNs, sequence: u64) {
+        let ends_ns = now_ns.saturating_add(self.round.stay_ns).max(BootNs(1));
         let decisions = vec![(self.epoch, sequence)];
         self.robot.work = Some(Work { room, decisions, began_ns: now_ns, ends_ns, waits, started: false });
         self.robot.be(Some(room), now_ns);
         self.interruption.new_stay(likely.map(|likely| (room, likely)));
     }
 
-    fn decision(&mut self, now_ns: u64, now_unix_ns: u64, to: Option<usize>, reason: &str) -> DecisionV1 {
+    fn decision(&mut self, now_ns: BootNs, now_unix_ns: UnixNs, to: Option<usize>, reason: &str) -> DecisionV1 {
         self.sequence += 1;
         let Notice { cancels, flags, why } = std::mem::take(&mut self.notice);
         let covered = self.round.covered().iter().take(64).enumerate();
@@ -704,8 +705,8 @@ impl Planner {
             robot: self.number,
             epoch: self.epoch,
             sequence: self.sequence,
-            decided_ns: now_ns,
-            decided_unix_ns: now_unix_ns,
+            decided_ns: now_ns.0,
+            decided_unix_ns: now_unix_ns.0,
             covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
             action: action::STAY,
             flags: flags | reported | silent,
@@ -719,7 +720,7 @@ impl Planner {
         if let Some(scores) = &self.scores {
             decision.scores_epoch = scores.epoch;
             decision.scores_sequence = scores.sequence;
-            decision.scores_age_ns = scores.age_ns(now_ns);
+            decision.scores_age_ns = scores.age_ns(now_ns.0);
             decision.observed_ns = scores.observed_ns;
             let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));
             decision.from = room(self.robot.room).map_or([0; NAME_BYTES], |room| room.id);
@@ -736,14 +737,14 @@ impl Planner {
 
     /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
     #[must_use]
-    pub fn stale(&self, now_ns: u64) -> u32 {
+    pub fn stale(&self, now_ns: BootNs) -> u32 {
         match &self.scores {
             None => decision_flags::NO_SCORES,
-            Some(scores) if scores.silence_ns(now_ns) > self.deadline_ns => {
+            Some(scores) if scores.silence_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE | decision_flags::DAEMON_SILENT
             }
             // The daemon lives, but these scores do not contain what has happened since.
-            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns) > self.deadline_ns => {
+            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE
             }
             Some(_) => 0,
@@ -751,28 +752,28 @@ impl Planner {
     }
 
     /// Whether the clock has ended the work: not that of a robot whose own word is taken, unless there is nothing to be done in it.
-    fn is_over(&self, work: &Work, now_ns: u64) -> bool {
+    fn is_over(&self, work: &Work, now_ns: BootNs) -> bool {
         now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
     }
 
     /// Whether the robot has no work in hand.
     #[must_use]
-    pub fn is_free(&self, now_ns: u64) -> bool {
+    pub fn is_free(&self, now_ns: BootNs) -> bool {
         self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
     }
 
     /// How long there is nothing to decide unless something arrives, at most one tick.
     #[must_use]
-    pub fn idle(&self, now_ns: u64) -> Duration {
+    pub fn idle(&self, now_ns: BootNs) -> Duration {
         const LEAST_NS: u64 = 1_000_000;
         let ends_ns = self.robot.work.as_ref().map(|work| work.ends_ns).filter(|_| self.round.stay_ns > 0);
         // Scores that go stale are noticed at once.
         let stale_ns = self
             .scores
             .as_ref()
-            .map(|scores| scores.published_ns.saturating_add(self.deadline_ns).saturating_add(LEAST_NS));
+            .map(|scores| BootNs(scores.published_ns).saturating_add(self.deadline_ns).saturating_add(LEAST_NS));
         let next_ns = ends_ns.into_iter().chain(stale_ns).filter(|next_ns| *next_ns > now_ns).min();
-        next_ns.map_or(TICK, |next_ns| Duration::from_nanos((next_ns - now_ns).max(LEAST_NS)).min(TICK))
+        next_ns.map_or(TICK, |next_ns| Duration::from_nanos(next_ns.since(now_ns).max(LEAST_NS)).min(TICK))
     }
 
     /// The room that the robot is in, by index in the scores' rooms.

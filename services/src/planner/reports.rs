@@ -1,5 +1,6 @@
 //! What becomes of the robot's reports.
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{RobotReportV1, report_kind};
 
 use super::Planner;
@@ -47,11 +48,11 @@ impl Planner {
     /// # Errors
     /// [`ReportFault`] when it names a room or answers a decision that is none, or a position cannot be placed; the rest of it is used, but for
     /// work in a room that is none.
-    pub fn take_report(&mut self, report: &RobotReportV1, now_ns: u64) -> Result<(), ReportFault> {
+    pub fn take_report(&mut self, report: &RobotReportV1, now_ns: BootNs) -> Result<(), ReportFault> {
         if report.robot != self.number || !self.robot.listens() || !self.robot.is_new(report.epoch, report.sequence) {
             return Ok(());
         }
-        let at_ns = report.reported_ns.min(now_ns);
+        let at_ns = BootNs(report.reported_ns).min(now_ns);
         self.robot.hear(at_ns);
         if is_of_work(report.kind) || report.kind == report_kind::DOCKED {
             self.robot.note_told(report.epoch, report.sequence);
@@ -141,7 +142,14 @@ impl Planner {
     }
 
     /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.
-    fn start(&mut self, room: Option<usize>, answered: Option<(u64, u64)>, of_work: bool, at_ns: u64, now_ns: u64) {
+    fn start(
+        &mut self,
+        room: Option<usize>,
+        answered: Option<(u64, u64)>,
+        of_work: bool,
+        at_ns: BootNs,
+        now_ns: BootNs,
+    ) {
         let Some(room) = room else { return };
         let ends_ns = at_ns.saturating_add(self.round.stay_ns);
         let may_still_work = self.robot.may_still_work(ends_ns, now_ns);

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use mcap::records::{MessageHeader, Metadata};
 use roomcast_core::grounding::{Partition, partitions};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::raw::{ForecastV1, NarrationV1, PersonForecastsV1, probability_at};
 use roomcast_ipc::sequence;
@@ -50,27 +50,27 @@ impl Kept {
 
 impl Received {
     /// The wall clock's time of something that the monotonic clock saw before.
-    fn before(self, monotonic_ns: u64) -> u64 {
-        self.unix_ns.saturating_sub(self.monotonic_ns.saturating_sub(monotonic_ns))
+    fn before(self, monotonic_ns: BootNs) -> UnixNs {
+        self.unix_ns.saturating_sub(self.monotonic_ns.since(monotonic_ns))
     }
 
     /// A message's own time, or when it came where it has none.
-    fn or(self, unix_ns: u64) -> u64 {
-        if unix_ns == 0 { self.unix_ns } else { unix_ns }
+    fn or(self, unix_ns: UnixNs) -> UnixNs {
+        if unix_ns == UnixNs(0) { self.unix_ns } else { unix_ns }
     }
 }
 
 /// When a message came, by the file's time, when it was made, by the wall clock, and its number.
 #[derive(Debug, Clone, Copy)]
 struct Stamp {
-    received_ns: u64,
-    made_unix_ns: u64,
+    received_ns: UnixNs,
+    made_unix_ns: UnixNs,
     sequence: u64,
 }
 
 impl Stamp {
     fn header(self) -> Header {
-        Header::of_unix_ns(self.made_unix_ns, FRAME)
+        Header::of_unix_ns(self.made_unix_ns.0, FRAME)
     }
 }
 
@@ -153,8 +153,8 @@ impl Ros2Recorder {
             channel_id,
             // The file's field has 32 bits.
             sequence: stamp.sequence as u32,
-            log_time: stamp.received_ns,
-            publish_time: stamp.made_unix_ns,
+            log_time: stamp.received_ns.0,
+            publish_time: stamp.made_unix_ns.0,
         };
         let data = encode(message).map_err(|source| RecordingError::Cdr { topic: topic.to_owned(), source })?;
         self.tape.write(&header, &data)
@@ -172,14 +172,14 @@ impl Ros2Recorder {
         match message {
             Recorded::Narration(message) => {
                 let said = self.narrated(message);
-                self.say("narration", Kept::Not, at(received.or(message.observed_unix_ns)), &said)
+                self.say("narration", Kept::Not, at(received.or(UnixNs(message.observed_unix_ns))), &said)
             }
             Recorded::RoomScores(scores) => {
                 self.scored = Some(hex::encode(scores.map_fingerprint));
                 self.draw()
             }
             Recorded::Forecast(forecast) => {
-                let stamp = at(received.before(forecast.computed_ns));
+                let stamp = at(received.before(BootNs(forecast.computed_ns)));
                 for ahead_s in ahead_s() {
                     let rooms = content::of_rooms(forecast, ahead_s, stamp.header());
                     self.say(&format!("rooms{}", content::horizon(ahead_s)), Kept::Last, stamp, &rooms)?;
@@ -187,14 +187,16 @@ impl Ros2Recorder {
                 self.undrawn = Some((forecast.clone(), stamp));
                 self.draw()
             }
-            Recorded::PersonForecasts(message) => self.persons(message, at(received.before(message.computed_ns))),
+            Recorded::PersonForecasts(message) => {
+                self.persons(message, at(received.before(BootNs(message.computed_ns))))
+            }
             Recorded::Decision(decision) => {
                 let said = words::decision(decision, &self.robot(decision.robot, decision.robot_name()));
-                self.say("decision", Kept::Last, at(received.or(decision.decided_unix_ns)), &said)
+                self.say("decision", Kept::Last, at(received.or(UnixNs(decision.decided_unix_ns))), &said)
             }
             Recorded::RobotReport(report) => {
                 let said = words::report(report, &self.robot(report.robot, report.robot_name()));
-                self.say("report", Kept::Not, at(received.or(report.reported_unix_ns)), &said)
+                self.say("report", Kept::Not, at(received.or(UnixNs(report.reported_unix_ns))), &said)
             }
             Recorded::PersonScores(_) => Ok(()),
         }
@@ -295,7 +297,7 @@ mod tests {
 
     use super::*;
 
-    const NOW: Received = Received { unix_ns: 1_700_000_000_000_000_000, monotonic_ns: 50_000_000_000 };
+    const NOW: Received = Received { unix_ns: UnixNs(1_700_000_000_000_000_000), monotonic_ns: BootNs(50_000_000_000) };
 
     fn map() -> SemanticMap {
         SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap()
@@ -314,7 +316,7 @@ mod tests {
     }
 
     fn forecast(sequence: u64) -> Recorded {
-        let (computed_ns, room_count, horizon_count) = (NOW.monotonic_ns - 7, 2, 1);
+        let (computed_ns, room_count, horizon_count) = (NOW.monotonic_ns.0 - 7, 2, 1);
         let mut forecast =
             ForecastV1 { epoch: 3, sequence, computed_ns, room_count, horizon_count, ..Default::default() };
         for (room, id) in ["kitchen", "bathroom"].into_iter().enumerate() {
@@ -347,7 +349,7 @@ mod tests {
             NarrationV1 { person: 4, ..NarrationV1::new(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap() };
         let narration = Recorded::Narration(Box::new(narration));
         let mut persons = PersonForecastsV1 {
-            computed_ns: NOW.monotonic_ns - 5,
+            computed_ns: NOW.monotonic_ns.0 - 5,
             room_count: 1,
             horizon_count: 1,
             person_count: 1,
@@ -388,10 +390,10 @@ mod tests {
             (said(12), said(13)),
             ("robo goes to kitchen".into(), "robot 0000000000000005 goes to kitchen".into())
         );
-        let made = |at: usize| (NOW.unix_ns - written[at].2, NOW.unix_ns - written[at].3);
+        let made = |at: usize| (NOW.unix_ns.0 - written[at].2, NOW.unix_ns.0 - written[at].3);
         assert_eq!((made(0), made(1), made(6)), ((0, 0), (0, 7), (0, 5)));
         let drawn: MarkerArray = decode(&written[4].4).unwrap();
-        assert!(!drawn.markers.is_empty() && drawn.markers[0].header == Header::of_unix_ns(NOW.unix_ns - 7, "map"));
+        assert!(!drawn.markers.is_empty() && drawn.markers[0].header == Header::of_unix_ns(NOW.unix_ns.0 - 7, "map"));
         assert_eq!(written[6].1, "vision_msgs/msg/Classification");
 
         let refused = super::super::read(&path).unwrap_err().to_string();

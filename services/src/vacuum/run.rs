@@ -2,13 +2,15 @@
 
 use std::time::{Duration, Instant};
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, clock, sequence,
+    DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, sequence,
 };
 use sd_notify::NotifyState;
 
 use super::dialect::{Dialect, Order};
 use super::driver::{Act, Driver};
+use crate::clock;
 use crate::config::{Config, RobotKind};
 use crate::logging::Limiter;
 use crate::mqtt::link::Link;
@@ -184,7 +186,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         if hearing.is_settled(&driver) {
             show_plan(&driver, &mut plan);
         }
-        let turned_ns = now_ns.saturating_sub(robot.link.turned_ns());
+        let turned_ns = now_ns.since(robot.link.turned_ns());
         if turned_ns <= TURN_MAX_NS {
             watchdog.lives();
         }

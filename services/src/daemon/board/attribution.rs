@@ -1,6 +1,6 @@
 //! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
@@ -295,7 +295,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let fault = match (&own.event, who_is) {
             // A device's own reports have their order.
-            (Event::Sensor(report), _) => self.sensors.note(report, who_is, at_ns).err(),
+            (Event::Sensor(report), _) => self.sensors.note((own.source, report), who_is, at_ns).err(),
             (_, Some(person)) => {
                 let part = Observation { person, event: own.event.clone(), name: None, ..*own };
                 self.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
@@ -339,8 +339,16 @@ impl<M: LanguageModel> Board<M> {
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
         let rooms = row.as_deref().unwrap_or_default();
-        let said =
-            Said { event: &own.event, who: who_is, count, rooms, room, is_lying, is_strange: reporter.is_unknown };
+        let said = Said {
+            event: &own.event,
+            source: own.source,
+            who: who_is,
+            count,
+            rooms,
+            room,
+            is_lying,
+            is_strange: reporter.is_unknown,
+        };
         let home = (&self.map, grounding);
         let Some(tracking) = &mut self.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.persons.has_residents() {
@@ -374,7 +382,7 @@ impl<M: LanguageModel> Board<M> {
         let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
         let followed = (&self.followed, is_lying);
         self.tracking = Tracking::new(home, persons.into_iter(), followed, &self.sensors, of).map(Box::new);
-        self.tell_robots(at_ns.try_into().unwrap_or_default());
+        self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
     /// Weighs an event of a former run. Whom it moved is known.

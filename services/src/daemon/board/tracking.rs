@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
@@ -33,9 +33,12 @@ struct Last {
     at_ns: i64,
 }
 
+/// A device: its narrator and its id. Two narrators may use the same id.
+type Device = (u64, Box<str>);
+
 /// The devices that reported so far. They outlive a change of the map.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sensors(BTreeMap<Box<str>, Last>);
+pub(super) struct Sensors(BTreeMap<Device, Last>);
 
 impl Sensors {
     /// Takes note of a report.
@@ -44,16 +47,17 @@ impl Sensors {
     /// The device has a newer report, or there are too many devices.
     pub(super) fn note(
         &mut self,
-        report: &Arc<SensorReport>,
+        (source, report): (u64, &Arc<SensorReport>),
         person: Option<PersonId>,
         at_ns: i64,
     ) -> Result<(), Reason> {
-        match self.0.get(&report.id) {
+        let device = (source, report.id.clone());
+        match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
             _ => {}
         }
-        self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person, at_ns });
+        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns });
         Ok(())
     }
 
@@ -75,7 +79,7 @@ pub(super) struct Tracking {
     now: Tracker,
     /// By the tracker's index.
     persons: Vec<PersonId>,
-    sensors: Vec<(Box<str>, SensorSpec)>,
+    sensors: Vec<(Device, SensorSpec)>,
     hour: u8,
     /// Until when the hours have passed.
     passed_s: f64,
@@ -91,6 +95,8 @@ pub(super) struct Tracking {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Said<'a> {
     pub(super) event: &'a Event,
+    /// The narrator.
+    pub(super) source: u64,
     /// The person, if the event names one.
     pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
@@ -133,10 +139,10 @@ impl Tracking {
         for person in persons {
             own.index_of(person);
         }
-        for last in sensors.0.values() {
+        for (device, last) in &sensors.0 {
             // A person that is gone takes the devices along.
             if last.person.is_none_or(|person| own.persons.contains(&person)) {
-                own.sensor_of((map, grounding), &last.report, last.person);
+                own.sensor_of((map, grounding), (device.0, &last.report), last.person);
             }
         }
         own.refill();
@@ -156,8 +162,8 @@ impl Tracking {
                 }
             }
         }
-        for last in sensors.0.values() {
-            if let Some(sensor) = own.sensors.iter().position(|(id, _)| *id == last.report.id) {
+        for (device, last) in &sensors.0 {
+            if let Some(sensor) = own.sensors.iter().position(|(own, _)| own == device) {
                 own.tracker.observe(at_s, &Observation::Sensor { sensor, on: last.report.on }, TRUST);
             }
         }
@@ -180,7 +186,7 @@ impl Tracking {
     fn sensor_of(
         &mut self,
         (map, grounding): (&SemanticMap, &Grounding),
-        report: &SensorReport,
+        (source, report): (u64, &SensorReport),
         person: Option<PersonId>,
     ) -> Option<usize> {
         let room = |name: &Option<_>| match name {
@@ -200,12 +206,12 @@ impl Tracking {
             false_alarms_per_day: report.false_alarms_per_day,
             hold_s: report.hold_s,
         };
-        if let Some(known) = self.sensors.iter().position(|(id, _)| *id == report.id) {
+        if let Some(known) = self.sensors.iter().position(|(own, _)| own.0 == source && own.1 == report.id) {
             self.is_stale |= self.sensors[known].1 != spec;
             return (!self.is_stale).then_some(known);
         }
         let index = self.tracker.add_sensor(spec).ok()?;
-        self.sensors.push((report.id.clone(), spec));
+        self.sensors.push(((source, report.id.clone()), spec));
         if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
             self.refill();
         }
@@ -254,7 +260,7 @@ impl Tracking {
         let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
         let observation = match said.event {
             Event::Sensor(report) => {
-                let Some(sensor) = self.sensor_of(home, report, said.who) else { return false };
+                let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
                 Observation::Sensor { sensor, on: report.on }
             }
             Event::Did(_) => Observation::Deed { who, rooms: said.rooms },
@@ -311,7 +317,7 @@ impl Tracking {
     /// Takes in the rooms in which robots may move.
     pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
         self.looked_ns = None;
-        let rooms = robots.rooms(self.tracker.home(), u64::try_from(at_ns).unwrap_or_default());
+        let rooms = robots.rooms(self.tracker.home(), BootNs(u64::try_from(at_ns).unwrap_or_default()));
         self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
     }
 
@@ -323,7 +329,7 @@ impl Tracking {
             self.looked_ns = None;
             self.persons.remove(index);
             // The person's devices are silent now, and new ones if they report again; indices of others moved down.
-            for (id, spec) in &mut self.sensors {
+            for ((_, id), spec) in &mut self.sensors {
                 match spec.person {
                     Some(own) if own == index => *id = "".into(),
                     Some(own) if own > index => spec.person = Some(own - 1),
@@ -392,13 +398,13 @@ impl Tracking {
 
     /// The id of a device of the filter, and its kind.
     pub(super) fn device(&self, sensor: usize) -> Option<(&str, SensorKind)> {
-        self.sensors.get(sensor).map(|(id, spec)| (&**id, spec.kind))
+        self.sensors.get(sensor).map(|((_, id), spec)| (&**id, spec.kind))
     }
 
     /// Devices that turn on much more often without a person than is usual, with both numbers per day.
     pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
         let noisy = self.now.noisy();
-        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0, learned, usual)))
+        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.1, learned, usual)))
     }
 
     /// The room of the last event.
