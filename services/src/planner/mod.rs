@@ -33,6 +33,7 @@ mod places;
 mod reports;
 mod robot;
 mod round;
+pub mod rules;
 mod run;
 mod state;
 
