@@ -1,7 +1,7 @@
 use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
-use roomcast_ipc::{StatusResponseV1, action, forecast_flags, presence, text};
+use roomcast_ipc::{StatusResponseV1, action, decision_flags, forecast_flags, presence, text};
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use serde_json::{Value, json};
@@ -275,13 +275,16 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
     let picture = draw(&mut known);
     let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
-    // Two of the home, four of each room, four of each person, three of the robot.
-    assert_eq!(configs.len(), 2 + 6 * 4 + 2 * 4 + 3);
+    // Two of the home, five of each room, four of each person, four of the robot, and two of its buttons for each room.
+    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 4 + 4 + 6 * 2);
     let mut unique = std::collections::HashSet::new();
     for (topic, payload) in configs {
         let levels: Vec<_> = topic.split('/').collect();
         assert!(
-            matches!(levels[..], ["homeassistant", "sensor" | "binary_sensor", "roomcast", _, "config"]),
+            matches!(
+                levels[..],
+                ["homeassistant", "sensor" | "binary_sensor" | "switch" | "button", "roomcast", _, "config"]
+            ),
             "{topic}"
         );
         let safe = |text: &str| text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
@@ -291,10 +294,15 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
         assert_eq!(config["device"]["identifiers"], json!(["roomcast"]));
         assert_eq!(config["origin"]["name"], "roomcast");
         assert_eq!(config["availability"][0]["topic"], "roomcast/status");
+        assert!(discovery::is_own(payload.as_bytes(), "roomcast") && !discovery::is_own(payload.as_bytes(), "other"));
+        if levels[1] == "button" {
+            assert!(config["command_topic"].as_str().unwrap().starts_with("roomcast/robots/robot/"), "{payload}");
+            assert!(config.get("state_topic").is_none() && config.get("value_template").is_none(), "{payload}");
+            continue;
+        }
         let state = config["state_topic"].as_str().unwrap();
         assert!(state == "roomcast/robots/robot" || picture.contains_key(state), "{state}");
         assert!(!config["value_template"].as_str().unwrap().contains("<b>"), "no name is part of a template");
-        assert!(discovery::is_own(payload.as_bytes(), "roomcast") && !discovery::is_own(payload.as_bytes(), "other"));
     }
     assert!(picture.keys().all(|topic| !topic.contains(['+', '#', '\0', ' '])), "{:?}", picture.keys());
     assert!(!discovery::is_own(b"{\"name\": \"lamp\"}", "roomcast") && !discovery::is_own(b"\xff", "roomcast"));
@@ -368,8 +376,11 @@ proptest::proptest! {
             .map(|(_, payload)| serde_json::from_str(payload).unwrap())
             .collect();
         let (each, all_robots) = (2 + horizons_s.len(), robots.len() + unknown as usize);
-        let expected = 2 + each * (rooms.len() + people.len()) + 3 * (all_robots + 1);
-        let of = |key: &str| entities.iter().map(|entity| entity[key].to_string()).collect::<BTreeSet<_>>();
+        let own = 1 + 2 * rooms.len();
+        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + 3 * (all_robots + 1) + own;
+        let of = |key: &str| {
+            entities.iter().filter_map(|entity| Some(entity.get(key)?.to_string())).collect::<BTreeSet<_>>()
+        };
         prop_assert_eq!(entities.len(), expected, "topics of {:?} {:?} {:?}", rooms, people, robots);
         prop_assert_eq!(of("unique_id").len(), expected, "ids of {:?} {:?} {:?}", rooms, people, robots);
         // Those of the home and of how the daemon is, and one for each.
@@ -399,4 +410,35 @@ fn counters_without_measure_are_told_as_the_most_there_is() {
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
     known.take_status(Some(StatusResponseV1 { malformed: u64::MAX, limited: 1, ..Default::default() }));
     assert_eq!(message(&draw(&mut known), "roomcast/health")["refused"], json!(u64::MAX));
+}
+
+#[test]
+fn a_room_says_whether_it_is_a_good_time_to_clean_it_and_when_that_was_done() {
+    let text = "[planner]\nquiet = [\"00:00-00:00 in kitchen\"]\nknow_s = 0.0";
+    let config = toml::from_str(text).unwrap();
+    let mut known = known(&["kitchen", "hall"], &[[0.0; 3]; 2], &[]).with_advisor(Planner::for_advice(&config));
+    let told = |known: &mut Known, room: &str| -> Value {
+        known.advise(6, 6, "robot");
+        serde_json::from_str(&draw(known)[&format!("roomcast/rooms/{room}")]).unwrap()
+    };
+    let kitchen = told(&mut known, "kitchen");
+    let reason = kitchen["reason"].as_str().unwrap();
+    assert!(kitchen["good"] == false && reason.starts_with("Quiet hours in the kitchen until "), "{kitchen}");
+    let hall = told(&mut known, "hall");
+    assert_eq!([&hall["good"], &hall["reason"], &hall["cleaned_unix_s"]], [&json!(true), &Value::Null, &Value::Null]);
+    assert!(!draw(&mut known).contains_key("homeassistant/sensor/roomcast/hall_cleaned/config"));
+    let mut decision = DecisionV1 {
+        robot: sequence::source_of_name("robot"),
+        decided_unix_ns: 10_000_000_000_000,
+        flags: decision_flags::HELD,
+        ..Default::default()
+    };
+    decision.cleaned_min[1] = 61;
+    known.take_decision(&decision, "robot");
+    let hall = told(&mut known, "hall");
+    assert_eq!(
+        [&hall["good"], &hall["reason"], &hall["cleaned_unix_s"]],
+        [&json!(false), &json!("On hold."), &json!(6_400)]
+    );
+    assert!(draw(&mut known).contains_key("homeassistant/sensor/roomcast/hall_cleaned/config"));
 }

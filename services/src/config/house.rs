@@ -9,7 +9,8 @@ pub const QUIET_MAX: usize = 64;
 const DAYS: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
 const DAY_S: f64 = 86_400.0;
 const DAY_MIN: u32 = 24 * 60;
-const EXPECTED: &str = "expected such as \"22:00-07:00\", \"sat,sun 22:00-09:00\" or \"mon-fri 13:00-15:00 in nursery, office\"";
+const EXPECTED: &str =
+    "expected such as \"22:00-07:00\", \"sat,sun 22:00-09:00\" or \"mon-fri 13:00-15:00 in nursery, office\"";
 
 /// Hours in which the robot is silent: `[DAYS ]HH:MM-HH:MM[ in ROOM, ROOM]`, in local time.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -226,7 +227,17 @@ mod tests {
             assert_eq!(hours(text).to_string(), shown);
             assert_eq!(hours(shown), hours(text));
         }
-        for wrong in ["", "22-7", "22:00", "25:00-07:00", "24:01-07:00", "22:60-07:00", "someday 22:00-07:00", "22:00-07:00 in ,", "+2:00-07:00"] {
+        for wrong in [
+            "",
+            "22-7",
+            "22:00",
+            "25:00-07:00",
+            "24:01-07:00",
+            "22:60-07:00",
+            "someday 22:00-07:00",
+            "22:00-07:00 in ,",
+            "+2:00-07:00",
+        ] {
             let told = QuietHours::try_from(wrong.to_owned()).unwrap_err();
             assert!(told.contains(wrong) && told.contains(EXPECTED), "{told}");
         }

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};
 use roomcast_core::habits::{HabitsOptions, SetOptions};
 use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
 use roomcast_core::policy::PolicyName;
 use roomcast_core::text::odd_name;
-use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 /// The section `[daemon]`.

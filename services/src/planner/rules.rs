@@ -241,7 +241,13 @@ fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Ite
     let quiet = met.max_by(|a, b| a.0.total_cmp(&b.0));
     let quiet = quiet.map(|(until_s, is_all)| Reason::Quiet { room: (!is_all).then(id), until_s });
     let unobserved = facts.unobserved.clone().map(|(names, until_s)| Reason::Unobserved { names, until_s });
-    held.into_iter().chain(asleep).chain(excluded).chain(skipped).chain(quiet).chain(unobserved).chain(empty(room, facts))
+    held.into_iter()
+        .chain(asleep)
+        .chain(excluded)
+        .chain(skipped)
+        .chain(quiet)
+        .chain(unobserved)
+        .chain(empty(room, facts))
 }
 
 /// The reason that house or room are not empty, where they are to be.
@@ -329,7 +335,10 @@ mod tests {
         let config = PlannerConfig::default();
         let sleeper = Sleeper { name: "Mira".to_owned(), room: 1, near: 0b110 };
         let facts = Facts { sleepers: vec![sleeper], ..facts(&config) };
-        assert_eq!([0, 1, 2].map(|room| said(room, at(9.0), &facts)), ["", "Waiting: Mira sleeps in the bedroom.", "Waiting: Mira sleeps in the bedroom."]);
+        assert_eq!(
+            [0, 1, 2].map(|room| said(room, at(9.0), &facts)),
+            ["", "Waiting: Mira sleeps in the bedroom.", "Waiting: Mira sleeps in the bedroom."]
+        );
         // She falls asleep while the robot works in the hall.
         assert!(allowed(2, Now { stay_s: 0.0, ..at(9.0) }, &facts).is_err());
         // And nobody is woken by a person who asks for the room.
@@ -353,7 +362,10 @@ mod tests {
         let names = ["Mira", "Ben", "Cem"].map(str::to_owned);
         let with = |count: usize| Facts { unobserved: Some((names[..count].to_vec(), 9.5 * HOUR_S)), ..facts(&config) };
         assert_eq!(said(0, at(9.0), &with(1)), "Waiting: Mira was not observed yet; until 09:30 at most.");
-        assert_eq!(said(0, at(9.0), &with(3)), "Waiting: Mira, Ben and Cem were not observed yet; until 09:30 at most.");
+        assert_eq!(
+            said(0, at(9.0), &with(3)),
+            "Waiting: Mira, Ben and Cem were not observed yet; until 09:30 at most."
+        );
         assert_eq!(said(0, Now { stay_s: 0.0, ..at(9.0) }, &with(1)), "", "work that has begun goes on");
     }
 
@@ -368,7 +380,10 @@ mod tests {
         let with = |house_empty| Facts { house_empty, at_home: vec!["Mira".to_owned()], ..facts(&config) };
         assert_eq!(said(0, at(9.0), &with((0.1, 0.1))), "Waiting: Mira is at home.");
         // She is out for ten minutes.
-        assert_eq!(said(0, at(9.0), &with((0.95, 0.3))), "Waiting: the house stays empty for 30 minutes with only 30 %.");
+        assert_eq!(
+            said(0, at(9.0), &with((0.95, 0.3))),
+            "Waiting: the house stays empty for 30 minutes with only 30 %."
+        );
         assert_eq!(said(0, at(9.0), &with((0.95, 0.9))), "");
         let works = Now { stay_s: 0.0, ..at(9.0) };
         assert_eq!(said(0, works, &with((0.95, 0.3))), "", "work goes on until somebody comes home");
@@ -381,7 +396,11 @@ mod tests {
         let mut facts = facts(&config);
         facts.room_free[0] = (0.2, 0.1);
         assert_eq!(said(0, at(9.0), &facts), "Waiting: a person may be in the kitchen.");
-        for (for_s, is_open, time) in [(1190.0, false, "20 more minutes"), (30.0, false, "1 more minute"), (7300.0, true, "at least 2 more hours")] {
+        for (for_s, is_open, time) in [
+            (1190.0, false, "20 more minutes"),
+            (30.0, false, "1 more minute"),
+            (7300.0, true, "at least 2 more hours"),
+        ] {
             facts.staying[0] = Some(Staying { name: "Mira".to_owned(), for_s, is_open });
             assert_eq!(said(0, at(9.0), &facts), format!("Waiting: Mira is likely in the kitchen for {time}."));
         }
@@ -394,7 +413,10 @@ mod tests {
             RoomNeeds { id: "kitchen".to_owned(), every_s: None, priority: 1.0, time_s: None, exclude: true };
         let config = PlannerConfig { room: vec![excluded], ..quiet("22:00-07:00") };
         let facts = Facts { skipped: 0b100, ..facts(&config) };
-        assert_eq!([0, 1, 2].map(|room| said(room, at(9.0), &facts)), ["The kitchen is excluded.", "", "The hall is skipped today."]);
+        assert_eq!(
+            [0, 1, 2].map(|room| said(room, at(9.0), &facts)),
+            ["The kitchen is excluded.", "", "The hall is skipped today."]
+        );
         let asked = Facts { asked: 0b101, ..facts.clone() };
         assert_eq!([0, 1, 2].map(|room| said(room, at(23.0), &asked)), ["", "Quiet hours until 07:00.", ""]);
     }
