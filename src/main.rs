@@ -26,6 +26,8 @@ mod latency;
 mod metrics;
 #[cfg(feature = "publish")]
 mod publish;
+#[cfg(any(feature = "publish", feature = "top", feature = "view"))]
+mod robot_place;
 #[cfg(any(feature = "top", feature = "view"))]
 mod top;
 #[cfg(feature = "view")]

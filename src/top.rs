@@ -9,13 +9,14 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
-    StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
 use crate::bar::bar;
 use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
+use crate::robot_place::Places;
 use roomcast_services::daemon::{flag_words, presence_word};
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
@@ -38,6 +39,19 @@ const SET_SHARE: usize = 1;
 const HEADING: &str = "rooms: where somebody is next, and its course";
 /// The panel of rooms and persons keeps its frame where it has so many rows for them.
 const FRAMED_ROWS: usize = 14;
+
+/// The width of the last column: the time since a room was cleaned.
+const CLEANED_WIDTH: usize = 13;
+
+/// A time since a room was cleaned.
+#[must_use]
+pub fn ago(minutes: u16) -> String {
+    match minutes {
+        0..120 => format!("done {minutes} min"),
+        120..2880 => format!("done {} h", minutes / 60),
+        _ => format!("done {} d", minutes / 1440),
+    }
+}
 
 /// Who a message speaks of: a name where there is one.
 #[must_use]
@@ -65,6 +79,7 @@ pub struct View {
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
+    places: Places,
     /// The configured robot's number. Others are shown only where it says nothing.
     robot: u64,
     status: Option<StatusResponseV1>,
@@ -186,6 +201,11 @@ impl View {
         }
     }
 
+    /// Takes in what a robot reports.
+    pub fn report(&mut self, report: &RobotReportV1) {
+        self.places.take(report, self.decision.as_ref());
+    }
+
     /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
     pub fn status(&mut self, status: StatusResponseV1) {
         self.status = Some(status);
@@ -263,17 +283,26 @@ impl View {
         let frame_size = if is_framed { 2 } else { 0 };
         let inner = usize::from(area.width.saturating_sub(frame_size));
         // Name, percentage, then bar and line share what is left.
-        let rest = inner.saturating_sub(name_width + 9);
+        let is_cleaned = self.decision.is_some_and(|decision| decision.cleaned_min.iter().any(|minutes| *minutes > 0));
+        let rest = inner.saturating_sub(name_width + 9 + if is_cleaned { CLEANED_WIDTH } else { 0 });
         let bar_width = rest * 2 / 5;
         let line_width = rest.saturating_sub(bar_width + 1);
         let most = self.rooms.iter().map(|room| room.probability).fold(0.0, f64::max);
-        let lines = (self.rooms.iter()).map(|room| {
+        let lines = self.rooms.iter().enumerate().map(|(place, room)| {
+            let cleaned = self.decision.filter(|_| is_cleaned).map_or_else(String::new, |decision| {
+                let ago = decision.cleaned_min.get(place).copied().unwrap_or_default().checked_sub(1).map(ago);
+                format!("{:>CLEANED_WIDTH$}", ago.unwrap_or_default())
+            });
             let color = if room.probability >= most { Color::Yellow } else { Color::Cyan };
             Line::from(vec![
                 Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
                 Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
                 Span::styled(format!("{:<bar_width$} ", bar(room.probability, bar_width)), Style::new().fg(color)),
-                Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
+                Span::styled(
+                    format!("{:<line_width$}", sparkline(&room.points, line_width)),
+                    Style::new().fg(color).dim(),
+                ),
+                Span::from(cleaned).dim(),
             ])
         });
         let mut lines: Vec<_> = lines.chain(persons.iter().map(|line| Line::from(line.as_str()))).collect();
@@ -315,9 +344,11 @@ impl View {
             name if decision.robot != self.robot && !name.is_empty() => format!("{name}: "),
             _ => String::new(),
         };
+        let place = self.places.of(decision.robot).words(str::to_owned);
         let mut first = vec![
             Span::from(robot),
             Span::from(format!("{} ", decision.to())).bold(),
+            Span::from(format!("[{place}] ")).cyan(),
             Span::from(format!(
                 "({:.1} % likely to be occupied), by {}, {age_s:.0} s ago",
                 100.0 * decision.probability,

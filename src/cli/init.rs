@@ -861,6 +861,33 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_home_gets_quiet_hours_sleep_and_the_segments_that_home_assistant_knows() {
+        let areas = json!({"data": {"areas": [{"id": "kitchen", "name": "Kitchen"}, {"id": "hall", "name": "Hall"}]}});
+        let options = json!({"vacuum": {"area_mapping": {"kitchen": ["16"]}}});
+        let vacuum = json!({"entity_id": "vacuum.dusty", "options": options});
+        let entities = json!({"data": {"entities": [vacuum]}}).to_string();
+        let areas = areas.to_string();
+        let registries =
+            import::Registries { areas: &areas, entities: Some(&entities), ..import::Registries::default() };
+        let home = import::home_assistant(&registries, "home").unwrap();
+        let map = home.imported.map.clone();
+        let found = Found {
+            broker: None,
+            seen: Seen::default(),
+            home_assistant: Some((PathBuf::from("/config"), home)),
+            robot: Some("homeassistant/vacuum/dusty".to_owned()),
+            valetudo: None,
+            residents: Vec::new(),
+            quiet: vec![QuietHours::try_from("sat,sun 22:00-09:00".to_owned()).unwrap()],
+            while_asleep: WhileAsleep::House,
+            notes: Vec::new(),
+        };
+        let config: Config = toml::from_str(&configuration(&map, false, &found)).unwrap();
+        assert_eq!((&config.planner.quiet, config.planner.while_asleep), (&found.quiet, WhileAsleep::House));
+        assert_eq!(config.robot.segments, [("kitchen".to_owned(), "16".to_owned())].into());
+    }
+
     /// What `init` does not know no program may take for known: the rules that it leaves name rooms by their ids alone.
     #[test]
     fn rules_of_areas_that_no_room_is_known_to_be_are_comments() {

@@ -7,7 +7,7 @@ use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::narration::SOMEBODY;
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
+    PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
 };
 use serde_json::{Value, json};
 
@@ -93,6 +93,8 @@ fn screen(
     let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    // Without a place at this service it is not known where the robot is.
+    let mut reports = node.subscriber::<RobotReportV1>().ok();
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
     let mut view = View::of_robot(robot);
@@ -132,6 +134,11 @@ fn screen(
             }
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
+            }
+            while let Some(received) =
+                reports.as_mut().map(|reports| reports.receive()).transpose().map_err(ipc)?.flatten()
+            {
+                received.iter().for_each(|report| view.report(report));
             }
             while let Some(received) = decisions.receive().map_err(ipc)? {
                 match received {

@@ -259,6 +259,7 @@ impl<'a> Discovery<'a> {
         let all = [
             entity("decision", "{{ value_json.action }}".to_owned(), options),
             entity("room", text("value_json.room_name"), plain("mdi:floor-plan")),
+            entity("place", text("value_json.place"), plain("mdi:map-marker")),
             entity("reason", reason, plain("mdi:comment-question")),
         ];
         // What the robot was told holds on while the daemon is away.

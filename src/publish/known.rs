@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags,
-    forecast_flags, person_flags, presence, sequence,
+    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1, StatusResponseV1,
+    decision_flags, forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
@@ -12,6 +12,7 @@ use super::discovery::{Discovery, Named};
 use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
+use crate::robot_place::{Place, Places};
 use roomcast_ipc::action::word as action_word;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
@@ -42,6 +43,7 @@ pub(super) struct Known {
     soon: BTreeMap<String, bool>,
     /// A robot has decided for the first time.
     new_robot: bool,
+    places: Places,
     /// Says which rooms may well be cleaned now, by the rules of the house.
     advisor: Option<Planner>,
     /// Of each room the reason why not, if it is no good time.
@@ -92,6 +94,11 @@ impl Known {
     fn cleaned_unix_s(&self, id: &str) -> Option<u64> {
         let room = self.scores.as_ref()?.rooms().iter().position(|room| room.id() == id)?;
         self.decisions.values().filter_map(|decision| decision.cleaned_unix_s(room)).max()
+    }
+
+    /// Takes what a robot reports.
+    pub(super) fn take_report(&mut self, report: &RobotReportV1) {
+        self.places.take(report, self.decisions.get(&report.robot));
     }
 
     pub(super) fn take_scores(&mut self, scores: &RoomScoresV1) {
@@ -192,7 +199,8 @@ impl Known {
         let mut robots: Vec<Named> =
             self.decisions.values().map(|decision| named(decision.robot, decision.robot_name())).collect();
         for (decision, Named { part, name }) in self.decisions.values().zip(&robots) {
-            put(format!("robots/{part}"), &decision_message(decision, name, &rooms));
+            let place = self.places.of(decision.robot);
+            put(format!("robots/{part}"), &decision_message(decision, name, &rooms, &place));
         }
         // It has its place before it decides, and keeps it while its planner is away.
         if !self.decisions.contains_key(&own) {
@@ -356,7 +364,7 @@ fn name_in(rooms: &[String], id: &str) -> String {
     room_name(id, rooms.iter().map(String::as_str))
 }
 
-fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Value {
+fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String], at: &Place) -> Value {
     let action = action_word(decision.action);
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
@@ -366,6 +374,8 @@ fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Val
         "room": place(decision.to()),
         "room_name": place(decision.to()).map(|id| name_in(rooms, &id)),
         "from": place(decision.from()),
+        "at": at.room(),
+        "place": at.words(|id| name_in(rooms, id)),
         "reason": decision.reason(),
         "held_until_unix_s": (decision.held_until_unix_ns > 0).then_some(decision.held_until_unix_ns / 1_000_000_000),
         "probability": share(decision.probability),

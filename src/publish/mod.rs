@@ -185,15 +185,17 @@ struct Ports {
     forecasts: Subscriber<ForecastV1>,
     persons: Subscriber<PersonForecastsV1>,
     decisions: Subscriber<DecisionV1>,
+    /// None where all places of this service are taken: robots' places are not known then.
+    reports: Option<Subscriber<RobotReportV1>>,
     log: Limiter,
-    message: Box<(RoomScoresV1, ForecastV1, PersonForecastsV1, DecisionV1)>,
+    message: Box<(RoomScoresV1, ForecastV1, PersonForecastsV1, DecisionV1, RobotReportV1)>,
 }
 
 impl Ports {
     /// Takes whatever has come.
     fn take(&mut self, known: &mut Known, own: &str) -> Result<(), IpcError> {
-        let Self { scores, forecasts, persons, decisions, log, message } = self;
-        let (of_rooms, forecast, of_persons, decision) = &mut **message;
+        let Self { scores, forecasts, persons, decisions, reports, log, message } = self;
+        let (of_rooms, forecast, of_persons, decision, report) = &mut **message;
         while receive(scores, of_rooms, log)? {
             known.take_scores(of_rooms);
         }
@@ -205,6 +207,11 @@ impl Ports {
         }
         while receive(decisions, decision, log)? {
             known.take_decision(decision, own);
+        }
+        if let Some(reports) = reports {
+            while receive(reports, report, log)? {
+                known.take_report(report);
+            }
         }
         Ok(())
     }
@@ -222,6 +229,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         forecasts: node.subscriber()?,
         persons: node.subscriber()?,
         decisions: node.subscriber()?,
+        reports: node.subscriber().ok(),
         log: Limiter::new(QUIET_NS),
         message: Box::default(),
     };

@@ -216,7 +216,7 @@ fn robots_have_their_planners_names_and_go_with_them() {
     assert!(shown[2].starts_with(&far) && shown[3] == roomcast_services::slug::slug("Staubi Ä"), "{shown:?}");
     // Of those that are here nothing counts that a bridge says.
     for robot in ["robot", "mop2"] {
-        let flags = roomcast_ipc::decision_flags::ELSEWHERE;
+        let flags = decision_flags::ELSEWHERE;
         known.take_decision(&DecisionV1 { flags, sequence: 9, ..decision(robot) }, "robot");
         assert_eq!(message(&draw(&mut known), &format!("roomcast/robots/{robot}"))["decision"], 0);
     }
@@ -275,8 +275,8 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
     let picture = draw(&mut known);
     let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
-    // Two of the home, five of each room, four of each person, four of the robot, and two of its buttons for each room.
-    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 4 + 4 + 6 * 2);
+    // Two of the home, five of each room, four of each person, five of the robot, and two of its buttons for each room.
+    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 4 + 5 + 6 * 2);
     let mut unique = std::collections::HashSet::new();
     for (topic, payload) in configs {
         let levels: Vec<_> = topic.split('/').collect();
@@ -377,7 +377,7 @@ proptest::proptest! {
             .collect();
         let (each, all_robots) = (2 + horizons_s.len(), robots.len() + unknown as usize);
         let own = 1 + 2 * rooms.len();
-        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + 3 * (all_robots + 1) + own;
+        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + 4 * (all_robots + 1) + own;
         let of = |key: &str| {
             entities.iter().filter_map(|entity| Some(entity.get(key)?.to_string())).collect::<BTreeSet<_>>()
         };

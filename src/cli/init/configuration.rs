@@ -85,11 +85,17 @@ pub(super) fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -
                 quoted(&format!("homeassistant/sensor/{vacuum}_battery/state"))
             );
             text.push_str(
-                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n\
-                 # [robot.segments]\n",
+                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n",
             );
+            let known =
+                found.home_assistant.as_ref().and_then(|(_, home)| home.segments.get(&format!("vacuum.{vacuum}")));
+            let is_known = map.rooms().iter().any(|room| known.is_some_and(|known| known.contains_key(&room.id)));
+            text.push_str(if is_known { "[robot.segments]\n" } else { "# [robot.segments]\n" });
             for room in map.rooms() {
-                let _ = writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id));
+                let _ = match known.and_then(|known| known.get(&room.id)) {
+                    Some(segment) => writeln!(text, "{} = {}", quoted(&room.id), quoted(segment)),
+                    None => writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id)),
+                };
             }
         }
     }
