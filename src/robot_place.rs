@@ -17,7 +17,7 @@ pub enum Place {
     Dock,
     /// In a room, by the room's id.
     Room(String),
-    /// It reports, and not where it is.
+    /// It reports, but without a place.
     NotKnown,
 }
 

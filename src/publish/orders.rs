@@ -59,7 +59,7 @@ impl Orders {
     /// The order that a message gives to one of these robots, by the ids of these rooms.
     ///
     /// # Errors
-    /// What is wrong with it, and what helps.
+    /// The fault and the remedy, in words.
     pub(super) fn read(
         &mut self,
         topic: &str,

@@ -68,7 +68,10 @@ fn rooms_are_told_now_and_later() {
     let picture = draw(&mut known);
     assert_eq!(
         message(&picture, "roomcast/rooms/hall"),
-        json!({ "room": "hall", "name": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false })
+        json!({
+            "room": "hall", "name": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false,
+            "good": null, "reason": null, "cleaned_unix_s": null,
+        })
     );
     assert_eq!(message(&picture, "roomcast/rooms/kitchen")["soon"], true);
     assert_eq!(message(&picture, "roomcast/home"), json!({ "somebody": true, "persons": 0 }));
@@ -120,13 +123,14 @@ fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
     let picture = draw(&mut known);
     assert_eq!(message(&picture, topic), 1_789_999_998);
     assert_eq!(message(&picture, entity)["state_topic"], topic);
-    for (topic, payload) in picture.iter().filter(|(topic, _)| topic.ends_with("/config")) {
+    let has_state = |topic: &str| topic.ends_with("/config") && !topic.contains("/button/");
+    for (topic, payload) in picture.iter().filter(|(topic, _)| has_state(topic)) {
         let config: Value = serde_json::from_str(payload).unwrap();
         let template = config["value_template"].as_str().unwrap();
         // Numbers and binary sensors take `None` for unknown.
         let takes_none = topic.contains("/binary_sensor/") || config.get("unit_of_measurement").is_some();
         assert_eq!(template.contains("None"), takes_none, "{topic}: {template}");
-        let is_never_none = ["narrated", "_decision", "_reason"].iter().any(|part| topic.contains(part));
+        let is_never_none = ["narrated", "_decision", "_reason", "_hold"].iter().any(|part| topic.contains(part));
         assert!(takes_none || is_never_none || template.contains("or 'unknown'"), "{topic}: {template}");
     }
 }

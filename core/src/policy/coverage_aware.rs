@@ -491,8 +491,8 @@ mod tests {
             (covered, shared_s) in home(1..5, 1..6), weight_s in 0.0..30.0f64,
         ) {
             let free = |later_share| Free { tie_s: 0.0, empty_s: 0.0, later_share };
-            let least = plan_free(&shared_s, &covered, weight_s, free(1.0)).unwrap();
-            let emptier = plan_free(&shared_s, &covered, weight_s, free(LATER_SHARE)).unwrap();
+            let least = plan_free(&shared_s, &covered, &vec![weight_s; covered.len()], free(1.0)).unwrap();
+            let emptier = plan_free(&shared_s, &covered, &vec![weight_s; covered.len()], free(LATER_SHARE)).unwrap();
             let spared_s = shared_s[least.partitions[0]] - shared_s[emptier.partitions[0]];
             let more_s = value(&emptier, weight_s) - value(&least, weight_s);
             prop_assert!((-1e-4..=spared_s + 1e-4).contains(&more_s), "{more_s} s more, {spared_s} s spared");
@@ -507,7 +507,7 @@ mod tests {
             let cheapest: Vec<usize> = shared_s.chunks(6)
                 .map(|c| (0..6).min_by(|a, b| c[*a].total_cmp(&c[*b])).unwrap()).collect();
             let task = Task {
-                shared_s: &shared_s, partitions: 6, cheapest: &cheapest, to_do: &[0, 1, 2, 3, 4, 5], weight_s: 1e9, tie_s: TIE_S,
+                shared_s: &shared_s, partitions: 6, cheapest: &cheapest, to_do: &[0, 1, 2, 3, 4, 5], weights_s: &[1e9; 6], tie_s: TIE_S,
                 empty_s: 0.0, later_share: 1.0,
             };
             let rooms = task.by_regret();

@@ -11,10 +11,10 @@ use crate::config::{OnlyWhen, PlannerConfig, WhileAsleep};
 
 /// A sleeper may be in each room with this probability or more.
 const MAY_BE: f64 = 0.1;
-/// A person with more than this probability outside is not at home.
+/// A person with a higher probability outside is not at home.
 const OUTSIDE: f64 = 0.5;
 
-/// For each room the rooms beside it and on its floor; itself is among them.
+/// For each room the set of rooms beside it and the set on its floor. Both contain the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Near {
     pub(super) beside: RoomSet,
@@ -27,8 +27,8 @@ pub(super) struct Known<'a> {
     pub(super) scores: &'a RoomScoresV1,
     pub(super) forecast: Option<Forecast<'a>>,
     pub(super) persons: Option<People<'a>>,
-    /// By room; empty where the map is not known.
-    pub(super) near: Vec<Near>,
+    /// By room; empty without a map.
+    pub(super) near: &'a [Near],
     /// Seconds of a stay in each room.
     pub(super) stays_s: Vec<f64>,
 }
@@ -77,7 +77,7 @@ impl<'a> People<'a> {
         rooms.max_by(|a, b| self.likely(person, *a, 0.0).total_cmp(&self.likely(person, *b, 0.0)))
     }
 
-    /// The residents of a list, by name or number, of whom nothing was observed.
+    /// The residents of a list, by name or number, without an observation.
     pub(super) fn lacking(&self, residents: &[String]) -> Vec<String> {
         let is = |person: &PersonForecastV1, who: &str| {
             who.trim().parse() == Ok(person.person) || same_but_for_accents(person.name(), who)
@@ -86,7 +86,7 @@ impl<'a> People<'a> {
         residents.iter().filter(known).cloned().collect()
     }
 
-    /// The person who is likely in a room, with `from` or more, and until they are with `to` at most.
+    /// The likeliest person in a room with probability `from` or more, and the time until it is `to` or less.
     fn staying(&self, room: usize, (from, to): (f64, f64)) -> Option<Staying> {
         let likely = |person: &&PersonForecastV1| self.likely(person, room, 0.0);
         let person = self.at_home().max_by(|a, b| likely(a).total_cmp(&likely(b)))?;
@@ -138,7 +138,7 @@ impl<'a> Known<'a> {
             (WhileAsleep::Room, _) => 1 << room,
             (WhileAsleep::Beside, Some(near)) => near.beside,
             (WhileAsleep::Floor, Some(near)) => near.floor,
-            // Without the map every room may be beside the sleeper's.
+            // Without a map every room may be beside the sleeper's.
             _ => all(self.scores.rooms().len()),
         };
         let sleep = |person: &PersonForecastV1| {
@@ -156,7 +156,7 @@ impl<'a> Known<'a> {
             || self.forecast.is_some_and(|forecast| forecast.misses_resident())
     }
 
-    /// How likely the house is empty now, and all the time that it is to be.
+    /// The probability that the house is empty now, and for all of `min_absence_s`.
     fn house_empty(&self) -> (f64, f64) {
         let is_empty = what_is_known(self.scores, self.forecast) == decision_flags::NOBODY_HOME;
         match self.forecast.filter(|_| !self.is_unsure()) {

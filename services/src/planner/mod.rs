@@ -46,7 +46,7 @@ pub use reports::ReportFault;
 pub use run::run;
 pub use state::KeptRound;
 
-use facts::{Known, People};
+use facts::{Known, Near, People};
 use interruption::Interruption;
 use others::Others;
 use outlook::{Forecast, Outlook};
@@ -95,6 +95,8 @@ pub struct Planner {
     /// The other robots, where their rooms are not entered.
     others: Option<Others>,
     places: Option<Places>,
+    /// By room of the scores; empty without their map.
+    near: Vec<Near>,
     round: Round,
     robot: Robot,
     interruption: Interruption,
@@ -218,6 +220,7 @@ impl Planner {
             daemon: None,
             others: config.avoid_robots.then(|| Others::new(sequence::source_of_name(&config.robot))),
             places: None,
+            near: Vec::new(),
             round: Round::new(config),
             robot: Robot::new(config),
             interruption: Interruption::new(config),
@@ -295,6 +298,9 @@ impl Planner {
         }
         if let Some(places) = &mut self.places {
             places.see(scores);
+            if !same_map || self.near.is_empty() {
+                self.near = if places.fits(scores) { places.near(scores) } else { Vec::new() };
+            }
         }
         self.scores = Some(*scores);
         if self.daemon.is_none_or(|(epoch, _)| epoch != scores.epoch) {
@@ -587,9 +593,8 @@ impl Planner {
     fn facts<'a>(&'a self, scores: &'a RoomScoresV1, now_ns: u64) -> Facts<'a> {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let persons = People::usable(self.persons.as_deref(), scores, (now_ns, self.deadline_ns));
-        let near = self.places.as_ref().filter(|places| places.fits(scores)).map(|places| places.near(scores));
         let stays_s = (0..scores.rooms().len()).map(|room| self.stay_in_s(room)).collect();
-        let known = Known { config: &self.config, scores, forecast, persons, near: near.unwrap_or_default(), stays_s };
+        let known = Known { config: &self.config, scores, forecast, persons, near: &self.near, stays_s };
         let ids = || scores.rooms().iter().map(|room| room.id());
         let until = |hold: &rules::Hold| {
             hold.until_unix_s.map(|until_s| self.zone.local_s(until_s.saturating_mul(1_000_000_000)))

@@ -1,4 +1,4 @@
-//! What outlives a reboot: a person's orders to the planner, and when each room was last cleaned.
+//! The state that outlives a reboot: orders of persons, and the last cleaning of each room.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -30,7 +30,7 @@ pub struct Orders {
 }
 
 impl Orders {
-    /// Drops the orders whose time is over; whether there were any.
+    /// Drops expired orders, and says whether there were any.
     pub(super) fn expire(&mut self, unix_s: u64) -> bool {
         let before = (self.hold.is_some(), self.asked.len(), self.skipped.len());
         self.hold.take_if(|hold| hold.until_unix_s.is_some_and(|until_s| until_s <= unix_s));
@@ -79,7 +79,7 @@ impl OrdersFile {
         Self(Kept::for_good(directory.join(format!("planner-{robot:016x}-orders.json"))))
     }
 
-    /// The orders that were kept; none where there are none, and the log says why where they cannot be read.
+    /// Loads the kept orders. If the file cannot be read, the log says why, and there are no orders.
     pub(super) fn load(&self) -> Orders {
         let path = self.0.path().display();
         let _removed = state_file::remove_unfinished(self.0.path());

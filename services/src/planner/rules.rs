@@ -37,9 +37,9 @@ pub struct Hold {
 pub struct Sleeper {
     /// The person's name.
     pub name: String,
-    /// The room where they most likely are.
+    /// The sleeper's likeliest room.
     pub room: usize,
-    /// The rooms where the robot does not work meanwhile.
+    /// The rooms that stay silent.
     pub near: RoomSet,
 }
 
@@ -77,7 +77,7 @@ pub struct Facts<'a> {
     pub house_empty: (f64, f64),
     /// Per room the probability that nobody is there now, and all the time for a stay or `min_absence_s`.
     pub room_free: Vec<(f64, f64)>,
-    /// Per room the person who is likely there now.
+    /// Per room the likeliest person there now.
     pub staying: Vec<Option<Staying>>,
 }
 
@@ -95,7 +95,7 @@ pub enum Reason {
     Asleep {
         /// The person.
         name: String,
-        /// The room where they sleep.
+        /// The sleeper's room.
         room: String,
     },
     /// The room is excluded.
@@ -129,7 +129,7 @@ pub enum Reason {
     },
     /// A person is in the room.
     Occupied {
-        /// The person, and how long they stay; none where nobody is likely enough.
+        /// The person and the length of the stay; `None` if no single person is likely.
         by: Option<Staying>,
         /// The room.
         room: String,
@@ -146,7 +146,7 @@ pub enum Reason {
 }
 
 impl Reason {
-    /// Whether a person who asks for a room is above this reason. A hold ends by a person, and nobody is woken.
+    /// Whether the order to clean a room overrides this reason. It overrides no hold, and wakes no sleeper.
     #[must_use]
     pub fn yields(&self) -> bool {
         !matches!(self, Self::Held { .. } | Self::Asleep { .. })
@@ -250,7 +250,7 @@ fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Ite
         .chain(empty(room, facts))
 }
 
-/// The reason that house or room are not empty, where they are to be.
+/// The reason against the room if house or room must be empty and are not.
 fn empty(room: usize, facts: &Facts<'_>) -> Option<Reason> {
     let PlannerConfig { only_when, min_absence_s, min_absence_at, resume_at, .. } = *facts.config;
     let id = || facts.ids.get(room).map_or_else(String::new, |id| (*id).to_owned());
@@ -341,7 +341,7 @@ mod tests {
         );
         // She falls asleep while the robot works in the hall.
         assert!(allowed(2, Now { stay_s: 0.0, ..at(9.0) }, &facts).is_err());
-        // And nobody is woken by a person who asks for the room.
+        // The order to clean the room wakes no sleeper.
         assert!(allowed(2, at(9.0), &Facts { asked: 0b100, ..facts.clone() }).is_err());
     }
 

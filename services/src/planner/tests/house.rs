@@ -14,7 +14,7 @@ struct Flat {
     config: PlannerConfig,
     planner: Planner,
     at_ns: u64,
-    /// Each person: name, flags, and where they are.
+    /// Each person: name, flags and room.
     persons: Vec<(&'static str, u32, Option<usize>)>,
     /// Probability that each room is taken in an hour, and that the house is empty then.
     later: Option<([f32; 4], f32)>,
@@ -106,7 +106,7 @@ impl Flat {
         self.after(later_ns).unwrap_or_else(|| panic!("no decision at {} min", self.at_ns / MIN))
     }
 
-    /// The daemon is heard, and nothing is decided, for so long.
+    /// The daemon sends messages for some time, and the planner decides nothing.
     fn quiet_for(&mut self, later_ns: u64) {
         let until_ns = self.at_ns + later_ns;
         while self.at_ns < until_ns {
@@ -173,7 +173,7 @@ fn the_planner_goes_on_without_a_resident_after_a_time() {
     flat.quiet_for(9 * MIN);
     let goes = flat.decision(MIN);
     assert!(goes.action == action::GO && goes.reason().contains("was not observed yet"), "{}", goes.reason());
-    // Another daemon knows nobody, and is waited for as long.
+    // Without a wait the first order goes out at once.
     let mut flat = Flat::new(PlannerConfig { know_s: 0.0, ..PlannerConfig::default() });
     flat.flags = forecast_flags::NOT_KNOWN;
     assert_eq!(flat.decision(0).action, action::GO);
