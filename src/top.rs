@@ -348,12 +348,12 @@ impl View {
         let mut first = vec![
             Span::from(robot),
             Span::from(format!("{} ", decision.to())).bold(),
-            Span::from(format!("[{place}] ")).cyan(),
             Span::from(format!(
                 "({:.1} % likely to be occupied), by {}, {age_s:.0} s ago",
                 100.0 * decision.probability,
                 decision.policy()
             )),
+            Span::from(format!("  [{place}]")).cyan(),
         ];
         for name in decision_flag_names(decision.flags) {
             first.push(Span::from(format!("  {}", plain(name))).yellow());
@@ -524,7 +524,7 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, text};
+    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind, text};
 
     fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 {
@@ -602,6 +602,24 @@ mod tests {
         ["dusty", "rusty"].into_iter().zip(["cellar", "attic"]).for_each(|(robot, to)| view.decision(&of(robot, to)));
         let shown = drawn(&view, 80, 24, 0);
         assert!(shown.contains("cellar (") && !shown.contains("dusty:") && !shown.contains("attic"), "{shown}");
+    }
+
+    #[test]
+    fn a_room_shows_when_it_was_cleaned_and_the_robot_shows_where_it_is() {
+        let mut view = View::of_robot("robot");
+        view.scores(&scores(1, &[("kitchen", 0.6), ("hall", 0.4)]));
+        let mut decision = DecisionV1 { robot: sequence::source_of_name("robot"), ..Default::default() };
+        decision.cleaned_min[1] = 181;
+        view.decision(&decision);
+        let shown = drawn(&view, 100, 24, 0);
+        assert!(shown.contains("done 3 h") && shown.contains("[dry run]"), "{shown}");
+        let docked = RobotReportV1 { robot: decision.robot, kind: report_kind::DOCKED, ..Default::default() };
+        view.report(&docked);
+        assert!(drawn(&view, 100, 24, 0).contains("[on its dock]"));
+        assert_eq!(
+            [0, 119, 120, 2879, 2880].map(ago),
+            ["done 0 min", "done 119 min", "done 2 h", "done 47 h", "done 2 d"]
+        );
     }
 
     /// Numbers that pass the check of their message, and that no daemon sends.

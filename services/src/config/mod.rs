@@ -634,6 +634,33 @@ mod tests {
         assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
     }
 
+    #[test]
+    fn the_home_on_the_page_of_wishes_is_a_configuration() {
+        let page = include_str!("../../../docs/wishes.md");
+        let (_, rest) = page.split_once("```toml\n").unwrap();
+        let (text, _) = rest.split_once("```").unwrap();
+        let config: Config = toml::from_str(text).unwrap();
+        config.check().unwrap();
+        assert_eq!((config.planner.quiet.len(), config.planner.room.len()), (2, 2));
+    }
+
+    #[test]
+    fn rules_of_the_house_out_of_their_limits_are_refused() {
+        for (toml, part) in [
+            ("[planner]\nmin_absence_s = 60.0", "give planner.only_when too"),
+            ("[planner]\nknow_s = -1.0", "planner.know_s is -1"),
+            ("[[planner.room]]\nid = \"a\"\n[[planner.room]]\nid = \"a\"", "planner.room.id is [\"a\", \"a\"]"),
+            ("[[planner.room]]\nid = \"a\"\nevery_s = 0.0", "planner.room.every_s is [0.0]"),
+            ("[[planner.room]]\nid = \"a\"\npriority = 0.0", "planner.room.priority is [0.0]"),
+            ("[[planner.room]]\nid = \"a\"\ntime_s = nan", "planner.room.time_s is [NaN]"),
+        ] {
+            let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
+            assert!(error.contains(part), "{toml}: {error}");
+        }
+        let error = toml::from_str::<Config>("[planner]\nquiet = [\"10pm-7am\"]").unwrap_err().to_string();
+        assert!(error.contains("quiet hours are \"10pm-7am\", expected such as"), "{error}");
+    }
+
     /// What the manual says that a key may be is what the check says.
     #[test]
     fn the_manual_states_the_ranges() {

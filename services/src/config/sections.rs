@@ -358,7 +358,7 @@ impl Default for PlannerConfig {
             forced: Forced::default(),
             avoid_sets: false,
             avoid_robots: false,
-            know_s: 600.0,
+            know_s: 3600.0,
             quiet: Vec::new(),
             while_asleep: WhileAsleep::default(),
             only_when: None,

@@ -257,7 +257,7 @@ impl Planner {
 
     /// With the map that reports' positions and names of rooms mean; the daemon's scores are of the partitions at `level`.
     #[must_use]
-    pub(crate) fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
+    pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
         self.places = Some(Places::new(map, level));
         self
     }
@@ -370,6 +370,15 @@ impl Planner {
         self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
+    /// Whether the persons' forecasts of a daemon that was just heard are still on their way.
+    #[must_use]
+    pub(crate) fn expects_persons(&self, now_ns: u64) -> bool {
+        let (Some(scores), Some((_, since_ns))) = (&self.scores, self.daemon) else { return false };
+        let is_new = self.persons.as_ref().is_none_or(|persons| persons.epoch != scores.epoch);
+        let waits = self.follows_persons && self.config.know_s > 0.0;
+        waits && is_new && scores.sequence > 0 && now_ns < since_ns.saturating_add(self.deadline_ns)
+    }
+
     /// Takes note of what another robot is told, where rooms of others are not entered.
     pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
         if let Some(others) = &mut self.others {
@@ -391,11 +400,15 @@ impl Planner {
         self.clock = (now_ns, now_unix_ns);
         self.look_at_work(now_ns);
         self.look_at_orders();
+        self.wait_through_quiet_hours(now_ns);
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
             self.interruption.look_away();
             return Ok(self.fall_back(stale, now_ns, now_unix_ns));
         };
+        if self.expects_persons(now_ns) {
+            return Ok(None);
+        }
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
         let known = outlook::what_is_known(&scores, forecast);
         let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
@@ -605,6 +618,20 @@ impl Planner {
             skipped: orders::set_of(&self.orders.skipped, ids()),
             unobserved: self.unobserved(scores, forecast, persons, now_ns),
             ..known.facts()
+        }
+    }
+
+    /// The wait for residents does not pass in quiet hours: they sleep then, and no sensor observes them.
+    fn wait_through_quiet_hours(&mut self, now_ns: u64) {
+        let local_s = self.local_s();
+        let is_quiet =
+            self.config.quiet.iter().any(|hours| hours.rooms().is_empty() && hours.meets(local_s, 0.0).is_some());
+        let know_ns = nanoseconds(self.config.know_s);
+        if let Some((_, since_ns)) = &mut self.daemon
+            && is_quiet
+            && now_ns < since_ns.saturating_add(know_ns)
+        {
+            *since_ns = now_ns;
         }
     }
 

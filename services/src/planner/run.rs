@@ -73,10 +73,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     if config.planner.avoid_sets {
         awaited.push(&persons);
     }
-    let mut behind_scores: Vec<&dyn Awaited> = vec![&forecasts];
-    if config.planner.avoid_sets {
-        behind_scores.push(&persons);
-    }
+    let behind_scores: Vec<&dyn Awaited> = vec![&forecasts, &persons];
     if others.is_some() {
         // Else the first decision may be for a room that is taken.
         std::thread::sleep(HISTORY_PATIENCE);
@@ -100,7 +97,8 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 is_taken::<PersonForecastsV1>(planner.take_persons(&each, clock::monotonic_ns()), &mut log);
             }
             let left = waits_until.saturating_duration_since(Instant::now());
-            let lacks = planner.lacks_forecast() || planner.lacks_sets(clock::monotonic_ns());
+            let now_ns = clock::monotonic_ns();
+            let lacks = planner.lacks_forecast() || planner.lacks_sets(now_ns) || planner.expects_persons(now_ns);
             if !(has_scores
                 && lacks
                 && !left.is_zero()

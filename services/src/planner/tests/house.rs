@@ -37,7 +37,7 @@ fn map() -> SemanticMap {
 
 impl Flat {
     fn new(config: PlannerConfig) -> Self {
-        let config = PlannerConfig { room_time_s: 600.0, ..config };
+        let config = PlannerConfig { room_time_s: 600.0, know_s: config.know_s.min(600.0), ..config };
         let planner = Self::start(&config, 1);
         let (persons, at_ns) = (vec![("Mira", 0, Some(0))], 9 * HOUR);
         Self { config, planner, at_ns, persons, later: None, flags: 0, sequence: 0, orders: 0 }
@@ -177,6 +177,17 @@ fn the_planner_goes_on_without_a_resident_after_a_time() {
     let mut flat = Flat::new(PlannerConfig { know_s: 0.0, ..PlannerConfig::default() });
     flat.flags = forecast_flags::NOT_KNOWN;
     assert_eq!(flat.decision(0).action, action::GO);
+}
+
+#[test]
+fn the_wait_for_residents_does_not_pass_in_quiet_hours() {
+    let mut flat = Flat::new(quiet_hours("22:00-07:00")).at(3 * HOUR);
+    flat.flags = forecast_flags::RESIDENT_UNKNOWN;
+    paused(&flat.decision(0), "Quiet hours until 07:00.");
+    flat.quiet_for(3 * HOUR + 59 * MIN);
+    paused(&flat.decision(MIN), "Waiting: Ben was not observed yet; until 07:09 at most.");
+    flat.quiet_for(8 * MIN);
+    assert_eq!(flat.decision(MIN).action, action::GO);
 }
 
 #[test]
