@@ -23,6 +23,7 @@ use llama_cpp_2::model::LlamaModel as Weights;
 use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::{Action, Program};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -242,7 +243,7 @@ impl Ours {
     /// The tokens that the model has read and keeps, after the idle work.
     fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
         let pipeline = self.cycle.board().pipeline();
-        let history = pipeline.histories().get(0).expect("there is one person");
+        let history = pipeline.histories().get(PersonId(0)).expect("there is one person");
         if history.left() == before {
             return prompt.to_vec();
         }
@@ -250,7 +251,7 @@ impl Ours {
     }
 
     fn left(&self) -> u64 {
-        self.cycle.board().pipeline().histories().get(0).map_or(0, |history| history.left())
+        self.cycle.board().pipeline().histories().get(PersonId(0)).map_or(0, |history| history.left())
     }
 }
 
@@ -303,7 +304,7 @@ fn tell(
         let mut prompt_text = String::new();
         for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
             let pipeline = exact.cycle.board().pipeline();
-            let history = pipeline.histories().get(0);
+            let history = pipeline.histories().get(PersonId(0));
             let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
             write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
             let prompt = tokens(&weights, &prompt_text);

@@ -4,6 +4,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use roomcast_core::habits::{Habits, HabitsOptions, Turn};
+use roomcast_core::ids::PersonId;
 
 const LABELS: usize = 150;
 const ROOMS: usize = 10;
@@ -26,7 +27,7 @@ impl Days {
         self.label = if draw.is_multiple_of(4) { draw / 4 % LABELS } else { (self.label * 7 + 3) % LABELS };
         self.at_s += 860.0;
         let turn = Turn {
-            person: (draw / 1_024 % 2) as u32,
+            person: PersonId((draw / 1_024 % 2) as u32),
             label: Some(self.label),
             room: Some(self.label % ROOMS),
             at_s: self.at_s,
@@ -57,7 +58,7 @@ fn year(criterion: &mut Criterion) {
         // The last month is watched by the minute.
         while days.at_s > 339.0 * DAY_S && minutes < days.at_s {
             minutes = f64::max(minutes + 60.0, days.at_s - 860.0);
-            (0..2).for_each(|person| habits.tick(person, minutes, &mut |_, p| p.fill(1.0)));
+            (0..2).for_each(|person| habits.tick(PersonId(person), minutes, &mut |_, p| p.fill(1.0)));
         }
     }
     println!("{:?}", habits.learned());
@@ -68,12 +69,12 @@ fn year(criterion: &mut Criterion) {
     let shipped = vec![1.0 / (ROOMS + 1) as f64; HORIZONS_S.len() * (ROOMS + 1)];
     let (mut out, mut weights, mut now_s) = (Vec::new(), Vec::new(), days.at_s);
     group.bench_function("forecast of a person, all horizons", |bencher| {
-        bencher.iter(|| habits.at_times(0, (now_s, &HORIZONS_S), &shipped, &mut out, &mut weights));
+        bencher.iter(|| habits.at_times(PersonId(0), (now_s, &HORIZONS_S), &shipped, &mut out, &mut weights));
     });
     group.bench_function("a minute of a person", |bencher| {
         bencher.iter(|| {
             now_s += 60.0;
-            habits.tick(0, now_s, &mut |_, p| p.fill(1.0));
+            habits.tick(PersonId(0), now_s, &mut |_, p| p.fill(1.0));
         });
     });
     group.finish();

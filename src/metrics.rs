@@ -24,6 +24,7 @@ use roomcast_ipc::{
 
 use crate::decided::{Decided, News};
 use crate::http::{HttpError, Server, refusal};
+use roomcast_core::ids::PersonId;
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::stop::Stop;
@@ -386,7 +387,7 @@ impl Metrics {
         self.habits_observations.clear();
         self.habits_shares.clear();
         for HabitsLine { person, observations, forecast, .. } in &learned.persons {
-            self.habits_observations.get_or_create(&Person { person: *person }).set(*observations);
+            self.habits_observations.get_or_create(&Person { person: person.0 }).set(*observations);
             for line in forecast {
                 for (part, share) in [
                     ("model", line.shipped),
@@ -394,7 +395,7 @@ impl Metrics {
                     ("leaving", line.leaving),
                     ("later", line.later),
                 ] {
-                    let of = ForecastPart { person: *person, horizon_s: line.horizon_s as u32, part };
+                    let of = ForecastPart { person: person.0, horizon_s: line.horizon_s as u32, part };
                     self.habits_shares.get_or_create(&of).set(share);
                 }
             }
@@ -652,7 +653,7 @@ mod tests {
             set_probability: None,
         };
         let ada = HabitsLine {
-            person: 7,
+            person: PersonId(7),
             name: Some("ada".to_owned()),
             observations: 41.5,
             watched_h: 0.0,
@@ -682,7 +683,8 @@ mod tests {
         let node = domain.open("test").unwrap();
         let (status, habits) = (node.status_client().unwrap(), node.question_port(question::HABITS).unwrap());
         let metrics = Arc::new(Mutex::new(Metrics::new()));
-        let ada = HabitsLine { person: 7, name: None, observations: 41.5, watched_h: 0.0, forecast: Vec::new() };
+        let ada =
+            HabitsLine { person: PersonId(7), name: None, observations: 41.5, watched_h: 0.0, forecast: Vec::new() };
         metrics.lock().unwrap().habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
         let mut scrapes = Scrapes { status, habits, metrics, asked: None };
         let knows_ada = |text: &str| text.contains("roomcast_habits_observations{person=\"7\"} 41.5");

@@ -8,6 +8,7 @@ use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
+use roomcast_core::ids::PersonId;
 use roomcast_ipc::{
     DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
@@ -55,7 +56,7 @@ pub fn ago(minutes: u16) -> String {
 
 /// Who a message speaks of: a name where there is one.
 #[must_use]
-pub fn who(person: u32, name: &str) -> String {
+pub fn who(person: PersonId, name: &str) -> String {
     if name.is_empty() { format!("person {person}") } else { name.to_owned() }
 }
 
@@ -161,7 +162,8 @@ impl View {
         }
         for person in scores.persons() {
             let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
-            let mut line = format!("{}: {}", who(person.person, person.name()), presence_word(person.presence));
+            let mut line =
+                format!("{}: {}", who(PersonId(person.person), person.name()), presence_word(person.presence));
             if let (Some(told), Some(own)) = (forecasts, own) {
                 line.push_str(&forecast_words(told, own));
             }

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue};
 use hyper::{Response, StatusCode};
+use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
@@ -661,7 +662,7 @@ impl Picture {
             let own =
                 forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
             let mut card = json!({
-                "name": who(person.person, person.name()), "presence": presence_word(person.presence),
+                "name": who(PersonId(person.person), person.name()), "presence": presence_word(person.presence),
                 "flags": flag_words(person.flags).collect::<Vec<_>>(),
                 "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
             });

@@ -23,6 +23,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::Pipeline;
 use roomcast_ipc::{
@@ -648,7 +649,7 @@ impl World {
             if !numbers.contains(&number) && !self.rng.random_bool(0.2) {
                 continue;
             }
-            hostile.pipeline.forget_person(0);
+            hostile.pipeline.forget_person(PersonId(0));
             let sentences = alone.narration.iter().map(|read| Sentence::new(&read.text).unwrap());
             let observations: Vec<_> =
                 (1..).zip(sentences).map(|(number, said)| Observation::of(number, said)).collect();
@@ -796,7 +797,7 @@ impl Drop for World {
 
 /// How far the scores are from those of the `window` narrations up to `end`, in nats.
 fn difference(pipeline: &mut Pipeline<LlamaModel>, history: &[Observation], end: usize, seen: &Seen) -> f64 {
-    pipeline.forget_person(0);
+    pipeline.forget_person(PersonId(0));
     // Who has left has no window, and is in no room.
     let has_left = history[..end].last().is_some_and(|last| last.sentence().is_none());
     let start = end.saturating_sub(seen.window.max(usize::from(has_left)));
@@ -866,8 +867,7 @@ fn survives(household: bool) {
     let lost = done.filter(|number| !texts.contains(&(name(*number).as_deref(), said(*number).as_str()))).count();
     let forged = history.iter().filter(|o| o.sentence().is_some_and(|text| text.contains(FORGED))).count();
     let too_long = history.iter().filter(|o| o.sentence().is_some_and(|text| text.len() > 900)).count();
-    let names: HashMap<_, _> =
-        history.iter().enumerate().map(|(at, o)| ((o.source, o.epoch, o.sequence), at)).collect();
+    let names: HashMap<_, _> = history.iter().enumerate().map(|(at, o)| (o.id(), at)).collect();
     let twice = history.len() - names.len();
 
     // Scores again, from what they claim. Those that had to wait for the journal contain a little more than they claim.
@@ -879,7 +879,7 @@ fn survives(household: bool) {
         let end = match seen.claim {
             // The first scores after a start may wait for a record of the journal: they claim nothing, and contain what the journal had.
             None => continue,
-            Some(claim) => match names.get(&(claim.source, claim.epoch, claim.sequence)) {
+            Some(claim) => match names.get(&EventId::new(claim.source, claim.epoch, claim.sequence)) {
                 Some(at) => at + 1,
                 None => {
                     println!("scores {}/{} claim what the history lacks: {claim:?}", seen.epoch, seen.sequence);

@@ -12,7 +12,8 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence};
+use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
@@ -69,20 +70,12 @@ fn journal_bytes() -> Vec<u8> {
     let told = [
         observation(1),
         Observation { name: Some("ada".into()), ..observation(2) },
-        Observation { event: Event::Away, person: SOMEBODY, ..observation(3) },
+        Observation { event: Event::Away, person: PersonId::SOMEBODY, ..observation(3) },
         Observation { by_fit: true, ..observation(4) },
     ];
     let outcome = |by_fit: bool, probability: &'static [f64]| {
-        let (person, map) = (4, 9);
-        journal::encode_outcome(&journal::Outcome {
-            source: 7,
-            epoch: 1,
-            sequence: 3,
-            person,
-            by_fit,
-            map,
-            probability,
-        })
+        let (person, map) = (PersonId(4), 9);
+        journal::encode_outcome(&journal::Outcome { event: EventId::new(7, 1, 3), person, by_fit, map, probability })
     };
     let records = told.iter().map(|observation| journal::encode(observation, &[7; 16]));
     records.chain([outcome(true, &[]), outcome(false, &[0.25, 0.75])]).flatten().collect()

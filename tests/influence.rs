@@ -10,6 +10,7 @@ use rand::seq::{IndexedMutRandom, IndexedRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Observation, Program, Sentence, Voice};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::semantic_map::SemanticMap;
@@ -84,7 +85,7 @@ impl Home {
 
     /// Places that the honest one has in the window.
     fn places(&self) -> usize {
-        let window = self.pipeline.histories().get(0).unwrap();
+        let window = self.pipeline.histories().get(PersonId(0)).unwrap();
         window.observations().filter(|o| o.source == Who::Honest as u64 + 1).count()
     }
 }
@@ -114,7 +115,7 @@ fn one_narrator_alone_keeps_to_its_places() {
         let from = rng.random_range(AFTER..=said.len() - AFTER);
         let other = sentences.choose(&mut rng).unwrap().choose(&mut rng).unwrap().clone();
         let told = |home: &mut Home| {
-            home.pipeline.forget_person(0);
+            home.pipeline.forget_person(PersonId(0));
             said[..from].iter().for_each(|sentence| home.hear(Who::Honest, sentence));
         };
 

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::program::Program;
 use roomcast_core::narration::{Observation, Sentence};
@@ -478,7 +479,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
     for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
         let mut exact_scores = Vec::new();
         let mut partial = pipeline(effort);
-        exact.forget_person(0);
+        exact.forget_person(PersonId(0));
         for (sequence, sentence) in (0..).zip(sentences()) {
             let truth = exact.step([observation(sequence, &sentence)]).unwrap();
             exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
@@ -607,7 +608,7 @@ fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
             }
             let outlook = ahead.outlook();
             for guess in guesses {
-                let ask = aside.ask(&outlook, 0, &Sentence::new(guess).unwrap()).unwrap();
+                let ask = aside.ask(&outlook, PersonId(0), &Sentence::new(guess).unwrap()).unwrap();
                 let answer = aside.answer(ask).unwrap();
                 assert!(ahead.keep_answer(answer));
             }

@@ -40,8 +40,9 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::habits::HabitsOptions;
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::label_trie::TokenTree;
-use roomcast_core::narration::{Event, HistoryLimits, Observation, Presence, SOMEBODY, Sentence, person_number};
+use roomcast_core::narration::{Event, HistoryLimits, Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::policy::PolicyName;
 use roomcast_core::prepared::{Answer, Preparer};
@@ -222,7 +223,7 @@ struct Daemon {
     entered: usize,
     scored: usize,
     /// What the model read for the newest scores.
-    read: Vec<(u32, String)>,
+    read: Vec<(PersonId, String)>,
     /// Starts of narrators that this run of the daemon has heard, so that their ports are known.
     heard: BTreeSet<(u64, u64)>,
     /// Which of the maps is in use, and which one the scores are of.
@@ -331,46 +332,46 @@ struct World {
     /// Since the last start the power has failed.
     lost_power: bool,
     /// What a sync has reached; and what the disk refused when it was last asked, which is kept in memory.
-    safe: BTreeSet<(u64, u64, u64)>,
-    refused: BTreeSet<(u64, u64, u64)>,
+    safe: BTreeSet<EventId>,
+    refused: BTreeSet<EventId>,
     is_refused: bool,
     /// All that was ever accepted, as it came; what rotations have dropped of it.
-    ever: BTreeMap<(u64, u64, u64), Observation>,
+    ever: BTreeMap<EventId, Observation>,
     /// When each was accepted the last time, as a number: a start that misreads the journal has seen it in another order.
-    order: BTreeMap<(u64, u64, u64), u64>,
+    order: BTreeMap<EventId, u64>,
     /// How many were accepted before each rotation.
     rotated_at: Vec<u64>,
     /// What was accepted more than once, since it was lost.
-    again: BTreeSet<(u64, u64, u64)>,
-    rotated: BTreeSet<(u64, u64, u64)>,
+    again: BTreeSet<EventId>,
+    rotated: BTreeSet<EventId>,
     /// What a start was not given by a disk that has it, and what had happened to the disk then.
-    hidden: BTreeSet<(u64, u64, u64)>,
+    hidden: BTreeSet<EventId>,
     hidden_at: DiskTally,
     /// The machine was suspended for so long in all.
     asleep_ns: u64,
     /// The names that the home gave.
     names: PersonsFile,
     /// Persons whom the newest scores told of, and who were not gone.
-    told: BTreeSet<u32>,
+    told: BTreeSet<PersonId>,
     /// Whether habits are learned, and the file that holds them.
     learns: bool,
     habits_disk: Option<Vec<u8>>,
     /// Sentences that were ever accepted, and those of them that a killed daemon took with it and that nobody has said again.
-    lessons: BTreeSet<(u64, u64, u64)>,
-    unheard: BTreeSet<(u64, u64, u64)>,
+    lessons: BTreeSet<EventId>,
+    unheard: BTreeSet<EventId>,
     /// What must be in the history, in order, as it came.
     accepted: Vec<Observation>,
     /// Whose the daemon said that is which named nobody, and of these what the journal has.
-    attributed: BTreeMap<(u64, u64, u64), u32>,
+    attributed: BTreeMap<EventId, PersonId>,
     /// Of their own, so that they leave what happens as it is.
     guesses: ChaCha8Rng,
     /// The same of all times: a daemon that lost what it said may say it again of another, and a start may give back the first.
-    ever_attributed: BTreeSet<((u64, u64, u64), u32)>,
-    taken: BTreeSet<(u64, u64, u64)>,
+    ever_attributed: BTreeSet<(EventId, PersonId)>,
+    taken: BTreeSet<EventId>,
     /// What damage to the journal took, which may be lost, and be taken again.
-    damaged: BTreeSet<(u64, u64, u64)>,
+    damaged: BTreeSet<EventId>,
     /// What scores were sent that contain and claim it: its narrator may have forgotten it.
-    claimed: BTreeSet<(u64, u64, u64)>,
+    claimed: BTreeSet<EventId>,
     trace: VecDeque<String>,
     trace_lines: usize,
     tally: Tally,
@@ -641,7 +642,7 @@ impl World {
         };
         // By number, by name, or nobody in particular.
         let who_did = match self.rng.random_range(0..10) {
-            0..6 => Who::Number(self.rng.random_range(0..self.persons)),
+            0..6 => Who::Number(PersonId(self.rng.random_range(0..self.persons))),
             6..8 => Who::Name(NAMES[self.rng.random_range(0..NAMES.len())].to_owned()),
             _ => Who::Somebody,
         };
@@ -665,7 +666,7 @@ impl World {
     fn is_known(&self, start: (u64, u64)) -> bool {
         let heard = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&start));
         let is_whole = !self.tally.is_hurt() && !self.is_refused && !self.lost_power && !self.disk.lacks_pages();
-        heard || (is_whole && self.claimed.iter().any(|name| (name.0, name.1) == start))
+        heard || (is_whole && self.claimed.iter().any(|name| name.start() == start))
     }
 
     /// A stranger, with a port of its own, speaks in a narrator's name, or says what no window holds.
@@ -697,7 +698,7 @@ impl World {
             self.said += 1;
             let text = format!("They do thing {} with the pan.", self.said);
             let message = NarrationV1::new(narration_kind::SENTENCE, &text).unwrap();
-            let person = if self.rng.random_bool(0.5) { 0 } else { SOMEBODY };
+            let person = if self.rng.random_bool(0.5) { 0 } else { PersonId::SOMEBODY.0 };
             let (source, epoch, observed_ns) = (1_000_000 + self.said, self.said, self.now_ns);
             let message = NarrationV1 { source, epoch, sequence: 1, observed_ns, person, ..message };
             self.strangers.push_back((message, INVENTOR));
@@ -779,7 +780,7 @@ impl World {
                 self.tally.accepted += 1;
                 self.tally.missed += missed;
                 daemon.heard.insert((observation.source, observation.epoch));
-                let name = (observation.source, observation.epoch, observation.sequence);
+                let name = observation.id();
                 // Damage may have taken that its source had said it, or hidden it.
                 let hidden = self.tally.is_hurt() && self.rotated.contains(&name);
                 ensure(self.taken.insert(name) || hidden, || format!("taken twice: {name:?}"))?;
@@ -804,7 +805,7 @@ impl World {
             Taken::Forged => self.tally.forged += 1,
             Taken::Costly { .. } => {
                 self.tally.costly += 1;
-                daemon.cycle.pass_over(message.source, message.epoch, message.sequence);
+                daemon.cycle.pass_over(EventId::new(message.source, message.epoch, message.sequence));
             }
             Taken::Limited => {}
         }
@@ -906,7 +907,7 @@ impl World {
         self.rotated_at.extend((0..rotated).map(|_| self.tally.accepted));
         self.note(|| format!("the journal takes {observations}, rotated {rotated} times, refused: {is_refused}"));
         match self.is_refused {
-            true => self.refused.extend(self.accepted[before..before + observations].iter().map(name_of)),
+            true => self.refused.extend(self.accepted[before..before + observations].iter().map(Observation::id)),
             false => self.refused.clear(),
         }
     }
@@ -919,7 +920,7 @@ impl World {
             // What a sync has lost that failed under a daemon that is dead counts as written, and no later one can know.
             let known = if self.disk.lacks_pages() { daemon.found } else { 0 };
             let written = &self.accepted[known..self.accepted.len() - waiting];
-            self.safe.extend(written.iter().map(name_of).filter(|name| !self.refused.contains(name)));
+            self.safe.extend(written.iter().map(Observation::id).filter(|name| !self.refused.contains(name)));
             self.note(|| "the journal is synced".to_owned());
         }
         Ok(())
@@ -981,7 +982,7 @@ impl World {
             return;
         }
         let board = daemon.cycle.board_mut();
-        let persons: Vec<u32> = board.pipeline().persons().map(|own| own.person).collect();
+        let persons: Vec<PersonId> = board.pipeline().persons().map(|own| own.person).collect();
         let waiting = daemon.queue.iter().filter_map(|(entry, _)| entry.observation.sentence());
         let coming = self.narrators.iter().flat_map(|narrator| narrator.wire.front()).map(|message| message.text());
         let guesses = waiting.chain(coming).filter_map(|text| Sentence::new(text).ok());
@@ -1027,7 +1028,7 @@ impl World {
                         records.push_back((journal::encode_outcome(outcome), false));
                         if outcome.by_fit {
                             attributed = *appended;
-                            let name = (outcome.source, outcome.epoch, outcome.sequence);
+                            let name = outcome.event;
                             self.attributed.insert(name, outcome.person);
                             self.ever_attributed.insert((name, outcome.person));
                             self.tally.by_fit += 1;
@@ -1084,7 +1085,7 @@ impl World {
             claim.is_some_and(|claim| o.sequence <= claim.sequence)
         };
         let claimed = self.accepted[..scored].iter().filter(covers);
-        self.claimed.extend(claimed.map(|o| (o.source, o.epoch, o.sequence)));
+        self.claimed.extend(claimed.map(|o| o.id()));
         let buffers = self.narrators.iter_mut().map(|narrator| &mut narrator.scores).chain([&mut self.robot.scores]);
         for buffer in buffers.take(subscribers) {
             // The transport delays; it keeps the newest.
@@ -1102,8 +1103,8 @@ impl World {
         let daemon = self.daemon.as_ref().unwrap();
         let contained = &self.accepted[..daemon.scored];
         for claim in message.included().iter().filter(|claim| claim.accepted > 0) {
-            let name = (claim.source, claim.epoch, claim.sequence);
-            ensure(contained.iter().any(|o| (o.source, o.epoch, o.sequence) == name), || {
+            let name = EventId::new(claim.source, claim.epoch, claim.sequence);
+            ensure(contained.iter().any(|o| o.id() == name), || {
                 format!("scores {} claim {claim:?}, which they do not contain", message.sequence)
             })?;
         }
@@ -1117,11 +1118,11 @@ impl World {
         let entered = &self.accepted[..daemon.entered];
         for (person, history) in daemon.cycle.board().pipeline().histories().iter() {
             let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
-            let said: Vec<_> = entered.iter().filter(is_theirs).map(name_of).collect();
-            let held: Vec<_> = history.observations().map(name_of).collect();
+            let said: Vec<_> = entered.iter().filter(is_theirs).map(Observation::id).collect();
+            let held: Vec<_> = history.observations().map(Observation::id).collect();
             // In their order, the newest among them; where one narrator speaks alone, the newest are all of them.
             let mut rest = said.iter();
-            let alone = said.iter().all(|name| (name.0, name.1) == (said[0].0, said[0].1));
+            let alone = said.iter().all(|name| name.start() == said[0].start());
             let right = held.iter().all(|held| rest.any(|said| said == held))
                 && (held.is_empty() || held.last() == said.last())
                 && (!alone || said.ends_with(&held));
@@ -1131,10 +1132,10 @@ impl World {
     }
 
     /// Whose an observation is, as far as the daemon has said that of one that names nobody.
-    fn person_of(&self, observation: &Observation) -> Option<u32> {
+    fn person_of(&self, observation: &Observation) -> Option<PersonId> {
         match &observation.name {
             Some(name) => Some(person_number(name)),
-            None if observation.person == SOMEBODY => self.attributed.get(&name_of(observation)).copied(),
+            None if observation.person == PersonId::SOMEBODY => self.attributed.get(&observation.id()).copied(),
             None => Some(observation.person),
         }
     }
@@ -1166,16 +1167,16 @@ impl World {
             }
         }
         let here = told.persons().iter().filter(|person| person.presence != presence::GONE);
-        self.told = here.map(|person| person.person).collect();
+        self.told = here.map(|person| PersonId(person.person)).collect();
         let contained = &self.accepted[..scored];
-        let named = contained.iter().any(|o| o.name.is_some() || o.person != SOMEBODY);
+        let named = contained.iter().any(|o| o.name.is_some() || o.person != PersonId::SOMEBODY);
         let (mut nobody, mut present) = (vec![1.0; rooms], Vec::new());
         for person in told.persons() {
             let number = person.person;
-            let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(number)).collect();
-            let told_by_name = |o: &&Observation| o.name.is_some() || o.person != SOMEBODY;
+            let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(PersonId(number))).collect();
+            let told_by_name = |o: &&Observation| o.name.is_some() || o.person != PersonId::SOMEBODY;
             // The joint filter gives an unnamed event to a resident, too, who was not observed yet.
-            let lives_here = is_joint && self.residents.iter().any(|who| number_of(who) == number);
+            let lives_here = is_joint && self.residents.iter().any(|who| number_of(who) == PersonId(number));
             let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named || lives_here;
             let all = own.len();
             // Damage may have taken where they were named.
@@ -1214,7 +1215,7 @@ impl World {
             })?;
             // Since then no sentence was said twice.
             let read: BTreeSet<_> =
-                all_read.iter().filter(|(who, _)| *who == number).map(|(_, said)| &**said).collect();
+                all_read.iter().filter(|(who, _)| *who == PersonId(number)).map(|(_, said)| &**said).collect();
             let is_read = |o: &&Observation| o.sentence().is_some_and(|sentence| read.contains(sentence));
             let shown: Vec<_> = own[since..].iter().copied().filter(is_read).collect();
             ensure(shown.len() == window, || {
@@ -1225,7 +1226,7 @@ impl World {
                 let newest_ns = before.iter().map(|o| o.observed_ns).max();
                 newest_ns.map_or(0.0, |newest_ns| until_ns.saturating_sub(newest_ns) as f64 / 1e9)
             };
-            let is_first = |o: &&Observation| shown.first().is_some_and(|first| name_of(first) == name_of(o));
+            let is_first = |o: &&Observation| shown.first().is_some_and(|first| first.id() == o.id());
             let first = sentences.iter().position(is_first).unwrap_or(sentences.len());
             let inner = first + 1..sentences.len();
             let mut gaps = inner.map(|place| silent_s(sentences[place].observed_ns, &sentences[..place]));
@@ -1242,8 +1243,9 @@ impl World {
             }
             ensure(person.elsewhere == 0.0, || format!("person {number} is here and elsewhere"))?;
             let mut oracle = self.pipeline(map, history, &Rc::default());
-            let alone =
-                oracle.step(shown.iter().map(|o| Observation { person: 0, name: None, ..(*o).clone() })).unwrap();
+            let alone = oracle
+                .step(shown.iter().map(|o| Observation { person: PersonId(0), name: None, ..(*o).clone() }))
+                .unwrap();
             for ((told, alone), nobody) in
                 person.probability.iter().zip(&alone.grounded.partition_probability).zip(&mut nobody)
             {
@@ -1255,7 +1257,7 @@ impl World {
             present.push(number);
         }
         let known = told.persons().iter().filter(|person| person.presence != presence::GONE).count();
-        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who));
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
         let nobody_home = known > 0 && present.is_empty() && self.residents.iter().all(is_told);
         self.tally.nobody_home += u64::from(nobody_home);
         ensure(message.has(score_flags::NOBODY_HOME) == nobody_home, || format!("the flags are {}", message.flags))?;
@@ -1281,7 +1283,7 @@ impl World {
         }
         let forecast = *daemon.cycle.board_mut().forecast(now_ns);
         let told = *daemon.cycle.board_mut().person_scores(now_ns);
-        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who));
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
         let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
         // Nobody knows of a home with nobody in it where somebody who lives there was never observed.
         let known = daemon.cycle.board().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
@@ -1369,7 +1371,7 @@ impl World {
             (whole && self.tally.map_changes == 0).then(|| Ghost { board: daemon.cycle.into_board(), accepted });
         self.ghost = ghost;
         for lost in self.accepted.split_off(kept) {
-            let name = (lost.source, lost.epoch, lost.sequence);
+            let name = lost.id();
             ensure(!self.claimed.contains(&name), || {
                 format!("{name:?} was accepted and claimed, and did not survive the daemon")
             })?;
@@ -1449,7 +1451,7 @@ impl World {
                 recovered.observations = each;
             }
         }
-        let halves: Vec<_> = recovered.observations.iter().map(name_of).collect();
+        let halves: Vec<_> = recovered.observations.iter().map(Observation::id).collect();
         let back = recovered.clone().join().observations;
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
         self.note(|| format!("daemon starts with {} narrations{misread}", back.len()));
@@ -1462,13 +1464,13 @@ impl World {
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
         self.ghost = self.ghost.take_if(is_whole);
         self.accepted = back.iter().map(as_it_came).collect();
-        self.taken.extend(back.iter().map(name_of));
+        self.taken.extend(back.iter().map(Observation::id));
         self.attributed.clear();
         let by_fit = back.iter().filter(|o| o.by_fit);
-        self.attributed.extend(by_fit.map(|o| (name_of(o), o.person)));
+        self.attributed.extend(by_fit.map(|o| (o.id(), o.person)));
         if self.planted == Planted::NoAttributionsAfterRestart {
             // All of them are the same person's.
-            recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = 1);
+            recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = PersonId(1));
         }
         if self.planted == Planted::NoPresenceAfterRestart {
             let stays = || Event::Did(Sentence::new("They stay.").unwrap());
@@ -1519,10 +1521,10 @@ impl World {
     /// What comes back is what was accepted, each once and in its order, but for what may be lost: what a rotation has dropped, which lies before
     /// all that the `halves` hold themselves; what damaged bytes held; what the disk had refused, or no sync had reached when the power
     /// failed. And nothing that was never said.
-    fn check_recovered(&mut self, back: &[Observation], halves: &[(u64, u64, u64)]) -> Check {
+    fn check_recovered(&mut self, back: &[Observation], halves: &[EventId]) -> Check {
         let mut names = BTreeSet::new();
         for again in back {
-            let name = name_of(again);
+            let name = again.id();
             ensure(names.insert(name), || format!("{name:?} is in the history twice"))?;
             ensure(self.ever.get(&name).is_some_and(|said| *said == as_it_came(again)), || {
                 format!("the journal gives back what was never accepted: {again:?}")
@@ -1537,8 +1539,9 @@ impl World {
             let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
             ensure(!other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
         }
-        let in_order = self.accepted.iter().map(name_of).filter(|name| names.contains(name));
-        let before = back.iter().map(name_of).filter(|name| self.accepted.iter().any(|said| name_of(said) == *name));
+        let in_order = self.accepted.iter().map(Observation::id).filter(|name| names.contains(name));
+        let before =
+            back.iter().map(Observation::id).filter(|name| self.accepted.iter().any(|said| said.id() == *name));
         ensure(in_order.eq(before) || self.tally.misread > 0 || self.disk.was_misread(), || {
             "the journal gives back what was accepted in another order".to_owned()
         })?;
@@ -1552,8 +1555,8 @@ impl World {
         let has_rotated = rotations > 1;
         self.check_hidden(&names)?;
         let (mut lost, mut rotated) = (Vec::new(), 0);
-        for said in self.accepted.iter().filter(|said| !names.contains(&name_of(said))) {
-            let name = name_of(said);
+        for said in self.accepted.iter().filter(|said| !names.contains(&said.id())) {
+            let name = said.id();
             let unsafe_then = self.lost_power && !self.safe.contains(&name);
             let refused = self.refused.contains(&name) || self.disk.lacks_pages();
             if has_rotated && self.order[&name] < first {
@@ -1581,7 +1584,7 @@ impl World {
         let is_whole = !self.tally.is_hurt() && !self.lost_power && !self.is_refused && !self.disk.was_misread();
         for person in self.told.iter().filter(|_| is_whole && rotated > 0) {
             let mut own = self.accepted.iter().filter(|said| self.person_of(said) == Some(*person)).peekable();
-            let is_kept = own.peek().is_none() || own.any(|said| names.contains(&name_of(said)));
+            let is_kept = own.peek().is_none() || own.any(|said| names.contains(&said.id()));
             ensure(is_kept, || format!("a rotation has dropped all of person {person}"))?;
         }
         let half = usize::try_from(self.half_bytes).unwrap_or(usize::MAX) / 2;
@@ -1593,7 +1596,7 @@ impl World {
         self.tally.misread += u64::from(self.disk.was_misread());
         ensure(lost.len() <= damages, || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
         // The daemon may say again whose it is, and claims it then.
-        for unsaid in back.iter().filter(|back| !back.by_fit).map(name_of) {
+        for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
             }
@@ -1606,7 +1609,7 @@ impl World {
     }
 
     /// What a start did not see for a block that was read wrongly, a later one sees: unless the disk has lost it since.
-    fn check_hidden(&mut self, back: &BTreeSet<(u64, u64, u64)>) -> Check {
+    fn check_hidden(&mut self, back: &BTreeSet<EventId>) -> Check {
         let (then, now) = (self.hidden_at, self.disk.tally());
         let is_same = (then.rotations, then.failed_calls) == (now.rotations, now.failed_calls);
         if !is_same || self.lost_power || self.tally.damaged > 0 {
@@ -1938,18 +1941,13 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
 }
 
 /// The number of somebody who is written as a name or number.
-fn number_of(who: &str) -> u32 {
+fn number_of(who: &str) -> PersonId {
     who.parse().unwrap_or_else(|_| person_number(who))
-}
-
-/// What names an observation for good.
-fn name_of(observation: &Observation) -> (u64, u64, u64) {
-    (observation.source, observation.epoch, observation.sequence)
 }
 
 /// An observation without what the daemon made of it.
 fn as_it_came(observation: &Observation) -> Observation {
-    let person = if observation.by_fit { SOMEBODY } else { observation.person };
+    let person = if observation.by_fit { PersonId::SOMEBODY } else { observation.person };
     Observation { person, by_fit: false, ..observation.clone() }
 }
 

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, Sender, clock, narration_kind, sequence};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
@@ -77,7 +78,7 @@ fn memory_and_descriptors_stay_flat() {
     for event in 0..events {
         let sent = Instant::now();
         let text = format!("They do thing {event}.");
-        let item = Item::new(narration_kind::SENTENCE, text, Who::Number((event % 3) as u32));
+        let item = Item::new(narration_kind::SENTENCE, text, Who::Number(PersonId((event % 3) as u32)));
         let message = account.next(&item, clock::monotonic_ns(), clock::unix_ns()).unwrap();
         narration_out.send(&message).unwrap();
         narration_in.wait(Duration::from_secs(1)).unwrap();

@@ -66,6 +66,8 @@
 //! ```
 
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
+pub mod ids;
+
 pub mod text;
 
 pub mod parsing;

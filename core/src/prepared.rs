@@ -9,6 +9,7 @@
 use std::hash::BuildHasher;
 use std::sync::Arc;
 
+use crate::ids::PersonId;
 use crate::narration::history::{Histories, History};
 use crate::narration::{Event, Sentence};
 use crate::prompt::write_prompt;
@@ -21,7 +22,7 @@ pub const ANSWERS_MAX: usize = 256;
 #[derive(Debug, Clone)]
 pub struct PersonOutlook {
     /// Who.
-    pub person: u32,
+    pub person: PersonId,
     /// What they did last.
     pub history: History,
     /// Per label `ln s_c` in nats; empty of whoever is out of the house, or whose scores are not of what they did last.
@@ -43,7 +44,7 @@ pub struct Outlook {
 pub struct Ask {
     labels: Arc<PreparedLabels>,
     round: u64,
-    person: u32,
+    person: PersonId,
     /// How much was told of the person before.
     told: u64,
     prompt: String,
@@ -82,7 +83,7 @@ impl<M: LanguageModel> Preparer<M> {
 
     /// The prompt that a person has after `sentence`, told by the voice that spoke last; none where nothing was told of them, or they have
     /// no scores of now.
-    pub fn ask(&mut self, outlook: &Outlook, person: u32, sentence: &Sentence) -> Option<Ask> {
+    pub fn ask(&mut self, outlook: &Outlook, person: PersonId, sentence: &Sentence) -> Option<Ask> {
         let own = outlook.persons.iter().find(|own| own.person == person)?;
         if own.label_log_prob_nats.is_empty() {
             return None;

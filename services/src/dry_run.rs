@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use roomcast_core::grounding::{Grounding, GroundingError};
-use roomcast_core::narration::{Observation, SOMEBODY, SensorReport};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{Observation, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -154,9 +155,9 @@ impl DryRun {
         (self.sequence, self.now_ns) = (self.sequence + 1, self.now_ns + apart_ns);
         self.unix_ns += apart_ns;
         let (person, name) = match &item.person {
-            Who::Somebody => (SOMEBODY, None),
+            Who::Somebody => (PersonId::SOMEBODY, None),
             Who::Number(number) => (*number, None),
-            Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
+            Who::Name(name) => (PersonId::SOMEBODY, Some(name.as_str().into())),
         };
         let observation = Observation {
             person,
@@ -175,7 +176,7 @@ impl DryRun {
         let after = self.places();
         let line = self.board.understood_lines(SOURCE, 1, self.sequence).pop();
         Ok(line.map(|understood| {
-            let belief = |person: u32| {
+            let belief = |person: PersonId| {
                 let (_, own) = after.iter().find(|(number, _)| *number == person)?;
                 let (place, probability) = own.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
                 let earlier = before.iter().find(|(number, _)| *number == person).map(|(_, own)| own);
@@ -197,12 +198,12 @@ impl DryRun {
     }
 
     /// Where each person is believed to be now: rooms, and `elsewhere`.
-    fn places(&mut self) -> Vec<(u32, Vec<(String, f32)>)> {
+    fn places(&mut self) -> Vec<(PersonId, Vec<(String, f32)>)> {
         let rooms: Vec<String> = self.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
         let forecasts = self.board.person_forecasts(self.now_ns);
         let of = |own: &roomcast_ipc::PersonForecastV1| {
             let places = rooms.iter().cloned().zip(own.probability.iter().map(|row| row[0]));
-            (own.person, places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())
+            (PersonId(own.person), places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())
         };
         forecasts.persons().iter().map(of).collect()
     }

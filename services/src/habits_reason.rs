@@ -3,6 +3,7 @@
 use std::fmt;
 
 use roomcast_core::habits::{RoomShares, Shares};
+use roomcast_core::ids::PersonId;
 use roomcast_core::text::count;
 use roomcast_ipc::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
@@ -70,7 +71,7 @@ pub struct RoomReason {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PersonHabits {
     /// Who.
-    pub person: u32,
+    pub person: PersonId,
     /// Observations that were learned from.
     pub observations: f64,
     /// The likeliest things to be turned to next, the likeliest first.
@@ -109,7 +110,7 @@ impl PersonHabits {
             PublishedLine { horizon_s: f64::from(ahead_s), learned: f64::from(learned), set, set_probability }
         });
         Self {
-            person: own.person,
+            person: PersonId(own.person),
             observations: f64::from(own.observations),
             published: published.collect(),
             coverage: f64::from(own.set_coverage),
@@ -269,7 +270,7 @@ mod tests {
             set_probability: Some(0.45),
         };
         let learned = PersonHabits {
-            person: 1,
+            person: PersonId(1),
             observations: 41.0,
             things: vec![ThingReason { label: "mug".to_owned(), shares }],
             forecast: vec![line],

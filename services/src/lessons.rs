@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 
 use roomcast_core::habits::{Habits, HabitsOptions, StoredError};
-use roomcast_core::narration::{Event, Observation, SOMEBODY};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{Event, Observation};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_llama::LlamaModel;
@@ -46,7 +47,7 @@ pub enum LessonError {
 pub struct Lesson {
     /// When it was observed, in nanoseconds since 1970, by the clock of [`Lessons::zone`].
     at_ns: u64,
-    person: u32,
+    person: PersonId,
     name: Option<Box<str>>,
     count: u8,
     event: Event,
@@ -107,9 +108,9 @@ impl Lessons {
             None => item.observed_unix_ns,
         };
         let (person, name) = match &item.person {
-            Who::Somebody => (SOMEBODY, None),
+            Who::Somebody => (PersonId::SOMEBODY, None),
             Who::Number(number) => (*number, None),
-            Who::Name(name) => (SOMEBODY, Some(name.as_str().into())),
+            Who::Name(name) => (PersonId::SOMEBODY, Some(name.as_str().into())),
         };
         let event = event_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
         let count = item.count;
@@ -177,7 +178,7 @@ impl Lessons {
             let Ok(event) = event_of(narration.kind, narration.text()) else { continue };
             if names.insert((narration.source, narration.epoch, narration.sequence)) {
                 let (person, name, count) = (narration.person, name.map(Into::into), narration.counted());
-                let lesson = Lesson { at_ns: 0, person, name, count, event };
+                let lesson = Lesson { at_ns: 0, person: PersonId(person), name, count, event };
                 self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(lesson));
             }
         }
@@ -287,7 +288,7 @@ mod tests {
 
     fn item(at_s: u64, text: &str) -> Item {
         let observed_unix_ns = Some(at_s * 1_000_000_000);
-        Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, text, Who::Number(3)) }
+        Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, text, Who::Number(PersonId(3))) }
     }
 
     /// 2024-03-01 08:15:00.
@@ -315,7 +316,7 @@ mod tests {
         let json = teach(board(), lessons.lessons().to_vec(), |told| counted = told).unwrap();
         assert_eq!(counted, 21);
         let habits = Habits::from_json(HabitsOptions::default(), &json).unwrap();
-        assert_eq!(habits.persons().collect::<Vec<_>>(), [(3, 21.0)]);
+        assert_eq!(habits.persons().collect::<Vec<_>>(), [(PersonId(3), 21.0)]);
         assert!(json.contains("sofa") && !json.contains("They"));
         assert!(teach(board(), Vec::new(), |_| {}).is_ok());
     }
@@ -323,7 +324,7 @@ mod tests {
     fn fridge(log: &str) -> SensorLog {
         let rules =
             SensorRules::parse("[[rule]]\nsensor = \"fridge\"\nat = \"start\"\nsay = \"They open the {sensor}.\"\n");
-        rules.unwrap().narrate(log.as_bytes(), &Who::Number(3))
+        rules.unwrap().narrate(log.as_bytes(), &Who::Number(PersonId(3)))
     }
 
     #[test]
@@ -424,7 +425,7 @@ mod tests {
         old.take_sensors(fridge("100\t105\tfridge\t-\t-\n600\t605\tfridge\t-\t-\n"));
         let after = teach(board, old.lessons().to_vec(), |_| {}).unwrap();
         let after = known(&after);
-        assert_eq!(after.observations(3), 12.0);
+        assert_eq!(after.observations(PersonId(3)), 12.0);
         Habits::from_bytes(HabitsOptions::default(), &after.to_bytes()).unwrap();
     }
 }

@@ -5,6 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::embedded;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
@@ -54,7 +55,12 @@ impl Item {
     pub(crate) fn message(&self) -> Result<NarrationV1, MessageError> {
         let person_name = text::encode("person_name", self.person.name())?;
         let count = self.count.into();
-        Ok(NarrationV1 { person: self.person.number(), person_name, count, ..NarrationV1::new(self.kind, &self.text)? })
+        Ok(NarrationV1 {
+            person: self.person.number().0,
+            person_name,
+            count,
+            ..NarrationV1::new(self.kind, &self.text)?
+        })
     }
 }
 
@@ -210,7 +216,7 @@ mod tests {
             (message.person, message.person_name().to_owned())
         };
         assert_eq!(of(Who::Somebody), (ALL_PERSONS, String::new()));
-        assert_eq!(of(Who::Number(7)), (7, String::new()));
+        assert_eq!(of(Who::Number(PersonId(7))), (7, String::new()));
         assert_eq!(of("Ada".parse().unwrap()), (ALL_PERSONS, "Ada".to_owned()));
     }
 }

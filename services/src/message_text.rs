@@ -1,5 +1,6 @@
 //! From a narration message to its event.
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::line::Kind;
 use roomcast_core::narration::{Event, ObservedError};
 
@@ -47,7 +48,7 @@ mod tests {
     /// Somebody has one number in messages and in the core, and a name one length.
     #[test]
     fn somebody_is_somebody() {
-        assert_eq!(narration::SOMEBODY, roomcast_ipc::ALL_PERSONS);
+        assert_eq!(PersonId::SOMEBODY, PersonId(roomcast_ipc::ALL_PERSONS));
         assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::NAME_BYTES);
     }
 

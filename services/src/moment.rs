@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::habits_reason::PersonHabits;
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{ReadName, same_name};
 use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
@@ -51,7 +52,7 @@ pub enum MomentError {
     #[error("person {person} of the moment is called {name:?}, which is no name; was the file damaged or forged?")]
     BadName {
         /// Whose.
-        person: u32,
+        person: PersonId,
         /// The name.
         name: String,
     },
@@ -79,7 +80,7 @@ pub enum MomentError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReadSentence {
     /// Of whom.
-    pub person: u32,
+    pub person: PersonId,
     /// The sentence.
     pub text: String,
 }
@@ -114,7 +115,7 @@ pub struct LabelScore {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonLabels {
     /// Who.
-    pub person: u32,
+    pub person: PersonId,
     /// Their scores: those that they would have alone.
     pub labels: Vec<LabelScore>,
 }
@@ -159,10 +160,10 @@ pub struct Moment {
     pub persons: Vec<PersonLabels>,
     /// Whose the scores are, where they are of one person alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub alone: Option<u32>,
+    pub alone: Option<PersonId>,
     /// The names of those who have one, by number.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub names: BTreeMap<u32, String>,
+    pub names: BTreeMap<PersonId, String>,
     /// What was learned of the home, by person: it makes the forecasts, and no scores.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub habits: Vec<PersonHabits>,
@@ -276,9 +277,9 @@ impl Moment {
 
     /// Whose scores there are, in the order of their numbers. A moment that does not say it has those of whom its narration is of.
     #[must_use]
-    pub fn person_numbers(&self) -> Vec<u32> {
+    pub fn person_numbers(&self) -> Vec<PersonId> {
         let scored = self.persons.iter().map(|own| own.person).chain(self.alone);
-        let mut persons: Vec<u32> = scored.collect();
+        let mut persons: Vec<PersonId> = scored.collect();
         if persons.is_empty() {
             persons.extend(self.narration.iter().map(|sentence| sentence.person));
         }
@@ -295,7 +296,7 @@ impl Moment {
 
     /// Who a person is, for people: the name where there is one.
     #[must_use]
-    pub fn name_of(&self, person: u32) -> String {
+    pub fn name_of(&self, person: PersonId) -> String {
         self.names.get(&person).cloned().unwrap_or_else(|| format!("person {person}"))
     }
 
@@ -303,8 +304,8 @@ impl Moment {
     ///
     /// # Errors
     /// When nobody has that name, or several may be meant.
-    pub fn find(&self, who: &str) -> Result<u32, MomentError> {
-        let of = |is_meant: &dyn Fn(&str) -> bool| -> Vec<u32> {
+    pub fn find(&self, who: &str) -> Result<PersonId, MomentError> {
+        let of = |is_meant: &dyn Fn(&str) -> bool| -> Vec<PersonId> {
             self.names.iter().filter(|(_, name)| is_meant(name)).map(|(number, _)| *number).collect()
         };
         if let Ok(number) = who.trim().parse() {
@@ -323,7 +324,7 @@ impl Moment {
     ///
     /// # Errors
     /// When nothing of them is known.
-    pub fn of_person(&self, person: u32) -> Result<Self, MomentError> {
+    pub fn of_person(&self, person: PersonId) -> Result<Self, MomentError> {
         let labels = match self.persons.iter().find(|own| own.person == person) {
             Some(own) => own.labels.clone(),
             None if self.persons.is_empty() && self.person_numbers() == [person] => self.labels.clone(),
@@ -336,7 +337,7 @@ impl Moment {
 
     /// What was learned of a person.
     #[must_use]
-    pub fn habits_of(&self, person: u32) -> Option<&PersonHabits> {
+    pub fn habits_of(&self, person: PersonId) -> Option<&PersonHabits> {
         self.habits.iter().find(|own| own.person == person)
     }
 
@@ -407,16 +408,16 @@ mod tests {
             let grounding = Grounding::new(&map, &options).unwrap();
             Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap()
         };
-        let said = |person: u32, sentence: &str| Observation {
+        let said = |person: PersonId, sentence: &str| Observation {
             person,
-            ..Observation::of(u64::from(person) + 1, Sentence::new(sentence).unwrap())
+            ..Observation::of(u64::from(person.0) + 1, Sentence::new(sentence).unwrap())
         };
-        let observations = [said(0, "They grab the mug."), said(4, "They sit on the sofa.")];
+        let observations = [said(PersonId(0), "They grab the mug."), said(PersonId(4), "They sit on the sofa.")];
         let mut both = pipeline();
         both.step(observations.clone()).unwrap();
         let moment = Moment::of(&both, &map, &options, None);
         let moment = Moment::from_json(&serde_json::to_string(&moment).unwrap()).unwrap();
-        assert_eq!(moment.person_numbers(), [0, 4]);
+        assert_eq!(moment.person_numbers(), [0, 4].map(PersonId));
         moment.explain(3).unwrap();
         for observation in observations {
             let person = observation.person;
@@ -429,23 +430,24 @@ mod tests {
             assert!(own.persons.is_empty());
             assert_eq!(own.of_person(person).unwrap(), own);
         }
-        let named = Moment { names: [(4, "Ada".to_owned())].into(), ..moment.clone() };
+        let named = Moment { names: [(PersonId(4), "Ada".to_owned())].into(), ..moment.clone() };
         assert_eq!(named.explain(3).unwrap().explanation.narration[1], "(Ada) They sit on the sofa.");
-        assert_eq!((named.find("ada").unwrap(), named.find("0").unwrap()), (4, 0));
-        let forged = Moment { names: [(4, "Ada\u{1b}[2J\nBen".to_owned())].into(), ..moment.clone() };
+        assert_eq!((named.find("ada").unwrap(), named.find("0").unwrap()), (PersonId(4), PersonId(0)));
+        let forged = Moment { names: [(PersonId(4), "Ada\u{1b}[2J\nBen".to_owned())].into(), ..moment.clone() };
         let refused = Moment::from_json(&serde_json::to_string(&forged).unwrap()).unwrap_err().to_string();
         assert!(refused.contains("person 4") && !refused.contains('\u{1b}') && !refused.contains('\n'), "{refused}");
         assert!(Moment::from_json(&serde_json::to_string(&named).unwrap()).is_ok());
         assert!(named.find("ben").unwrap_err().to_string().contains("\"ben\""));
         // By the names that other commands know them by, too.
         let names = [(4, "Zoë"), (5, "Mrs. Novak"), (6, "Mr. Novak"), (7, "Grandma Edith"), (8, "Edith")];
-        let called = Moment { names: names.map(|(number, name)| (number, name.to_owned())).into(), ..moment.clone() };
+        let called =
+            Moment { names: names.map(|(number, name)| (PersonId(number), name.to_owned())).into(), ..moment.clone() };
         for (who, number) in
             [("Zoe", Some(4)), ("zoë", Some(4)), ("Novak", None), ("Edith", Some(8)), ("Mr. Novák", Some(6))]
         {
-            assert_eq!(called.find(who).ok(), number, "{who}");
+            assert_eq!(called.find(who).ok(), number.map(PersonId), "{who}");
         }
-        let unknown = called.of_person(3).unwrap_err().to_string();
+        let unknown = called.of_person(PersonId(3)).unwrap_err().to_string();
         assert_eq!(unknown, "the moment has no scores of person 3; it has those of person 0, Zoë");
         let unnamed = called.find("Tom").unwrap_err().to_string();
         assert!(unnamed.contains("called \"Tom\"; there are scores of person 0, Zoë"), "{unnamed}");
@@ -456,25 +458,25 @@ mod tests {
     fn whoever_is_told_by_presence_alone_can_be_explained() {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
-        let present = |person: u32| {
+        let present = |person: PersonId| {
             let event = Event::Present(Some(RoomName::new("kitchen").unwrap()));
-            Observation { person, ..Observation::saying(u64::from(person), event) }
+            Observation { person, ..Observation::saying(u64::from(person.0), event) }
         };
-        let habits = |person: u32| PersonHabits { person, observations: 247.0, ..PersonHabits::default() };
-        for persons in [&[4][..], &[4, 7]] {
+        let habits = |person: PersonId| PersonHabits { person, observations: 247.0, ..PersonHabits::default() };
+        for persons in [&[PersonId(4)][..], &[PersonId(4), PersonId(7)]] {
             let grounding = Grounding::new(&map, &options).unwrap();
             let mut pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
             pipeline.step(persons.iter().copied().map(present)).unwrap();
             let moment = Moment {
-                habits: [4, 7].map(habits).into(),
-                names: [(4, "Ada".to_owned())].into(),
+                habits: [4, 7].map(PersonId).map(habits).into(),
+                names: [(PersonId(4), "Ada".to_owned())].into(),
                 ..Moment::of(&pipeline, &map, &options, None)
             };
             let moment = Moment::from_json(&serde_json::to_string(&moment).unwrap()).unwrap();
             assert!(moment.narration.is_empty());
             assert_eq!(moment.person_numbers(), persons);
             let own = moment.of_person(moment.find("Ada").unwrap()).unwrap();
-            assert_eq!((own.person_numbers(), &own.habits[..]), (vec![4], &[habits(4)][..]));
+            assert_eq!((own.person_numbers(), &own.habits[..]), (vec![PersonId(4)], &[habits(PersonId(4))][..]));
             own.explain(3).unwrap();
         }
     }

@@ -27,6 +27,7 @@ use crate::participant::join;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Program;
 use roomcast_core::text::odd_name;
 
@@ -617,7 +618,7 @@ mod tests {
     #[test]
     fn what_the_daemon_dropped_is_not_confirmed() {
         let mut account = Account::new("test", 5);
-        let item = Item::new(narration_kind::SENTENCE, "They sit.", Who::Number(0));
+        let item = Item::new(narration_kind::SENTENCE, "They sit.", Who::Number(PersonId(0)));
         let scores = |daemon, sequence, accepted| {
             let mut scores = RoomScoresV1 { epoch: daemon, source_count: 1, ..Default::default() };
             let source = sequence::source_of_name("test");
@@ -763,10 +764,12 @@ mod tests {
 
     #[test]
     fn shipped_programs_go_by_name_and_programs_by_content() {
-        let Input::Items(items) = Input::open(Path::new("p0-breakfast-and-television"), 2.into()).unwrap() else {
+        let Input::Items(items) =
+            Input::open(Path::new("p0-breakfast-and-television"), Who::Number(PersonId(2))).unwrap()
+        else {
             panic!()
         };
-        assert!(items.iter().all(|item| item.person == Who::Number(2) && item.duration_s > 0.0));
+        assert!(items.iter().all(|item| item.person == Who::Number(PersonId(2)) && item.duration_s > 0.0));
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("a.txt");
         std::fs::write(&file, "Make coffee\n\n[Walk] <kitchen> (1)\n").unwrap();

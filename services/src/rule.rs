@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::SensorKind;
 use roomcast_core::narration::forms::{COUNT_MAX, form_of};
 use serde_json::{Map, Value};
@@ -118,13 +119,8 @@ impl Saying {
             }
             _ => {}
         }
-        if room.is_some()
-            && !matches!(
-                (class, presence),
-                (Class::Sensor(_), _) | (_, Some(Whereabouts::Present | Whereabouts::Empty))
-            )
-        {
-            return Err("room goes with the state of a sensor, and with presence = \"present\" or \"empty\"".to_owned());
+        if room.is_some() && matches!(presence, Some(Whereabouts::Away | Whereabouts::Gone)) {
+            return Err("room goes with say, a sensor, and presence = \"present\" or \"empty\"".to_owned());
         }
         if presence == Some(Whereabouts::Empty) && (room.is_none() || !person.is_null()) {
             return Err(
@@ -341,7 +337,8 @@ mod tests {
     fn a_saying_becomes_a_line_of_json() {
         let line = |keys| Saying::new(keys, &names()).unwrap().line(|name| format!("<{name}> {{1}}"));
         let ada = "ada".parse().unwrap();
-        let sentence = Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(2)), ..NOTHING };
+        let sentence =
+            Keys { say: Some("They set the {1} to {value}."), person: Some(&Who::Number(PersonId(2))), ..NOTHING };
         assert_eq!(line(sentence), r#"{"kind":"device","person":2,"text":"They set the 1 to value."}"#);
         let fixed = Keys { say: Some("They sit."), ..NOTHING };
         assert_eq!(line(fixed), r#"{"text":"They sit."}"#);

@@ -16,6 +16,7 @@ use crate::columns::{columns, prose};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, Observation, Program};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -31,7 +32,7 @@ const MINUTE_S: f64 = 60.0;
 /// How far ahead is measured.
 const AHEAD_S: f64 = 900.0;
 /// Who.
-const PERSON: u32 = 0;
+const PERSON: PersonId = PersonId(0);
 /// What is impossible for a forecast is not quite.
 const FLOOR: f64 = 1e-6;
 const BAR_WIDTH: usize = 20;
@@ -199,7 +200,7 @@ impl<M: LanguageModel> Watcher<M> {
         self.0.person_scores(now_ns);
         let message = self.0.person_forecasts(now_ns);
         let horizon = message.horizons_s().iter().position(|horizon_s| f64::from(*horizon_s) == AHEAD_S)?;
-        let own = message.persons().iter().find(|own| own.person == PERSON)?;
+        let own = message.persons().iter().find(|own| own.person == PERSON.0)?;
         let p = own.probability[..rooms].iter().map(|row| f64::from(row[horizon]));
         Some((p.chain([f64::from(own.elsewhere[horizon])]).collect(), horizon, own))
     }

@@ -11,6 +11,7 @@ use super::{CommandResult, Failure, count, draw, ranges, record, score, service}
 use crate::exit_code;
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::{Event, Observation};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -129,7 +130,7 @@ pub fn run(args: &Args) -> CommandResult {
             value["habits"] = habits;
         }
         if !persons.is_empty() {
-            let person = |(person, explanation): &(u32, Explanation)| {
+            let person = |(person, explanation): &(PersonId, Explanation)| {
                 let name = moment.names.get(person);
                 serde_json::json!({"person": person, "name": name, "explanation": explanation})
             };
@@ -163,7 +164,7 @@ fn heading(name: &str) -> String {
 }
 
 /// Per partition the probability that it is the next one of any of the persons, the likeliest first.
-fn somebody(persons: &[(u32, Explanation)]) -> serde_json::Value {
+fn somebody(persons: &[(PersonId, Explanation)]) -> serde_json::Value {
     let Some((_, first)) = persons.first() else { return serde_json::Value::Null };
     let of = |explanation: &Explanation, id: &str| {
         let own = explanation.partitions.iter().find(|partition| partition.id == id);

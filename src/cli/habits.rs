@@ -5,6 +5,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "simulation")]
+use roomcast_core::ids::PersonId;
 use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
 
@@ -514,11 +515,11 @@ mod tests {
         let now_s = 1_709_251_200.0 + 2.5 * 86_400.0;
         let first_s = first_day_s(Some("2024-03-01"), 2, now_s).unwrap();
         assert_eq!(first_s, 1_709_251_200.0);
-        let items: Vec<_> = day_items(&[day.clone(), day], first_s, &Who::Number(3)).collect();
+        let items: Vec<_> = day_items(&[day.clone(), day], first_s, &Who::Number(PersonId(3))).collect();
         let minutes = |timed: &TimedItem| (timed.day, timed.action, (timed.at_s - first_s) / 60.0);
         let expected = [(1, 1, 1439.0), (1, 2, 1450.5), (2, 1, 2879.0), (2, 2, 2890.5)];
         assert_eq!(items.iter().map(minutes).collect::<Vec<_>>(), expected);
-        assert!(items[0].item.text.contains("mug") && items[0].item.person == Who::Number(3));
+        assert!(items[0].item.text.contains("mug") && items[0].item.person == Who::Number(PersonId(3)));
         for wrong in ["yesterday", "2026-11-31", "1969-12-31"] {
             assert_eq!(first_day_s(Some(wrong), 1, now_s).unwrap_err().code, exit_code::USAGE, "{wrong}");
         }
@@ -532,7 +533,7 @@ mod tests {
     #[test]
     fn a_table_says_how_much_was_learned() {
         let name = Some("ada".to_owned());
-        let line = HabitsLine { person: 7, name, observations: 41.6, watched_h: 83.7, forecast: Vec::new() };
+        let line = HabitsLine { person: PersonId(7), name, observations: 41.6, watched_h: 83.7, forecast: Vec::new() };
         let answer = HabitsAnswer { learn: true, counts: 12, persons: vec![line], ..HabitsAnswer::default() };
         let text = shown(&answer);
         assert!(text.starts_with("Learning. 12 counts") && text.contains("ada"), "{text}");

@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use roomcast_core::narration::SOMEBODY;
+use roomcast_core::ids::PersonId;
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
     PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
@@ -395,7 +395,7 @@ fn learned_json(person: &PersonForecastV1) -> Value {
 
 fn narration_json(told: &NarrationV1) -> Value {
     // What is not known is null: somebody has no number, and who has one is not always named.
-    let person = (told.person != SOMEBODY).then_some(told.person);
+    let person = (told.person != PersonId::SOMEBODY.0).then_some(told.person);
     json!({
         "source": told.source_name(), "person": person, "name": given(told.person_name()), "kind": told.kind,
         "kind_name": kind_word(told.kind),

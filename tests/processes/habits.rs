@@ -1,5 +1,6 @@
 //! Habits.
 
+use roomcast_core::ids::PersonId;
 use roomcast_ipc::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, sequence};
 use rustix::process::Signal;
 
@@ -69,7 +70,7 @@ fn habits_are_learned_once_over_kills_and_damage() {
 #[test]
 fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     use roomcast_core::habits::{Habits, HabitsOptions, Place};
-    const PERSON: u32 = 3;
+    const PERSON: PersonId = PersonId(3);
     // Ten minutes in the living room, ten minutes in the kitchen, the whole day long.
     let mut teacher = Habits::new(HabitsOptions::default());
     let rooms = ["kitchen", "living room", "bathroom"].map(str::to_owned).to_vec();
@@ -95,7 +96,7 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
         number += 1;
         let message = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
         let source = sequence::source_of_name("test");
-        narration.send(&NarrationV1 { source, epoch: 1, sequence: number, person: PERSON, ..message }).unwrap();
+        narration.send(&NarrationV1 { source, epoch: 1, sequence: number, person: PERSON.0, ..message }).unwrap();
         let told = scores_with(&scores, "it is scored", |scores| includes(scores, "test", number));
         let forecast = eventually("the forecast", || {
             forecasts.newest().unwrap().filter(|forecast| forecast.sequence >= told.sequence)

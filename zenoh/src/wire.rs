@@ -76,7 +76,7 @@ impl Observation {
         let message = NarrationV1::new(self.kind.number(), content).map_err(|error| fault(&error))?;
         let person_name = text::encode("person", self.person.name()).map_err(|error| fault(&error))?;
         self.kind.event(content).map_err(|error| fault(&error))?;
-        Ok(NarrationV1 { person: self.person.number(), person_name, count: self.count.into(), ..message })
+        Ok(NarrationV1 { person: self.person.number().0, person_name, count: self.count.into(), ..message })
     }
 }
 

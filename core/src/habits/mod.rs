@@ -22,6 +22,7 @@
 use std::collections::BTreeMap;
 
 use crate::grounding::{Grounding, partition_names};
+use crate::ids::PersonId;
 use crate::parsing::{Keyed, json_says};
 
 mod counts;
@@ -97,7 +98,7 @@ impl Default for HabitsOptions {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Turn {
     /// Who.
-    pub person: u32,
+    pub person: PersonId,
     /// Which label of the map that is bound, if the sentence mentions one.
     pub label: Option<usize>,
     /// Which room of the map that is bound, if it is known.
@@ -195,7 +196,7 @@ pub struct Learned {
 
 #[derive(Debug, Clone)]
 struct Person {
-    number: u32,
+    number: PersonId,
     slot: u8,
     observations: f64,
     last_s: f64,
@@ -207,7 +208,7 @@ struct Person {
 }
 
 impl Person {
-    fn new(number: u32, slot: u8, options: &HabitsOptions) -> Self {
+    fn new(number: PersonId, slot: u8, options: &HabitsOptions) -> Self {
         Self {
             number,
             slot,
@@ -326,7 +327,7 @@ impl Habits {
         self.frame.places()
     }
 
-    fn person(&mut self, number: u32) -> usize {
+    fn person(&mut self, number: PersonId) -> usize {
         if let Some(at) = self.persons.iter().position(|person| person.number == number) {
             return at;
         }
@@ -469,7 +470,7 @@ impl Habits {
     }
 
     /// Somebody is in a place, without having turned to anything: told, or seen.
-    pub fn be(&mut self, person: u32, place: Place, at_s: f64) {
+    pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
         let at = self.person(person);
         let learn = self.options.learn;
         let Some(number) = self.place_number(place, moment::minute(at_s), learn) else { return };
@@ -484,7 +485,7 @@ impl Habits {
     }
 
     /// Somebody is no longer where they were, and nobody knows where they are instead.
-    pub fn lose(&mut self, person: u32, at_s: f64) {
+    pub fn lose(&mut self, person: PersonId, at_s: f64) {
         let at = self.person(person);
         let Self { persons, counts, frame, options, .. } = self;
         let Person { slot, stays, .. } = &mut persons[at];
@@ -493,7 +494,7 @@ impl Habits {
     }
 
     /// Somebody who was out is in the house, and nobody knows in which room. Where they go from there is known of earlier returns.
-    pub fn come_back(&mut self, person: u32, at_s: f64) {
+    pub fn come_back(&mut self, person: PersonId, at_s: f64) {
         let at = self.person(person);
         let Self { persons, counts, frame, options, .. } = self;
         let Person { slot, stays, .. } = &mut persons[at];
@@ -503,13 +504,13 @@ impl Habits {
 
     /// Whether somebody came back, and was seen in no room since.
     #[must_use]
-    pub fn is_back(&self, person: u32) -> bool {
+    pub fn is_back(&self, person: PersonId) -> bool {
         self.persons.iter().any(|other| other.number == person && other.stays.is_back())
     }
 
     /// Where a person was told or seen to be last, if that is a place of the map.
     #[must_use]
-    pub fn place(&self, person: u32) -> Option<Place> {
+    pub fn place(&self, person: PersonId) -> Option<Place> {
         let number = self.persons.iter().find(|other| other.number == person)?.stays.place;
         let place = self.frame.place(number)?;
         Some(if place == self.frame.elsewhere() { Place::Elsewhere } else { Place::Room(place) })
@@ -553,7 +554,7 @@ impl Habits {
     ///
     /// # Panics
     /// When `model` has fewer entries than the map has labels.
-    pub fn mix(&mut self, person: u32, at_s: f64, model: &[f64]) -> &[f64] {
+    pub fn mix(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let at = self.person(person);
         let others = self.others(at);
         let Self { persons, counts, frame, .. } = self;
@@ -568,7 +569,7 @@ impl Habits {
     ///
     /// # Panics
     /// When `model` has fewer entries than the map has rooms.
-    pub fn next_rooms(&mut self, person: u32, at_s: f64, model: &[f64]) -> &[f64] {
+    pub fn next_rooms(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let at = self.person(person);
         let others = self.others(at);
         let Self { persons, counts, frame, .. } = self;
@@ -581,7 +582,7 @@ impl Habits {
 
     /// Where the probability of a label comes from, in the latest forecast of a person.
     #[must_use]
-    pub fn explain(&self, person: u32, label: usize) -> Option<Shares> {
+    pub fn explain(&self, person: PersonId, label: usize) -> Option<Shares> {
         let person = self.persons.iter().find(|other| other.number == person)?;
         let Parts { probability, model, habit, recency, hour, staying } = person.objects.explain(label)?;
         Some(Shares { probability, model, habit, recency, hour, staying, observations: person.objects.observations })
@@ -589,7 +590,7 @@ impl Habits {
 
     /// Where the probability of a room comes from, in the latest forecast of the next room of a person.
     #[must_use]
-    pub fn explain_room(&self, person: u32, room: usize) -> Option<RoomShares> {
+    pub fn explain_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
         let person = self.persons.iter().find(|other| other.number == person)?;
         let parts = person.rooms.by_expert(room)?;
         let probability: f64 = parts.iter().map(|(part, _)| part).sum();
@@ -612,7 +613,7 @@ impl Habits {
 
     /// Time passes: time spent is counted, forecasts whose time has come are learned from, and once a minute one more is made to be
     /// learned from. `shipped` writes what the forecast without habits says of the places (elsewhere comes last) so many seconds ahead.
-    pub fn tick(&mut self, person: u32, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
+    pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
         let at = self.person(person);
         let others = self.others(at);
         let Self { persons, counts, frame, options, .. } = self;
@@ -626,7 +627,14 @@ impl Habits {
 
     /// Per place (elsewhere comes last) the probability that the person is there at `now_s + horizon_s`, into `out`. `shipped` is what the
     /// forecast without habits says, and what is given back where nothing is known.
-    pub fn at(&mut self, person: u32, now_s: f64, horizon_s: f64, shipped: &[f64], out: &mut Vec<f64>) -> WhenShares {
+    pub fn at(
+        &mut self,
+        person: PersonId,
+        now_s: f64,
+        horizon_s: f64,
+        shipped: &[f64],
+        out: &mut Vec<f64>,
+    ) -> WhenShares {
         let at = self.person(person);
         let others = self.others(at);
         let Self { persons, counts, frame, .. } = self;
@@ -642,7 +650,7 @@ impl Habits {
     /// shares.
     pub fn at_times(
         &mut self,
-        person: u32,
+        person: PersonId,
         (now_s, horizons_s): (f64, &[f64]),
         shipped: &[f64],
         out: &mut Vec<f64>,
@@ -663,7 +671,14 @@ impl Habits {
     ///
     /// # Panics
     /// When `probabilities` has fewer entries than there are places.
-    pub fn room_set(&mut self, person: u32, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
+    pub fn room_set(
+        &mut self,
+        person: PersonId,
+        horizon_s: f64,
+        probabilities: &[f64],
+        another: bool,
+        set: &mut Vec<bool>,
+    ) {
         let at = self.person(person);
         let another = another || self.place(person).is_none();
         self.persons[at].stays.set(horizon_s, probabilities, another, set);
@@ -671,18 +686,18 @@ impl Habits {
 
     /// How much is known of one person, in observations.
     #[must_use]
-    pub fn observations(&self, person: u32) -> f64 {
+    pub fn observations(&self, person: PersonId) -> f64 {
         self.persons.iter().find(|other| other.number == person).map_or(0.0, |person| person.observations)
     }
 
     /// For about how many minutes it was known where a person was.
     #[must_use]
-    pub fn watched_min(&self, person: u32) -> f64 {
+    pub fn watched_min(&self, person: PersonId) -> f64 {
         self.persons.iter().find(|other| other.number == person).map_or(0.0, |person| person.stays.watched_min())
     }
 
     /// Persons of whom something was observed, with the number of observations.
-    pub fn persons(&self) -> impl Iterator<Item = (u32, f64)> {
+    pub fn persons(&self) -> impl Iterator<Item = (PersonId, f64)> {
         self.persons.iter().map(|person| (person.number, person.observations))
     }
 
@@ -701,7 +716,7 @@ impl Habits {
     }
 
     /// Forgets a person; says whether anything was known.
-    pub fn forget(&mut self, person: u32) -> bool {
+    pub fn forget(&mut self, person: PersonId) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
         self.counts.retain(|key| parts(key).is_some_and(|(_, other, _)| other & SLOT_MASK != slot), |_, _| true);
@@ -739,7 +754,7 @@ impl Habits {
                 .collect()
         };
         let person = |person: &Person| StoredPerson {
-            number: person.number,
+            number: person.number.0,
             slot: person.slot,
             observations: person.observations,
             stayed: person.rooms.stayed,
@@ -804,11 +819,12 @@ impl Habits {
         }
         let mut slots = BTreeMap::new();
         for from in &stored.persons {
-            let known = habits.persons.iter().any(|person| person.number == from.number);
+            let number = PersonId(from.number);
+            let known = habits.persons.iter().any(|person| person.number == number);
             if known || usize::from(from.slot) >= PERSONS_MAX || slots.insert(from.slot, from.number).is_some() {
                 return Err(malformed(format!("person {} comes twice, or where nobody can be", from.number)));
             }
-            let mut person = Person::new(from.number, from.slot, &options);
+            let mut person = Person::new(number, from.slot, &options);
             person.observations = from.observations;
             (person.rooms.stayed, person.rooms.turned) = (from.stayed, from.turned.max(1.0));
             let mut weights = from.weights.as_slice();
@@ -816,32 +832,32 @@ impl Habits {
             let weights = &mut weights;
             let Person { objects, rooms, .. } = &mut person;
             for mixture in &mut objects.mixtures {
-                mixture.restore(taken(weights, from.number)?);
+                mixture.restore(taken(weights, number)?);
             }
             // Version 2 had other forecasts of rooms: how good each was is learned again, what they count is kept.
             let earlier = stored.version == stored::VERSION_2;
             for mixture in rooms.staying.iter_mut().chain(&mut rooms.destination) {
                 match earlier {
-                    true => taken::<ROOM_EXPERTS_OF_2>(weights, from.number).map(|_| ())?,
-                    false => mixture.restore(taken(weights, from.number)?),
+                    true => taken::<ROOM_EXPERTS_OF_2>(weights, number).map(|_| ())?,
+                    false => mixture.restore(taken(weights, number)?),
                 }
             }
-            objects.base.restore(taken(weights, from.number)?);
-            rooms.base.restore(taken(weights, from.number)?);
-            objects.again.restore(taken(weights, from.number)?);
+            objects.base.restore(taken(weights, number)?);
+            rooms.base.restore(taken(weights, number)?);
+            objects.again.restore(taken(weights, number)?);
             for together in &mut objects.together {
                 match earlier {
-                    true => together.restore_powers(taken(weights, from.number)?),
-                    false => restore_together(together, weights, from.number)?,
+                    true => together.restore_powers(taken(weights, number)?),
+                    false => restore_together(together, weights, number)?,
                 }
             }
             for together in rooms.staying_together.iter_mut().chain(&mut rooms.destination_together) {
                 match earlier {
-                    true => taken::<ROOM_FACTORS_OF_2>(weights, from.number).map(|_| ())?,
-                    false => restore_together(together, weights, from.number)?,
+                    true => taken::<ROOM_FACTORS_OF_2>(weights, number).map(|_| ())?,
+                    false => restore_together(together, weights, number)?,
                 }
             }
-            objects.reliance.restore(&taken(weights, from.number)?);
+            objects.reliance.restore(&taken(weights, number)?);
             [person.objects.repeated, person.objects.turned] = [from.repeated[0], from.repeated[1].max(1.0)];
             if from.anchors.len() != ANCHORS_S.len() {
                 return Err(malformed(format!("horizons of person {} are missing", from.number)));
@@ -922,7 +938,7 @@ const ROOM_FACTORS_OF_2: usize = 5;
 fn restore_together<const N: usize>(
     together: &mut Together<N>,
     weights: &mut &[f64],
-    person: u32,
+    person: PersonId,
 ) -> Result<(), StoredError> {
     let powers = taken(weights, person)?;
     let Some((information, rest)) = weights.split_at_checked(N * N) else {
@@ -934,7 +950,7 @@ fn restore_together<const N: usize>(
 }
 
 /// The next of a person's stored weights.
-fn taken<const N: usize>(weights: &mut &[f64], person: u32) -> Result<[f64; N], StoredError> {
+fn taken<const N: usize>(weights: &mut &[f64], person: PersonId) -> Result<[f64; N], StoredError> {
     let Some((own, rest)) = weights.split_first_chunk() else {
         return Err(malformed(format!("weights of person {person} are missing")));
     };

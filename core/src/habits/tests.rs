@@ -1,4 +1,5 @@
 use super::*;
+use crate::ids::PersonId;
 use proptest::prelude::*;
 
 const LABELS: [&str; 5] = ["bed", "shower", "kettle", "mug", "sofa"];
@@ -23,12 +24,12 @@ fn home(options: HabitsOptions) -> Habits {
     habits
 }
 
-fn turn(person: u32, label: usize, at_s: f64) -> Turn {
+fn turn(person: PersonId, label: usize, at_s: f64) -> Turn {
     Turn { person, label: Some(label), room: Some(ROOM_OF[label]), at_s }
 }
 
 /// The same morning on several days; gives the loss in nats per turn of each day, forecast before it is learned from.
-fn mornings(habits: &mut Habits, person: u32, days: usize) -> Vec<f64> {
+fn mornings(habits: &mut Habits, person: PersonId, days: usize) -> Vec<f64> {
     let morning = [0, 1, 2, 3, 4, 3, 2];
     (0..days)
         .map(|day| {
@@ -47,17 +48,17 @@ fn mornings(habits: &mut Habits, person: u32, days: usize) -> Vec<f64> {
 #[test]
 fn a_habit_is_learned_within_days_and_the_first_day_is_the_models() {
     let mut habits = home(HabitsOptions::default());
-    let losses = mornings(&mut habits, 0, 10);
+    let losses = mornings(&mut habits, PersonId(0), 10);
     assert!(losses[0] < 5f64.ln() + 0.3, "{losses:?}");
     assert!(losses[9] < 0.4, "{losses:?}");
     let at_s = MONDAY_S + 10.0 * DAY_S + 7.0 * 3_600.0;
-    habits.mix(0, at_s, &[0.2; 5]);
-    habits.observe(&turn(0, 0, at_s));
-    habits.mix(0, at_s + 60.0, &[0.2; 5]);
-    let shares = habits.explain(0, 1).unwrap();
+    habits.mix(PersonId(0), at_s, &[0.2; 5]);
+    habits.observe(&turn(PersonId(0), 0, at_s));
+    habits.mix(PersonId(0), at_s + 60.0, &[0.2; 5]);
+    let shares = habits.explain(PersonId(0), 1).unwrap();
     let total = shares.model + shares.habit + shares.recency + shares.hour + shares.staying;
     assert!((total - 1.0).abs() < 1e-9 && shares.model < 0.3 && shares.observations[1] > 8.0, "{shares:?}");
-    let rooms = habits.next_rooms(0, at_s + 60.0, &[1.0 / 3.0; 3]);
+    let rooms = habits.next_rooms(PersonId(0), at_s + 60.0, &[1.0 / 3.0; 3]);
     assert!(rooms[1] > 0.6 && (rooms.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{rooms:?}");
 }
 
@@ -69,14 +70,14 @@ fn what_comes_next_is_known_however_often_a_thing_is_mentioned() {
     for day in 0..6 {
         let mut at_s = MONDAY_S + f64::from(day) * DAY_S;
         for label in 0..5usize {
-            let p = habits.mix(0, at_s, &[0.2; 5]);
+            let p = habits.mix(PersonId(0), at_s, &[0.2; 5]);
             if let Some(last) = label.checked_sub(1).filter(|_| day == 5) {
                 least = least.min(p[label] / (1.0 - p[last]));
             }
             draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             for _ in 0..=(draw >> 33) % 4 {
-                habits.mix(0, at_s, &[0.2; 5]);
-                habits.observe(&turn(0, label, at_s));
+                habits.mix(PersonId(0), at_s, &[0.2; 5]);
+                habits.observe(&turn(PersonId(0), label, at_s));
                 at_s += 60.0;
             }
         }
@@ -87,30 +88,30 @@ fn what_comes_next_is_known_however_often_a_thing_is_mentioned() {
 #[test]
 fn another_person_of_the_home_begins_with_what_the_first_one_does() {
     let mut habits = home(HabitsOptions::default());
-    let first = mornings(&mut habits, 0, 10);
-    let second = mornings(&mut habits, 7, 1);
+    let first = mornings(&mut habits, PersonId(0), 10);
+    let second = mornings(&mut habits, PersonId(7), 1);
     assert!(second[0] < first[0] - 0.3, "{first:?} {second:?}");
-    assert!(habits.forget(0) && !habits.forget(0));
-    assert_eq!((habits.learned().persons, habits.observations(7)), (1, 7.0));
+    assert!(habits.forget(PersonId(0)) && !habits.forget(PersonId(0)));
+    assert_eq!((habits.learned().persons, habits.observations(PersonId(7))), (1, 7.0));
 }
 
 #[test]
 fn what_was_learned_survives_another_map() {
     let mut habits = home(HabitsOptions::default());
-    mornings(&mut habits, 0, 10);
+    mornings(&mut habits, PersonId(0), 10);
     // The same things in another order, in a flat with one more room.
     let labels = ["lamp", "mug", "kettle", "sofa", "shower", "bed"];
     habits.bind(words(&labels), words(&["hall", "kitchen", "bedroom", "bathroom"]), vec![0.25; 24]);
     let at_s = MONDAY_S + 11.0 * DAY_S;
-    habits.observe(&Turn { person: 0, label: Some(5), room: Some(2), at_s });
-    assert!(habits.mix(0, at_s + 60.0, &[1.0 / 6.0; 6])[4] > 0.5);
-    assert!(habits.next_rooms(0, at_s + 60.0, &[0.25; 4])[3] > 0.5);
+    habits.observe(&Turn { person: PersonId(0), label: Some(5), room: Some(2), at_s });
+    assert!(habits.mix(PersonId(0), at_s + 60.0, &[1.0 / 6.0; 6])[4] > 0.5);
+    assert!(habits.next_rooms(PersonId(0), at_s + 60.0, &[0.25; 4])[3] > 0.5);
 }
 
 #[test]
 fn nothing_is_learned_where_it_may_not() {
     let mut still = home(HabitsOptions { learn: false, ..HabitsOptions::default() });
-    mornings(&mut still, 0, 2);
+    mornings(&mut still, PersonId(0), 2);
     assert_eq!(still.learned().counts, 0);
 }
 
@@ -121,18 +122,18 @@ fn what_is_seen_alone_is_the_prior_of_others() {
     for step in 0..200 {
         let at_s = MONDAY_S + 300.0 * f64::from(step);
         let place = Place::Room(usize::try_from(step).unwrap() % 2);
-        habits.be(0, place, at_s);
-        (0..5).for_each(|minute| habits.tick(0, at_s + 60.0 * f64::from(minute), &mut |_, p| p.fill(1.0)));
+        habits.be(PersonId(0), place, at_s);
+        (0..5).for_each(|minute| habits.tick(PersonId(0), at_s + 60.0 * f64::from(minute), &mut |_, p| p.fill(1.0)));
     }
-    assert_eq!(habits.observations(0), 0.0, "they did nothing");
+    assert_eq!(habits.observations(PersonId(0)), 0.0, "they did nothing");
     let at_s = MONDAY_S + 300.0 * 200.0;
-    habits.be(1, Place::Room(0), at_s);
+    habits.be(PersonId(1), Place::Room(0), at_s);
     let (mut out, places) = (Vec::new(), habits.places());
-    habits.at(1, at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
+    habits.at(PersonId(1), at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
     let at_first = out.clone();
     let mut alone = home(HabitsOptions::default());
-    alone.be(1, Place::Room(0), at_s);
-    alone.at(1, at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
+    alone.be(PersonId(1), Place::Room(0), at_s);
+    alone.at(PersonId(1), at_s, 300.0, &vec![1.0 / places as f64; places], &mut out);
     assert!(at_first[1] > out[1] + 0.05, "{at_first:?} {out:?}");
 }
 
@@ -141,11 +142,11 @@ fn what_is_seen_alone_is_the_prior_of_others() {
 fn a_stay_ends_where_its_place_is_empty() {
     let mut habits = home(HabitsOptions::default());
     let (mut seen, at_s) = (Vec::new(), MONDAY_S);
-    habits.be(0, Place::Room(0), at_s);
-    habits.lose(0, at_s + 60.0);
-    assert_eq!(habits.place(0), None);
-    (2..120).for_each(|minute| habits.tick(0, at_s + 60.0 * f64::from(minute), &mut |_, p| p.fill(1.0)));
-    habits.be(0, Place::Room(1), at_s + 7_200.0);
+    habits.be(PersonId(0), Place::Room(0), at_s);
+    habits.lose(PersonId(0), at_s + 60.0);
+    assert_eq!(habits.place(PersonId(0)), None);
+    (2..120).for_each(|minute| habits.tick(PersonId(0), at_s + 60.0 * f64::from(minute), &mut |_, p| p.fill(1.0)));
+    habits.be(PersonId(0), Place::Room(1), at_s + 7_200.0);
     for (key, _, counts) in habits.counts.rows() {
         match parts(key).unwrap().0 {
             Kind::StayPlace => seen.extend(counts),
@@ -158,8 +159,8 @@ fn a_stay_ends_where_its_place_is_empty() {
     assert!((minutes - 1.0).abs() < 1e-3 && exits == 1.0, "{seen:?}");
     let places = habits.places();
     let (shipped, mut out) = (vec![0.5 / (places - 1) as f64; places], Vec::new());
-    habits.lose(0, at_s + 7_260.0);
-    assert_eq!(habits.at(0, at_s + 7_300.0, 300.0, &shipped, &mut out).shipped, 1.0);
+    habits.lose(PersonId(0), at_s + 7_260.0);
+    assert_eq!(habits.at(PersonId(0), at_s + 7_300.0, 300.0, &shipped, &mut out).shipped, 1.0);
 }
 
 /// Whoever is back goes where they went after earlier returns, and no visit is learned until somebody tells of one.
@@ -173,19 +174,19 @@ fn who_is_back_goes_where_earlier_returns_led() {
         // In the bathroom for a minute, in the kitchen for an hour; nights in the bedroom.
         for (minute, place) in [(1, Some(1)), (2, Some(2)), (62, Some(0)), (14 * 60, None)] {
             if minute == 1 {
-                habits.come_back(0, at_s);
-                assert_eq!((habits.place(0), habits.is_back(0)), (None, day > 0));
+                habits.come_back(PersonId(0), at_s);
+                assert_eq!((habits.place(PersonId(0)), habits.is_back(PersonId(0))), (None, day > 0));
             }
-            habits.be(0, place.map_or(Place::Elsewhere, Place::Room), at_s + 60.0 * f64::from(minute));
+            habits.be(PersonId(0), place.map_or(Place::Elsewhere, Place::Room), at_s + 60.0 * f64::from(minute));
         }
     }
     let visits = |habits: &Habits| habits.visits(evening_s(14)).iter().map(|of_room| of_room[5]).collect::<Vec<_>>();
     let before = visits(&habits);
     assert!(before[0] < 0.01 && before[1] > 5.0, "{before:?}");
     let at_s = evening_s(14);
-    habits.come_back(0, at_s);
+    habits.come_back(PersonId(0), at_s);
     let mut ahead = |habits: &mut Habits, now_s: f64, horizon_s: f64| {
-        let shares = habits.at(0, now_s, horizon_s, &shipped, &mut p);
+        let shares = habits.at(PersonId(0), now_s, horizon_s, &shipped, &mut p);
         assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{p:?}");
         (shares, p.clone())
     };
@@ -198,7 +199,7 @@ fn who_is_back_goes_where_earlier_returns_led() {
     assert!(later[2] > 1.5 * later[0] && later[3] < 1e-9, "{later:?}");
     // Sets are of what is forecast: nothing was learned of how such forecasts come out.
     let mut set = Vec::new();
-    habits.room_set(0, 900.0, &[0.3, 0.3, 0.25, 0.15], false, &mut set);
+    habits.room_set(PersonId(0), 900.0, &[0.3, 0.3, 0.25, 0.15], false, &mut set);
     assert_eq!(set, [true, true, true, true]);
     assert_eq!(visits(&habits), before);
     // Where they are first seen long after that is not where they came in.
@@ -207,15 +208,17 @@ fn who_is_back_goes_where_earlier_returns_led() {
         seen.symbols().map(|(_, count)| count).sum::<f64>()
     };
     let led = exits(&habits);
-    habits.be(0, Place::Room(0), at_s + 7_200.0);
-    assert!(!habits.is_back(0) && exits(&habits) == led);
+    habits.be(PersonId(0), Place::Room(0), at_s + 7_200.0);
+    assert!(!habits.is_back(PersonId(0)) && exits(&habits) == led);
     // Whoever was in a room does not come back, and whoever does something of which nobody knows the place is not at the door.
-    habits.come_back(0, at_s + 7_260.0);
-    assert_eq!(habits.place(0), Some(Place::Room(0)));
-    habits.be(0, Place::Elsewhere, at_s + 7_300.0);
-    habits.come_back(0, at_s + 7_400.0);
-    habits.lose(0, at_s + 7_410.0);
-    assert!(!habits.is_back(0) && habits.at(0, at_s + 7_420.0, 60.0, &shipped, &mut p).shipped == 1.0);
+    habits.come_back(PersonId(0), at_s + 7_260.0);
+    assert_eq!(habits.place(PersonId(0)), Some(Place::Room(0)));
+    habits.be(PersonId(0), Place::Elsewhere, at_s + 7_300.0);
+    habits.come_back(PersonId(0), at_s + 7_400.0);
+    habits.lose(PersonId(0), at_s + 7_410.0);
+    assert!(
+        !habits.is_back(PersonId(0)) && habits.at(PersonId(0), at_s + 7_420.0, 60.0, &shipped, &mut p).shipped == 1.0
+    );
 }
 
 /// Watches somebody who is in the bedroom until seven, in the bathroom for half an hour, in the kitchen for one, out until six, and in
@@ -235,10 +238,10 @@ fn week(habits: &mut Habits, days: usize) -> (f64, f64) {
     let (mut loss, mut same, mut p) = (0.0, 0.0, Vec::new());
     for minute in 0..days * 1440 {
         let now_s = MONDAY_S + 60.0 * minute as f64;
-        habits.be(0, place(minute), now_s);
-        habits.tick(0, now_s, &mut |_, p| p.fill(0.25));
+        habits.be(PersonId(0), place(minute), now_s);
+        habits.tick(PersonId(0), now_s, &mut |_, p| p.fill(0.25));
         if minute >= (days - 1) * 1440 {
-            habits.at(0, now_s, 3_600.0, &[0.25; 4], &mut p);
+            habits.at(PersonId(0), now_s, 3_600.0, &[0.25; 4], &mut p);
             assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9 && p.iter().all(|p| *p >= 0.0));
             let truth = index(place(minute + 60));
             loss -= p[truth].ln();
@@ -256,10 +259,10 @@ fn a_day_is_learned_with_its_hours() {
     assert!(loss < 0.6 * persistence, "{loss} against {persistence}");
     let mut set = Vec::new();
     let now_s = MONDAY_S + 14.0 * DAY_S + 3.0 * 3_600.0;
-    habits.be(0, Place::Room(0), now_s);
+    habits.be(PersonId(0), Place::Room(0), now_s);
     let mut p = Vec::new();
-    habits.at(0, now_s, 900.0, &[0.25; 4], &mut p);
-    habits.room_set(0, 900.0, &p, false, &mut set);
+    habits.at(PersonId(0), now_s, 900.0, &[0.25; 4], &mut p);
+    habits.room_set(PersonId(0), 900.0, &p, false, &mut set);
     assert_eq!(set, [true, false, false, false], "{p:?}");
 }
 
@@ -268,14 +271,14 @@ fn without_knowledge_the_forecast_is_the_shipped_one() {
     let mut habits = home(HabitsOptions::default());
     let shipped = [0.1, 0.2, 0.3, 0.4];
     let mut p = Vec::new();
-    let shares = habits.at(0, MONDAY_S, 600.0, &shipped, &mut p);
+    let shares = habits.at(PersonId(0), MONDAY_S, 600.0, &shipped, &mut p);
     assert_eq!((p.as_slice(), shares.shipped), (shipped.as_slice(), 1.0));
 }
 
 #[test]
 fn bytes_and_json_give_back_what_was_learned() {
     let mut habits = home(HabitsOptions::default());
-    mornings(&mut habits, 3, 5);
+    mornings(&mut habits, PersonId(3), 5);
     week(&mut habits, 3);
     let bytes = habits.to_bytes();
     let again = Habits::from_bytes(*habits.options(), &bytes).unwrap();
@@ -317,7 +320,7 @@ fn numbers(value: &serde_json::Value, path: &str, found: &mut Vec<String>) {
 #[test]
 fn an_import_is_refused_or_harmless() {
     let mut habits = home(HabitsOptions::default());
-    mornings(&mut habits, 3, 5);
+    mornings(&mut habits, PersonId(3), 5);
     week(&mut habits, 3);
     let export: serde_json::Value = serde_json::from_str(&habits.to_json().unwrap()).unwrap();
     let mut paths = Vec::new();
@@ -359,15 +362,15 @@ fn an_import_is_refused_or_harmless() {
         for minute in 0..70 {
             let at_s = MONDAY_S + 20.0 * DAY_S + 60.0 * f64::from(minute);
             if minute % 20 == 0 {
-                habits.observe(&turn(3, minute as usize / 20, at_s));
-                assert!(sums_to_one(habits.mix(3, at_s, &[0.2; 5])), "{what}");
-                assert!(sums_to_one(habits.next_rooms(3, at_s, &[1.0 / 3.0; 3])), "{what}");
+                habits.observe(&turn(PersonId(3), minute as usize / 20, at_s));
+                assert!(sums_to_one(habits.mix(PersonId(3), at_s, &[0.2; 5])), "{what}");
+                assert!(sums_to_one(habits.next_rooms(PersonId(3), at_s, &[1.0 / 3.0; 3])), "{what}");
             }
-            habits.tick(3, at_s, &mut |_, p| p.fill(0.25));
-            habits.at(3, at_s, 900.0, &[0.25; 4], &mut p);
+            habits.tick(PersonId(3), at_s, &mut |_, p| p.fill(0.25));
+            habits.at(PersonId(3), at_s, 900.0, &[0.25; 4], &mut p);
             assert!(sums_to_one(&p), "{what}: {p:?}");
-            habits.room_set(3, 900.0, &p, false, &mut set);
-            assert!(set.contains(&true) && (habits.observations(3) as f32).is_finite(), "{what}");
+            habits.room_set(PersonId(3), 900.0, &p, false, &mut set);
+            assert!(set.contains(&true) && (habits.observations(PersonId(3)) as f32).is_finite(), "{what}");
         }
         // What is written then can be read.
         assert!(Habits::from_bytes(HabitsOptions::default(), &habits.to_bytes()).is_ok(), "{what}");
@@ -379,12 +382,12 @@ fn an_import_is_refused_or_harmless() {
 #[test]
 fn where_somebody_was_is_known_until_they_go_on() {
     let mut habits = home(HabitsOptions::default());
-    habits.be(0, Place::Room(0), MONDAY_S);
-    habits.tick(0, MONDAY_S, &mut |_, p| p.fill(0.25));
+    habits.be(PersonId(0), Place::Room(0), MONDAY_S);
+    habits.tick(PersonId(0), MONDAY_S, &mut |_, p| p.fill(0.25));
     // The minute is over at 60 s.
-    habits.be(0, Place::Room(1), MONDAY_S + 70.0);
-    habits.be(0, Place::Room(2), MONDAY_S + 90.0);
-    habits.tick(0, MONDAY_S + 110.0, &mut |_, p| p.fill(0.25));
+    habits.be(PersonId(0), Place::Room(1), MONDAY_S + 70.0);
+    habits.be(PersonId(0), Place::Room(2), MONDAY_S + 90.0);
+    habits.tick(PersonId(0), MONDAY_S + 110.0, &mut |_, p| p.fill(0.25));
     let anchor = &habits.persons[0].stays.anchors[0];
     assert_eq!((anchor.stayed, anchor.sampled), (2.0, 3.0));
 }
@@ -429,7 +432,7 @@ fn memory_is_bounded() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let label = (state >> 33) as usize % 150;
         let at_s = step as f64 * 80.0;
-        habits.observe(&Turn { person: (step % 2) as u32, label: Some(label), room: Some(label % 3), at_s });
+        habits.observe(&Turn { person: PersonId((step % 2) as u32), label: Some(label), room: Some(label % 3), at_s });
     }
     let learned = habits.learned();
     assert!(learned.bytes <= 4 << 20, "{learned:?}");
@@ -440,7 +443,7 @@ fn some() -> &'static [u8] {
     static BYTES: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
     BYTES.get_or_init(|| {
         let mut habits = home(HabitsOptions::default());
-        mornings(&mut habits, 0, 3);
+        mornings(&mut habits, PersonId(0), 3);
         habits.to_bytes()
     })
 }
@@ -502,7 +505,7 @@ proptest! {
         bytes[body..].copy_from_slice(&sum[..16]);
         if let Ok(mut habits) = Habits::from_bytes(HabitsOptions::default(), &bytes) {
             habits.bind(words(&LABELS), words(&ROOMS), shares());
-            mornings(&mut habits, 0, 1);
+            mornings(&mut habits, PersonId(0), 1);
             week(&mut habits, 1);
         }
     }
@@ -518,12 +521,12 @@ proptest! {
         let mut habits = home(options);
         for (at_s, person, label, what) in past {
             match what {
-                0 => habits.be(person, Place::Room(ROOM_OF[label]), at_s),
-                1 => habits.be(person, Place::Elsewhere, at_s),
-                2 => habits.tick(person, at_s, &mut |_, p| p.fill(1.0)),
+                0 => habits.be(PersonId(person), Place::Room(ROOM_OF[label]), at_s),
+                1 => habits.be(PersonId(person), Place::Elsewhere, at_s),
+                2 => habits.tick(PersonId(person), at_s, &mut |_, p| p.fill(1.0)),
                 _ => {
-                    habits.mix(person, at_s, &[0.2; 5]);
-                    habits.observe(&turn(person, label, at_s));
+                    habits.mix(PersonId(person), at_s, &[0.2; 5]);
+                    habits.observe(&turn(PersonId(person), label, at_s));
                 }
             }
         }
@@ -535,12 +538,12 @@ proptest! {
             habits.bind(words(&LABELS), words(&ROOMS), shares());
             for step in 0..20u8 {
                 let at_s = NOW_S + 60.0 * f64::from(step);
-                let forecast = habits.mix(0, at_s, &[0.2; 5]);
+                let forecast = habits.mix(PersonId(0), at_s, &[0.2; 5]);
                 assert!(forecast.iter().all(|p| (0.0..=1.0).contains(p)), "{forecast:?}");
-                habits.observe(&turn(0, usize::from(step % 2), at_s));
+                habits.observe(&turn(PersonId(0), usize::from(step % 2), at_s));
             }
-            habits.mix(0, NOW_S + 1_200.0, &[0.2; 5]);
-            habits.explain(0, 0).unwrap().observations[1]
+            habits.mix(PersonId(0), NOW_S + 1_200.0, &[0.2; 5]);
+            habits.explain(PersonId(0), 0).unwrap().observations[1]
         };
         let (after, alone) = (now(read.unwrap()), now(home(options)));
         prop_assert!(after > 0.98 * alone - 0.05, "{after} of {alone}");
@@ -559,9 +562,9 @@ proptest! {
             let mut p = [one, other, 0.2, 0.2, 0.2];
             let total: f64 = p.iter().sum();
             p.iter_mut().for_each(|p| *p /= total);
-            mixture -= habits.mix(0, at_s, &p)[label].ln();
+            mixture -= habits.mix(PersonId(0), at_s, &p)[label].ln();
             model -= p[label].ln();
-            habits.observe(&turn(0, label, at_s));
+            habits.observe(&turn(PersonId(0), label, at_s));
             at_s += 60.0;
             let steps = ((at_s - MONDAY_S) / 60.0) as usize;
             // Of which other one each gate begins by itself; of the same one again there is one mixture.
@@ -584,10 +587,10 @@ proptest! {
             let mut p = [one, other, 0.2];
             let total: f64 = p.iter().sum();
             p.iter_mut().for_each(|p| *p /= total);
-            habits.mix(0, at_s, &[0.2; 5]);
-            mixture -= habits.next_rooms(0, at_s, &p)[ROOM_OF[label]].ln();
+            habits.mix(PersonId(0), at_s, &[0.2; 5]);
+            mixture -= habits.next_rooms(PersonId(0), at_s, &p)[ROOM_OF[label]].ln();
             model -= p[ROOM_OF[label]].ln();
-            habits.observe(&turn(0, label, at_s));
+            habits.observe(&turn(PersonId(0), label, at_s));
             at_s += 60.0;
             let begun = rooms::FIRST.as_flattened().iter().map(|first| mixture::bound_nats(*first, rooms::SHARE, 1)).sum::<f64>();
             let bound = begun + 2.0 * (step + 1) as f64 * -(1.0 - rooms::SHARE).ln();
@@ -602,16 +605,16 @@ proptest! {
         let mut habits = home(HabitsOptions { names_max: 3, contexts_max: 40, blocks_max: 50, ..HabitsOptions::default() });
         let mut p = Vec::new();
         for (person, label, room, at_s) in told {
-            habits.observe(&Turn { person, label, room, at_s });
+            habits.observe(&Turn { person: PersonId(person), label, room, at_s });
             if let Some(room) = room {
-                habits.be(person, if room == 4 { Place::Elsewhere } else { Place::Room(room) }, at_s);
+                habits.be(PersonId(person), if room == 4 { Place::Elsewhere } else { Place::Room(room) }, at_s);
             } else {
-                habits.come_back(person, at_s);
+                habits.come_back(PersonId(person), at_s);
             }
-            habits.tick(person, at_s, &mut |_, p| p.fill(0.0));
-            let labels: f64 = habits.mix(person, at_s, &[0.0, 1.0, 0.0, 0.3, 0.0]).iter().sum();
-            let rooms: f64 = habits.next_rooms(person, at_s, &[0.5, 0.0, 0.5]).iter().sum();
-            habits.at(person, at_s + f64::from(person) * 700.0, 777.0, &[0.0, 0.5, 0.5, 0.0], &mut p);
+            habits.tick(PersonId(person), at_s, &mut |_, p| p.fill(0.0));
+            let labels: f64 = habits.mix(PersonId(person), at_s, &[0.0, 1.0, 0.0, 0.3, 0.0]).iter().sum();
+            let rooms: f64 = habits.next_rooms(PersonId(person), at_s, &[0.5, 0.0, 0.5]).iter().sum();
+            habits.at(PersonId(person), at_s + f64::from(person) * 700.0, 777.0, &[0.0, 0.5, 0.5, 0.0], &mut p);
             prop_assert!((labels - 1.0).abs() < 1e-6 && (rooms - 1.0).abs() < 1e-6);
             prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-6 && p.iter().all(|p| *p >= 0.0));
         }
@@ -624,13 +627,13 @@ fn watched_days(habits: &mut Habits, days: std::ops::Range<usize>) {
         for minute in 0..180 {
             let now_s = MONDAY_S + day as f64 * DAY_S + 7.0 * 3_600.0 + 60.0 * f64::from(minute);
             match minute {
-                0 => habits.be(0, Place::Room(0), now_s),
-                60 => habits.be(0, Place::Room(2), now_s),
+                0 => habits.be(PersonId(0), Place::Room(0), now_s),
+                60 => habits.be(PersonId(0), Place::Room(2), now_s),
                 _ => {}
             }
-            habits.tick(0, now_s, &mut |_, p| p.fill(0.25));
+            habits.tick(PersonId(0), now_s, &mut |_, p| p.fill(0.25));
         }
-        habits.be(0, Place::Elsewhere, MONDAY_S + day as f64 * DAY_S + 10.0 * 3_600.0);
+        habits.be(PersonId(0), Place::Elsewhere, MONDAY_S + day as f64 * DAY_S + 10.0 * 3_600.0);
     }
 }
 
@@ -639,13 +642,13 @@ fn several_times_at_once_are_as_each_by_itself() {
     let mut habits = home(HabitsOptions::default());
     watched_days(&mut habits, 0..5);
     let now_s = MONDAY_S + 5.0 * DAY_S + 7.5 * 3_600.0;
-    habits.be(0, Place::Room(0), now_s - 1_800.0);
-    assert_eq!(habits.place(0), Some(Place::Room(0)));
+    habits.be(PersonId(0), Place::Room(0), now_s - 1_800.0);
+    assert_eq!(habits.place(PersonId(0)), Some(Place::Room(0)));
     let (horizons_s, shipped) = ([0.0, 60.0, 1_800.0, 3_600.0], [0.25; 16]);
     let (mut all, mut shares, mut one) = (Vec::new(), Vec::new(), Vec::new());
-    habits.at_times(0, (now_s, &horizons_s), &shipped, &mut all, &mut shares);
+    habits.at_times(PersonId(0), (now_s, &horizons_s), &shipped, &mut all, &mut shares);
     for (horizon_s, (row, share)) in horizons_s.into_iter().zip(all.chunks_exact(4).zip(&shares)) {
-        let alone = habits.at(0, now_s, horizon_s, &shipped[..4], &mut one);
+        let alone = habits.at(PersonId(0), now_s, horizon_s, &shipped[..4], &mut one);
         assert_eq!(alone, *share);
         assert!(row.iter().zip(&one).all(|(row, one)| (row - one).abs() < 0.01), "{row:?} {one:?}");
         assert!((row.iter().sum::<f64>() - 1.0).abs() < 1e-9);
@@ -659,18 +662,18 @@ fn visits_are_counted_by_room_and_part_of_the_day_of_all_persons_together() {
     assert_eq!(habits.visits(MONDAY_S), [[0.0; PARTS]; 3]);
     let at_s = |hour: f64| MONDAY_S + 3_600.0 * hour;
     for person in [3, 8] {
-        habits.be(person, Place::Room(0), at_s(0.0));
-        habits.be(person, Place::Room(1), at_s(7.0));
-        habits.be(person, Place::Room(2), at_s(7.5));
+        habits.be(PersonId(person), Place::Room(0), at_s(0.0));
+        habits.be(PersonId(person), Place::Room(1), at_s(7.0));
+        habits.be(PersonId(person), Place::Room(2), at_s(7.5));
     }
-    habits.be(3, Place::Elsewhere, at_s(10.0));
-    habits.be(3, Place::Room(2), at_s(22.0));
-    habits.be(3, Place::Room(0), at_s(23.9));
+    habits.be(PersonId(3), Place::Elsewhere, at_s(10.0));
+    habits.be(PersonId(3), Place::Room(2), at_s(22.0));
+    habits.be(PersonId(3), Place::Room(0), at_s(23.9));
     let mut visits = [[0.0; PARTS]; 3];
     // Both left bedroom and bathroom between six and nine; who is still in the kitchen has not left it.
     (visits[0][2], visits[1][2], visits[2][3], visits[2][7]) = (2.0, 2.0, 1.0, 1.0);
     assert_eq!(habits.visits(at_s(24.0)), visits);
-    habits.forget(8);
+    habits.forget(PersonId(8));
     (visits[0][2], visits[1][2]) = (1.0, 1.0);
     assert_eq!(habits.visits(at_s(24.0)), visits);
     // A map with other rooms has none of them; what was counted waits for its rooms.
@@ -684,18 +687,18 @@ fn time_that_nobody_watched_is_not_learned() {
     let mut habits = home(HabitsOptions::default());
     watched_days(&mut habits, 0..3);
     let now_s = MONDAY_S + 3.0 * DAY_S + 7.0 * 3_600.0;
-    habits.be(0, Place::Room(0), now_s);
+    habits.be(PersonId(0), Place::Room(0), now_s);
     let state = |habits: &Habits| (habits.stored().rows, habits.stored().persons, habits.objects.len());
     let before = state(&habits);
     habits.pass(now_s + 3_600.0);
     habits.shift_clock(-7_200.0);
-    habits.tick(0, now_s - 3_600.0, &mut |_, p| p.fill(0.25));
+    habits.tick(PersonId(0), now_s - 3_600.0, &mut |_, p| p.fill(0.25));
     assert!(state(&habits) == before);
     habits.set_learning(false);
-    habits.observe(&turn(0, 2, now_s));
-    habits.be(0, Place::Elsewhere, now_s + 60.0);
+    habits.observe(&turn(PersonId(0), 2, now_s));
+    habits.be(PersonId(0), Place::Elsewhere, now_s + 60.0);
     assert!(state(&habits) == before);
     habits.set_learning(true);
-    habits.be(0, Place::Room(0), now_s + 120.0);
+    habits.be(PersonId(0), Place::Room(0), now_s + 120.0);
     assert!(state(&habits) != before);
 }

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use serde::{Deserialize, Serialize};
 
 use super::Observation;
+use crate::ids::PersonId;
 
 /// Most persons with a history; a new person replaces the person without an event for longest.
 pub const PERSONS_MAX: usize = 64;
@@ -290,7 +291,7 @@ impl History {
 #[derive(Debug, Clone)]
 pub struct Histories {
     limits: HistoryLimits,
-    by_person: BTreeMap<u32, (u64, History)>,
+    by_person: BTreeMap<PersonId, (u64, History)>,
     pushes: u64,
 }
 
@@ -317,7 +318,7 @@ impl Histories {
     }
 
     /// The history of a person; a new one if there is none.
-    pub fn known(&mut self, person: u32) -> &mut History {
+    pub fn known(&mut self, person: PersonId) -> &mut History {
         self.pushes += 1;
         if self.by_person.len() >= PERSONS_MAX && !self.by_person.contains_key(&person) {
             let oldest = self.by_person.iter().min_by_key(|(_, (seen, _))| *seen).map(|(person, _)| *person);
@@ -332,22 +333,22 @@ impl Histories {
 
     /// The history of a person, if anything of them is known.
     #[must_use]
-    pub fn get(&self, person: u32) -> Option<&History> {
+    pub fn get(&self, person: PersonId) -> Option<&History> {
         self.by_person.get(&person).map(|(_, history)| history)
     }
 
     /// The history of a person, to compact or to end it.
-    pub fn get_mut(&mut self, person: u32) -> Option<&mut History> {
+    pub fn get_mut(&mut self, person: PersonId) -> Option<&mut History> {
         self.by_person.get_mut(&person).map(|(_, history)| history)
     }
 
     /// Persons and their histories, by id.
-    pub fn iter(&self) -> impl Iterator<Item = (u32, &History)> {
+    pub fn iter(&self) -> impl Iterator<Item = (PersonId, &History)> {
         self.by_person.iter().map(|(person, (_, history))| (*person, history))
     }
 
     /// Removes the observations that `is_it` selects from all histories. Gives the persons of the histories that had some.
-    pub(crate) fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> Vec<u32> {
+    pub(crate) fn forget(&mut self, is_it: impl Fn(&Observation) -> bool) -> Vec<PersonId> {
         let histories = self.by_person.iter_mut();
         let changed = histories.filter_map(|(person, (_, history))| (history.forget(&is_it) > 0).then_some(*person));
         changed.collect()
@@ -365,7 +366,7 @@ impl Histories {
     }
 
     /// Forgets a person, such as a visitor that has left.
-    pub fn remove(&mut self, person: u32) -> Option<History> {
+    pub fn remove(&mut self, person: PersonId) -> Option<History> {
         self.by_person.remove(&person).map(|(_, history)| history)
     }
 }
@@ -376,7 +377,7 @@ mod tests {
     use crate::narration::Sentence;
     use proptest::prelude::*;
 
-    fn observation(person: u32, sequence: u64) -> Observation {
+    fn observation(person: PersonId, sequence: u64) -> Observation {
         let sentence = Sentence::new(&format!("They do thing {sequence}")).unwrap();
         let (observed_ns, observed_unix_ns) = (sequence, sequence);
         Observation {
@@ -396,7 +397,7 @@ mod tests {
     #[test]
     fn without_slack_the_window_is_the_last_n() {
         let mut history = History::new(HistoryLimits::exact(3));
-        let left: Vec<usize> = (0..5).map(|i| history.push(observation(0, i), 5)).collect();
+        let left: Vec<usize> = (0..5).map(|i| history.push(observation(PersonId(0), i), 5)).collect();
         assert_eq!(left, [0, 0, 0, 1, 1]);
         assert_eq!(sequences(&history), [2, 3, 4]);
         assert_eq!(history.sentences().last(), Some("They do thing 4."));
@@ -405,7 +406,7 @@ mod tests {
     #[test]
     fn with_slack_it_is_cut_back_seldom() {
         let mut history = History::new(HistoryLimits { observations: 3, slack: 2, tokens: 1000, gap_s: 0 });
-        let left: Vec<usize> = (0..9).map(|i| history.push(observation(0, i), 5)).collect();
+        let left: Vec<usize> = (0..9).map(|i| history.push(observation(PersonId(0), i), 5)).collect();
         assert_eq!(left, [0, 0, 0, 0, 0, 3, 0, 0, 3]);
         assert_eq!(sequences(&history), [6, 7, 8]);
         assert_eq!(history.left(), 6);
@@ -418,7 +419,7 @@ mod tests {
         let at = |sequence: u64, monotonic_s: u64, unix_s: u64| Observation {
             observed_ns: monotonic_s * S,
             observed_unix_ns: unix_s * S,
-            ..observation(0, sequence)
+            ..observation(PersonId(0), sequence)
         };
         let mut history = History::new(HistoryLimits { gap_s: 60, ..HistoryLimits::default() });
         let after = [
@@ -452,20 +453,20 @@ mod tests {
     #[test]
     fn what_costs_more_than_the_window_holds_never_enters() {
         let mut history = History::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
-        history.push(observation(0, 0), 5);
-        assert_eq!(history.push(observation(0, 1), 21), 1);
-        assert_eq!(history.push(observation(0, 2), 5), 0);
+        history.push(observation(PersonId(0), 0), 5);
+        assert_eq!(history.push(observation(PersonId(0), 1), 21), 1);
+        assert_eq!(history.push(observation(PersonId(0), 2), 5), 0);
         assert_eq!(sequences(&history), [0, 2]);
         // A map with more labels leaves less room.
         history.limit_tokens(4);
         assert!(history.is_empty());
         let mut histories = Histories::new(HistoryLimits { observations: 8, slack: 0, tokens: 20, gap_s: 0 });
-        histories.push(observation(7, 0), 21);
-        assert!(histories.get(7).is_none());
+        histories.push(observation(PersonId(7), 0), 21);
+        assert!(histories.get(PersonId(7)).is_none());
     }
 
     fn said(source: u64, sequence: u64) -> Observation {
-        Observation { source, ..observation(0, sequence) }
+        Observation { source, ..observation(PersonId(0), sequence) }
     }
 
     fn sources(history: &History) -> Vec<u64> {
@@ -534,15 +535,17 @@ mod tests {
     fn persons_do_not_mix_and_are_bounded() {
         let mut histories = Histories::new(HistoryLimits::default());
         for sequence in 0..200 {
-            histories.push(observation(sequence as u32 % 2, sequence), 5);
+            histories.push(observation(PersonId(sequence as u32 % 2), sequence), 5);
         }
-        assert!(histories.get(0).unwrap().observations().all(|o| o.person == 0 && o.sequence % 2 == 0));
+        assert!(
+            histories.get(PersonId(0)).unwrap().observations().all(|o| o.person == PersonId(0) && o.sequence % 2 == 0)
+        );
         for person in 0..1000 {
-            histories.push(observation(person, 0), 5);
+            histories.push(observation(PersonId(person), 0), 5);
         }
         assert_eq!(histories.iter().count(), PERSONS_MAX);
-        assert!(histories.get(999).is_some() && histories.get(0).is_none());
-        assert!(histories.remove(999).is_some() && histories.get(999).is_none());
+        assert!(histories.get(PersonId(999)).is_some() && histories.get(PersonId(0)).is_none());
+        assert!(histories.remove(PersonId(999)).is_some() && histories.get(PersonId(999)).is_none());
     }
 
     proptest! {
@@ -554,7 +557,7 @@ mod tests {
             let mut history = History::new(HistoryLimits { observations, slack, tokens, gap_s: 0 });
             for (i, cost) in costs.iter().enumerate() {
                 let before = history.len();
-                let left = history.push(observation(0, i as u64), *cost);
+                let left = history.push(observation(PersonId(0), i as u64), *cost);
                 prop_assert_eq!(history.len(), before + 1 - left);
                 let fit: Vec<u64> = (0..=i as u64).filter(|i| costs[*i as usize] <= tokens).collect();
                 let first = fit.len() - history.len();

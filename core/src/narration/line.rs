@@ -10,9 +10,10 @@ use serde_json::Value;
 
 use super::forms::{COUNT_MAX, form_of};
 use super::{
-    Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SOMEBODY, SensorReport, Sentence,
-    check_name, is_number,
+    Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SensorReport, Sentence, check_name,
+    is_number,
 };
+use crate::ids::PersonId;
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
 
@@ -84,7 +85,7 @@ pub enum Who {
     #[default]
     Somebody,
     /// The person of this number.
-    Number(u32),
+    Number(PersonId),
     /// The person of this name, which has letters or digits and fits into a message.
     Name(String),
 }
@@ -102,7 +103,7 @@ pub enum WhoError {
         code: u32,
     },
     /// It is no number and no name.
-    #[error("{text:?} is no person: give a number from 0 to {}, or a name of at most {} bytes with letters", SOMEBODY - 1, PERSON_NAME_BYTES_MAX)]
+    #[error("{text:?} is no person: give a number from 0 to {}, or a name of at most {} bytes with letters", PersonId::SOMEBODY.0 - 1, PERSON_NAME_BYTES_MAX)]
     NoPerson {
         /// The text.
         text: String,
@@ -110,10 +111,10 @@ pub enum WhoError {
 }
 
 impl Who {
-    /// The number in a message; [`SOMEBODY`] for a name and for an unknown person.
+    /// The number in a message; [`PersonId::SOMEBODY`] for a name and for an unknown person.
     #[must_use]
-    pub fn number(&self) -> u32 {
-        if let Self::Number(number) = self { *number } else { SOMEBODY }
+    pub fn number(&self) -> PersonId {
+        if let Self::Number(number) = self { *number } else { PersonId::SOMEBODY }
     }
 
     /// The name in a message; empty where there is none.
@@ -133,16 +134,15 @@ impl Who {
     pub fn json(&self) -> Value {
         match self {
             Self::Somebody => Value::Null,
-            Self::Number(number) => (*number).into(),
+            Self::Number(number) => number.0.into(),
             Self::Name(name) => name.as_str().into(),
         }
     }
 }
 
-impl From<u32> for Who {
-    /// [`SOMEBODY`] is somebody, as in messages.
-    fn from(number: u32) -> Self {
-        if number == SOMEBODY { Self::Somebody } else { Self::Number(number) }
+impl From<PersonId> for Who {
+    fn from(number: PersonId) -> Self {
+        if number == PersonId::SOMEBODY { Self::Somebody } else { Self::Number(number) }
     }
 }
 
@@ -153,7 +153,7 @@ impl FromStr for Who {
     fn from_str(text: &str) -> Result<Self, WhoError> {
         let text = text.trim();
         match text.parse() {
-            Ok(number) if number != SOMEBODY && is_number(text) => return Ok(Self::Number(number)),
+            Ok(number) if number != PersonId::SOMEBODY && is_number(text) => return Ok(Self::Number(number)),
             _ if check_name(text).is_ok() => return Ok(Self::Name(text.to_owned())),
             _ => {}
         }
@@ -174,9 +174,16 @@ impl Serialize for Who {
 impl<'de> Deserialize<'de> for Who {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = Value::deserialize(deserializer)?;
-        let number = value.as_u64().and_then(|number| u32::try_from(number).ok()).filter(|number| *number != SOMEBODY);
+        let number = value
+            .as_u64()
+            .and_then(|number| u32::try_from(number).ok())
+            .map(PersonId)
+            .filter(|number| *number != PersonId::SOMEBODY);
         let wrong = |found: &str| {
-            D::Error::custom(format!("{found}, expected a person's number from 0 to {}, or name", SOMEBODY - 1))
+            D::Error::custom(format!(
+                "{found}, expected a person's number from 0 to {}, or name",
+                PersonId::SOMEBODY.0 - 1
+            ))
         };
         match (value, number) {
             (Value::Null, _) => Ok(Self::Somebody),
@@ -329,9 +336,10 @@ impl Line {
         let presence = json.presence.as_ref().map(|presence| string("presence", presence)).transpose()?;
         let (kind, text) = match (text, presence) {
             _ if is_sensor => (Kind::Presence, sensor.unwrap_or_default()),
-            (Some(text), None) if json.room.is_none() => {
+            (Some(text), None) => {
                 let kind = json.kind.as_ref().map_or_else(|| Ok(Kind::of(text)), kind_of)?;
-                (kind, text.trim().to_owned())
+                let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
+                (kind, room.map_or_else(|| Ok(text.trim().to_owned()), |room| said_in(kind, text.trim(), room))?)
             }
             (None, Some(presence)) if json.kind.is_none() => {
                 let room = json.room.as_ref().map(|room| string("room", room)).transpose()?;
@@ -341,9 +349,6 @@ impl Line {
                 return Err(reason("\"text\" and \"presence\" exclude each other; send two lines"));
             }
             (None, None) => return Err(reason("give \"text\", \"presence\" or \"sensor\"")),
-            (Some(_), None) => {
-                return Err(reason("\"room\" goes with \"presence\": \"present\", and not with \"text\""));
-            }
             (None, Some(_)) => return Err(reason("\"kind\" goes with \"text\", and not with \"presence\"")),
         };
         let own = json.person.as_ref().filter(|person| !person.is_null());
@@ -395,6 +400,18 @@ fn count_of(value: &Value) -> Result<u8, LineError> {
     count
         .filter(|count| (1..=COUNT_MAX).contains(count))
         .ok_or_else(|| key_error("count", value, &format!("a number of persons from 1 to {COUNT_MAX}")))
+}
+
+/// A sentence with the room of its camera: the room's name ends the text, unless the text has it. A presence form stays as it is.
+fn said_in(kind: Kind, text: &str, room: &str) -> Result<String, LineError> {
+    let room = RoomName::new(room).map_err(ObservedError::from)?.as_str().replace('_', " ");
+    if !matches!(kind, Kind::Sentence | Kind::Device) || DeviceState::parse(text).is_some() {
+        return Err(reason("\"room\" goes with a sentence; an action, a device or a presence names its own room"));
+    }
+    if form_of(text).is_some() || text.to_lowercase().contains(&room.to_lowercase()) {
+        return Ok(text.to_owned());
+    }
+    Ok(format!("{} in the {room}.", text.trim_end_matches(['.', '!', '?'])))
 }
 
 /// The presence that the keys of a line state.
@@ -451,7 +468,19 @@ fn reason(reason: &str) -> LineError {
 mod tests {
     use super::*;
 
-    /// A log has one line for each refused one, whatever its keys are.
+    #[test]
+    fn sentences_of_a_camera_end_with_its_room() {
+        for (text, room, expected) in [
+            ("A woman is chopping vegetables.", "living_room", "A woman is chopping vegetables in the living room."),
+            ("A woman sits on the sofa", "the hall", "A woman sits on the sofa in the hall."),
+            ("They walk through the Living Room!", "living_room", "They walk through the Living Room!"),
+            ("Ada leaves the house.", "hall", "Ada leaves the house."),
+        ] {
+            let json = serde_json::json!({ "text": text, "room": room }).to_string();
+            assert_eq!(Line::read(&json, &Who::Somebody).unwrap().text, expected);
+        }
+    }
+
     #[test]
     fn a_refused_line_forges_no_line_of_a_log() {
         let keys = [r"\u001b[2J", r"a\nWARN forged", r"\u202e", r"\r"];
@@ -475,7 +504,7 @@ mod tests {
     }
 
     fn item(line: &str) -> Result<Line, LineError> {
-        Line::read(line, &Who::Number(3))
+        Line::read(line, &Who::Number(PersonId(3)))
     }
 
     fn said(kind: Kind, text: &str, person: Who) -> Line {
@@ -485,20 +514,20 @@ mod tests {
     #[test]
     fn every_form_of_line_becomes_an_item() {
         let sentence = |text, person| said(Kind::Sentence, text, person);
-        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down.", Who::Number(3)));
-        let action = said(Kind::Action, "[Grab] <mug> (1)", Who::Number(3));
+        assert_eq!(item("They sit down.").unwrap(), sentence("They sit down.", Who::Number(PersonId(3))));
+        let action = said(Kind::Action, "[Grab] <mug> (1)", Who::Number(PersonId(3)));
         assert_eq!(item("[Grab] <mug> (1)").unwrap(), action);
-        let form = sentence("The kitchen is empty.", Who::Number(3));
+        let form = sentence("The kitchen is empty.", Who::Number(PersonId(3)));
         assert_eq!(item("The kitchen is empty.").unwrap(), form);
-        let device = said(Kind::Device, "the oven is on", Who::Number(3));
+        let device = said(Kind::Device, "the oven is on", Who::Number(PersonId(3)));
         assert_eq!(item("the oven is on").unwrap(), device);
         // The daemon reads a presence form; the line keeps its text.
-        assert_eq!(item("Ada leaves the house.").unwrap(), sentence("Ada leaves the house.", Who::Number(3)));
+        assert_eq!(item("Ada leaves the house.").unwrap(), sentence("Ada leaves the house.", Who::Number(PersonId(3))));
         for (json, person) in [
-            (r#"{"text": "They sit down.", "person": 9}"#, Who::Number(9)),
-            (r#"{"text": "They sit down.", "person": "9"}"#, Who::Number(9)),
+            (r#"{"text": "They sit down.", "person": 9}"#, Who::Number(PersonId(9))),
+            (r#"{"text": "They sit down.", "person": "9"}"#, Who::Number(PersonId(9))),
             (r#"{"text": "They sit down.", "person": " Ada "}"#, Who::Name("Ada".to_owned())),
-            (r#"{"text": "They sit down.", "person": null}"#, Who::Number(3)),
+            (r#"{"text": "They sit down.", "person": null}"#, Who::Number(PersonId(3))),
         ] {
             assert_eq!(item(json).unwrap(), sentence("They sit down.", person), "{json}");
         }
@@ -512,12 +541,16 @@ mod tests {
         for (json, text, person) in [
             (r#"{"room": "the hall", "presence": "empty"}"#, "nobody in the hall", Who::Somebody),
             (r#"{"person": "ada", "presence": "away"}"#, "away", Who::Name("ada".to_owned())),
-            (r#"{"presence": "gone", "person": 7}"#, "gone", Who::Number(7)),
-            (r#"{"presence": "present"}"#, "present", Who::Number(3)),
-            (r#"{"presence": "present", "room": "kitchen"}"#, "present in the kitchen", Who::Number(3)),
+            (r#"{"presence": "gone", "person": 7}"#, "gone", Who::Number(PersonId(7))),
+            (r#"{"presence": "present"}"#, "present", Who::Number(PersonId(3))),
+            (r#"{"presence": "present", "room": "kitchen"}"#, "present in the kitchen", Who::Number(PersonId(3))),
             (r#"{"text": "away", "kind": "presence", "person": "ada"}"#, "away", Who::Name("ada".to_owned())),
             (r#"{"text": " nobody in the hall", "kind": "presence"}"#, "nobody in the hall", Who::Somebody),
-            (r#"{"presence": "present", "room": "the living room"}"#, "present in the living room", Who::Number(3)),
+            (
+                r#"{"presence": "present", "room": "the living room"}"#,
+                "present in the living room",
+                Who::Number(PersonId(3)),
+            ),
         ] {
             assert_eq!(item(json).unwrap(), said(Kind::Presence, text, person), "{json}");
         }
@@ -532,7 +565,9 @@ mod tests {
             (r#"{"text": 3}"#, "\"text\" is 3; give a text"),
             (r#"{"text": "They sit.", "kind": "word"}"#, "\"kind\" is \"word\"; give \"sentence\", \"action\","),
             (r#"{"text": "They sit.", "presence": "away"}"#, "\"text\" and \"presence\" exclude each other"),
-            (r#"{"text": "They sit.", "room": "hall"}"#, "\"room\" goes with \"presence\""),
+            (r#"{"text": "[Walk] <hall> (1)", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "the lamp is on", "room": "hall"}"#, "\"room\" goes with a sentence"),
+            (r#"{"text": "They sit.", "room": ""}"#, "is no presence"),
             (
                 r#"{"presence": "away", "room": "hall"}"#,
                 "\"room\" goes with \"presence\": \"present\" or \"empty\" alone",
@@ -642,14 +677,14 @@ mod tests {
     fn who_it_is_goes_through_json() {
         for (who, json) in [
             (Who::Somebody, "null"),
-            (Who::Number(7), "7"),
+            (Who::Number(PersonId(7)), "7"),
             (Who::Name("Ada".to_owned()), "\"Ada\""),
-            (Who::Number(7), "\" 7\""),
+            (Who::Number(PersonId(7)), "\" 7\""),
         ] {
             assert_eq!(serde_json::from_str::<Who>(json).unwrap(), who, "{json}");
             assert_eq!(serde_json::from_value::<Who>(serde_json::to_value(&who).unwrap()).unwrap(), who);
         }
-        assert_eq!(Who::from(SOMEBODY), Who::Somebody);
+        assert_eq!(Who::from(PersonId::SOMEBODY), Who::Somebody);
         for refused in ["", " ", "...", "4294967295", "a\u{202e}b", "me", &"a".repeat(49)] {
             refused.parse::<Who>().unwrap_err();
         }

@@ -6,6 +6,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use crate::ids::{EventId, PersonId};
 use crate::text::is_hidden;
 
 pub mod action;
@@ -21,8 +22,7 @@ pub use action::{Action, ActionEntry, ActionError, LINE_BYTES_MAX, ObjectRef, ta
 pub use event::{Event, Presence, PresenceError, RoomName};
 pub use history::{Histories, History, HistoryLimits, PERSONS_MAX, Voice};
 pub use person::{
-    PERSON_NAME_BYTES_MAX, ReadName, SOMEBODY, check_name, is_number, name_words, person_number, same_but_for_accents,
-    same_name,
+    PERSON_NAME_BYTES_MAX, ReadName, check_name, is_number, name_words, person_number, same_but_for_accents, same_name,
 };
 pub use program::{DAY_MINUTES_MAX, PROGRAM_BYTES_MAX, Program, ProgramError, STEPS_MAX};
 pub use sensor::{SENSOR_ID_BYTES_MAX, SensorKind, SensorReport};
@@ -147,8 +147,8 @@ pub enum ObservedError {
 /// One event with person, narrator and times.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Observation {
-    /// The person; [`SOMEBODY`] until the event is attributed.
-    pub person: u32,
+    /// The person; [`PersonId::SOMEBODY`] until the event is attributed.
+    pub person: PersonId,
     /// The name that the narrator gave the person, which counts before the number.
     pub name: Option<Box<str>>,
     /// `person` was found by fit, since the narrator gave no person.
@@ -181,7 +181,7 @@ impl Observation {
     /// An observation of any event, without narrator and time.
     #[must_use]
     pub fn saying(sequence: u64, event: Event) -> Self {
-        let (person, name, by_fit, count) = (0, None, false, 0);
+        let (person, name, by_fit, count) = (PersonId(0), None, false, 0);
         Self {
             person,
             name,
@@ -195,6 +195,12 @@ impl Observation {
             may_be_form: true,
             event,
         }
+    }
+
+    /// The narrator, its start, and the number of the event.
+    #[must_use]
+    pub fn id(&self) -> EventId {
+        EventId { source: self.source, epoch: self.epoch, sequence: self.sequence }
     }
 
     /// The sentence for the prompt; none where only presence is said.

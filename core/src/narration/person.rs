@@ -1,13 +1,11 @@
 //! Names of persons: how two names compare, and the number of a name.
 
+use crate::ids::PersonId;
 use crate::names::Names;
 use crate::text::is_hidden;
 
 /// Most bytes of a person's name; messages have as many.
 pub const PERSON_NAME_BYTES_MAX: usize = 48;
-
-/// The number of an event without a person.
-pub const SOMEBODY: u32 = u32::MAX;
 
 /// A name in lower case, with single spaces, without "the" before it.
 fn bare(name: &str) -> String {
@@ -45,7 +43,7 @@ pub fn same_name(a: &str, b: &str) -> bool {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ReadName {
     whole: String,
-    number: u32,
+    number: PersonId,
     bare: String,
     first: Option<String>,
 }
@@ -72,7 +70,7 @@ impl ReadName {
 
     /// The number of the name ([`person_number`]).
     #[must_use]
-    pub fn number(&self) -> u32 {
+    pub fn number(&self) -> PersonId {
         self.number
     }
 
@@ -102,22 +100,23 @@ pub fn same_but_for_accents(a: &str, b: &str) -> bool {
 }
 
 /// The number of a name, the same in every process and over restarts, unless the home says otherwise: 32-bit FNV-1a of the trimmed name in
-/// lower case without "the" before it, with the highest bit set, so that it is none of the small numbers that narrators give by hand. Never [`SOMEBODY`].
+/// lower case without "the" before it, with the highest bit set, so that it is none of the small numbers that narrators give by hand. Never [`PersonId::SOMEBODY`].
 ///
 /// ```
-/// use roomcast_core::narration::{SOMEBODY, person_number};
+/// use roomcast_core::ids::PersonId;
+/// use roomcast_core::narration::person_number;
 ///
 /// assert_eq!(person_number("Ada"), person_number(" ada "));
 /// assert_ne!(person_number("ada"), person_number("ben"));
-/// assert!(person_number("ada") >> 31 == 1 && person_number("ada") != SOMEBODY);
+/// assert!(person_number("ada").0 >> 31 == 1 && person_number("ada") != PersonId::SOMEBODY);
 /// ```
 #[must_use]
-pub fn person_number(name: &str) -> u32 {
+pub fn person_number(name: &str) -> PersonId {
     let mut hash = 0x811c_9dc5_u32;
     for byte in bare(name).bytes() {
         hash = (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
     }
-    (hash | 1 << 31).min(SOMEBODY - 1)
+    PersonId((hash | 1 << 31).min(PersonId::SOMEBODY.0 - 1))
 }
 
 /// Words that stand for any person.
@@ -190,7 +189,7 @@ mod tests {
             check_name(number).unwrap_err();
         }
         check_name("R2").unwrap();
-        assert_eq!("007".parse(), Ok(Who::Number(7)));
+        assert_eq!("007".parse(), Ok(Who::Number(PersonId(7))));
         for none in ["-3", "٣", "4294967295", "99999999999", ""] {
             none.parse::<Who>().unwrap_err();
         }
@@ -232,7 +231,7 @@ mod tests {
     /// Journals and narrators rely on it.
     #[test]
     fn a_names_number_stays_what_it_is() {
-        assert_eq!(person_number("ada"), 0xb839_0dbb);
+        assert_eq!(person_number("ada"), PersonId(0xb839_0dbb));
         assert!(same_name(" Ada", "ada") && same_name("Éva", "éva") && !same_name("ada", "adam"));
         assert!(
             same_name("Ada  Lovelace", "ada lovelace")

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use super::person::Person;
 use super::scores::{Included, Scores};
+use crate::ids::EventId;
 use crate::narration::Observation;
 use crate::narration::history::Voice;
 
@@ -51,8 +52,8 @@ impl Sources {
     }
 
     /// See [`super::Pipeline::pass_over`].
-    pub(super) fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.note(source, epoch, |included| included.sequence = included.sequence.max(sequence));
+    pub(super) fn pass_over(&mut self, event: EventId) {
+        self.note(event.source, event.epoch, |included| included.sequence = included.sequence.max(event.sequence));
     }
 
     /// See [`super::Pipeline::include`].

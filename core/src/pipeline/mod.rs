@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
+use crate::ids::{EventId, PersonId};
 use crate::narration::history::{Histories, History, HistoryLimits, Voice};
 use crate::narration::{Observation, Presence};
 use crate::prepared::{Answer, Outlook, PersonOutlook, PreparedAnswers, Preparer};
@@ -122,7 +123,7 @@ pub struct Pipeline<M> {
     nobody: Person,
     prompt: String,
     /// The person whose prompt was scored last.
-    read: Option<u32>,
+    read: Option<PersonId>,
     /// The model has not read all of their narration: the scores were ready, or the window was cut.
     is_unread: bool,
     /// How often persons' scores were grounded.
@@ -154,7 +155,7 @@ impl<M: LanguageModel> Pipeline<M> {
             history_tokens,
             histories,
             persons: Vec::new(),
-            nobody: Person::new(0),
+            nobody: Person::new(PersonId(0)),
             prompt: String::new(),
             read: None,
             is_unread: false,
@@ -235,7 +236,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// The sentences that the model read for the newest scores, with their person, oldest first.
-    pub fn read_sentences(&self) -> impl Iterator<Item = (u32, &str)> {
+    pub fn read_sentences(&self) -> impl Iterator<Item = (PersonId, &str)> {
         self.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
     }
 
@@ -256,13 +257,13 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// One person's own scores, if they have any.
     #[must_use]
-    pub fn person(&self, person: u32) -> Option<PersonScores<'_>> {
+    pub fn person(&self, person: PersonId) -> Option<PersonScores<'_>> {
         self.persons().find(|scores| scores.person == person)
     }
 
     /// Whether the model has to be asked about a person: their scores are of what they did before, or there are none yet.
     #[must_use]
-    pub fn waits(&self, person: u32) -> bool {
+    pub fn waits(&self, person: PersonId) -> bool {
         self.persons.iter().any(|own| own.id == person && own.waits())
     }
 
@@ -321,7 +322,7 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// The same for one person; 0 for somebody unknown.
     #[must_use]
-    pub fn prior_nats_of_person(&self, person: u32, label: usize) -> f64 {
+    pub fn prior_nats_of_person(&self, person: PersonId, label: usize) -> f64 {
         let own = self.persons.iter().find(|known| known.id == person);
         own.map_or(0.0, |own| self.prior_nats_of(own, label))
     }
@@ -344,7 +345,7 @@ impl<M: LanguageModel> Pipeline<M> {
             let tokens = observation.sentence().map(|text| self.scorer.cost_of(text));
             if tokens.is_some_and(|tokens| tokens > self.options.history.tokens) {
                 costly += 1;
-                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                self.pass_over(observation.id());
                 continue;
             }
             self.include(&observation, voice);
@@ -422,7 +423,7 @@ impl<M: LanguageModel> Pipeline<M> {
 
     /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
     /// their scores, which the next step computes.
-    pub fn end_window(&mut self, person: u32) -> bool {
+    pub fn end_window(&mut self, person: PersonId) -> bool {
         let ended = self.histories.get_mut(person).is_some_and(|history| history.end() > 0);
         if let Some(own) = self.persons.iter_mut().find(|own| ended && own.id == person) {
             own.wait_from(self.heard.turns());
@@ -431,8 +432,8 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
-    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.heard.pass_over(source, epoch, sequence);
+    pub fn pass_over(&mut self, event: EventId) {
+        self.heard.pass_over(event);
     }
 
     /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
@@ -452,7 +453,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// Forgets a person, for instance one who has left the map.
-    pub fn forget_person(&mut self, person: u32) {
+    pub fn forget_person(&mut self, person: PersonId) {
         // Their prompts hold what they did.
         self.answers.clear();
         self.histories.remove(person);
@@ -494,7 +495,7 @@ impl<M: LanguageModel> Pipeline<M> {
         self.scores.stats = DecodeStats::default();
         (self.scores.prompt_tokens, self.scores.asked, self.scores.prepared) = (0, 0, 0);
         if self.persons.is_empty() {
-            let mut nobody = std::mem::replace(&mut self.nobody, Person::new(0));
+            let mut nobody = std::mem::replace(&mut self.nobody, Person::new(PersonId(0)));
             let asked = if nobody.waits() { self.ask(&mut nobody, start, &mut timing) } else { Ok(()) };
             self.nobody = nobody;
             asked?;
@@ -504,7 +505,7 @@ impl<M: LanguageModel> Pipeline<M> {
                 break;
             }
             let before = self.scores.stats;
-            let mut person = std::mem::replace(&mut self.persons[place], Person::new(0));
+            let mut person = std::mem::replace(&mut self.persons[place], Person::new(PersonId(0)));
             let asked = self.ask(&mut person, start, &mut timing);
             self.persons[place] = person;
             asked?;
@@ -612,7 +613,7 @@ impl<M: LanguageModel> Pipeline<M> {
     /// What says which prompts may come next. Kept answers that are stale are dropped.
     pub fn outlook(&mut self) -> Outlook {
         let round = self.answers.begin(&self.histories);
-        let of = |(person, history): (u32, &History)| {
+        let of = |(person, history): (PersonId, &History)| {
             let own = self.persons.iter().find(|own| own.id == person && own.at_home && own.due == Due::Nothing);
             let label_log_prob_nats = own.map(|own| own.scores.log_prob_nats.clone()).unwrap_or_default();
             PersonOutlook { person, history: history.clone(), label_log_prob_nats }

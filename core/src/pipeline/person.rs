@@ -2,6 +2,7 @@
 
 use super::PipelineOptions;
 use crate::grounding::{GroundedScores, Grounding, GroundingError};
+use crate::ids::PersonId;
 use crate::narration::history::{History, Voice};
 use crate::prompt::write_prompt;
 use crate::scorer::certified::{Bounds, Certified, Effort};
@@ -30,7 +31,7 @@ pub(super) struct Unscored {
 /// One person: who they are, their scores, and the narration that the scores rest on.
 #[derive(Debug)]
 pub(super) struct Person {
-    pub(super) id: u32,
+    pub(super) id: PersonId,
     pub(super) at_home: bool,
     pub(super) scores: LabelScores,
     pub(super) grounded: GroundedScores,
@@ -54,7 +55,7 @@ pub(super) struct Person {
 }
 
 impl Person {
-    pub(super) fn new(id: u32) -> Self {
+    pub(super) fn new(id: PersonId) -> Self {
         Self {
             id,
             at_home: true,

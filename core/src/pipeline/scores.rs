@@ -2,6 +2,7 @@
 
 use super::person::{Due, Person};
 use crate::grounding::GroundedScores;
+use crate::ids::PersonId;
 use crate::scorer::DecodeStats;
 use crate::scorer::certified::Effort;
 
@@ -79,7 +80,7 @@ pub struct Scores {
 #[derive(Debug, Clone, Copy)]
 pub struct PersonScores<'a> {
     /// Who.
-    pub person: u32,
+    pub person: PersonId,
     /// In the house. Otherwise they are in no partition.
     pub at_home: bool,
     /// Narrations that the scores were computed from; the history may have been cut since.

@@ -3,6 +3,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use proptest::prelude::*;
 
 use super::*;
+use crate::ids::PersonId;
 use crate::label_trie::TokenTree;
 use crate::narration::{Event, Sentence};
 use crate::scorer::correction::Continuation;
@@ -189,7 +190,7 @@ fn a_model_that_forgets_a_row_is_refused() {
         for effort in [Effort::Exact, Effort::Ranking, Effort::Top] {
             let correction = CorrectionChoice { prior: Some(0.0), ..CorrectionChoice::default() };
             let mut own = pipeline_of(Careless(TableModel::new(7), given), &map, effort, correction);
-            own.observe([observation(1, 1)]);
+            own.observe([observation(1, PersonId(1))]);
             let told = own.score().map(|_| ()).unwrap_err().to_string();
             assert!(told.contains("rows of logits"), "{told}");
         }
@@ -202,20 +203,21 @@ fn who_tells_of_many_persons_delays_nobody_elses() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut pipeline = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
     pipeline.score().unwrap();
-    let told = |source: u64, number: u64, person: u32| Observation { source, ..observation(number, person) };
+    let told = |source: u64, number: u64, person: PersonId| Observation { source, ..observation(number, person) };
     let (mut invented, mut own) = (0, 0);
     for _ in 0..20 {
-        let of_invented: Vec<_> = (0..6).map(|n| told(9, invented + n + 1, 2 + (invented + n) as u32 % 60)).collect();
+        let of_invented: Vec<_> =
+            (0..6).map(|n| told(9, invented + n + 1, PersonId(2 + (invented + n) as u32 % 60))).collect();
         invented += 6;
         pipeline.observe(of_invented);
         pipeline.score_within(1).unwrap();
         own += 1;
-        pipeline.observe([told(5, own, 1)]);
+        pipeline.observe([told(5, own, PersonId(1))]);
         for _ in 0..2 {
             pipeline.score_within(1).unwrap();
             assert_eq!(pipeline.scores().asked, 1);
         }
-        assert!(!pipeline.waits(1) && pipeline.is_behind());
+        assert!(!pipeline.waits(PersonId(1)) && pipeline.is_behind());
         let claim = |source: u64| pipeline.scores().included.iter().find(|known| known.source == source);
         assert_eq!(claim(5).map(|claim| claim.sequence), Some(own));
         assert!(claim(9).is_some_and(|claim| claim.sequence < invented));
@@ -235,7 +237,7 @@ fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
 fn guessed<M: LanguageModel>(
     pipeline: &mut Pipeline<M>,
     preparer: &mut Preparer<M>,
-    person: u32,
+    person: PersonId,
     guess: &Sentence,
 ) -> Option<Answer> {
     let outlook = pipeline.outlook();
@@ -243,7 +245,7 @@ fn guessed<M: LanguageModel>(
     Some(preparer.answer(ask).unwrap())
 }
 
-fn observation(sequence: u64, person: u32) -> Observation {
+fn observation(sequence: u64, person: PersonId) -> Observation {
     let sentence = Sentence::new(&format!("They touch thing {sequence}.")).unwrap();
     Observation { person, ..Observation::of(sequence, sentence) }
 }
@@ -257,11 +259,11 @@ fn a_changed_map_is_scored_as_a_fresh_one() {
             let gone = MapChange::RemoveItem { id: item.id.clone() };
             let after = before.changed(vec![gone]).unwrap();
             let mut changed = pipeline(&before, Effort::Exact, correction);
-            changed.step([observation(1, 0)]).unwrap();
+            changed.step([observation(1, PersonId(0))]).unwrap();
             changed.change_map(&after, &GroundingOptions::default()).unwrap();
             changed.score().unwrap();
             let mut fresh = pipeline(&after, Effort::Exact, correction);
-            fresh.step([observation(1, 0)]).unwrap();
+            fresh.step([observation(1, PersonId(0))]).unwrap();
             let scores = |of: &Pipeline<TableModel>| of.scores().grounded.partition_log_score_nats.clone();
             for (a, b) in scores(&changed).iter().zip(scores(&fresh)) {
                 assert!((a - b).abs() < 1e-9, "without {}: {a} {b}", item.id);
@@ -288,8 +290,8 @@ proptest! {
             let (mut used, mut is_whole) = (0, true);
             for &(person, does, of, guess, event, is_late) in &acts {
                 let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
-                let mut answer = guessed(&mut ahead, &mut aside, of, &guess);
-                prop_assert!(answer.is_none() || ahead.person(of).is_some());
+                let mut answer = guessed(&mut ahead, &mut aside, PersonId(of), &guess);
+                prop_assert!(answer.is_none() || ahead.person(PersonId(of)).is_some());
                 let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.keep_answer(answer));
                 if !is_late {
                     keep(&mut ahead);
@@ -303,19 +305,19 @@ proptest! {
                     }
                     1 => while ahead.tidy() | behind.tidy() {},
                     2 => {
-                        ahead.end_window(person);
-                        behind.end_window(person);
+                        ahead.end_window(PersonId(person));
+                        behind.end_window(PersonId(person));
                     }
                     3 => drop(ahead.outlook()),
                     4 => {
-                        ahead.forget_person(person);
-                        behind.forget_person(person);
+                        ahead.forget_person(PersonId(person));
+                        behind.forget_person(PersonId(person));
                     }
                     _ => {}
                 }
                 keep(&mut ahead);
-                used += ahead.step([observation(does, person)]).unwrap().prepared;
-                behind.step([observation(does, person)]).unwrap();
+                used += ahead.step([observation(does, PersonId(person))]).unwrap().prepared;
+                behind.step([observation(does, PersonId(person))]).unwrap();
                 let pairs = [
                     (&ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats),
                     (&ahead.scores().grounded.partition_probability, &behind.scores().grounded.partition_probability),
@@ -338,11 +340,11 @@ proptest! {
 fn tokens_of_somebody_who_is_forgotten_explain_nobody_else() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut both = pipeline(&map, Effort::Exact, CORRECTED);
-    both.step([observation(1, 0), observation(2, 1)]).unwrap();
-    both.forget_person(1);
+    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
+    both.forget_person(PersonId(1));
     both.score().unwrap();
     assert!(both.token_log_prob_nats(0).is_none());
-    both.step([observation(3, 0)]).unwrap();
+    both.step([observation(3, PersonId(0))]).unwrap();
     assert!(both.token_log_prob_nats(0).is_some());
 }
 
@@ -351,21 +353,21 @@ fn what_was_guessed_is_answered_without_the_model() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
     let mut aside = preparer(&ahead);
-    ahead.step([observation(1, 0)]).unwrap();
-    let said = observation(2, 0);
+    ahead.step([observation(1, PersonId(0))]).unwrap();
+    let said = observation(2, PersonId(0));
     let guess = Sentence::new(said.sentence().unwrap()).unwrap();
-    let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     assert!(ahead.keep_answer(answer));
-    assert!(guessed(&mut ahead, &mut aside, 9, &guess).is_none(), "nobody knows them");
-    let stale = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    assert!(guessed(&mut ahead, &mut aside, PersonId(9), &guess).is_none(), "nobody knows them");
+    let stale = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     let scores = ahead.step([said.clone()]).unwrap();
     assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
     assert!(!ahead.keep_answer(stale), "they have done something since");
     // Forgetting leaves nothing of it, nor of what is on its way.
-    let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+    let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     assert!(ahead.keep_answer(answer));
-    let late = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
-    ahead.forget_person(0);
+    let late = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
+    ahead.forget_person(PersonId(0));
     assert!(!ahead.keep_answer(late));
     ahead.step([said]).unwrap();
     assert_eq!(ahead.scores().prepared, 0);
@@ -378,11 +380,11 @@ fn only_exact_answers_are_prepared_and_so_many() {
     assert!(partial.preparer(Arc::new(|| false)).unwrap().is_none());
     let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
     let mut aside = preparer(&ahead);
-    ahead.step([observation(1, 0)]).unwrap();
+    ahead.step([observation(1, PersonId(0))]).unwrap();
     let most = crate::prepared::ANSWERS_MAX as u64;
     for thing in 2..most + 4 {
         let guess = Sentence::new(&format!("They touch thing {thing}.")).unwrap();
-        let answer = guessed(&mut ahead, &mut aside, 0, &guess).unwrap();
+        let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
         assert_eq!(ahead.keep_answer(answer), thing < most + 2, "{thing}");
     }
 }
@@ -423,7 +425,7 @@ fn partial_answers_of_several_persons_are_true() {
             let (mut partial, mut exact) =
                 (pipeline(&map, effort, correction), pipeline(&map, Effort::Exact, correction));
             for sequence in 0..20 {
-                let next = observation(sequence, (sequence % 2) as u32);
+                let next = observation(sequence, PersonId((sequence % 2) as u32));
                 partial.step([next.clone()]).unwrap();
                 exact.step([next]).unwrap();
                 let (partial, exact) = (partial.scores(), &exact.scores().grounded.partition_log_score_nats);
@@ -445,22 +447,22 @@ fn partial_answers_of_several_persons_are_true() {
 fn persons_do_not_hide_each_other() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut both = pipeline(&map, Effort::Exact, CorrectionChoice::EQUATION_1);
-    both.step([observation(1, 0), observation(2, 1)]).unwrap();
-    let of = |person: u32| both.person(person).unwrap().grounded;
+    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
+    let of = |person: PersonId| both.person(person).unwrap().grounded;
     let together = &both.scores().grounded;
     for room in 0..2 {
-        let [p, q] = [0, 1].map(|person| of(person).partition_probability[room]);
+        let [p, q] = [0, 1].map(|person| of(PersonId(person)).partition_probability[room]);
         let anybody = 1.0 - (1.0 - p) * (1.0 - q);
         assert_eq!(together.partition_probability[room], anybody);
         assert!(anybody >= p.max(q) - 1e-15, "{anybody} {p} {q}");
         assert_eq!(together.partition_log_score_nats[room], anybody.ln());
     }
-    assert_eq!(together.label_mass, (of(0).label_mass + of(1).label_mass) / 2.0);
+    assert_eq!(together.label_mass, (of(PersonId(0)).label_mass + of(PersonId(1)).label_mass) / 2.0);
     let mass: f64 = both.scores().label_log_prob_nats.iter().map(|nats| nats.exp()).sum();
     assert!((mass - together.label_mass).abs() < 1e-12);
 }
 
-fn presence(sequence: u64, person: u32, text: &str) -> Observation {
+fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {
     Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
 }
 
@@ -470,28 +472,28 @@ fn who_is_away_is_in_no_room() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let fresh = || pipeline(&map, Effort::Exact, CORRECTED);
     let mut both = fresh();
-    both.step([observation(1, 0), observation(2, 1)]).unwrap();
-    both.step([presence(3, 0, "away")]).unwrap();
-    let away = both.person(0).unwrap();
+    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
+    both.step([presence(3, PersonId(0), "away")]).unwrap();
+    let away = both.person(PersonId(0)).unwrap();
     assert!(!away.at_home && away.window == 0 && away.grounded.partition_probability == [0.0; 2]);
     assert_eq!(away.lower_log_score_nats, [f64::NEG_INFINITY; 2]);
     let mut alone = fresh();
-    alone.step([observation(2, 1)]).unwrap();
+    alone.step([observation(2, PersonId(1))]).unwrap();
     assert_eq!(both.scores().label_log_prob_nats, alone.scores().label_log_prob_nats);
     assert_eq!(both.scores().grounded.partition_probability, alone.scores().grounded.partition_probability);
     // Nobody is home: no room is likely.
-    both.step([presence(4, 1, "away")]).unwrap();
+    both.step([presence(4, PersonId(1), "away")]).unwrap();
     let nobody = both.scores();
     assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
     assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
     assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
     assert!(both.token_log_prob_nats(0).is_none());
     // Back: as nobody whom anything is known of.
-    both.step([presence(5, 0, "present in the kitchen")]).unwrap();
+    both.step([presence(5, PersonId(0), "present in the kitchen")]).unwrap();
     let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
     assert_eq!(both.scores().grounded.partition_probability, unknown);
-    both.step([presence(6, 1, "gone")]).unwrap();
-    assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [0]);
+    both.step([presence(6, PersonId(1), "gone")]).unwrap();
+    assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [PersonId(0)]);
 }
 
 /// Silence ends a window as a late observation does, and the person is scored once more.
@@ -500,11 +502,11 @@ fn what_lies_hours_back_leaves_the_prompt() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
     let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
-    silent.step([observation(1, 0), observation(2, 0)]).unwrap();
-    assert!(silent.end_window(0) && !silent.end_window(0) && !silent.end_window(1));
+    silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
+    assert!(silent.end_window(PersonId(0)) && !silent.end_window(PersonId(0)) && !silent.end_window(PersonId(1)));
     silent.score().unwrap();
     unknown.score().unwrap();
-    assert_eq!(silent.person(0).unwrap().window, 0);
+    assert_eq!(silent.person(PersonId(0)).unwrap().window, 0);
     assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
     assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
     silent.score().unwrap();
@@ -535,8 +537,9 @@ proptest! {
         first in any::<bool>(),
     ) {
         let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
-        let honest: Vec<_> = (1..).zip(&honest).map(|(number, person)| observation(number, *person)).collect();
+        let honest: Vec<_> = (1..).zip(&honest).map(|(number, person)| observation(number, PersonId(*person))).collect();
         let said_by_other = |(number, &(person, what)): (u64, &(u32, usize))| {
+            let person = PersonId(person);
             let said = match what {
                 0 => presence(number, person, "away"),
                 1 => presence(number, person, "present in the kitchen"),
@@ -550,7 +553,7 @@ proptest! {
         let (before, after) = if first { (&others, &honest) } else { (&honest, &others) };
         with.step(before.iter().chain(after).cloned()).unwrap();
         without.step(honest.iter().cloned()).unwrap();
-        let spoken_of = |person: u32| other.iter().any(|(of, _)| *of == person);
+        let spoken_of = |person: PersonId| other.iter().any(|(of, _)| PersonId(*of) == person);
         let mut free = [1.0; 2];
         for own in without.persons().filter(|own| !spoken_of(own.person)) {
             prop_assert_eq!(values(own), values(with.person(own.person).unwrap()));
@@ -572,18 +575,18 @@ proptest! {
         let mut free = pipeline(&map, Effort::Exact, CORRECTED);
         bounded.score().unwrap();
         // Per narration its source, its number there, its person, and whether they were scored with it.
-        let mut told: Vec<(u64, u64, u32, bool)> = Vec::new();
+        let mut told: Vec<(u64, u64, PersonId, bool)> = Vec::new();
         for (number, &(person, source, what, steps, restarts)) in (1..).zip(&said) {
             let spoken = match what {
-                0 => presence(number, person, "away"),
-                1 => presence(number, person, "present"),
-                _ => observation(number, person),
+                0 => presence(number, PersonId(person), "away"),
+                1 => presence(number, PersonId(person), "present"),
+                _ => observation(number, PersonId(person)),
             };
             let next = Observation { source, ..spoken };
             free.observe([next.clone()]);
             bounded.observe([next]);
             // Who is out waits for nothing, and what changes nothing does not either.
-            told.push((source, number, person, !bounded.waits(person)));
+            told.push((source, number, PersonId(person), !bounded.waits(PersonId(person))));
             if restarts {
                 bounded.forget_voices();
                 free.forget_voices();
@@ -632,26 +635,26 @@ proptest! {
         let gone = gone.and_then(|item| map.items.get(item));
         let after = gone.map(|item| map.changed(vec![MapChange::RemoveItem { id: item.id.clone() }]).unwrap());
         let mut together = pipeline(&map, effort, correction);
-        let mut alone = BTreeMap::<u32, Pipeline<TableModel>>::new();
+        let mut alone = BTreeMap::<PersonId, Pipeline<TableModel>>::new();
         let (mut sequence, mut at_s) = (0, 1);
         for (number, (pause_s, persons)) in steps.iter().enumerate() {
             at_s += pause_s;
             let said: Vec<_> = persons.iter().map(|&(person, what)| {
                 sequence += 1;
                 let said = match what {
-                    0 => presence(sequence, person, "away"),
-                    1 => presence(sequence, person, "present"),
-                    2 => presence(sequence, person, "present in the kitchen"),
-                    3 => presence(sequence, person, "gone"),
-                    _ => observation(sequence, person),
+                    0 => presence(sequence, PersonId(person), "away"),
+                    1 => presence(sequence, PersonId(person), "present"),
+                    2 => presence(sequence, PersonId(person), "present in the kitchen"),
+                    3 => presence(sequence, PersonId(person), "gone"),
+                    _ => observation(sequence, PersonId(person)),
                 };
                 Observation { observed_ns: at_s * 1_000_000_000, ..said }
             }).collect();
             // Silence ends a window.
             if *pause_s % 5 == 0 {
-                together.end_window(2);
-                if let Some(own) = alone.get_mut(&2) {
-                    own.end_window(2);
+                together.end_window(PersonId(2));
+                if let Some(own) = alone.get_mut(&PersonId(2)) {
+                    own.end_window(PersonId(2));
                     own.score().unwrap();
                 }
             }

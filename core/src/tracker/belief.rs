@@ -84,7 +84,7 @@ pub(super) struct Belief {
 impl Belief {
     /// Everybody at one place.
     pub(super) fn new(unknown: usize, most: usize, floor: f64) -> Self {
-        let room = GROWTH * most.min(1 << 13);
+        let room = GROWTH * most.min(1 << 10);
         let mut states = Vec::with_capacity(room);
         states.push(State { key: 0, weight: 1.0 });
         Self {
@@ -102,6 +102,9 @@ impl Belief {
     /// Sets how many states are kept from the next step on.
     pub(super) fn keep_at_most(&mut self, most: usize) {
         self.most = most;
+        // A small index stays in the first cache.
+        let room = 2 * GROWTH * most.min(1 << 10) + 2;
+        self.index = vec![0; room.next_power_of_two()];
     }
 
     pub(super) fn states(&self) -> &[State] {
@@ -275,14 +278,15 @@ impl Belief {
         }
         let least = self.floor * total;
         self.states.retain(|state| state.weight > least);
-        self.lightest = 0.0;
         if self.states.len() > self.most {
             let by_weight = |a: &State, b: &State| b.weight.total_cmp(&a.weight).then(a.key.cmp(&b.key));
-            let (_, last, _) = self.states.select_nth_unstable_by(self.most, by_weight);
-            self.lightest = last.weight / total;
+            self.states.select_nth_unstable_by(self.most, by_weight);
             self.states.truncate(self.most);
         }
         let kept: f64 = self.states.iter().map(|state| state.weight).sum();
         self.states.iter_mut().for_each(|state| state.weight /= kept);
+        let is_full = self.states.len() == self.most;
+        let lightest = self.states.iter().map(|state| state.weight).fold(1.0, f64::min);
+        self.lightest = if is_full { lightest } else { 0.0 };
     }
 }

@@ -487,7 +487,7 @@ impl Tracker {
         let trust = if trust.is_finite() { trust.clamp(0.05, 0.999) } else { 0.5 };
         let Some(cause) = observe::weigh(self, observation, trust) else { return };
         self.summarise();
-        self.level = 1;
+        self.level = 2;
         let shares = observe::attribute(self, observation);
         self.trace.record(self.now_s, cause, shares, (&self.earlier, &self.marginals));
     }

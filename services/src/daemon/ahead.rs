@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use roomcast_core::draft::Drafter;
 use roomcast_core::guess::{Counts, Guesser, Thread};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Sentence;
 use roomcast_core::prepared::{Answer, Ask, Outlook, PersonOutlook, Preparer};
 use roomcast_core::scorer::{LanguageModel, ModelError, PreparedLabels, ScoreError};
@@ -43,12 +44,12 @@ pub struct Ahead<M, D = M> {
     labels: Arc<PreparedLabels>,
     /// How many answers, of all persons together.
     most: usize,
-    persons: BTreeMap<u32, Own>,
+    persons: BTreeMap<PersonId, Own>,
     /// Who did the last sentences.
-    actors: Vec<u32>,
+    actors: Vec<PersonId>,
     now: Option<Now>,
     /// In reverse.
-    waiting: Vec<(u32, Sentence)>,
+    waiting: Vec<(PersonId, Sentence)>,
 }
 
 impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
@@ -130,7 +131,7 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
     }
 
     fn plan(&mut self, outlook: &Outlook) {
-        let mut guesses: Vec<(u32, String, f64)> = Vec::new();
+        let mut guesses: Vec<(PersonId, String, f64)> = Vec::new();
         for known in outlook.persons.iter().filter(|known| !known.label_log_prob_nats.is_empty()) {
             self.draft(outlook, known);
             let person = known.person;
@@ -145,14 +146,14 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
         guesses.sort_by(|a, b| b.2.total_cmp(&a.2));
         guesses.truncate(self.most);
         // The model keeps one window read: each person's answers in a row, the likeliest person's first.
-        let mut order: Vec<u32> = Vec::new();
+        let mut order: Vec<PersonId> = Vec::new();
         for (person, ..) in &guesses {
             if !order.contains(person) {
                 order.push(*person);
             }
         }
         guesses.sort_by_key(|(person, ..)| order.iter().position(|other| other == person));
-        let sentence = |(person, text, _): (u32, String, f64)| Some((person, Sentence::new(&text).ok()?));
+        let sentence = |(person, text, _): (PersonId, String, f64)| Some((person, Sentence::new(&text).ok()?));
         self.waiting.clear();
         self.waiting.extend(guesses.into_iter().rev().filter_map(sentence));
     }
@@ -175,7 +176,7 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
     }
 
     /// The prompt that a person has after `sentence`, where there is one that is not answered yet.
-    fn ask(&mut self, person: u32, sentence: &Sentence) -> Option<Ask> {
+    fn ask(&mut self, person: PersonId, sentence: &Sentence) -> Option<Ask> {
         let ask = self.preparer.ask(&self.now.as_ref()?.outlook, person, sentence)?;
         let own = self.persons.get(&person)?;
         (!own.answered.contains(&ask.number())).then_some(ask)

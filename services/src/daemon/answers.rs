@@ -3,8 +3,9 @@
 use std::io;
 use std::time::{Duration, Instant};
 
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::Observation;
 use roomcast_core::narration::line::Who;
-use roomcast_core::narration::{Observation, SOMEBODY};
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_ipc::clock;
@@ -124,18 +125,18 @@ pub(super) fn answer_about_person<M: LanguageModel>(
 fn forget<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
-    person: u32,
+    person: PersonId,
     who: &str,
     is_somebody: bool,
 ) -> (Option<String>, usize) {
     let called = Called::new(board.persons(), person, who);
-    let is_theirs = move |observation: &Observation, found: Option<u32>| {
+    let is_theirs = move |observation: &Observation, found: Option<PersonId>| {
         let names_them = || called.is_in(&observation.event.to_string());
         let own = match (&observation.name, found) {
             (Some(name), _) if called.is_in(name) => true,
             (_, Some(found)) if found == person => true,
             (Some(_), _) => false,
-            (None, None) if observation.person == SOMEBODY => names_them(),
+            (None, None) if observation.person == PersonId::SOMEBODY => names_them(),
             (None, _) => observation.person == person,
         };
         // Events of others that mention the person go, too.

@@ -9,7 +9,7 @@ use roomcast_ipc::{
 };
 
 use super::ahead::Now;
-use super::habits::{HomeHabits, Name, PlaceSet};
+use super::habits::{HomeHabits, PlaceSet};
 use super::intake::OTHERS;
 use super::journal::{Believed, Move, Moved, Outcome, Recovered};
 use super::persons::{NotRenamed, Persons};
@@ -21,6 +21,7 @@ use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{Event, Observation, Presence, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::places::{Mention, PlaceMatcher};
@@ -120,8 +121,8 @@ fn seconds(ns: i64) -> f64 {
 /// An event of a person that the forecasts do not have yet.
 #[derive(Debug)]
 struct Seen {
-    name: Name,
-    person: u32,
+    name: EventId,
+    person: PersonId,
     at_ns: i64,
     event: Event,
     /// A device was found off, and no key says that its person did it.
@@ -131,10 +132,8 @@ struct Seen {
 /// An observation that named nobody, and whom it fitted.
 #[derive(Debug, Clone, Copy)]
 struct Attributed {
-    source: u64,
-    epoch: u64,
-    sequence: u64,
-    person: u32,
+    event: EventId,
+    person: PersonId,
 }
 
 /// Owns the pipeline and the current snapshot.
@@ -164,27 +163,27 @@ pub struct Board<M> {
     /// The joint filter, from the first event on that needs it; and the devices that reported.
     tracking: Option<Box<Tracking>>,
     /// While it runs, each person's forecast with its belief.
-    told: BTreeMap<u32, Forecaster>,
+    told: BTreeMap<PersonId, Forecaster>,
     sensors: Sensors,
     robots: Robots,
     /// Local time less the monotonic clock, in seconds.
     local_ahead_s: f64,
     /// Working memory of a step: when each person was observed last, and their number.
-    newest_persons: Vec<(i64, u32)>,
+    newest_persons: Vec<(i64, PersonId)>,
     /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
     attributed: Vec<Attributed>,
-    rescored: Vec<u32>,
+    rescored: Vec<PersonId>,
     /// The same of whom observations moved that could be read otherwise by another company.
     moved: Vec<Moved>,
     /// Memory for the moves of further observations.
     no_moves: Vec<Vec<Move>>,
     /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
     believed: Vec<Believed>,
-    gone: Vec<u32>,
+    gone: Vec<PersonId>,
     /// Events that the forecasts do not have yet.
     seen: VecDeque<Seen>,
     /// Of the narration that no step has scored yet: when its first was received, of each person and of nobody, and whether some was lost before it.
-    unscored: BTreeMap<u32, u64>,
+    unscored: BTreeMap<PersonId, u64>,
     unscored_ns: Option<u64>,
     unscored_gap: bool,
     /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
@@ -197,13 +196,13 @@ pub struct Board<M> {
     /// The newest turn of a source that scores were told with.
     named_turn: u64,
     /// Per person where they will be; persons unknown to the histories are forgotten.
-    followed: BTreeMap<u32, Forecaster>,
+    followed: BTreeMap<PersonId, Forecaster>,
     /// What is learned of the home.
     home: HomeHabits,
     /// Nothing was told to the journal since it was read: what it says of those who were not heard since needs no repetition.
     recalled: bool,
     /// What the model has said after each person's newest restored observation, as far as the journal knows; nothing of who was out.
-    said: BTreeMap<u32, Vec<f64>>,
+    said: BTreeMap<PersonId, Vec<f64>>,
     /// Changes when somebody is forgotten, whom nobody who works ahead may know any more.
     forgotten: u64,
     /// Grows with each step that asked the model, and with each person whose answers went with them; and what of this and of the forgetting was told to
@@ -445,7 +444,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Visitors who are gone by silence, for the journal; each is told once.
-    pub fn tell_gone(&mut self, tell: impl FnMut(u32)) {
+    pub fn tell_gone(&mut self, tell: impl FnMut(PersonId)) {
         self.gone.drain(..).for_each(tell);
     }
 
@@ -535,7 +534,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// How much of a person's latest forecast comes from where, for some horizons, with the sets.
-    pub(super) fn habits_ahead(&self, person: u32) -> Vec<HorizonLine> {
+    pub(super) fn habits_ahead(&self, person: PersonId) -> Vec<HorizonLine> {
         let (Some((sure, shares)), Some((_, sets))) = (self.home.shares(person), self.home.sets(person)) else {
             return Vec::new();
         };
@@ -564,7 +563,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// What was learned of a person, in the latest forecast.
-    fn habits_of(&self, person: u32) -> PersonHabits {
+    fn habits_of(&self, person: PersonId) -> PersonHabits {
         let labels = self.pipeline.grounding().label_texts();
         let thing = |(label, text): (usize, &&str)| {
             Some(ThingReason { label: (*text).to_owned(), shares: self.home.why_thing(person, label)? })
@@ -613,12 +612,12 @@ impl<M: LanguageModel> Board<M> {
             }
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
-                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                self.pass_over(observation.id());
                 // What was said of its person then rests on it.
                 while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
-            let name = (observation.source, observation.epoch, observation.sequence);
+            let name = observation.id();
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
                 // However little the wall clock says has passed, it was before the machine's start; 0 would say that it has no time.
@@ -714,8 +713,8 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes note of a narration that was refused, so that its narrator does not wait for it.
-    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.pipeline.pass_over(source, epoch, sequence);
+    pub fn pass_over(&mut self, event: EventId) {
+        self.pipeline.pass_over(event);
     }
 
     /// How many tokens a sentence may cost with the map in use.
@@ -731,7 +730,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Forgets a person altogether, with what `is_theirs` says of others' observations; the next step's scores are without them.
-    pub(super) fn forget(&mut self, person: u32, is_theirs: impl Fn(&Observation) -> bool) {
+    pub(super) fn forget(&mut self, person: PersonId, is_theirs: impl Fn(&Observation) -> bool) {
         self.watch();
         self.lose(person);
         self.pipeline.forget_told(is_theirs);
@@ -744,7 +743,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Knows nothing of a person any more, but for what was learned.
-    fn lose(&mut self, person: u32) {
+    fn lose(&mut self, person: PersonId) {
         self.follow();
         self.persons.remove(person);
         self.attributed.retain(|attributed| attributed.person != person);
@@ -753,7 +752,7 @@ impl<M: LanguageModel> Board<M> {
         self.drop_person(person);
     }
 
-    fn drop_person(&mut self, person: u32) {
+    fn drop_person(&mut self, person: PersonId) {
         self.pipeline.forget_person(person);
         self.askings += 1;
         self.followed.remove(&person);
@@ -772,18 +771,19 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The next person that counts as present although the filter believes that the person left.
-    fn departed(&self) -> Option<u32> {
+    fn departed(&self) -> Option<PersonId> {
         const OUT: f64 = 0.95;
-        let is_present = |person: &u32| self.persons.get(*person).is_some_and(|own| own.presence == Presence::Present);
+        let is_present =
+            |person: &PersonId| self.persons.get(*person).is_some_and(|own| own.presence == Presence::Present);
         let tracking = self.tracking.as_deref()?;
         tracking.persons().iter().copied().find(|person| is_present(person) && tracking.out_now(*person) > OUT)
     }
 
     /// The next person whose window is to end, because they did nothing for too long.
-    fn silent(&self, now_ns: i64) -> Option<u32> {
+    fn silent(&self, now_ns: i64) -> Option<PersonId> {
         let limits = self.pipeline.options().history;
         let mut windows = self.pipeline.histories().iter().filter(|(_, history)| !history.is_empty());
-        let silent = |person: u32| {
+        let silent = |person: PersonId| {
             self.persons.get(person).is_some_and(|known| limits.is_gap(seconds(now_ns.saturating_sub(known.did_ns))))
         };
         windows.find(|(person, _)| silent(*person)).map(|(person, _)| person)
@@ -810,11 +810,12 @@ impl<M: LanguageModel> Board<M> {
         }
         while let Some(person) = self.departed() {
             // A restart believes the same without a record: the filter says it again.
-            let last = self.persons.get(person).map_or((0, 0, 0), |known| known.last);
+            let last = self.persons.get(person).map_or(EventId::new(0, 0, 0), |known| known.last);
             let observed_ns = u64::try_from(now_ns).unwrap_or_default();
-            let away = Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.2, Event::Away) };
-            let away = Observation { source: last.0, epoch: last.1, ..away };
-            if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.0, true), true), Some(now_ns)) {
+            let away =
+                Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, Event::Away) };
+            let away = Observation { source: last.source, epoch: last.epoch, ..away };
+            if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.source, true), true), Some(now_ns)) {
                 self.pipeline.enter(Voice::EARLIER, own);
             }
         }
@@ -843,7 +844,7 @@ impl<M: LanguageModel> Board<M> {
         self.seen.shrink_to(SEEN_KEPT);
     }
 
-    fn is_learned_of(&self, person: u32) -> bool {
+    fn is_learned_of(&self, person: PersonId) -> bool {
         is_learned_of(&self.persons, &self.named, person)
     }
 
@@ -961,7 +962,7 @@ impl<M: LanguageModel> Board<M> {
             }
             if self.pipeline.is_costly(&observation) {
                 costly += 1;
-                self.pass_over(observation.source, observation.epoch, observation.sequence);
+                self.pass_over(observation.id());
                 self.unscored_ns.get_or_insert(received_ns);
                 continue;
             }
@@ -969,7 +970,7 @@ impl<M: LanguageModel> Board<M> {
             let is_unknown = !self.named.is_empty() && voice.number == OTHERS;
             let reporter = self.reporter(observation.source, is_unknown);
             self.pipeline.include(&observation, voice);
-            let name = (observation.source, observation.epoch, observation.sequence);
+            let name = observation.id();
             let mut is_taken = false;
             let enter = |board: &mut Self, own: Observation| {
                 is_taken = true;
@@ -1039,7 +1040,7 @@ impl<M: LanguageModel> Board<M> {
     ///
     /// # Errors
     /// In words, when the name is somebody else's or none, or the file cannot be written.
-    pub fn rename(&mut self, person: u32, name: &str) -> Result<(), NotRenamed> {
+    pub fn rename(&mut self, person: PersonId, name: &str) -> Result<(), NotRenamed> {
         self.persons.rename(person, name)
     }
 
@@ -1069,8 +1070,8 @@ impl<M: LanguageModel> Board<M> {
     /// Of the outcomes those on which scores rest: whose an observation is that names nobody.
     pub(super) fn tell_whose(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         let map = self.map_number();
-        for Attributed { source, epoch, sequence, person } in self.attributed.drain(..) {
-            tell(&Outcome { source, epoch, sequence, person, by_fit: true, map, probability: &[] });
+        for Attributed { event, person } in self.attributed.drain(..) {
+            tell(&Outcome { event, person, by_fit: true, map, probability: &[] });
         }
     }
 
@@ -1093,8 +1094,7 @@ impl<M: LanguageModel> Board<M> {
             let is_said = |restored| recalled && restored && is_same;
             if let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) {
                 let probability = own.unwrap_or_default();
-                let (source, epoch, sequence) = known.last;
-                tell(&Outcome { source, epoch, sequence, person, by_fit: false, map, probability });
+                tell(&Outcome { event: known.last, person, by_fit: false, map, probability });
             }
             false
         });
@@ -1130,7 +1130,7 @@ impl<M: LanguageModel> Board<M> {
 }
 
 /// Whether the daemon learns habits of a person: not of a visitor, nor of a person that only unknown narrators report.
-fn is_learned_of(persons: &Persons, named: &BTreeMap<u64, May>, person: u32) -> bool {
+fn is_learned_of(persons: &Persons, named: &BTreeMap<u64, May>, person: PersonId) -> bool {
     !persons.is_visitor(person) && (named.is_empty() || persons.is_trusted(person))
 }
 

@@ -7,6 +7,7 @@ use std::collections::VecDeque;
 use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake, Recovered};
+use roomcast_core::ids::EventId;
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 
@@ -21,9 +22,7 @@ const RETRY_NS: u64 = 1_000_000_000;
 #[derive(Debug)]
 struct Refused {
     behind: usize,
-    source: u64,
-    epoch: u64,
-    sequence: u64,
+    event: EventId,
 }
 
 /// The state of the scoring loop.
@@ -89,8 +88,8 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// Takes note of a narration that was refused: scores say that it was dealt with, so that its narrator does not wait for it. They do not before
     /// they contain what came before it: they claim that with it.
-    pub fn pass_over(&mut self, source: u64, epoch: u64, sequence: u64) {
-        self.refused.push_back(Refused { behind: self.waiting.len(), source, epoch, sequence });
+    pub fn pass_over(&mut self, event: EventId) {
+        self.refused.push_back(Refused { behind: self.waiting.len(), event });
         self.pass_over_up_to(0);
         self.due = true;
     }
@@ -99,8 +98,8 @@ impl<M: LanguageModel> Cycle<M> {
     fn pass_over_up_to(&mut self, taken: usize) -> bool {
         let is_next = |own: &&Refused| own.behind <= taken;
         let passed = self.refused.iter().take_while(is_next).count();
-        for Refused { source, epoch, sequence, .. } in self.refused.drain(..passed) {
-            self.board.pass_over(source, epoch, sequence);
+        for Refused { event, .. } in self.refused.drain(..passed) {
+            self.board.pass_over(event);
         }
         self.refused.iter_mut().for_each(|own| own.behind -= taken);
         passed > 0

@@ -1,7 +1,7 @@
 //! What the people of the home do, learned beside their forecasts: the daemon's use of [`Habits`]. No disk, no port; the clocks come in as
 //! numbers.
 //!
-//! Nothing is learned twice. What an observation is called ([`Name`]: source, epoch, sequence) is kept together with what was learned
+//! Nothing is learned twice. What an observation is called ([`EventId`]) is kept together with what was learned
 //! from it: of each start of a source the newest sequence. That holds whatever the clocks do, since no time is in it; over restarts, since
 //! both are written as one; and when the journal's older half goes, since only the names are compared that are still there. The journal
 //! has its observations in the order in which they were learned, so all up to the last one with a name that is kept were learned, and those
@@ -19,12 +19,12 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{
     Habits, HabitsOptions, Learned, PARTS, PERSONS_MAX, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
 };
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
 
 /// What an observation is called: source, epoch, sequence. No other has the same.
-pub(super) type Name = (u64, u64, u64);
 
 /// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
 const CLOCK_SET_S: f64 = 30.0;
@@ -103,29 +103,29 @@ impl Zone {
 
 /// Names of what was learned: the newest sequence of each start of a source, as many as the intake follows, the newest last.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(super) struct Heard(Vec<Name>);
+pub(super) struct Heard(Vec<EventId>);
 
 impl Heard {
-    pub(super) fn new(names: impl IntoIterator<Item = Name>) -> Self {
+    pub(super) fn new(names: impl IntoIterator<Item = EventId>) -> Self {
         let mut heard = Self::default();
         names.into_iter().for_each(|name| _ = heard.note(name));
         heard
     }
 
-    pub(super) fn names(&self) -> &[Name] {
+    pub(super) fn names(&self) -> &[EventId] {
         &self.0
     }
 
-    fn has(&self, (source, epoch, sequence): Name) -> bool {
-        self.0.iter().any(|known| (known.0, known.1) == (source, epoch) && known.2 >= sequence)
+    fn has(&self, event: EventId) -> bool {
+        self.0.iter().any(|known| known.start() == event.start() && known.sequence >= event.sequence)
     }
 
     /// Takes note of a name; says whether it is new.
-    fn note(&mut self, name: Name) -> bool {
+    fn note(&mut self, name: EventId) -> bool {
         if self.has(name) {
             return false;
         }
-        match self.0.iter().position(|known| (known.0, known.1) == (name.0, name.1)) {
+        match self.0.iter().position(|known| known.start() == name.start()) {
             Some(at) => _ = self.0.remove(at),
             None if self.0.len() >= SOURCES_MAX => _ = self.0.remove(0),
             None => {}
@@ -136,8 +136,7 @@ impl Heard {
 
     /// How many of these, in their order, were learned.
     fn learned_of(&self, observations: &[Observation]) -> usize {
-        let name = |observation: &Observation| (observation.source, observation.epoch, observation.sequence);
-        let last = observations.iter().rposition(|observation| self.has(name(observation)));
+        let last = observations.iter().rposition(|observation| self.has(observation.id()));
         last.map_or(if self.0.is_empty() { 0 } else { observations.len() }, |last| last + 1)
     }
 }
@@ -223,9 +222,9 @@ pub struct HomeHabits {
     recalling: bool,
     next: Next,
     /// The newest observation that was not known before.
-    newest: Option<Name>,
+    newest: Option<EventId>,
     labels: usize,
-    ahead: BTreeMap<u32, Ahead>,
+    ahead: BTreeMap<PersonId, Ahead>,
     /// Grows with everything that changes a forecast.
     state: u64,
     ticked_ns: u64,
@@ -233,9 +232,9 @@ pub struct HomeHabits {
     /// How often what is known was changed since the start: by what was learned, forgotten, or put in its place.
     taken: u64,
     /// Who was where when what was learned was replaced.
-    replaced: Vec<(u32, Place)>,
+    replaced: Vec<(PersonId, Place)>,
     /// Persons whose scores are new.
-    rescored: Vec<u32>,
+    rescored: Vec<PersonId>,
     /// Working memory: the model's labels, and forecasts without this home.
     model: Vec<f64>,
     shipped: Vec<f64>,
@@ -383,7 +382,7 @@ impl HomeHabits {
 
     /// The next observation is this one, of one who lives here or of a visitor, of whom nothing is learned; takes note of it.
     /// One of several clauses, or about several persons, comes once for each of them.
-    pub(super) fn next_is(&mut self, name: Name, person: u32, lives_here: bool) {
+    pub(super) fn next_is(&mut self, name: EventId, person: PersonId, lives_here: bool) {
         if self.is_idle() || self.clock.is_none() {
             self.next = Next::Nothing;
             return;
@@ -404,13 +403,13 @@ impl HomeHabits {
     }
 
     /// Whether a person is known, or nobody would have to be forgotten for them.
-    fn has_room_for(&self, person: u32) -> bool {
+    fn has_room_for(&self, person: PersonId) -> bool {
         let habits = &self.memory.habits;
         habits.persons().count() < PERSONS_MAX || habits.persons().any(|(known, _)| known == person)
     }
 
     /// Somebody did something with the label that was mentioned, if any; `own` knows it already.
-    pub(super) fn turned(&mut self, person: u32, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
+    pub(super) fn turned(&mut self, person: PersonId, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let label = mention.filter(|label| *label < self.labels);
         let habits = &mut self.memory.habits;
@@ -429,7 +428,7 @@ impl HomeHabits {
     }
 
     /// Somebody is in the house, in a room if one was told, or out of it. A room that nobody told of is not learned, however well it can be guessed.
-    pub(super) fn is_in(&mut self, person: u32, at_ns: i64, told: Option<Place>) {
+    pub(super) fn is_in(&mut self, person: PersonId, at_ns: i64, told: Option<Place>) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let habits = &mut self.memory.habits;
         habits.set_learning(self.next == Next::Learned);
@@ -441,7 +440,7 @@ impl HomeHabits {
     }
 
     /// Somebody was in a room when the map was changed, whatever their last words say by the map of now; nothing is learned of that.
-    pub(super) fn stayed(&mut self, person: u32, at_ns: i64, own: &Forecaster) {
+    pub(super) fn stayed(&mut self, person: PersonId, at_ns: i64, own: &Forecaster) {
         let (Some(at_s), Some(room)) = (self.local_s(at_ns), sure_of(own.belief())) else { return };
         if !self.is_idle() && self.memory.habits.place(person).is_some() {
             self.memory.habits.set_learning(false);
@@ -451,7 +450,7 @@ impl HomeHabits {
     }
 
     /// Whoever was in a room is not there any more: those of the persons who are believed elsewhere now have left it, for nobody knows where.
-    pub(super) fn is_empty(&mut self, person: u32, at_ns: i64, room: usize, own: &Forecaster) {
+    pub(super) fn is_empty(&mut self, person: PersonId, at_ns: i64, room: usize, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let is_here = self.memory.habits.place(person) == Some(Place::Room(room));
         let here = own.belief().get(room).copied().unwrap_or_default();
@@ -463,7 +462,7 @@ impl HomeHabits {
     }
 
     /// Nobody follows a person any more: they left when they were last told of.
-    pub(super) fn lose(&mut self, person: u32) {
+    pub(super) fn lose(&mut self, person: PersonId) {
         self.ahead.remove(&person);
         if self.memory.habits.place(person).is_some() || self.memory.habits.is_back(person) {
             self.memory.habits.set_learning(false);
@@ -473,20 +472,20 @@ impl HomeHabits {
     }
 
     /// A person's scores are new.
-    pub(super) fn rescored(&mut self, person: u32) {
+    pub(super) fn rescored(&mut self, person: PersonId) {
         if !self.is_idle() {
             self.rescored.push(person);
         }
     }
 
     /// Whose scores are new, one after the other.
-    pub(super) fn next_rescored(&mut self) -> Option<u32> {
+    pub(super) fn next_rescored(&mut self) -> Option<PersonId> {
         self.rescored.pop()
     }
 
     /// What the model says that a person turns to next, after what was observed at `at_ns`: per label its log-probability in nats, per
     /// room its probability.
-    pub(super) fn look_ahead(&mut self, person: u32, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
+    pub(super) fn look_ahead(&mut self, person: PersonId, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
         let fits = labels_nats.len() == self.labels && rooms.len() + 1 == self.memory.habits.places();
         // Of a visitor nothing is known.
         let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
@@ -505,7 +504,7 @@ impl HomeHabits {
     }
 
     /// Time passes for everybody who is followed.
-    pub(super) fn tick(&mut self, now_ns: u64, now_unix_ns: u64, followed: &BTreeMap<u32, Forecaster>) {
+    pub(super) fn tick(&mut self, now_ns: u64, now_unix_ns: u64, followed: &BTreeMap<PersonId, Forecaster>) {
         self.set_clock(now_ns, now_unix_ns);
         self.ticked_ns = now_ns;
         let Some((_, now_s)) = self.clock else { return };
@@ -523,7 +522,7 @@ impl HomeHabits {
     /// all there is.
     pub(super) fn forecast(
         &mut self,
-        person: u32,
+        person: PersonId,
         own: &Forecaster,
         now_ns: u64,
         horizons_s: &[f32; MAX_HORIZONS],
@@ -578,46 +577,46 @@ impl HomeHabits {
     }
 
     /// How much of a person's latest forecast is from where, by horizon: of the whole, where the habits are sure of the person's place.
-    pub(super) fn shares(&self, person: u32) -> Option<(f64, &[WhenShares])> {
+    pub(super) fn shares(&self, person: PersonId) -> Option<(f64, &[WhenShares])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some((ahead.sure, &ahead.shares))
     }
 
     /// The sets of places of a person's latest forecast, by horizon, and the coverage that they promise.
-    pub(super) fn sets(&self, person: u32) -> Option<(f64, &[PlaceSet])> {
+    pub(super) fn sets(&self, person: PersonId) -> Option<(f64, &[PlaceSet])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some((self.memory.habits.options().sets.coverage, &ahead.sets))
     }
 
     /// The latest forecast of a person, by horizon: the probability of each place, elsewhere last.
-    pub(super) fn probabilities(&self, person: u32) -> Option<impl Iterator<Item = &[f64]>> {
+    pub(super) fn probabilities(&self, person: PersonId) -> Option<impl Iterator<Item = &[f64]>> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some(ahead.probability.chunks_exact(self.memory.habits.places().max(1)))
     }
 
     /// How much of a person's latest forecast comes from what was learned, by horizon, 0 to 1.
-    pub(super) fn learned_shares(&self, person: u32) -> Option<impl Iterator<Item = f64>> {
+    pub(super) fn learned_shares(&self, person: PersonId) -> Option<impl Iterator<Item = f64>> {
         let (sure, shares) = self.shares(person)?;
         Some(shares.iter().map(move |shares| (sure * (1.0 - shares.shipped)).clamp(0.0, 1.0)))
     }
 
     /// Where the probability comes from that a person turns to a thing next.
-    pub(super) fn why_thing(&self, person: u32, label: usize) -> Option<Shares> {
+    pub(super) fn why_thing(&self, person: PersonId, label: usize) -> Option<Shares> {
         self.memory.habits.explain(person, label)
     }
 
     /// Where the probability comes from that the next thing is in a room.
-    pub(super) fn why_room(&self, person: u32, room: usize) -> Option<RoomShares> {
+    pub(super) fn why_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
         self.memory.habits.explain_room(person, room)
     }
 
     /// How many observations of a person the habits rest on.
-    pub(super) fn observations_of(&self, person: u32) -> f64 {
+    pub(super) fn observations_of(&self, person: PersonId) -> f64 {
         self.memory.habits.observations(person)
     }
 
     /// Forgets a person; says whether anything was known.
-    pub(super) fn forget(&mut self, person: u32) -> bool {
+    pub(super) fn forget(&mut self, person: PersonId) -> bool {
         self.ahead.remove(&person);
         self.changes();
         self.memory.habits.forget(person)
@@ -681,13 +680,13 @@ impl HomeHabits {
     }
 
     /// For about how many hours it was known where a person was.
-    pub(super) fn watched_h(&self, person: u32) -> f64 {
+    pub(super) fn watched_h(&self, person: PersonId) -> f64 {
         self.memory.habits.watched_min(person) / 60.0
     }
 
     /// Persons of whom something is known, with the number of observations.
     #[must_use]
-    pub fn persons(&self) -> Vec<(u32, f64)> {
+    pub fn persons(&self) -> Vec<(PersonId, f64)> {
         self.memory.habits.persons().collect()
     }
 

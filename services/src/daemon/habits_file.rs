@@ -20,6 +20,7 @@ use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::habits::{BYTES_MAX, Habits, HabitsOptions};
+use roomcast_core::ids::{EventId, PersonId};
 
 use super::habits::{Heard, Memory};
 use crate::state_file;
@@ -118,7 +119,7 @@ pub fn encode_memory(memory: &Memory) -> Vec<u8> {
     let names = memory.heard.names();
     let mut body = memory.watched_until_s.to_le_bytes().to_vec();
     body.extend_from_slice(&(names.len() as u32).to_le_bytes());
-    for (source, epoch, sequence) in names {
+    for EventId { source, epoch, sequence } in names {
         [source, epoch, sequence].into_iter().for_each(|number| body.extend_from_slice(&number.to_le_bytes()));
     }
     body.extend_from_slice(&memory.habits.to_bytes());
@@ -153,7 +154,7 @@ pub fn decode_memory(bytes: &[u8], options: HabitsOptions) -> Result<Memory, Str
     let mut names = Vec::new();
     for _ in 0..count {
         let mut number = || Ok::<_, String>(u64::from_le_bytes(*take(&mut rest)?));
-        names.push((number()?, number()?, number()?));
+        names.push(EventId::new(number()?, number()?, number()?));
     }
     let habits = Habits::from_bytes(options, rest).map_err(|error| error.to_string())?;
     Ok(Memory { habits, heard: Heard::new(names), watched_until_s })
@@ -257,10 +258,10 @@ mod tests {
         memory.habits.bind(vec!["bed".to_owned()], vec!["bedroom".to_owned()], vec![1.0]);
         for at in 1..5 {
             let at_s = 1e9 + 60.0 * f64::from(at);
-            memory.habits.observe(&Turn { person: 1, label: Some(0), room: Some(0), at_s });
+            memory.habits.observe(&Turn { person: PersonId(1), label: Some(0), room: Some(0), at_s });
         }
-        memory.habits.be(1, Place::Elsewhere, 1e9 + 600.0);
-        memory.heard = Heard::new([(1, 2, 3), (4, 5, 6)]);
+        memory.habits.be(PersonId(1), Place::Elsewhere, 1e9 + 600.0);
+        memory.heard = Heard::new([EventId::new(1, 2, 3), EventId::new(4, 5, 6)]);
         memory.watched_until_s = 1e9 + 600.0;
         memory
     }

@@ -6,6 +6,7 @@ use super::asked::{Answer, Question};
 use super::board::Board;
 use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::{BYTES_MAX, PARTS};
+use roomcast_core::ids::PersonId;
 use roomcast_core::scorer::LanguageModel;
 
 /// Most bytes of one part of what is imported: a question has a limit.
@@ -60,7 +61,7 @@ impl Question for HabitsQuestion {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HabitsLine {
     /// The number.
-    pub person: u32,
+    pub person: PersonId,
     /// The name, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
@@ -208,7 +209,7 @@ pub(super) fn answer<M: LanguageModel>(
     board.forecast(now_ns);
     let habits = board.habits();
     let learned = habits.learned();
-    let line = |(person, observations): (u32, f64)| HabitsLine {
+    let line = |(person, observations): (PersonId, f64)| HabitsLine {
         person,
         name: board.persons().name_of(person).map(str::to_owned),
         observations,
@@ -290,8 +291,10 @@ mod tests {
     fn hours_in_known_places_count_without_a_thing() {
         let mut memory = Memory::new(HabitsOptions::default());
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
-        memory.habits.be(7, Place::Room(0), 1e9);
-        (0..=180).for_each(|minute| memory.habits.tick(7, 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5)));
+        memory.habits.be(PersonId(7), Place::Room(0), 1e9);
+        (0..=180).for_each(|minute| {
+            memory.habits.tick(PersonId(7), 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5))
+        });
         // Also after a restart.
         memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
         let mut board = board(memory);
@@ -305,8 +308,8 @@ mod tests {
     fn nothing_is_put_in_place_of_what_was_changed_meanwhile() {
         let mut memory = Memory::new(HabitsOptions::default());
         memory.habits.bind(Vec::new(), vec!["kitchen".to_owned()], Vec::new());
-        memory.habits.be(7, Place::Room(0), 1e9);
-        memory.habits.be(7, Place::Elsewhere, 1e9 + 3_600.0);
+        memory.habits.be(PersonId(7), Place::Room(0), 1e9);
+        memory.habits.be(PersonId(7), Place::Elsewhere, 1e9 + 3_600.0);
         let mut board = board(memory);
         let (mut importing, mut number) = (Importing::default(), 0);
         let mut ask = |question| {

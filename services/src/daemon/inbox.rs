@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
+use roomcast_core::ids::EventId;
 use roomcast_ipc::{IpcError, NarrationV1, Subscriber, clock};
 
 use super::board::Entry;
@@ -129,7 +130,7 @@ impl Inbox {
                         .to_owned(),
                 ),
                 Taken::Costly { tokens, most, first } => {
-                    take(Heard::PassedOver { source, epoch: self.message.epoch, sequence: self.message.sequence });
+                    take(Heard::PassedOver(EventId::new(source, self.message.epoch, self.message.sequence)));
                     // Sources may be invented.
                     if first && let Some(not_told) = self.log_costly.pass(now_ns) {
                         tracing::warn!(
@@ -165,7 +166,7 @@ pub(super) enum Heard {
     /// An accepted observation, with its number in the journal.
     Entry(Entry, u64),
     /// One that was refused for good.
-    PassedOver { source: u64, epoch: u64, sequence: u64 },
+    PassedOver(EventId),
 }
 
 /// The scoring thread's side of the inbox: it has it, or has lent it to the relief thread.

@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{Message, MessageError, NarrationV1, Sender, narration_kind};
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
@@ -370,7 +371,7 @@ impl Intake {
         };
         let ahead_ns = message.observed_ns.saturating_sub(now_ns);
         let observation = Observation {
-            person: message.person,
+            person: PersonId(message.person),
             name: name.map(Into::into),
             by_fit: false,
             source: message.source,

@@ -21,6 +21,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{SendTimeoutError, Sender, bounded};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Observation;
 use roomcast_ipc::Sender as Port;
 
@@ -99,7 +100,7 @@ enum Work {
     /// Append a record.
     Append(Vec<u8>),
     /// Take out what a person did, and say whether that went well.
-    Forget { person: u32, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
+    Forget { person: PersonId, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
 }
 
 /// The way to the writer, for every thread that has something to write.
@@ -220,7 +221,7 @@ impl JournalHandle {
     }
 
     /// Hands to the writer that a visitor is gone, which was told: a restart does not tell it again.
-    pub(super) fn see_off(&self, person: u32) {
+    pub(super) fn see_off(&self, person: PersonId) {
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_forgotten(person, false));
     }
 
@@ -232,8 +233,8 @@ impl JournalHandle {
     /// When the disk refuses, or takes longer; the journal is whole all the same, and may hold all or part of it.
     pub fn forget(
         &self,
-        person: u32,
-        is_theirs: impl Fn(&Observation, Option<u32>) -> bool + Send + 'static,
+        person: PersonId,
+        is_theirs: impl Fn(&Observation, Option<PersonId>) -> bool + Send + 'static,
         until: Instant,
     ) -> io::Result<usize> {
         let (done, answer) = bounded(1);

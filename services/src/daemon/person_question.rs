@@ -1,5 +1,6 @@
 //! Questions about persons: the questions on `roomcast/v1/person` and their answers. Pure.
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Presence;
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +58,7 @@ impl Question for PersonQuestion {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonLine {
     /// The number.
-    pub person: u32,
+    pub person: PersonId,
     /// The name, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
@@ -162,7 +163,7 @@ pub struct NoisySensor {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UnderstoodPerson {
     /// The number.
-    pub person: u32,
+    pub person: PersonId,
     /// The name, if the person has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,

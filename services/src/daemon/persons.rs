@@ -4,6 +4,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{
     Event, Observation, PERSONS_MAX, Presence, ReadName, Voice, check_name, is_number, name_words, same_name,
 };
@@ -52,7 +53,7 @@ pub(super) struct Known {
     /// The time of the newest action; `i64::MIN` before the first.
     pub(super) did_ns: i64,
     /// The newest event: source, epoch, sequence.
-    pub(super) last: (u64, u64, u64),
+    pub(super) last: EventId,
     /// Its own time.
     last_ns: i64,
     /// The voice that reported the person first.
@@ -99,7 +100,7 @@ pub struct Persons {
     residents: Vec<ReadName>,
     not_persons: Vec<ReadName>,
     file: PersonsFile,
-    known: BTreeMap<u32, Known>,
+    known: BTreeMap<PersonId, Known>,
 }
 
 impl Persons {
@@ -112,27 +113,27 @@ impl Persons {
     }
 
     /// Persons by number, also those that are gone and not yet published as gone.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (u32, &Known)> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = (PersonId, &Known)> {
         self.known.iter().map(|(number, known)| (*number, known))
     }
 
     /// The person of a number.
-    pub(super) fn get(&self, number: u32) -> Option<&Known> {
+    pub(super) fn get(&self, number: PersonId) -> Option<&Known> {
         self.known.get(&number)
     }
 
     /// The person of a number, to change it.
-    pub(super) fn get_mut(&mut self, number: u32) -> Option<&mut Known> {
+    pub(super) fn get_mut(&mut self, number: PersonId) -> Option<&mut Known> {
         self.known.get_mut(&number)
     }
 
     /// The number of a name: the number that the home gave it, or the number of the name itself.
     #[must_use]
-    pub fn number_of(&self, name: &str) -> u32 {
+    pub fn number_of(&self, name: &str) -> PersonId {
         self.number_of_read(&ReadName::new(name))
     }
 
-    fn number_of_read(&self, name: &ReadName) -> u32 {
+    fn number_of_read(&self, name: &ReadName) -> PersonId {
         let number = self.file.given_number(name).unwrap_or_else(|| name.number());
         if self.is_number_named(number) || self.lives_here(name) {
             return number;
@@ -142,7 +143,7 @@ impl Persons {
     }
 
     /// Whether the person of a number has a name.
-    fn is_number_named(&self, number: u32) -> bool {
+    fn is_number_named(&self, number: PersonId) -> bool {
         self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
     }
 
@@ -151,14 +152,14 @@ impl Persons {
     }
 
     /// Persons whose names differ by accents or signs only: "Zoe" is Zoë.
-    fn alike(&self, name: &ReadName) -> BTreeSet<u32> {
+    fn alike(&self, name: &ReadName) -> BTreeSet<PersonId> {
         self.numbers_where(name, |known| known.may_be_one(name))
     }
 
     /// The numbers of all names near `name` for which `is_such` holds.
-    fn numbers_where(&self, name: &ReadName, is_such: impl Fn(&ReadName) -> bool) -> BTreeSet<u32> {
+    fn numbers_where(&self, name: &ReadName, is_such: impl Fn(&ReadName) -> bool) -> BTreeSet<PersonId> {
         // A name that the home gave to a person has that person's number.
-        let number = |read: &ReadName, own: u32| self.file.given_number(read).unwrap_or(own);
+        let number = |read: &ReadName, own: PersonId| self.file.given_number(read).unwrap_or(own);
         let named = self.known.iter().filter_map(|(own, known)| Some((*own, &known.name.as_ref()?.read)));
         let residents = self.residents.iter().map(|read| (read.number(), read));
         let all = named.chain(self.file.sharing(name)).chain(residents);
@@ -166,7 +167,7 @@ impl Persons {
     }
 
     /// The number of a name that the home knows: a resident, a given name, a name from a keyed event, or the first name of one person only.
-    pub(super) fn called(&self, name: &str) -> Option<u32> {
+    pub(super) fn called(&self, name: &str) -> Option<PersonId> {
         let read = ReadName::new(name);
         if self.is_read_known(&read) {
             return Some(self.number_of_read(&read));
@@ -182,7 +183,7 @@ impl Persons {
     }
 
     /// The known person whose name a text begins with, in whole words; the longest name counts.
-    pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(u32, &'a str)> {
+    pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(PersonId, &'a str)> {
         const WORDS_MAX: usize = 4;
         let is_end = |c: char| c.is_whitespace() || matches!(c, ',' | ':');
         let ends: Vec<usize> = text.match_indices(is_end).map(|(at, _)| at).take(WORDS_MAX).collect();
@@ -205,7 +206,7 @@ impl Persons {
 
     /// A person's name; `None` for a person known by number only.
     #[must_use]
-    pub fn name_of(&self, number: u32) -> Option<&str> {
+    pub fn name_of(&self, number: PersonId) -> Option<&str> {
         let told = || Some(&*self.known.get(&number)?.name.as_ref()?.said);
         let is_listed = |who: &&String| who.parse::<u32>().is_err() && self.number_of(who) == number;
         let listed = || self.config.residents.iter().find(is_listed).map(String::as_str);
@@ -214,7 +215,7 @@ impl Persons {
 
     /// Whether a person is a visitor. Without a list of residents each person is a resident.
     #[must_use]
-    pub fn is_visitor(&self, number: u32) -> bool {
+    pub fn is_visitor(&self, number: PersonId) -> bool {
         let name = self.name_of(number).map(ReadName::new);
         let listed = |(resident, read): (&String, &ReadName)| {
             name.as_ref().is_some_and(|name| name.whole() == read.whole())
@@ -229,14 +230,14 @@ impl Persons {
 
     /// The persons that an event without a name may be about. A named narrator follows only persons that named narrators reported, if there
     /// are any.
-    fn candidates(&self, is_strange: bool) -> Vec<(u32, &Known)> {
+    fn candidates(&self, is_strange: bool) -> Vec<(PersonId, &Known)> {
         let is_all =
             is_strange || !self.known.values().any(|known| known.is_trusted() && known.presence != Presence::Gone);
         self.iter().filter(|(_, known)| is_all || known.is_trusted()).collect()
     }
 
     /// Each person in the house, and each resident: the persons that leave when everybody does.
-    pub(super) fn everybody(&self) -> BTreeSet<u32> {
+    pub(super) fn everybody(&self) -> BTreeSet<PersonId> {
         let here = self.iter().filter(|(_, known)| known.presence == Presence::Present).map(|(number, _)| number);
         here.chain(self.residents()).collect()
     }
@@ -252,7 +253,7 @@ impl Persons {
     }
 
     /// Whether an unknown narrator's event about a person at `at_ns` is ignored: a guarded narrator reported the person within `guard_s`.
-    pub(super) fn is_guarded(&self, number: u32, at_ns: i64) -> bool {
+    pub(super) fn is_guarded(&self, number: PersonId, at_ns: i64) -> bool {
         let guard_ns = (self.config.guard_s * 1e9) as i64;
         guard_ns > 0 && self.known.get(&number).is_some_and(|known| at_ns <= known.guarded_ns.saturating_add(guard_ns))
     }
@@ -263,28 +264,28 @@ impl Persons {
     }
 
     /// Whether a guarded narrator reported a person.
-    pub(super) fn is_trusted(&self, number: u32) -> bool {
+    pub(super) fn is_trusted(&self, number: PersonId) -> bool {
         self.known.get(&number).is_some_and(Known::is_trusted)
     }
 
     /// The time of an event in the order of its source, although its clock rounds or the network delays.
     pub(super) fn in_order(&self, observation: &Observation, at_ns: i64) -> i64 {
         let Some(known) = self.known.get(&observation.person) else { return at_ns };
-        let (source, epoch, sequence) = known.last;
-        let is_next = (source, epoch) == (observation.source, observation.epoch) && sequence <= observation.sequence;
+        let (last, event) = (known.last, observation.id());
+        let is_next = last.start() == event.start() && last.sequence <= event.sequence;
         let is_near = at_ns.saturating_add(ORDER_NS) >= known.last_ns;
         if is_next && is_near { at_ns.max(known.last_ns) } else { at_ns }
     }
 
     /// Records a report by a guarded narrator.
-    pub(super) fn guard(&mut self, number: u32, at_ns: i64) {
+    pub(super) fn guard(&mut self, number: PersonId, at_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             known.guarded_ns = known.guarded_ns.max(at_ns);
         }
     }
 
     /// Takes in an event of a person at `at_ns`. Returns the person that is dropped, if there is one too many.
-    pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<u32> {
+    pub(super) fn note(&mut self, observation: &Observation, voice: Voice, at_ns: i64) -> Option<PersonId> {
         let number = observation.person;
         // A person that comes back starts afresh.
         let is_back = |known: &&Known| known.presence == Presence::Gone && observation.event != Event::Gone;
@@ -303,7 +304,7 @@ impl Persons {
             since_ns: at_ns,
             heard_ns: at_ns,
             did_ns: i64::MIN,
-            last: (0, 0, 0),
+            last: EventId::new(0, 0, 0),
             last_ns: at_ns,
             voice: voice.number,
             guarded_ns: i64::MIN,
@@ -323,7 +324,7 @@ impl Persons {
         let at_ns = at_ns.max(known.heard_ns);
         let presence = observation.event.person_presence();
         (known.heard_ns, known.by_fit, known.restored, known.told) = (at_ns, observation.by_fit, false, false);
-        known.last = (observation.source, observation.epoch, observation.sequence);
+        known.last = observation.id();
         if known.presence != presence {
             (known.presence, known.since_ns) = (presence, at_ns);
         }
@@ -332,7 +333,7 @@ impl Persons {
     }
 
     /// The spelling of a person's name: a resident's as in the configuration, any other as its first narrator wrote it.
-    fn spelled(&self, number: u32, name: Name) -> Name {
+    fn spelled(&self, number: PersonId, name: Name) -> Name {
         let mut residents = self.config.residents.iter().zip(&self.residents);
         let own_number = |read: &ReadName| self.file.given_number(read).unwrap_or(read.number());
         let is_resident = |read: &ReadName| {
@@ -353,17 +354,18 @@ impl Persons {
 
     /// The person to drop for one more of `newcomer`: visitors before residents, then the voice with most persons, then the longest silence. A
     /// narrator that invents persons drops its own.
-    fn least_missed(&self, newcomer: u64) -> Option<u32> {
+    fn least_missed(&self, newcomer: u64) -> Option<PersonId> {
         let told = |voice: u64| {
             self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)
         };
-        let rank =
-            |(number, known): &(u32, &Known)| (!self.is_visitor(*number), Reverse(told(known.voice)), known.heard_ns);
+        let rank = |(number, known): &(PersonId, &Known)| {
+            (!self.is_visitor(*number), Reverse(told(known.voice)), known.heard_ns)
+        };
         self.iter().min_by_key(rank).map(|(number, _)| number)
     }
 
     /// Forgets a person. Returns whether the person was known.
-    pub(super) fn remove(&mut self, number: u32) -> bool {
+    pub(super) fn remove(&mut self, number: PersonId) -> bool {
         self.known.remove(&number).is_some()
     }
 
@@ -373,7 +375,7 @@ impl Persons {
     }
 
     /// Whether a person is a visitor whose silence is long enough to be gone.
-    pub(super) fn has_expired(&self, number: u32, now_ns: i64) -> bool {
+    pub(super) fn has_expired(&self, number: PersonId, now_ns: i64) -> bool {
         let visitor_ns = (self.config.visitor_s * 1e9) as i64;
         let expires = |known: &Known| {
             let sleeps = known.presence == Presence::Present && known.on_bed;
@@ -403,18 +405,18 @@ impl Persons {
     }
 
     /// The numbers of the configured residents.
-    fn residents(&self) -> impl Iterator<Item = u32> {
+    fn residents(&self) -> impl Iterator<Item = PersonId> {
         self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)))
     }
 
     /// The next visitor that is gone by silence.
-    pub(super) fn expired(&self, now_ns: i64) -> Option<u32> {
+    pub(super) fn expired(&self, now_ns: i64) -> Option<PersonId> {
         let here = self.iter().filter(|(_, known)| known.presence != Presence::Gone);
         here.map(|(number, _)| number).find(|number| self.has_expired(*number, now_ns))
     }
 
     /// Marks a visitor as gone.
-    pub(super) fn expire(&mut self, number: u32, now_ns: i64) {
+    pub(super) fn expire(&mut self, number: PersonId, now_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             (known.presence, known.since_ns, known.on_bed, known.told) = (Presence::Gone, now_ns, false, false);
         }
@@ -429,15 +431,15 @@ impl Persons {
 
     /// The persons that an unnamed event may be about if two of them cannot have caused it: the person in the house, then the person that is away,
     /// then the resident that was not observed. An unknown house has the numbers from 0.
-    pub(super) fn unnamed(&self, is_strange: bool) -> Vec<u32> {
+    pub(super) fn unnamed(&self, is_strange: bool) -> Vec<PersonId> {
         let mut known = self.candidates(is_strange);
         known.retain(|(_, known)| known.presence != Presence::Gone);
         known.sort_by_key(|(number, known)| (known.presence != Presence::Present, Reverse(known.heard_ns), *number));
-        let mut numbers: Vec<u32> = known.into_iter().map(|(number, _)| number).collect();
-        let is_gone = |number: u32| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
-        let is_open = |number: &u32| !numbers.contains(number) && is_gone(*number);
-        let further: Vec<u32> = if self.config.residents.is_empty() {
-            (0..).filter(is_open).take(PERSONS_MAX).collect()
+        let mut numbers: Vec<PersonId> = known.into_iter().map(|(number, _)| number).collect();
+        let is_gone = |number: PersonId| self.known.get(&number).is_none_or(|known| known.presence == Presence::Gone);
+        let is_open = |number: &PersonId| !numbers.contains(number) && is_gone(*number);
+        let further: Vec<PersonId> = if self.config.residents.is_empty() {
+            (0..).map(PersonId).filter(is_open).take(PERSONS_MAX).collect()
         } else {
             self.residents().filter(is_open).collect()
         };
@@ -453,12 +455,12 @@ impl Persons {
     /// Whether two persons or more can have caused an unnamed event.
     pub(super) fn are_several(&self, is_strange: bool) -> bool {
         let known = self.candidates(is_strange).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
-        known.map(|(number, _)| number).chain(self.residents()).collect::<BTreeSet<u32>>().len() > 1
+        known.map(|(number, _)| number).chain(self.residents()).collect::<BTreeSet<PersonId>>().len() > 1
     }
 
     /// The persons that the joint filter follows: known ones and residents. Persons that only unknown narrators reported are left out if named
     /// narrators reported any.
-    pub(super) fn followed(&self) -> BTreeSet<u32> {
+    pub(super) fn followed(&self) -> BTreeSet<PersonId> {
         let known = self.candidates(false).into_iter().filter(|(_, known)| known.presence != Presence::Gone);
         self.residents().chain(known.map(|(number, _)| number)).collect()
     }
@@ -469,7 +471,7 @@ impl Persons {
     }
 
     /// The number of a name or number, known or not.
-    pub(super) fn meant(&self, who: &str) -> u32 {
+    pub(super) fn meant(&self, who: &str) -> PersonId {
         let who = who.trim();
         who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
     }
@@ -482,14 +484,14 @@ impl Persons {
     }
 
     /// All names of a person, in lower case.
-    pub(super) fn names_of(&self, number: u32) -> Vec<String> {
+    pub(super) fn names_of(&self, number: PersonId) -> Vec<String> {
         let kept = self.file.of_number(number).into_iter().flat_map(KeptPerson::names);
         kept.chain(self.name_of(number)).map(str::to_lowercase).collect()
     }
 
     /// The known person of a name or number.
     #[must_use]
-    pub fn find(&self, who: &str) -> Option<u32> {
+    pub fn find(&self, who: &str) -> Option<PersonId> {
         let number = self.meant(who);
         (self.known.contains_key(&number) || self.file.of_number(number).is_some()).then_some(number)
     }
@@ -504,7 +506,7 @@ impl Persons {
     ///
     /// # Errors
     /// What is wrong with the name, its owner, or why it cannot be stored.
-    pub(super) fn rename(&mut self, number: u32, name: &str) -> Result<(), NotRenamed> {
+    pub(super) fn rename(&mut self, number: PersonId, name: &str) -> Result<(), NotRenamed> {
         let name = name.trim();
         check_name(name).map_err(NotRenamed::Refused)?;
         let owner = self.number_of(name);
@@ -550,8 +552,8 @@ impl Persons {
     /// All persons that are known, have a given name, or are residents.
     pub(super) fn lines(&self, now_ns: i64) -> Vec<PersonLine> {
         let kept = self.file.persons().iter().map(|kept| kept.number);
-        let numbers: BTreeSet<u32> = self.known.keys().copied().chain(kept).chain(self.residents()).collect();
-        let line = |person: u32| {
+        let numbers: BTreeSet<PersonId> = self.known.keys().copied().chain(kept).chain(self.residents()).collect();
+        let line = |person: PersonId| {
             let known = self.known.get(&person);
             let seconds = |since_ns: i64| (now_ns - since_ns) as f64 / 1e9;
             let flags = self.flags(person, now_ns);
@@ -568,7 +570,7 @@ impl Persons {
     }
 
     /// The [`person_flags`] of a person.
-    pub(super) fn flags(&self, number: u32, now_ns: i64) -> u32 {
+    pub(super) fn flags(&self, number: PersonId, now_ns: i64) -> u32 {
         let Some(known) = self.known.get(&number) else { return 0 };
         let flag = |holds: bool, flag: u32| if holds { flag } else { 0 };
         flag(known.restored, person_flags::RESTORED)
@@ -578,7 +580,7 @@ impl Persons {
     }
 
     /// A person's name in a message.
-    pub(super) fn name_bytes(&self, number: u32) -> [u8; NAME_BYTES] {
+    pub(super) fn name_bytes(&self, number: PersonId) -> [u8; NAME_BYTES] {
         text::encode_cut(self.name_of(number).unwrap_or_default())
     }
 }

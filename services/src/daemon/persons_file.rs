@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::state_file;
-use roomcast_core::narration::{ReadName, SOMEBODY, check_name, same_name};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{ReadName, check_name, same_name};
 use roomcast_core::parsing::{Keyed, json_says};
 
 /// The file in the state directory.
@@ -22,7 +23,7 @@ const FORMER_MAX: usize = 8;
 #[serde(deny_unknown_fields)]
 pub struct KeptPerson {
     /// The number.
-    pub number: u32,
+    pub number: PersonId,
     /// The name; narrators may use it in any case.
     pub name: String,
     /// Whether they live here; where left out, the configuration's list says it.
@@ -62,11 +63,11 @@ pub struct PersonsFile {
 /// Where the persons stand that somebody asks for: a sentence asks for many names, and a home may have ten thousand.
 #[derive(Debug, Default, Clone)]
 struct Index {
-    by_number: HashMap<u32, usize>,
+    by_number: HashMap<PersonId, usize>,
     /// By all names, as they are compared.
     by_name: HashMap<String, usize>,
     /// By the numbers that follow from their names.
-    by_named_number: HashMap<u32, usize>,
+    by_named_number: HashMap<PersonId, usize>,
     /// The newest names, and who shares what with other names that may be theirs.
     names: Vec<ReadName>,
     sharing: HashMap<String, Vec<usize>>,
@@ -124,30 +125,30 @@ impl PersonsFile {
 
     /// The number of a name: the one that the home gave it, or the one that follows from the name.
     #[must_use]
-    pub fn number_of(&self, name: &str) -> u32 {
+    pub fn number_of(&self, name: &str) -> PersonId {
         let name = ReadName::new(name);
         self.given_number(&name).unwrap_or(name.number())
     }
 
     /// The number that the home gave a name.
-    pub(super) fn given_number(&self, name: &ReadName) -> Option<u32> {
+    pub(super) fn given_number(&self, name: &ReadName) -> Option<PersonId> {
         self.index.by_name.get(name.whole()).map(|at| self.persons[*at].number)
     }
 
     /// The number that the home gave the person who had this one by their name.
     #[must_use]
-    pub fn current(&self, number: u32) -> u32 {
+    pub fn current(&self, number: PersonId) -> PersonId {
         self.index.by_named_number.get(&number).map_or(number, |at| self.persons[*at].number)
     }
 
     /// The person of a number.
     #[must_use]
-    pub(crate) fn of_number(&self, number: u32) -> Option<&KeptPerson> {
+    pub(crate) fn of_number(&self, number: PersonId) -> Option<&KeptPerson> {
         self.index.by_number.get(&number).map(|at| &self.persons[*at])
     }
 
     /// Those whose name may be this one, or whose first name; each with theirs.
-    pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (u32, &ReadName)> {
+    pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (PersonId, &ReadName)> {
         let sharing = self.index.sharing.get(name.letters()).into_iter().flatten();
         sharing.map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
@@ -171,7 +172,7 @@ impl PersonsFile {
     ///
     /// # Errors
     /// As [`PersonsFile::put`].
-    pub fn remove(&mut self, number: u32) -> std::io::Result<()> {
+    pub fn remove(&mut self, number: PersonId) -> std::io::Result<()> {
         // What a file that cannot be used says of them stays in it.
         if self.of_number(number).is_none() && !self.unusable {
             return Ok(());
@@ -216,8 +217,8 @@ fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
         person.names().try_for_each(check_name)?;
-        if person.number == SOMEBODY {
-            return Err(format!("{:?} has the number {SOMEBODY}, which means somebody", person.name));
+        if person.number == PersonId::SOMEBODY {
+            return Err(format!("{:?} has the number {}, which means somebody", person.name, PersonId::SOMEBODY));
         }
         let of_number = numbers.insert(person.number, at);
         let mut of_names = person.names().map(|name| names.insert(ReadName::new(name).whole().to_owned(), at));
@@ -235,7 +236,7 @@ mod tests {
     use super::*;
 
     fn ada() -> KeptPerson {
-        KeptPerson { number: 3, name: "Ada".to_owned(), resident: Some(true), former: Vec::new() }
+        KeptPerson { number: PersonId(3), name: "Ada".to_owned(), resident: Some(true), former: Vec::new() }
     }
 
     #[test]
@@ -250,15 +251,16 @@ mod tests {
         let mut file = PersonsFile::load(directory.path());
         assert!(file.persons().is_empty());
         file.put(ada()).unwrap();
-        file.put(KeptPerson { number: 4, name: "ben".to_owned(), resident: None, former: Vec::new() }).unwrap();
+        file.put(KeptPerson { number: PersonId(4), name: "ben".to_owned(), resident: None, former: Vec::new() })
+            .unwrap();
         file.put(ada().renamed("Ada L.")).unwrap();
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
-        assert_eq!(again.number_of(" ada l. "), 3);
+        assert_eq!(again.number_of(" ada l. "), PersonId(3));
         // Whoever was told the former name goes on with it.
-        assert_eq!((again.number_of("ada"), again.number_of("adele")), (3, person_number("adele")));
-        file.remove(3).unwrap();
-        assert!(PersonsFile::load(directory.path()).of_number(3).is_none());
+        assert_eq!((again.number_of("ada"), again.number_of("adele")), (PersonId(3), person_number("adele")));
+        file.remove(PersonId(3)).unwrap();
+        assert!(PersonsFile::load(directory.path()).of_number(PersonId(3)).is_none());
         // Where it cannot be written, nothing changes.
         let mut nowhere = PersonsFile::load(&directory.path().join("missing"));
         nowhere.put(ada()).unwrap_err();
@@ -270,24 +272,26 @@ mod tests {
     fn a_file_that_would_be_too_long_is_not_written() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(FILE);
-        let person = |number: u32| KeptPerson {
+        let person = |number: PersonId| KeptPerson {
             number,
             name: format!("n{number}{}", "x".repeat(40)),
             resident: None,
             former: Vec::new(),
         };
-        let count = (1..).find(|count| text_of(&(0..*count * 100).map(person).collect::<Vec<_>>()).is_err()).unwrap();
-        let most: Vec<_> = (0..(count - 1) * 100).map(person).collect();
+        let count = (1..)
+            .find(|count| text_of(&(0..*count * 100).map(PersonId).map(person).collect::<Vec<_>>()).is_err())
+            .unwrap();
+        let most: Vec<_> = (0..(count - 1) * 100).map(PersonId).map(person).collect();
         std::fs::write(&path, serde_json::to_string(&most).unwrap()).unwrap();
         let mut file = PersonsFile::load(directory.path());
-        file.put(person(5).renamed("Ada")).unwrap();
+        file.put(person(PersonId(5)).renamed("Ada")).unwrap();
         let again = PersonsFile::load(directory.path());
-        assert_eq!((again.persons().len(), again.of_number(5).unwrap().name.as_str()), (most.len(), "Ada"));
-        let refused = (0..100).find_map(|more| file.put(person(1_000_000 + more)).err()).unwrap().to_string();
+        assert_eq!((again.persons().len(), again.of_number(PersonId(5)).unwrap().name.as_str()), (most.len(), "Ada"));
+        let refused = (0..100).find_map(|more| file.put(person(PersonId(1_000_000 + more))).err()).unwrap().to_string();
         assert!(refused.contains("more than 1048576 bytes: forget somebody"), "{refused}");
         assert_eq!(PersonsFile::load(directory.path()).persons(), file.persons());
-        file.remove(5).unwrap();
-        assert!(PersonsFile::load(directory.path()).of_number(5).is_none());
+        file.remove(PersonId(5)).unwrap();
+        assert!(PersonsFile::load(directory.path()).of_number(PersonId(5)).is_none());
     }
 
     #[test]

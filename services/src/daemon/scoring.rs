@@ -222,7 +222,7 @@ impl<M: LanguageModel> Scoring<M> {
         let cycle = &mut self.cycle;
         self.inbox.listen(patience, |heard| match heard {
             Heard::Entry(entry, number) => cycle.enter(entry, number),
-            Heard::PassedOver { source, epoch, sequence } => cycle.pass_over(source, epoch, sequence),
+            Heard::PassedOver(event) => cycle.pass_over(event),
         });
     }
 

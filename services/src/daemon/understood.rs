@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::forms::{COUNT_MAX, near_miss};
 use roomcast_core::narration::{Event, Observation};
 
@@ -59,11 +60,11 @@ pub enum By {
 /// One event as the daemon understood it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Understood {
-    /// The event's source, epoch and sequence.
-    pub(super) id: (u64, u64, u64),
+    /// Its id.
+    pub(super) id: EventId,
     /// The event; a presence form counts as presence.
     pub(super) event: Event,
-    persons: [u32; COUNT_MAX as usize],
+    persons: [PersonId; COUNT_MAX as usize],
     count: u8,
     /// How they were found.
     pub(super) by: By,
@@ -74,9 +75,9 @@ pub(super) struct Understood {
 impl Understood {
     pub(super) fn of(observation: &Observation) -> Self {
         Self {
-            id: (observation.source, observation.epoch, observation.sequence),
+            id: observation.id(),
             event: observation.event.clone(),
-            persons: [0; COUNT_MAX as usize],
+            persons: [PersonId(0); COUNT_MAX as usize],
             count: 0,
             by: By::Key,
             reason: None,
@@ -84,7 +85,7 @@ impl Understood {
     }
 
     /// Adds a person; an event about everybody keeps the first ones.
-    pub(super) fn add_person(&mut self, person: u32) {
+    pub(super) fn add_person(&mut self, person: PersonId) {
         if let Some(place) = self.persons.get_mut(usize::from(self.count)) {
             *place = person;
             self.count += 1;
@@ -96,7 +97,7 @@ impl Understood {
         Self { reason: Some(reason), ..self }
     }
 
-    pub(super) fn persons(&self) -> &[u32] {
+    pub(super) fn persons(&self) -> &[PersonId] {
         &self.persons[..usize::from(self.count)]
     }
 
@@ -120,11 +121,11 @@ impl UnderstoodEvents {
 
     /// The events of a narrator's start from a sequence on, the oldest first.
     pub(super) fn of(&self, source: u64, epoch: u64, from: u64) -> impl Iterator<Item = &Understood> {
-        self.0.iter().filter(move |own| (own.id.0, own.id.1) == (source, epoch) && own.id.2 >= from)
+        self.0.iter().filter(move |own| own.id.start() == (source, epoch) && own.id.sequence >= from)
     }
 
     /// Forgets the events of a person.
-    pub(super) fn forget(&mut self, person: u32) {
+    pub(super) fn forget(&mut self, person: PersonId) {
         self.0.retain(|own| !own.persons().contains(&person));
     }
 }

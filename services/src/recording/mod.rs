@@ -31,7 +31,8 @@ use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken, presence_word};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence, person_number, same_name};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
 /// Largest recording that is read back, also of its records unpacked: it is held in memory.
@@ -518,11 +519,11 @@ pub struct RecordedMoment {
     /// The daemon's own telling that these scores follow: the map in use, the binding sequence, how scores are grounded.
     pub base: Option<usize>,
     /// The narration that the scores contain, with its person, oldest first: of each person that the daemon told of exactly the window.
-    pub narration: Vec<(u32, Sentence)>,
+    pub narration: Vec<(PersonId, Sentence)>,
     /// Who has nothing in their window, and whether they are in the house.
-    pub silent: Vec<(u32, bool)>,
+    pub silent: Vec<(PersonId, bool)>,
     /// The names of persons, by number.
-    pub names: BTreeMap<u32, String>,
+    pub names: BTreeMap<PersonId, String>,
     /// What was learned of the home, by person, as far as the forecasts that follow from the scores say it.
     pub habits: Vec<PersonHabits>,
 }
@@ -548,7 +549,7 @@ impl Recording {
         let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
         // Narration that the newest telling before these scores contains need not be looked for in the recording.
         let known = self.moments.iter().filter(of_daemon).max_by_key(|moment| moment.sequence);
-        let mut narration: Vec<(u32, Sentence)> = known.map_or_else(Vec::new, |moment| {
+        let mut narration: Vec<(PersonId, Sentence)> = known.map_or_else(Vec::new, |moment| {
             let sentences = moment.narration.iter();
             sentences.filter_map(|read| Some((read.person, Sentence::new(&read.text).ok()?))).collect()
         });
@@ -568,8 +569,9 @@ impl Recording {
             })
         };
         let told = self.told(&scores);
-        let told_of = |person: u32| told.and_then(|told| told.persons().iter().find(|told| told.person == person));
-        let window = |person: u32| match (told_of(person), scores.persons) {
+        let told_of =
+            |person: PersonId| told.and_then(|told| told.persons().iter().find(|told| told.person == person.0));
+        let window = |person: PersonId| match (told_of(person), scores.persons) {
             (Some(told), _) => Some(told.window as usize),
             (None, 0..=1) => Some(scores.window as usize),
             _ => None,
@@ -586,8 +588,8 @@ impl Recording {
             let last = narration.last().map(|(person, _)| *person);
             let likely = last.or_else(|| match told.map(PersonScoresV1::persons) {
                 // Where nobody tells of persons there is one, without a name.
-                None | Some([]) => Some(0),
-                Some([only]) => Some(only.person),
+                None | Some([]) => Some(PersonId(0)),
+                Some([only]) => Some(PersonId(only.person)),
                 Some(_) => None,
             });
             // Of several, nobody is said to have done what the recording does not say that they did.
@@ -611,7 +613,7 @@ impl Recording {
             }
         }
         // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.
-        let mut excess: BTreeMap<u32, usize> = BTreeMap::new();
+        let mut excess: BTreeMap<PersonId, usize> = BTreeMap::new();
         narration.iter().for_each(|(person, _)| *excess.entry(*person).or_default() += 1);
         let all_are_told = told.is_some_and(|told| told.persons <= told.person_count);
         for (person, excess) in &mut excess {
@@ -628,11 +630,11 @@ impl Recording {
         let mut names = known.map_or_else(BTreeMap::new, |moment| moment.names.clone());
         names.extend(told.into_iter().flat_map(PersonScoresV1::persons).filter_map(|told| {
             let name = told.name();
-            (!name.is_empty()).then(|| (told.person, name.to_owned()))
+            (!name.is_empty()).then(|| (PersonId(told.person), name.to_owned()))
         }));
         let silent = told.into_iter().flat_map(PersonScoresV1::persons).filter(|told| told.window == 0);
         let silent = silent.filter(|told| told.presence != presence::GONE);
-        let silent = silent.map(|told| (told.person, told.presence == presence::PRESENT)).collect();
+        let silent = silent.map(|told| (PersonId(told.person), told.presence == presence::PRESENT)).collect();
         let habits = self.forecasts(&scores).map_or_else(Vec::new, PersonHabits::of_published);
         Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names, habits })
     }
@@ -659,7 +661,7 @@ impl Recording {
     }
 
     /// The person whose name, as the daemon publishes it, a text begins with.
-    fn at_start(&self, observation: &Observation, epoch: u64) -> Option<u32> {
+    fn at_start(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
         let text = observation.sentence()?.to_lowercase();
         self.messages.iter().find_map(|(_, message)| match message {
             Recorded::PersonScores(scores) if scores.epoch == epoch => {
@@ -667,7 +669,7 @@ impl Recording {
                     let name = person.name().to_lowercase();
                     !name.is_empty() && text.strip_prefix(&name).is_some_and(|rest| rest.starts_with([' ', ',', ':']))
                 };
-                scores.persons().iter().find(is_at_start).map(|person| person.person)
+                scores.persons().iter().find(is_at_start).map(|person| PersonId(person.person))
             }
             _ => None,
         })
@@ -675,11 +677,11 @@ impl Recording {
 
     /// Whose an observation is, by the daemon's word, which tells of the newest one of each person in a step, or by its own. None where
     /// neither says it.
-    fn person_of(&self, observation: &Observation, epoch: u64) -> Option<u32> {
+    fn person_of(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
         let told = |is_theirs: &dyn Fn(&PersonV1) -> bool| {
             self.messages.iter().find_map(|(_, told)| match told {
                 Recorded::PersonScores(told) if told.epoch == epoch => {
-                    told.persons().iter().find(|person| is_theirs(person)).map(|person| person.person)
+                    told.persons().iter().find(|person| is_theirs(person)).map(|person| PersonId(person.person))
                 }
                 _ => None,
             })
@@ -690,7 +692,7 @@ impl Recording {
             Some(name) => told(&|person| same_name(person.name(), name))
                 .or_else(|| told(&|person| !person.has(person_flags::BY_FIT) && is_newest(person)))
                 .or_else(|| Some(person_number(name))),
-            None if observation.person == SOMEBODY => {
+            None if observation.person == PersonId::SOMEBODY => {
                 told(&|person| person.has(person_flags::BY_FIT) && is_newest(person))
             }
             None => Some(observation.person),
@@ -934,7 +936,7 @@ mod tests {
             let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
             let person_name = text::encode("name", name).unwrap();
             let observed_ns = at * 1_000_000_000;
-            let person = SOMEBODY;
+            let person = PersonId::SOMEBODY.0;
             let narration = NarrationV1 { source: 7, epoch: 1, sequence, observed_ns, person, person_name, ..message };
             windows[who] += 1;
             let mut scores =
@@ -946,7 +948,7 @@ mod tests {
                     continue;
                 }
                 let told = &mut persons.person[persons.person_count as usize];
-                (told.person, told.name, told.window) = (number, text::encode("name", name).unwrap(), windows[of]);
+                (told.person, told.name, told.window) = (number.0, text::encode("name", name).unwrap(), windows[of]);
                 told.presence = presence::PRESENT;
                 told.flags = if of == who && narration.person_name().is_empty() { person_flags::BY_FIT } else { 0 };
                 told.observed_ns = if of == who { observed_ns } else { 1 };
@@ -962,12 +964,12 @@ mod tests {
         tell(3, 3, 0, "They grab the milk.", "");
         tell(4, 4, 1, "They dry themselves with the towel.", "");
         tell(5, 5, 0, "They close the fridge.", "");
-        let of = |messages: &[(u64, Recorded)]| -> Vec<(u32, String)> {
+        let of = |messages: &[(u64, Recorded)]| -> Vec<(PersonId, String)> {
             let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
             let narration = recording.moment(None, None).unwrap().narration;
             narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()
         };
-        let of_whom: Vec<u32> = of(&messages).into_iter().map(|(person, _)| person).collect();
+        let of_whom: Vec<PersonId> = of(&messages).into_iter().map(|(person, _)| person).collect();
         assert_eq!(of_whom, [ada, ben, ada, ben, ada]);
         // The first sentence of all, of somebody of whom a sensor alone has told: no person 0 comes of it.
         let first_plain = of(&messages[6..]);
@@ -987,7 +989,7 @@ mod tests {
         let mut tell = |sequence: u64, texts: &[&str], windows: [u64; 2], presences: [u32; 2], observed: [u64; 2]| {
             for (text, number) in texts.iter().zip(sequence..) {
                 let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
-                let person = SOMEBODY;
+                let person = PersonId::SOMEBODY.0;
                 let narration = NarrationV1 {
                     source: 7,
                     epoch: 1,
@@ -1006,7 +1008,7 @@ mod tests {
             let mut persons = PersonScoresV1 { epoch: 3, sequence: last, persons: 2, ..Default::default() };
             persons.person_count = 2;
             for (told, at) in persons.person.iter_mut().zip(0..2) {
-                (told.person, told.name) = (person_number(names[at]), text::encode("name", names[at]).unwrap());
+                (told.person, told.name) = (person_number(names[at]).0, text::encode("name", names[at]).unwrap());
                 (told.window, told.presence) = (windows[at], presences[at]);
                 told.observed_ns = observed[at] * 1_000_000_000;
             }
@@ -1020,7 +1022,7 @@ mod tests {
         tell(3, &["Anna grabs the milk.", "Anna pours the milk."], [3, 1], [present; 2], [4, 2]);
         tell(5, &["Ben leaves the house."], [3, 0], [present, away], [4, 5]);
         let (anna, ben) = (person_number("Anna"), person_number("Ben"));
-        let of = |messages: &[(u64, Recorded)], sequence: u64| -> Vec<(u32, String)> {
+        let of = |messages: &[(u64, Recorded)], sequence: u64| -> Vec<(PersonId, String)> {
             let recording = Recording { messages: messages.to_vec(), ..Recording::default() };
             let narration = recording.moment(Some(sequence), None).unwrap().narration;
             narration.into_iter().map(|(person, sentence)| (person, sentence.as_str().to_owned())).collect()

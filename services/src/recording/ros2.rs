@@ -6,6 +6,7 @@ use std::path::Path;
 
 use mcap::records::{MessageHeader, Metadata};
 use roomcast_core::grounding::{Partition, partitions};
+use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_ipc::{NarrationV1, PersonScoresV1, RoomScoresV1, sequence};
 use roomcast_ros2::types::{Classification, Header, MarkerArray, Message, Text, encode};
@@ -77,7 +78,7 @@ impl Stamp {
 pub struct Ros2Recorder {
     tape: Tape,
     channels: BTreeMap<String, u16>,
-    persons: BTreeMap<u32, String>,
+    persons: BTreeMap<PersonId, String>,
     robots: BTreeMap<u64, String>,
     /// The map's fingerprint, and its rooms.
     map: Option<(String, Vec<Partition>)>,
@@ -185,7 +186,7 @@ impl Ros2Recorder {
     fn narrated(&self, message: &NarrationV1) -> Text {
         let said = event_of(message.kind, message.text()).map(|said| said.to_string());
         let own = Some(message.person_name()).filter(|name| !name.is_empty());
-        let name = own.or_else(|| self.persons.get(&message.person).map(String::as_str));
+        let name = own.or_else(|| self.persons.get(&PersonId(message.person)).map(String::as_str));
         words::narration(said.as_deref().unwrap_or(message.text()), name)
     }
 
@@ -200,7 +201,7 @@ impl Ros2Recorder {
     fn persons(&mut self, scores: &PersonScoresV1, stamp: Stamp) -> Result<(), RecordingError> {
         for person in scores.persons() {
             if !person.name().is_empty() {
-                self.persons.insert(person.person, person.name().to_owned());
+                self.persons.insert(PersonId(person.person), person.name().to_owned());
             }
             let topic = format!("person/{}", content::slug(person));
             self.say(&topic, Kept::Last, stamp, &content::of_one(scores, person, stamp.header()))?;
@@ -282,7 +283,7 @@ mod tests {
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map(), &options).unwrap();
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
-        Moment { names: [(4, "Ben".to_owned())].into(), ..Moment::of(&pipeline, &map(), &options, None) }
+        Moment { names: [(PersonId(4), "Ben".to_owned())].into(), ..Moment::of(&pipeline, &map(), &options, None) }
     }
 
     fn scores(sequence: u64, map_fingerprint: [u8; 32]) -> Recorded {

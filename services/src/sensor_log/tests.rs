@@ -1,5 +1,6 @@
 use super::absences::says_away;
 use super::*;
+use roomcast_core::ids::PersonId;
 
 const RULES: &str = include_str!("../../../tests/data/sensor-rules.toml");
 const LOG: &str = include_str!("../../../tests/data/sensors.tsv");
@@ -72,7 +73,7 @@ fn columns_can_stand_in_any_order_and_some_can_be_left_out() {
         said(&narrated),
         [("They leave by the front door.".to_owned(), 0.0), ("They leave by the front door.".to_owned(), 60.5)]
     );
-    assert!(narrated.said.iter().all(|said| said.item.person == Who::Number(2)));
+    assert!(narrated.said.iter().all(|said| said.item.person == Who::Number(PersonId(2))));
 }
 
 #[test]
@@ -83,17 +84,17 @@ fn sensors_say_who_is_where() {
     let log = "0,5,ceiling,PIR,Living_Room\n100,110,front_door,Magnetic,Hall\n200,205,ceiling,PIR,Living_Room\n\
         1000,1010,front_door,Magnetic,Hall\n1300,1310,front_door,Magnetic,Hall\n5000,5001,ceiling,PIR,Kitchen\n\
         5100,5110,front_door,Magnetic,Hall\n";
-    let log = rules.narrate(log.as_bytes(), &Who::Number(4));
+    let log = rules.narrate(log.as_bytes(), &Who::Number(PersonId(4)));
     let said: Vec<_> = log.said.iter().map(|said| &said.item).collect();
     let ada = Who::Name("ada".to_owned());
     let told: Vec<_> = said.iter().map(|item| (item.text.as_str(), item.person.clone(), item.duration_s)).collect();
     assert_eq!(
         told,
         [
-            ("present in the living room", Who::Number(4), 0.0),
+            ("present in the living room", Who::Number(PersonId(4)), 0.0),
             // At 110 the door closes, and at 200 somebody moves, which was not worth saying again.
             ("away", ada.clone(), 1910.0),
-            ("present in the kitchen", Who::Number(4), 3090.0),
+            ("present in the kitchen", Who::Number(PersonId(4)), 3090.0),
             ("away", ada, 710.0),
         ]
     );
@@ -117,7 +118,7 @@ fn what_begins_to_wait_again_takes_the_place_of_what_waited() {
     let rules = "[[rule]]\nkind = \"Magnetic\"\npresence = \"away\"\nquiet_s = 600.0\n\
         [[rule]]\nkind = \"PIR\"\nat = \"end\"\npresence = \"empty\"\nroom = \"{place}\"";
     let log = b"0,1,front_door,Magnetic,hall\n300,301,back_door,Magnetic,kitchen\n2000,2010,ceiling,PIR,Living_Room\n";
-    let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Number(4));
+    let log = SensorRules::parse(rules).unwrap().narrate(log, &Who::Number(PersonId(4)));
     let told: Vec<_> = log.said.iter().map(|said| (said.item.text.as_str(), said.at_s)).collect();
     assert_eq!(told, [("away", 900.0), ("nobody in the living room", 2010.0)]);
     assert_eq!((log.silent, log.said[1].item.person.clone()), (1, Who::Somebody));

@@ -17,6 +17,7 @@ use cleaning::{Cleaning, STAY_S, Sight};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
 use roomcast_core::habits::{AdaptiveSets, Habits, HabitsOptions, Issued, Place, SetOptions, Turn};
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::LanguageModel;
@@ -349,7 +350,7 @@ struct Watch<'a> {
     out_since_s: Option<f64>,
 }
 
-const PERSON: u32 = 0;
+const PERSON: PersonId = PersonId(0);
 const MIXTURE: usize = 0;
 const MODEL: usize = 1;
 const COUNTS: usize = 2;

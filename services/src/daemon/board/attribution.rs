@@ -1,7 +1,8 @@
 //! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
-use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SOMEBODY, SensorKind, Voice, same_name};
+use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_ipc::RoomV1;
 
@@ -29,7 +30,7 @@ enum Who {
     /// The key of the event, which is final.
     Key,
     /// A known name at the start of the text.
-    Named(u32, Box<str>),
+    Named(PersonId, Box<str>),
     /// So many unknown persons.
     Unknown(u8),
     /// All persons, or none: the event is about the house or a room.
@@ -46,7 +47,7 @@ enum Weighed {
 }
 
 fn is_keyed(observation: &Observation) -> bool {
-    observation.person != SOMEBODY && !observation.by_fit || observation.name.is_some()
+    observation.person != PersonId::SOMEBODY && !observation.by_fit || observation.name.is_some()
 }
 
 impl<M: LanguageModel> Board<M> {
@@ -148,10 +149,12 @@ impl<M: LanguageModel> Board<M> {
                 }
                 _ => None,
             });
-            let person =
-                |person: &u32| UnderstoodPerson { person: *person, name: persons.name_of(*person).map(str::to_owned) };
+            let person = |person: &PersonId| UnderstoodPerson {
+                person: *person,
+                name: persons.name_of(*person).map(str::to_owned),
+            };
             UnderstoodLine {
-                sequence: own.id.2,
+                sequence: own.id.sequence,
                 event: kind(&own.event).to_owned(),
                 persons: own.persons().iter().map(person).collect(),
                 by: own.by,
@@ -268,10 +271,9 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes note of the only person of an unnamed event, for the journal.
-    fn note_attributed(&mut self, own: &Observation, persons: &[u32]) {
+    fn note_attributed(&mut self, own: &Observation, persons: &[PersonId]) {
         if let [person] = *persons {
-            let Observation { source, epoch, sequence, .. } = *own;
-            self.attributed.push(Attributed { source, epoch, sequence, person });
+            self.attributed.push(Attributed { event: own.id(), person });
         }
     }
 
@@ -293,7 +295,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let fault = match (&own.event, who_is) {
             // A device's own reports have their order.
-            (Event::Sensor(report), _) => self.sensors.note(report, who_is, at_ns).err(),
+            (Event::Sensor(report), _) => self.sensors.note((own.source, report), who_is, at_ns).err(),
             (_, Some(person)) => {
                 let part = Observation { person, event: own.event.clone(), name: None, ..*own };
                 self.persons.is_outdated(&part, at_ns).then_some(Reason::Outdated)
@@ -337,8 +339,16 @@ impl<M: LanguageModel> Board<M> {
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
         let rooms = row.as_deref().unwrap_or_default();
-        let said =
-            Said { event: &own.event, who: who_is, count, rooms, room, is_lying, is_strange: reporter.is_unknown };
+        let said = Said {
+            event: &own.event,
+            source: own.source,
+            who: who_is,
+            count,
+            rooms,
+            room,
+            is_lying,
+            is_strange: reporter.is_unknown,
+        };
         let home = (&self.map, grounding);
         let Some(tracking) = &mut self.tracking else { return Weighed::NotNeeded };
         if count > 1 && !self.persons.has_residents() {
@@ -402,8 +412,8 @@ impl<M: LanguageModel> Board<M> {
         };
         let place = room.and_then(|room| room_named(room.as_str(), &self.map, grounding));
         let counted = tracking.room().filter(|_| count > 1);
-        let is_counted = |person: u32| counted.is_some() && tracking.probability(person, counted) > 0.5;
-        let part = |person: &u32| {
+        let is_counted = |person: PersonId| counted.is_some() && tracking.probability(person, counted) > 0.5;
+        let part = |person: &PersonId| {
             let person = *person;
             let out = tracking.probability(person, None);
             let presence = self.persons.get(person).map_or(Presence::Unknown, |known| known.presence);
@@ -427,9 +437,9 @@ impl<M: LanguageModel> Board<M> {
         let followed = self.persons.followed();
         let persons = tracking.persons().iter().filter(|person| followed.contains(person) || count > 1);
         let parts: Vec<Observation> = persons.filter_map(part).collect();
-        let unknown = |person: &u32| self.persons.get(*person).is_none() && !followed.contains(person);
-        let took_part = |person: &u32| parts.iter().any(|own| own.person == *person);
-        let idle: Vec<u32> =
+        let unknown = |person: &PersonId| self.persons.get(*person).is_none() && !followed.contains(person);
+        let took_part = |person: &PersonId| parts.iter().any(|own| own.person == *person);
+        let idle: Vec<PersonId> =
             tracking.persons().iter().copied().filter(|person| unknown(person) && !took_part(person)).collect();
         if let [only] = &parts[..]
             && only.event == own.event
@@ -445,7 +455,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Takes in again the part of one person that a former run read in an event, in any company. An empty room gives nothing.
     pub(super) fn retake(&mut self, own: Observation, reporter: Reporter, at_ns: Option<i64>) -> Option<Observation> {
-        if own.person == SOMEBODY {
+        if own.person == PersonId::SOMEBODY {
             self.exclude(&own, reporter, at_ns);
             return None;
         }
@@ -490,7 +500,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let Some(at_ns) = at_ns else { return Ok(observation) };
         self.seen.push_back(Seen {
-            name: (observation.source, observation.epoch, observation.sequence),
+            name: observation.id(),
             person: observation.person,
             at_ns,
             event: observation.event.clone(),
@@ -511,7 +521,7 @@ impl<M: LanguageModel> Board<M> {
         // Earlier events come first.
         self.follow();
         if let Some(room) = room_named(empty.as_str(), &self.map, self.pipeline.grounding()) {
-            let name = (observation.source, observation.epoch, observation.sequence);
+            let name = observation.id();
             let mut followed = std::mem::take(&mut self.followed);
             for (person, own) in &mut followed {
                 own.exclude(seconds(at_ns), room);

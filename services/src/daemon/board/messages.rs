@@ -4,6 +4,7 @@ use std::cmp::Reverse;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Partition;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Presence;
 use roomcast_core::pipeline::Included;
 use roomcast_core::scorer::LanguageModel;
@@ -131,8 +132,9 @@ impl<M: LanguageModel> Board<M> {
         (message.persons, message.person_count) = (scores.persons, scores.person_count);
         let (rooms, now_s) = (scores.room_count as usize, now_ns as f64 / 1e9);
         let mut places = message.person.iter_mut();
-        for (person, place) in scores.persons().iter().map(|scores| scores.person).zip(&mut places) {
-            *place = PersonForecastV1 { person, name: self.persons.name_bytes(person), ..PersonForecastV1::default() };
+        for (person, place) in scores.persons().iter().map(|scores| PersonId(scores.person)).zip(&mut places) {
+            let name = self.persons.name_bytes(person);
+            *place = PersonForecastV1 { person: person.0, name, ..PersonForecastV1::default() };
             let presence = self.persons.get(person).map_or(Presence::Gone, |known| known.presence);
             (place.presence, place.flags) = (presence_value(presence), self.persons.flags(person, signed_ns));
             let own = followed.get(&person);
@@ -190,8 +192,9 @@ impl<M: LanguageModel> Board<M> {
         message.published_ns = now_ns;
         let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
         for person in message.person.iter_mut().take(message.person_count as usize) {
-            person.flags = self.persons.flags(person.person, now_ns);
-            person.name = self.persons.name_bytes(person.person);
+            let id = PersonId(person.person);
+            person.flags = self.persons.flags(id, now_ns);
+            person.name = self.persons.name_bytes(id);
         }
         message
     }
@@ -256,7 +259,8 @@ impl<M: LanguageModel> Board<M> {
 
         let (persons, present) = self.persons.count();
         let shown = || self.pipeline.persons().filter(|own| own.at_home || present == 0).map(|own| own.person);
-        snapshot.person = if shown().count() == 1 { shown().next().unwrap_or(ALL_PERSONS) } else { ALL_PERSONS };
+        snapshot.person =
+            if shown().count() == 1 { shown().next().map_or(ALL_PERSONS, |person| person.0) } else { ALL_PERSONS };
         snapshot.persons = persons as u32;
         snapshot.window = self.pipeline.persons().map(|own| own.window as u64).sum();
         snapshot.flags |= if self.persons.nobody_is_home() { score_flags::NOBODY_HOME } else { 0 };
@@ -298,7 +302,7 @@ impl<M: LanguageModel> Board<M> {
         // Residents before visitors, of both those of whom a named narrator has told, and of these who was observed last: strangers may invent as many
         // as they like.
         let persons = &self.persons;
-        let rank = |(heard_ns, person): &(i64, u32)| {
+        let rank = |(heard_ns, person): &(i64, PersonId)| {
             (persons.is_visitor(*person), !persons.is_trusted(*person), Reverse(*heard_ns), *person)
         };
         self.newest_persons.sort_unstable_by_key(rank);
@@ -332,7 +336,7 @@ impl<M: LanguageModel> Board<M> {
             count += 1;
             known.told = true;
             *place = PersonV1 {
-                person,
+                person: person.0,
                 presence: presence_value(known.presence),
                 observed_ns: message_ns(heard_ns),
                 since_ns: message_ns(known.since_ns),
@@ -365,7 +369,7 @@ impl<M: LanguageModel> Board<M> {
 }
 
 /// The sets of a person's latest forecast, and how much of it was learned.
-fn write_learned(home: &HomeHabits, person: u32, place: &mut PersonForecastV1) {
+fn write_learned(home: &HomeHabits, person: PersonId, place: &mut PersonForecastV1) {
     if let Some((coverage, sets)) = home.sets(person) {
         place.set_coverage = coverage as f32;
         for (horizon, (bits, set)) in place.room_set.iter_mut().zip(sets).enumerate() {

@@ -6,8 +6,9 @@ use proptest::prelude::*;
 use roomcast_core::draft::Drafter;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::guess::Counts;
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::label_trie::TokenTree;
-use roomcast_core::narration::{SOMEBODY, Sentence};
+use roomcast_core::narration::Sentence;
 use roomcast_core::pipeline::PipelineOptions;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
@@ -33,7 +34,7 @@ fn board() -> Board<TableModel> {
     Board::new(pipeline, map, options, 1).unwrap()
 }
 
-fn observation(person: u32, at_ns: u64, sentence: &str) -> Observation {
+fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
     Observation {
         person,
         observed_ns: at_ns,
@@ -54,7 +55,7 @@ proptest! {
         let home = || board().with_persons(Persons::new(config(), PersonsFile::default())).with_named([(NAMED, May::ALL)]);
         let own = Voice { number: NAMED, share: 1 };
         let strange = Voice { number: OTHERS, share: 1 };
-        let entry = |source: u64, voice: Voice, person: u32, at_ns: u64, text: &str| {
+        let entry = |source: u64, voice: Voice, person: PersonId, at_ns: u64, text: &str| {
             let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
             let event = event_of(kind, text).unwrap();
             let observation = Observation { source, person, event, ..observation(person, at_ns, "They sit.") };
@@ -65,7 +66,7 @@ proptest! {
         let mut at_ns = 1000 * S;
         for person in 0..2 {
             at_ns += S;
-            let first = entry(NAMED, own, person, at_ns, ["They open the fridge.", "They sit on the sofa."][person as usize]);
+            let first = entry(NAMED, own, PersonId(person), at_ns, ["They open the fridge.", "They sit on the sofa."][person as usize]);
             heard.push(first.observation.clone());
             heard_alone.push(first.observation.clone());
             with.step([first.clone()], at_ns, 1_000_000 * S + at_ns).unwrap();
@@ -73,7 +74,7 @@ proptest! {
         }
         for (what, person, later_s, takes_number, named_says) in said {
             at_ns += S / 4;
-            let who = [0, 1, 2, SOMEBODY][person as usize];
+            let who = [PersonId(0), PersonId(1), PersonId(2), PersonId::SOMEBODY][person as usize];
             let text = [
                 "They open the fridge.", "They sit on the sofa.", "They leave the house.", "They go to bed.", "away", "gone", "present in the kitchen",
                 "present in the living room", "They walk to the sofa.", "They come home.", "present", "They watch television.",
@@ -88,7 +89,7 @@ proptest! {
             with.step([strange], at_ns, 1_000_000 * S + at_ns).unwrap();
             without.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
             // What a named one says of nobody by name means the same.
-            let named = [(SOMEBODY, "They grab the mug."), (SOMEBODY, "They walk to the sofa."), (SOMEBODY, "away"), (1, "They sit on the sofa.")];
+            let named = [(PersonId::SOMEBODY, "They grab the mug."), (PersonId::SOMEBODY, "They walk to the sofa."), (PersonId::SOMEBODY, "away"), (PersonId(1), "They sit on the sofa.")];
             if let Some((who, text)) = named.get(named_says) {
                 let own = entry(NAMED, own, *who, at_ns, text);
                 heard.push(own.observation.clone());
@@ -135,7 +136,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     let strange_voice = Voice { number: OTHERS, share: 1 };
     let told = |voice: Voice, source: u64, epoch: u64, at_s: u64, sentence: &str| {
         let event = event_of(narration_kind::SENTENCE, sentence).unwrap();
-        let whole = Observation { source, epoch, event, ..observation(SOMEBODY, at_s * S, "They sit.") };
+        let whole = Observation { source, epoch, event, ..observation(PersonId::SOMEBODY, at_s * S, "They sit.") };
         Entry { voice, ..Entry::new(whole, at_s * S) }
     };
     let own = |at_s: u64, sentence: &str| told(Voice { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
@@ -203,8 +204,8 @@ fn a_guard_ends() {
             board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
         let at_ns = 1000 * S;
         let later_ns = at_ns + later_s * S;
-        let own = Entry::new(observation(0, at_ns, "They open the fridge."), at_ns);
-        let strange = Observation { source: 9, ..observation(0, later_ns, "They sit on the sofa.") };
+        let own = Entry::new(observation(PersonId(0), at_ns, "They open the fridge."), at_ns);
+        let strange = Observation { source: 9, ..observation(PersonId(0), later_ns, "They sit on the sofa.") };
         let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, later_ns) };
         board.step([own, strange], later_ns, 1_000_000 * S + later_ns).unwrap();
         let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
@@ -221,20 +222,22 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
 /// A power cut may take the record of whose an observation is and leave what the model said after it.
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
-    let said = |person: u32, index: usize, probability: [f32; 2]| {
+    let said = |person: PersonId, index: usize, probability: [f32; 2]| {
         let expectation = Expectation { map: board().map_number(), paces: None, probability: probability.to_vec() };
         (index, person, expectation)
     };
     let restored = |expectations: Vec<_>| {
         let mut board = board();
-        let observations =
-            [observation(1, 10 * S, "They open the fridge."), observation(2, 20 * S, "They sit on the sofa.")];
+        let observations = [
+            observation(PersonId(1), 10 * S, "They open the fridge."),
+            observation(PersonId(2), 20 * S, "They sit on the sofa."),
+        ];
         let mut recovered = recovered(observations);
         recovered.expectations = expectations;
         board.restore(recovered, 30 * S, 1_000_000 * S + 30 * S);
         board.forecast(40 * S).probability
     };
-    let (own, of_another) = (said(1, 0, [0.9, 0.1]), said(1, 1, [0.2, 0.8]));
+    let (own, of_another) = (said(PersonId(1), 0, [0.9, 0.1]), said(PersonId(1), 1, [0.2, 0.8]));
     assert_eq!(restored(vec![own.clone(), of_another]), restored(vec![own.clone()]));
     assert_ne!(restored(vec![own]), restored(Vec::new()));
 }
@@ -292,7 +295,7 @@ fn a_changed_map_is_published_with_its_first_scores() {
     let failures = Rc::<Cell<u32>>::default();
     let mut board = failing_board(&failures);
     for (at_s, sentence) in DAY {
-        board.step([entry(0, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        board.step([entry(PersonId(0), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
     }
     let before = *board.message(75 * S, false, false);
     let sofa = board.forecast(75 * S).probability[1][0];
@@ -304,7 +307,7 @@ fn a_changed_map_is_published_with_its_first_scores() {
     for step in 0..3 {
         failures.set(1);
         let at_ns = (76 + step) * S;
-        board.step([entry(0, at_ns, "They walk to the hall.")], at_ns, at_ns).unwrap_err();
+        board.step([entry(PersonId(0), at_ns, "They walk to the hall.")], at_ns, at_ns).unwrap_err();
         board.tidy();
         let message = *board.message(at_ns, true, false);
         let as_before = RoomScoresV1 { published_ns: message.published_ns, flags: message.flags, ..before };
@@ -326,7 +329,7 @@ fn a_changed_map_is_published_with_its_first_scores() {
     assert!(board.items().is_some());
 }
 
-fn entry(person: u32, at_ns: u64, sentence: &str) -> Entry {
+fn entry(person: PersonId, at_ns: u64, sentence: &str) -> Entry {
     Entry::new(observation(person, at_ns, sentence), at_ns)
 }
 
@@ -339,7 +342,7 @@ fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
 fn only_what_waits_is_cut() {
     let mut board = board();
     let told = |source: u64, at_ns: u64| {
-        let observation = Observation { source, epoch: 1, ..observation(0, at_ns, "They walk to the hall.") };
+        let observation = Observation { source, epoch: 1, ..observation(PersonId(0), at_ns, "They walk to the hall.") };
         Entry::new(observation, at_ns)
     };
     let mut cut = |sources: std::ops::Range<u64>, at_ns: u64| {
@@ -366,7 +369,7 @@ const DAY: [(u64, &str); 4] = [
 fn a_restart_remembers_where_everybody_is() {
     let mut before = board();
     for (at_s, sentence) in DAY {
-        before.step([entry(3, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        before.step([entry(PersonId(3), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
     }
     let now_ns = 80 * S;
     let was = occupied(&mut before, 1, now_ns);
@@ -377,7 +380,7 @@ fn a_restart_remembers_where_everybody_is() {
     for later_boot in [false, true] {
         let mut after = board();
         let kept = DAY.map(|(at_s, sentence)| {
-            let whole = observation(3, at_s * S, sentence);
+            let whole = observation(PersonId(3), at_s * S, sentence);
             if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
         });
         let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
@@ -386,7 +389,7 @@ fn a_restart_remembers_where_everybody_is() {
         let is = occupied(&mut after, 1, now_ns);
         assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");
         assert_eq!(after.forecast(now_ns).flags, forecast_flags::RESTORED);
-        after.step([entry(3, now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
+        after.step([entry(PersonId(3), now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
         assert_eq!(after.forecast(now_ns + S).flags, 0);
     }
 }
@@ -398,9 +401,9 @@ fn a_failed_step_loses_neither_gap_nor_latency() {
     let mut board = failing_board(&failures);
     board.step([], S, S).unwrap();
     failures.set(2);
-    let lost = Entry { after_gap: true, ..entry(0, 2 * S, "They grab the mug.") };
+    let lost = Entry { after_gap: true, ..entry(PersonId(0), 2 * S, "They grab the mug.") };
     board.step([lost], 2 * S, 2 * S).unwrap_err();
-    board.step([entry(0, 3 * S, "They sit on the sofa.")], 3 * S, 3 * S).unwrap_err();
+    board.step([entry(PersonId(0), 3 * S, "They sit on the sofa.")], 3 * S, 3 * S).unwrap_err();
     assert_eq!(board.step([], 5 * S, 5 * S).unwrap(), Some(2 * S));
     let snapshot = board.snapshot();
     assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
@@ -416,7 +419,7 @@ fn what_is_not_known_is_flagged() {
     board.step([], S, S).unwrap();
     assert_eq!(board.forecast(S).flags, forecast_flags::NOT_KNOWN);
     assert_eq!(board.forecast(S).probability[0][0], 0.5);
-    board.step([entry(0, 2 * S, "They stand up.")], 2 * S, 2 * S).unwrap();
+    board.step([entry(PersonId(0), 2 * S, "They stand up.")], 2 * S, 2 * S).unwrap();
     assert_eq!(board.forecast(2 * S).flags, 0);
 }
 
@@ -425,7 +428,7 @@ fn of_too_many_persons_those_are_told_who_were_observed_last() {
     let mut board = board();
     for person in 0..12 {
         let at_ns = u64::from(20 - person) * S;
-        board.step([entry(person, at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
+        board.step([entry(PersonId(person), at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
     }
     let told = board.person_scores(30 * S);
     told.check().unwrap();
@@ -440,8 +443,8 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     let mut both = board();
     for (number, (at_s, sentence)) in (0..).zip(DAY.into_iter().chain([(90, "They grab the mug.")])) {
         let person = number % 2;
-        both.step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
-        alone[person as usize].step([entry(person, at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        both.step([entry(PersonId(person), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        alone[person as usize].step([entry(PersonId(person), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
     }
     let told = *both.person_scores(100 * S);
     told.check().unwrap();
@@ -501,7 +504,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
         ["They walk to the fridge.", "They open the fridge.", "They close the fridge.", "They serenade the sofa."];
     for (n, sentence) in (1..).zip(round.iter().cycle().take(24)) {
         for board in [&mut board, &mut behind] {
-            board.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+            board.step([entry(PersonId(1), n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
         }
         flagged += u64::from(board.snapshot().has(score_flags::PREPARED));
         assert!(!behind.snapshot().has(score_flags::PREPARED));
@@ -515,18 +518,20 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     assert!(flagged >= 16, "{flagged} of 24 were prepared");
     // Whoever says ever new sentences does not end it for the others.
     for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
-        board.step([entry(2, n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S).unwrap();
+        board
+            .step([entry(PersonId(2), n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S)
+            .unwrap();
         ahead.look(board.now());
     }
     let used = board.prepared().used;
     for (n, sentence) in (10_000..).zip(round.iter().cycle().take(12)) {
-        board.step([entry(1, n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+        board.step([entry(PersonId(1), n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
         work_ahead(&mut board, &mut ahead);
     }
     assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
     // What is forgotten is guessed no more.
     assert!(format!("{ahead:?}").contains("serenade"));
-    board.forget(1, |_| false);
+    board.forget(PersonId(1), |_| false);
     ahead.look(board.now());
     assert!(!format!("{ahead:?}").contains("serenade"));
 }
@@ -535,7 +540,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
 #[test]
 fn another_model_has_a_say_in_what_is_guessed() {
     let mut board = board();
-    board.step([entry(1, S, "They walk to the fridge.")], S, 1_000_000 * S).unwrap();
+    board.step([entry(PersonId(1), S, "They walk to the fridge.")], S, 1_000_000 * S).unwrap();
     let mut prepared = |drafter: Option<u64>| {
         let drafter = drafter.map(|seed| Drafter::new(TableModel::new(seed), CorrectionChoice::default()));
         let mut ahead = ahead_of(&board, 8).with_drafter(drafter);
@@ -557,7 +562,11 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
     let mut board = board();
     let mut ahead = ahead_of(&board, 8);
     board
-        .step([entry(1, S, "They walk to the fridge."), entry(2, S, "They sit on the sofa.")], S, 1_000_000 * S)
+        .step(
+            [entry(PersonId(1), S, "They walk to the fridge."), entry(PersonId(2), S, "They sit on the sofa.")],
+            S,
+            1_000_000 * S,
+        )
         .unwrap();
     let both = work_ahead(&mut board, &mut ahead);
     assert!(both > 0);
@@ -568,7 +577,7 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
     ahead.look(board.now());
     assert!(ahead.answer().unwrap().is_none(), "all are there");
     // Somebody's forgetting empties all.
-    board.forget(2, |_| false);
+    board.forget(PersonId(2), |_| false);
     board.step([], 3 * S, 1_000_003 * S).unwrap();
     assert!(work_ahead(&mut board, &mut ahead) > 0);
 }
@@ -580,9 +589,9 @@ fn strangers_take_no_place_of_a_guarded_person() {
     let mut board = board().with_named([(NAMED, May::ALL)]);
     let told = Observation {
         name: Some("Ada".into()),
-        person: SOMEBODY,
+        person: PersonId::SOMEBODY,
         source: NAMED,
-        ..observation(0, 10 * S, "They sit on the sofa.")
+        ..observation(PersonId(0), 10 * S, "They sit on the sofa.")
     };
     board.step([Entry::new(told, 10 * S)], 10 * S, 10 * S).unwrap();
     let strange = |number: u64| {
@@ -590,7 +599,7 @@ fn strangers_take_no_place_of_a_guarded_person() {
         let observation = Observation {
             source: 90,
             sequence: number + 1,
-            ..observation(number as u32, at_ns, "They open the fridge.")
+            ..observation(PersonId(number as u32), at_ns, "They open the fridge.")
         };
         Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(observation, at_ns) }
     };
@@ -606,10 +615,10 @@ fn strangers_take_no_place_of_a_guarded_person() {
 fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let failures = Rc::<Cell<u32>>::default();
     let mut board = failing_board(&failures);
-    board.step([entry(0, 10 * S, "They open the fridge.")], 10 * S, 10 * S).unwrap();
+    board.step([entry(PersonId(0), 10 * S, "They open the fridge.")], 10 * S, 10 * S).unwrap();
     let present = Observation {
         event: event_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
-        ..observation(0, 20 * S, "They wait.")
+        ..observation(PersonId(0), 20 * S, "They wait.")
     };
     board.step([Entry::new(present, 20 * S)], 20 * S, 20 * S).unwrap();
     let before = board.forecast(30 * S).probability[1][0];
@@ -635,7 +644,7 @@ fn slow_board() -> Board<TableModel> {
 fn a_step_scores_few_persons_and_claims_no_others() {
     const INVENTED: u64 = 40;
     let mut cycle = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
-    let heard = |source: u64, sequence: u64, person: u32| Observation {
+    let heard = |source: u64, sequence: u64, person: PersonId| Observation {
         source,
         epoch: 1,
         sequence,
@@ -653,11 +662,11 @@ fn a_step_scores_few_persons_and_claims_no_others() {
         cycle.board_mut().tell_outcomes(|_| {});
         cycle.message(20 * S, u64::MAX, false).copied()
     };
-    let flood = (1..=INVENTED).map(|n| heard(9, n, 10 + n as u32));
+    let flood = (1..=INVENTED).map(|n| heard(9, n, PersonId(10 + n as u32)));
     flood.clone().for_each(|invented| cycle.enter(Entry::new(invented, 20 * S), 0));
     let first = step(&mut cycle).unwrap();
     assert!(cycle.step_due(20 * S) && first.has(score_flags::BEHIND) && claim(&first, 9) == 1);
-    cycle.enter(Entry::new(heard(5, 1, 1), 20 * S), 0);
+    cycle.enter(Entry::new(heard(5, 1, PersonId(1)), 20 * S), 0);
     assert_eq!([(); 2].map(|()| claim(&step(&mut cycle).unwrap(), 5))[1], 1);
     let mut last = first;
     for _ in 0..INVENTED {
@@ -679,7 +688,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
 
     // After a start, whoever was heard of last comes first.
     let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
-    let kept = recovered(flood.chain([heard(5, 1, 1)]));
+    let kept = recovered(flood.chain([heard(5, 1, PersonId(1))]));
     again.board_mut().restore(kept, 20 * S, 1_000_020 * S);
     let told = step(&mut again).unwrap();
     assert_eq!((claim(&told, 5), claim(&told, 9), told.has(score_flags::BEHIND)), (1, 0, true));
@@ -700,7 +709,7 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
     let mut board = Board::new(pipeline, map, options, 1).unwrap();
     let mut said_at = |at_s: u64, words: &str| {
-        board.step([entry(3, at_s * S, words)], at_s * S, at_s * S).unwrap();
+        board.step([entry(PersonId(3), at_s * S, words)], at_s * S, at_s * S).unwrap();
         [0, 1].map(|room| occupied(&mut board, room, at_s * S))
     };
     let [one, other] = said_at(10, "They are in the bedroom.");
@@ -717,11 +726,11 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
 #[test]
 fn what_another_boot_dates_later_than_now_was_before_the_start() {
     let kept = DAY.map(|(at_s, sentence)| {
-        let whole = observation(3, at_s * S, sentence);
+        let whole = observation(PersonId(3), at_s * S, sentence);
         Observation { observed_ns: 0, observed_unix_ns: 9_000_000 * S, source: 7, epoch: 1, sequence: at_s, ..whole }
     });
     let mut recovered = recovered(kept);
-    recovered.of_other_boots = DAY.map(|(at_s, _)| (7, 1, at_s)).into();
+    recovered.of_other_boots = DAY.map(|(at_s, _)| EventId::new(7, 1, at_s)).into();
     let mut after = board();
     after.restore(recovered, 2 * S, 1_000_080 * S);
     after.step([], 2 * S, 1_000_080 * S).unwrap();
@@ -733,17 +742,21 @@ fn what_another_boot_dates_later_than_now_was_before_the_start() {
 #[test]
 fn what_is_refused_claims_nothing_that_waits_before_it() {
     let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
-    let heard =
-        |number: u64| Observation { source: 9, epoch: 1, sequence: number, ..observation(0, number, "They sit.") };
+    let heard = |number: u64| Observation {
+        source: 9,
+        epoch: 1,
+        sequence: number,
+        ..observation(PersonId(0), number, "They sit.")
+    };
     let claim = |cycle: &mut crate::daemon::cycle::Cycle<TableModel>| {
         cycle.step(S, S).unwrap();
         let message = cycle.message(S, u64::MAX, false).copied();
         message.and_then(|message| message.included().iter().find(|own| own.source == 9).map(|own| own.sequence))
     };
     (1..=600).for_each(|number| cycle.enter(Entry::new(heard(number), S), 0));
-    cycle.pass_over(9, 1, 601);
+    cycle.pass_over(EventId::new(9, 1, 601));
     cycle.enter(Entry::new(heard(602), S), 0);
-    cycle.pass_over(9, 1, 603);
+    cycle.pass_over(EventId::new(9, 1, 603));
     assert_eq!(claim(&mut cycle), Some(512));
     while cycle.step_due(S) {
         claim(&mut cycle);
@@ -755,7 +768,7 @@ fn what_is_refused_claims_nothing_that_waits_before_it() {
 #[test]
 fn a_flood_is_taken_in_parts() {
     let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
-    let heard = |number: u64| entry(0, number * S / 1000, "They open the fridge.");
+    let heard = |number: u64| entry(PersonId(0), number * S / 1000, "They open the fridge.");
     (1..=600).for_each(|number| cycle.enter(heard(number), number));
     cycle.step(S, S).unwrap();
     assert_eq!((cycle.waiting(), cycle.step_due(S), cycle.scored_record()), (88, true, 512));

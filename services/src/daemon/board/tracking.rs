@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
@@ -28,26 +29,35 @@ const TRUST_OTHERS: f64 = 0.7;
 #[derive(Debug, Clone)]
 struct Last {
     report: Arc<SensorReport>,
-    person: Option<u32>,
+    person: Option<PersonId>,
     at_ns: i64,
 }
 
+/// A device: its narrator and its id. Two narrators may use the same id.
+type Device = (u64, Box<str>);
+
 /// The devices that reported so far. They outlive a change of the map.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Sensors(BTreeMap<Box<str>, Last>);
+pub(super) struct Sensors(BTreeMap<Device, Last>);
 
 impl Sensors {
     /// Takes note of a report.
     ///
     /// # Errors
     /// The device has a newer report, or there are too many devices.
-    pub(super) fn note(&mut self, report: &Arc<SensorReport>, person: Option<u32>, at_ns: i64) -> Result<(), Reason> {
-        match self.0.get(&report.id) {
+    pub(super) fn note(
+        &mut self,
+        (source, report): (u64, &Arc<SensorReport>),
+        person: Option<PersonId>,
+        at_ns: i64,
+    ) -> Result<(), Reason> {
+        let device = (source, report.id.clone());
+        match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
             _ => {}
         }
-        self.0.insert(report.id.clone(), Last { report: Arc::clone(report), person, at_ns });
+        self.0.insert(device, Last { report: Arc::clone(report), person, at_ns });
         Ok(())
     }
 
@@ -56,7 +66,7 @@ impl Sensors {
     }
 
     /// Forgets the devices of a person.
-    pub(super) fn forget(&mut self, person: u32) {
+    pub(super) fn forget(&mut self, person: PersonId) {
         self.0.retain(|_, own| own.person != Some(person));
     }
 }
@@ -68,8 +78,8 @@ pub(super) struct Tracking {
     /// The same, at the time of the last look.
     now: Tracker,
     /// By the tracker's index.
-    persons: Vec<u32>,
-    sensors: Vec<(Box<str>, SensorSpec)>,
+    persons: Vec<PersonId>,
+    sensors: Vec<(Device, SensorSpec)>,
     hour: u8,
     /// Until when the hours have passed.
     passed_s: f64,
@@ -85,8 +95,10 @@ pub(super) struct Tracking {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Said<'a> {
     pub(super) event: &'a Event,
+    /// The narrator.
+    pub(super) source: u64,
     /// The person, if the event names one.
-    pub(super) who: Option<u32>,
+    pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
     pub(super) count: u8,
     /// Per room the likelihood of an action's text; empty if it names no place.
@@ -103,8 +115,8 @@ impl Tracking {
     /// A filter that believes what the forecasters believe. `None` if the map has too many rooms for it.
     pub(super) fn new(
         (map, grounding): (&SemanticMap, &Grounding),
-        persons: impl Iterator<Item = u32>,
-        (followed, is_lying): (&BTreeMap<u32, Forecaster>, impl Fn(u32) -> bool),
+        persons: impl Iterator<Item = PersonId>,
+        (followed, is_lying): (&BTreeMap<PersonId, Forecaster>, impl Fn(PersonId) -> bool),
         sensors: &Sensors,
         (at_ns, local_ahead_s): (i64, f64),
     ) -> Option<Self> {
@@ -127,10 +139,10 @@ impl Tracking {
         for person in persons {
             own.index_of(person);
         }
-        for last in sensors.0.values() {
+        for (device, last) in &sensors.0 {
             // A person that is gone takes the devices along.
             if last.person.is_none_or(|person| own.persons.contains(&person)) {
-                own.sensor_of((map, grounding), &last.report, last.person);
+                own.sensor_of((map, grounding), (device.0, &last.report), last.person);
             }
         }
         own.refill();
@@ -150,8 +162,8 @@ impl Tracking {
                 }
             }
         }
-        for last in sensors.0.values() {
-            if let Some(sensor) = own.sensors.iter().position(|(id, _)| *id == last.report.id) {
+        for (device, last) in &sensors.0 {
+            if let Some(sensor) = own.sensors.iter().position(|(own, _)| own == device) {
                 own.tracker.observe(at_s, &Observation::Sensor { sensor, on: last.report.on }, TRUST);
             }
         }
@@ -159,7 +171,7 @@ impl Tracking {
     }
 
     /// The tracker's index of a person, who is added if there is room.
-    pub(super) fn index_of(&mut self, person: u32) -> Option<usize> {
+    pub(super) fn index_of(&mut self, person: PersonId) -> Option<usize> {
         if let Some(known) = self.persons.iter().position(|other| *other == person) {
             return Some(known);
         }
@@ -174,8 +186,8 @@ impl Tracking {
     fn sensor_of(
         &mut self,
         (map, grounding): (&SemanticMap, &Grounding),
-        report: &SensorReport,
-        person: Option<u32>,
+        (source, report): (u64, &SensorReport),
+        person: Option<PersonId>,
     ) -> Option<usize> {
         let room = |name: &Option<_>| match name {
             None => Some(None),
@@ -194,12 +206,12 @@ impl Tracking {
             false_alarms_per_day: report.false_alarms_per_day,
             hold_s: report.hold_s,
         };
-        if let Some(known) = self.sensors.iter().position(|(id, _)| *id == report.id) {
+        if let Some(known) = self.sensors.iter().position(|(own, _)| own.0 == source && own.1 == report.id) {
             self.is_stale |= self.sensors[known].1 != spec;
             return (!self.is_stale).then_some(known);
         }
         let index = self.tracker.add_sensor(spec).ok()?;
-        self.sensors.push((report.id.clone(), spec));
+        self.sensors.push(((source, report.id.clone()), spec));
         if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
             self.refill();
         }
@@ -248,7 +260,7 @@ impl Tracking {
         let trust = if said.is_strange { TRUST_OTHERS } else { TRUST };
         let observation = match said.event {
             Event::Sensor(report) => {
-                let Some(sensor) = self.sensor_of(home, report, said.who) else { return false };
+                let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
                 Observation::Sensor { sensor, on: report.on }
             }
             Event::Did(_) => Observation::Deed { who, rooms: said.rooms },
@@ -310,14 +322,14 @@ impl Tracking {
     }
 
     /// Removes a person.
-    pub(super) fn remove(&mut self, person: u32) {
+    pub(super) fn remove(&mut self, person: PersonId) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
             self.tracker.remove_person(index);
             self.now.remove_person(index);
             self.looked_ns = None;
             self.persons.remove(index);
             // The person's devices are silent now, and new ones if they report again; indices of others moved down.
-            for (id, spec) in &mut self.sensors {
+            for ((_, id), spec) in &mut self.sensors {
                 match spec.person {
                     Some(own) if own == index => *id = "".into(),
                     Some(own) if own > index => spec.person = Some(own - 1),
@@ -338,31 +350,31 @@ impl Tracking {
     }
 
     /// The persons in the filter's order.
-    pub(super) fn persons(&self) -> &[u32] {
+    pub(super) fn persons(&self) -> &[PersonId] {
         &self.persons
     }
 
     /// The probability that a person caused the last event.
-    pub(super) fn share(&self, person: u32) -> f64 {
+    pub(super) fn share(&self, person: PersonId) -> f64 {
         self.at(person).map_or(0.0, |index| self.tracker.attribution(index))
     }
 
     /// The probability that a person is in a room; of `None`, out of the house.
-    pub(super) fn probability(&self, person: u32, room: Option<usize>) -> f64 {
+    pub(super) fn probability(&self, person: PersonId, room: Option<usize>) -> f64 {
         self.at(person).map_or(0.0, |index| self.tracker.probability(index, room))
     }
 
     /// The probability that a person was out of the house at the last look.
-    pub(super) fn out_now(&self, person: u32) -> f64 {
+    pub(super) fn out_now(&self, person: PersonId) -> f64 {
         self.at(person).filter(|_| self.looked_ns.is_some()).map_or(0.0, |index| self.now.probability(index, None))
     }
 
-    fn at(&self, person: u32) -> Option<usize> {
+    fn at(&self, person: PersonId) -> Option<usize> {
         self.persons.iter().position(|other| *other == person)
     }
 
     /// A person's forecast with the filter's belief about the present.
-    pub(super) fn tell(&self, person: u32, own: &Forecaster, told: &mut Forecaster) {
+    pub(super) fn tell(&self, person: PersonId, own: &Forecaster, told: &mut Forecaster) {
         match self.at(person) {
             Some(index) => {
                 let rooms = 0..self.now.home().rooms();
@@ -374,25 +386,25 @@ impl Tracking {
     }
 
     /// Whether the filter follows a person.
-    pub(super) fn follows(&self, person: u32) -> bool {
+    pub(super) fn follows(&self, person: PersonId) -> bool {
         self.at(person).is_some()
     }
 
     /// The observations that moved the belief about a person and a place most, the strongest first.
-    pub(super) fn why(&self, person: u32, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
+    pub(super) fn why(&self, person: PersonId, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
         let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
         reasons.into_iter().flatten()
     }
 
     /// The id of a device of the filter, and its kind.
     pub(super) fn device(&self, sensor: usize) -> Option<(&str, SensorKind)> {
-        self.sensors.get(sensor).map(|(id, spec)| (&**id, spec.kind))
+        self.sensors.get(sensor).map(|((_, id), spec)| (&**id, spec.kind))
     }
 
     /// Devices that turn on much more often without a person than is usual, with both numbers per day.
     pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
         let noisy = self.now.noisy();
-        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0, learned, usual)))
+        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.1, learned, usual)))
     }
 
     /// The room of the last event.

@@ -1,5 +1,6 @@
 use roomcast_core::grounding::GroundingOptions;
-use roomcast_core::narration::{Event, SOMEBODY, Sentence, Voice};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{Event, Sentence, Voice};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -68,7 +69,7 @@ impl House {
         }
     }
 
-    fn say(&mut self, person: u32, at_s: u64, text: &str) {
+    fn say(&mut self, person: PersonId, at_s: u64, text: &str) {
         self.until(at_s);
         let event = Event::presence(text).unwrap_or_else(|_| Event::Did(Sentence::new(text).unwrap()));
         let observation = Observation {
@@ -88,7 +89,7 @@ impl House {
     }
 
     /// A day: the living room from seven, the kitchen half an hour later, out from nine to five, and then in the kitchen.
-    fn day(&mut self, person: u32, day: u64) {
+    fn day(&mut self, person: PersonId, day: u64) {
         let midnight_s = day * DAY_S;
         for (hour, minute, text) in [
             (7, 0, "They sit on the sofa."),
@@ -124,11 +125,11 @@ impl House {
     }
 
     /// Per place (elsewhere last) the probability that a person is there at a horizon.
-    fn ahead(&mut self, person: u32, horizon: usize) -> [f32; 3] {
+    fn ahead(&mut self, person: PersonId, horizon: usize) -> [f32; 3] {
         self.board.person_scores(self.now_ns);
         let told = *self.board.person_forecasts(self.now_ns);
         told.check().unwrap();
-        let own = told.persons().iter().find(|own| own.person == person).unwrap();
+        let own = told.persons().iter().find(|own| own.person == person.0).unwrap();
         let p = [own.probability[KITCHEN][horizon], own.probability[LIVING_ROOM][horizon], own.elsewhere[horizon]];
         assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{p:?}");
         p
@@ -150,14 +151,14 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
         rows.sum::<f64>()
     };
     let mut house = House::new(true);
-    (0..5).for_each(|day| house.day(1, day));
+    (0..5).for_each(|day| house.day(PersonId(1), day));
     let right_ns = house.unix_ns;
     for wrong_ns in [right_ns + YEAR_NS, right_ns - YEAR_NS, BEGIN_NS] {
         let before = worth(&house);
         house.unix_ns = wrong_ns;
         let memory = house.memory();
         house.restart(memory);
-        house.say(1, (house.now_ns - BEGIN_NS) / S + 60, "They open the fridge.");
+        house.say(PersonId(1), (house.now_ns - BEGIN_NS) / S + 60, "They open the fridge.");
         // The clock is set right while the daemon runs, or before the next start.
         house.unix_ns = right_ns;
         if wrong_ns == BEGIN_NS {
@@ -176,14 +177,14 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
 #[test]
 fn a_late_word_of_a_sensor_moves_nobody() {
     let mut house = House::new(true);
-    house.say(1, 0, "present in the kitchen");
-    house.say(1, 60, "They grab the coffee maker.");
-    let before = house.ahead(1, QUARTER);
+    house.say(PersonId(1), 0, "present in the kitchen");
+    house.say(PersonId(1), 60, "They grab the coffee maker.");
+    let before = house.ahead(PersonId(1), QUARTER);
     let at_ns = house.now_ns;
     house.now_ns -= 20 * S;
-    house.say(1, 0, "present in the living room");
+    house.say(PersonId(1), 0, "present in the living room");
     house.now_ns = at_ns;
-    let after = house.ahead(1, QUARTER);
+    let after = house.ahead(PersonId(1), QUARTER);
     assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-6), "{before:?} {after:?}");
     assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0);
 }
@@ -192,8 +193,8 @@ fn a_late_word_of_a_sensor_moves_nobody() {
 #[test]
 fn nobody_stays_where_it_is_empty() {
     let mut house = House::new(true);
-    house.say(1, 0, "They grab the coffee maker.");
-    house.say(SOMEBODY, 60, "nobody in the kitchen");
+    house.say(PersonId(1), 0, "They grab the coffee maker.");
+    house.say(PersonId::SOMEBODY, 60, "nobody in the kitchen");
     house.until(7_200);
     let minutes = |house: &House| {
         let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
@@ -205,12 +206,12 @@ fn nobody_stays_where_it_is_empty() {
     assert!((minutes(&house) - 1.0).abs() < 0.1, "{}", minutes(&house));
     assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0, "where to is not known");
     // Sets are of what is believed.
-    let [kitchen, living_room, _] = house.ahead(1, 0);
+    let [kitchen, living_room, _] = house.ahead(PersonId(1), 0);
     assert!(living_room > 0.9 && kitchen < 0.1);
     let told = *house.board.person_forecasts(house.now_ns);
     assert_eq!(told.persons()[0].set_holds(0, LIVING_ROOM), Some(true));
-    house.say(1, 7_260, "They sit on the sofa.");
-    house.say(1, 7_320, "away");
+    house.say(PersonId(1), 7_260, "They sit on the sofa.");
+    house.say(PersonId(1), 7_320, "away");
     assert!(house.board.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
 }
 
@@ -224,7 +225,7 @@ fn commuter(house: &mut House, day: u64) {
         (16, 38, "present in the kitchen"),
         (19, 0, "present in the living room"),
     ] {
-        house.say(4, midnight_s + hour * H + minute * 60, text);
+        house.say(PersonId(4), midnight_s + hour * H + minute * 60, text);
     }
 }
 
@@ -237,35 +238,35 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
     let mut house = House::new(true);
     (0..10).for_each(|day| commuter(&mut house, day));
     let now_s = 10 * DAY_S + 16 * H + 36 * 60;
-    house.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
+    house.say(PersonId(4), 10 * DAY_S + 7 * H + 1_800, "away");
     let visits = |house: &House| house.board.habits().visits()[LIVING_ROOM][16 / 3];
     assert!(visits(&house) < 0.01, "they were never there at that time: {}", visits(&house));
     let out = |house: &mut House| {
         house.until(now_s - 60);
-        house.ahead(4, QUARTER)
+        house.ahead(PersonId(4), QUARTER)
     };
     assert!(out(&mut house)[KITCHEN] > 0.2, "while they are out");
-    house.say(4, now_s, "present");
+    house.say(PersonId(4), now_s, "present");
     for horizon in horizons {
-        let [kitchen, living_room, elsewhere] = house.ahead(4, horizon);
+        let [kitchen, living_room, elsewhere] = house.ahead(PersonId(4), horizon);
         assert!(kitchen > 0.5 && kitchen > 2.0 * living_room && elsewhere < 0.2, "{kitchen} {living_room} {elsewhere}");
     }
     // The same for whoever is heard to come home, or does something of which nobody knows where.
     for text in ["present", "They stand up."] {
         let mut again = House::new(true);
         (0..10).for_each(|day| commuter(&mut again, day));
-        again.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
-        again.say(4, now_s, text);
-        let before = horizons.map(|horizon| again.ahead(4, horizon));
+        again.say(PersonId(4), 10 * DAY_S + 7 * H + 1_800, "away");
+        again.say(PersonId(4), now_s, text);
+        let before = horizons.map(|horizon| again.ahead(PersonId(4), horizon));
         assert!(before.iter().all(|[kitchen, living_room, _]| kitchen > living_room), "{text}: {before:?}");
         let memory = again.memory();
         again.restart(memory);
-        let after = horizons.map(|horizon| again.ahead(4, horizon));
+        let after = horizons.map(|horizon| again.ahead(PersonId(4), horizon));
         let pairs = before.iter().flatten().zip(after.iter().flatten());
         assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-3), "{text}: {before:?} {after:?}");
-        again.say(4, now_s + 120, "present in the kitchen");
-        assert!(again.ahead(4, 0)[KITCHEN] > 0.95);
-        again.say(4, now_s + 3_600, "present in the living room");
+        again.say(PersonId(4), now_s + 120, "present in the kitchen");
+        assert!(again.ahead(PersonId(4), 0)[KITCHEN] > 0.95);
+        again.say(PersonId(4), now_s + 3_600, "present in the living room");
         assert!(visits(&again) < 0.01, "{text}: {}", visits(&again));
     }
 }
@@ -286,15 +287,15 @@ fn a_set_holds_what_it_promises_where_nothing_is_known() {
     };
     // Of a new home, where sets have learned nothing.
     let mut house = House::new(true);
-    house.say(4, 60, "present in the kitchen");
+    house.say(PersonId(4), 60, "present in the kitchen");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
-    house.say(4, 120, "away");
-    house.say(4, 3_600, "present");
+    house.say(PersonId(4), 120, "away");
+    house.say(PersonId(4), 3_600, "present");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
     // And of one that is known for days, whose threshold is that of somebody whose room is told.
     (1..10).for_each(|day| commuter(&mut house, day));
-    house.say(4, 10 * DAY_S + 7 * H + 1_800, "away");
-    house.say(4, 10 * DAY_S + 12 * H, "present");
+    house.say(PersonId(4), 10 * DAY_S + 7 * H + 1_800, "away");
+    house.say(PersonId(4), 10 * DAY_S + 12 * H, "present");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
 }
 
@@ -302,12 +303,12 @@ fn a_set_holds_what_it_promises_where_nothing_is_known() {
 #[test]
 fn who_has_just_left_a_new_home_is_out() {
     let mut house = House::new(true);
-    house.say(1, 10, "They grab the coffee maker.");
-    house.say(1, 40, "They sit on the sofa.");
-    house.say(1, 60, "away");
+    house.say(PersonId(1), 10, "They grab the coffee maker.");
+    house.say(PersonId(1), 40, "They sit on the sofa.");
+    house.say(PersonId(1), 60, "away");
     let horizon_of = |seconds: f32| HORIZONS_S.iter().position(|horizon_s| *horizon_s == seconds).unwrap();
     for (seconds, least) in [(60.0, 0.95), (900.0, 0.85), (3600.0, 0.55)] {
-        let [.., elsewhere] = house.ahead(1, horizon_of(seconds));
+        let [.., elsewhere] = house.ahead(PersonId(1), horizon_of(seconds));
         assert!(elsewhere >= least, "{seconds} s: {elsewhere}");
     }
 }
@@ -336,7 +337,7 @@ fn without_learning_nothing_changes() {
     let mut house = House::new(false);
     for day in 0..2 {
         for person in 1..3 {
-            house.day(person, 2 * day + u64::from(person) - 1);
+            house.day(PersonId(person), 2 * day + u64::from(person) - 1);
         }
     }
     let mut plain = without_habits(&house);
@@ -352,29 +353,29 @@ fn without_learning_nothing_changes() {
 fn a_routine_becomes_the_forecast_and_is_forgotten() {
     let mut house = House::new(true);
     for day in 0..14 {
-        house.day(3, day);
+        house.day(PersonId(3), day);
     }
-    house.say(3, 14 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.say(PersonId(3), 14 * DAY_S + 7 * H, "They sit on the sofa.");
     house.until(14 * DAY_S + 7 * H + 1_200);
-    let known = house.ahead(3, QUARTER);
+    let known = house.ahead(PersonId(3), QUARTER);
     let shipped = without_habits(&house).forecast(house.now_ns).probability[KITCHEN][QUARTER];
     assert!(known[KITCHEN] > shipped + 0.15 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
     // One person is all of them.
     let all = *house.board.forecast(house.now_ns);
     assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
-    let (sure, shares) = house.board.habits().shares(3).unwrap();
+    let (sure, shares) = house.board.habits().shares(PersonId(3)).unwrap();
     assert!(sure > 0.5 && shares[QUARTER].shipped < 0.2, "{sure} {shares:?}");
     // Out of the house, the person is back at five, as always.
-    house.say(3, 14 * DAY_S + 9 * H, "away");
+    house.say(PersonId(3), 14 * DAY_S + 9 * H, "away");
     house.until(14 * DAY_S + 12 * H);
-    let at_noon = house.ahead(3, HOUR)[2];
+    let at_noon = house.ahead(PersonId(3), HOUR)[2];
     house.until(14 * DAY_S + 17 * H - 120);
-    let soon_back = house.ahead(3, HOUR)[2];
+    let soon_back = house.ahead(PersonId(3), HOUR)[2];
     assert!(soon_back < at_noon - 0.05, "{at_noon} {soon_back}");
-    assert!(house.ahead(3, 0)[2] > 0.9);
+    assert!(house.ahead(PersonId(3), 0)[2] > 0.9);
 
-    assert!(house.board.habits_mut().forget(3));
-    assert!(!house.board.habits_mut().forget(3));
+    assert!(house.board.habits_mut().forget(PersonId(3)));
+    assert!(!house.board.habits_mut().forget(PersonId(3)));
     let (now_ns, mut plain) = (house.now_ns, without_habits(&house));
     assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
 }
@@ -384,11 +385,11 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
 fn sets_and_their_grounds_are_told_of_each_person() {
     let mut house = House::new(true);
     for day in 0..14 {
-        house.day(3, day);
+        house.day(PersonId(3), day);
     }
-    house.say(3, 14 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.say(PersonId(3), 14 * DAY_S + 7 * H, "They sit on the sofa.");
     house.until(14 * DAY_S + 7 * H + 1_200);
-    house.ahead(3, QUARTER);
+    house.ahead(PersonId(3), QUARTER);
     let message = *house.board.person_forecasts(house.now_ns);
     message.check().unwrap();
     let own = message.persons()[0];
@@ -408,7 +409,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
         assert!(all.iter().all(|(held, p)| *held || *p <= least), "{horizon}: {all:?}");
     }
     let reasons = house.board.moment(house.now_ns);
-    let learned = reasons.habits_of(3).unwrap();
+    let learned = reasons.habits_of(PersonId(3)).unwrap();
     assert_eq!((learned.forecast.len(), learned.coverage), (3, 0.9));
     assert!(learned.forecast.iter().all(|line| !line.set.is_empty()), "{learned}");
     let thing = &learned.things[0].shares;
@@ -431,7 +432,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
 #[test]
 fn nothing_is_learned_twice() {
     let mut house = House::new(true);
-    house.day(3, 0);
+    house.day(PersonId(3), 0);
     let sentences = house.observations();
     assert!(sentences >= 4.0, "{sentences}");
     let minutes = |house: &House| house.board.habits().learned();
@@ -449,7 +450,7 @@ fn nothing_is_learned_twice() {
     }
     // Written in between.
     let early = house.memory();
-    house.day(3, 1);
+    house.day(PersonId(3), 1);
     let (all, learned) = (house.observations(), minutes(&house));
     assert!(all > sentences);
     house.restart(early.clone());
@@ -481,9 +482,9 @@ fn nothing_is_learned_twice() {
 fn time_that_nobody_watched_is_not_counted() {
     let mut house = House::new(true);
     for day in 0..5 {
-        house.day(3, day);
+        house.day(PersonId(3), day);
     }
-    house.say(3, 5 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.say(PersonId(3), 5 * DAY_S + 7 * H, "They sit on the sofa.");
     let stays = |house: &mut House| house.board.habits().to_json().unwrap();
     let memory = house.memory();
     let before = memory.habits.to_json().unwrap();
@@ -498,11 +499,11 @@ fn time_that_nobody_watched_is_not_counted() {
     };
     house.unix_ns += 12 * H * S;
     minute(&mut house);
-    let set = house.ahead(3, 0);
+    let set = house.ahead(PersonId(3), 0);
     assert!(set[LIVING_ROOM] > 0.5, "{set:?}");
     house.unix_ns -= 400 * DAY_S * S;
     (0..10).for_each(|_| minute(&mut house));
-    let at_home: f32 = house.ahead(3, 0)[..2].iter().sum();
+    let at_home: f32 = house.ahead(PersonId(3), 0)[..2].iter().sum();
     assert!(at_home > 0.9, "{at_home}");
 }
 
@@ -510,15 +511,15 @@ fn time_that_nobody_watched_is_not_counted() {
 fn habits_survive_a_change_of_the_map() {
     let mut house = House::new(true);
     for day in 0..5 {
-        house.day(3, day);
+        house.day(PersonId(3), day);
     }
-    house.say(3, 5 * DAY_S + 7 * H, "They sit on the sofa.");
+    house.say(PersonId(3), 5 * DAY_S + 7 * H, "They sit on the sofa.");
     let learned = house.observations();
-    let before = house.ahead(3, QUARTER);
+    let before = house.ahead(PersonId(3), QUARTER);
     let hall = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
     let map = house.board.map().changed(parse_changes(hall).unwrap()).unwrap();
     house.board.change_map(map).unwrap();
-    house.say(3, 5 * DAY_S + 7 * H + 10, "They sit on the sofa.");
+    house.say(PersonId(3), 5 * DAY_S + 7 * H + 10, "They sit on the sofa.");
     assert_eq!(house.observations(), learned + 1.0);
     let forecast = *house.board.person_forecasts(house.now_ns);
     let own = forecast.persons()[0];
@@ -530,18 +531,18 @@ fn habits_survive_a_change_of_the_map() {
 fn what_is_exported_teaches_another_home() {
     let mut house = House::new(true);
     for day in 0..7 {
-        house.day(3, day);
+        house.day(PersonId(3), day);
     }
     let json = house.board.habits().to_json().unwrap();
     let mut other = House::new(false);
-    other.say(3, 7 * DAY_S + 7 * H, "They sit on the sofa.");
+    other.say(PersonId(3), 7 * DAY_S + 7 * H, "They sit on the sofa.");
     other.until(7 * DAY_S + 7 * H + 1_200);
-    let before = other.ahead(3, QUARTER);
+    let before = other.ahead(PersonId(3), QUARTER);
     other.board.habits_mut().take_json(&json).unwrap();
     other.board.bind_habits();
-    other.say(3, 7 * DAY_S + 7 * H + 1_210, "They stand up.");
-    other.say(3, 7 * DAY_S + 7 * H + 1_220, "They sit on the sofa.");
-    let after = other.ahead(3, QUARTER);
+    other.say(PersonId(3), 7 * DAY_S + 7 * H + 1_210, "They stand up.");
+    other.say(PersonId(3), 7 * DAY_S + 7 * H + 1_220, "They sit on the sofa.");
+    let after = other.ahead(PersonId(3), QUARTER);
     assert!(after[KITCHEN] != before[KITCHEN], "{before:?} {after:?}");
     assert_eq!(other.board.habits().to_json().unwrap(), json, "nothing is learned");
     assert!(other.board.habits_mut().take_json("{}").is_err());
@@ -565,7 +566,7 @@ fn dates(json: &str) -> Vec<u64> {
 #[test]
 fn a_narrator_with_a_dead_clock_harms_nothing() {
     let mut house = House::new(true);
-    (0..5).for_each(|day| house.day(1, day));
+    (0..5).for_each(|day| house.day(PersonId(1), day));
     let (counts, observations) = (house.board.habits().learned().counts, house.observations());
     // The daemon starts again, and its journal has nothing of the person: what is older than that is not learned.
     let (memory, last) = (house.memory(), house.journal[0].clone());
@@ -589,10 +590,10 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
 fn what_was_learned_ahead_of_now_is_of_now() {
     let mut ahead = House::new(true);
     ahead.unix_ns += 9 * 365 * DAY_S * S;
-    (0..5).for_each(|day| ahead.day(3, day));
+    (0..5).for_each(|day| ahead.day(PersonId(3), day));
     let json = ahead.board.habits().to_json().unwrap();
     let mut house = House::new(true);
-    (0..5).for_each(|day| house.day(3, day));
+    (0..5).for_each(|day| house.day(PersonId(3), day));
     let now_min = |house: &House| (house.now_ns + house.unix_ns) / S / 60;
     house.board.habits_mut().take_json(&json).unwrap();
     house.board.bind_habits();
@@ -605,7 +606,7 @@ fn what_was_learned_ahead_of_now_is_of_now() {
     // Another week of the same days is learned beside it.
     let first = |house: &House| house.board.habits().visits().into_iter().flatten().sum::<f64>();
     let before = first(&house);
-    (5..10).for_each(|day| house.day(3, day));
+    (5..10).for_each(|day| house.day(PersonId(3), day));
     assert!(first(&house) > before + 5.0, "{before} {}", first(&house));
 }
 
@@ -614,11 +615,11 @@ fn nothing_is_learned_of_visitors() {
     let mut house = House::new(true);
     let residents = crate::config::PersonsConfig { residents: vec!["3".to_owned()], ..Default::default() };
     house.board = house.board.with_persons(Persons::new(residents, PersonsFile::default()));
-    house.say(3, 7 * H, "They sit on the sofa.");
-    house.say(4, 7 * H + 60, "They open the fridge.");
-    house.say(4, 7 * H + 120, "away");
-    house.say(3, 7 * H + 180, "They stand up.");
-    assert_eq!(house.board.habits().persons(), [(3, 2.0)]);
+    house.say(PersonId(3), 7 * H, "They sit on the sofa.");
+    house.say(PersonId(4), 7 * H + 60, "They open the fridge.");
+    house.say(PersonId(4), 7 * H + 120, "away");
+    house.say(PersonId(3), 7 * H + 180, "They stand up.");
+    assert_eq!(house.board.habits().persons(), [(PersonId(3), 2.0)]);
 }
 
 #[test]
@@ -634,9 +635,14 @@ fn an_hour_is_a_local_one() {
 #[test]
 fn of_each_start_of_a_source_the_newest_sequence_is_kept() {
     let mut heard = Heard::default();
-    assert!(heard.note((1, 1, 5)) && !heard.note((1, 1, 5)) && !heard.note((1, 1, 4)) && heard.note((1, 2, 1)));
+    assert!(
+        heard.note(EventId::new(1, 1, 5))
+            && !heard.note(EventId::new(1, 1, 5))
+            && !heard.note(EventId::new(1, 1, 4))
+            && heard.note(EventId::new(1, 2, 1))
+    );
     for source in 0..2 * SOURCES_MAX as u64 {
-        assert!(heard.note((100 + source, 1, 1)));
+        assert!(heard.note(EventId::new(100 + source, 1, 1)));
     }
     assert_eq!(heard.names().len(), SOURCES_MAX);
     assert_eq!(Heard::new(heard.names().iter().copied()), heard);
@@ -659,9 +665,9 @@ fn what_is_said_of_everybody_is_learned_of_each() {
     /// The number of these counts in an export.
     const EXIT: u8 = 22;
     for person in [3, 5] {
-        house.say(person, 7 * H + u64::from(person), "They sit on the sofa.");
+        house.say(PersonId(person), 7 * H + u64::from(person), "They sit on the sofa.");
     }
-    house.say(SOMEBODY, 9 * H, "everybody away");
+    house.say(PersonId::SOMEBODY, 9 * H, "everybody away");
     house.until(9 * H + 60);
     assert_eq!(exits(&house), [1.0, 1.0]);
     let memory = house.memory();
@@ -678,13 +684,13 @@ fn a_night_in_which_the_machine_slept_is_not_counted() {
     const STAY: u8 = 19;
     let minutes = |sleeps: bool| {
         let mut house = House::new(true);
-        house.say(3, 22 * H, "They sit on the sofa.");
+        house.say(PersonId(3), 22 * H, "They sit on the sofa.");
         if sleeps {
             // Both clocks go on, and nobody looks.
             house.now_ns += 8 * H * S;
         }
         house.until(30 * H + 600);
-        house.say(3, 30 * H + 600, "They open the fridge.");
+        house.say(PersonId(3), 30 * H + 600, "They open the fridge.");
         let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
         let rows = json["rows"].as_array().unwrap().iter().filter(|row| row["kind"] == STAY);
         let counts = rows.flat_map(|row| row["counts"].as_array().unwrap());
@@ -699,7 +705,7 @@ fn a_night_in_which_the_machine_slept_is_not_counted() {
 fn whoever_is_not_learned_pushes_nobody_out() {
     let mut house = House::new(true);
     for person in 0..PERSONS_MAX as u32 {
-        house.say(person, 7 * H + u64::from(person), "They sit on the sofa.");
+        house.say(PersonId(person), 7 * H + u64::from(person), "They sit on the sofa.");
     }
     let memory = house.memory();
     let mut house = House::new(false);
@@ -707,7 +713,7 @@ fn whoever_is_not_learned_pushes_nobody_out() {
         Memory { habits: Habits::from_json(options(false), &memory.habits.to_json().unwrap()).unwrap(), ..memory };
     house.board = board(Some(HomeHabits::new(memory, Zone::UTC)));
     let known = house.board.habits().persons();
-    house.say(1_000, 8 * H, "They open the fridge.");
+    house.say(PersonId(1_000), 8 * H, "They open the fridge.");
     assert_eq!(house.board.habits().persons(), known);
 }
 
@@ -715,15 +721,17 @@ fn whoever_is_not_learned_pushes_nobody_out() {
 fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
     let mut house = House::new(true);
     house.board = house.board.with_named([(7, crate::config::May::ALL)]);
-    house.say(3, 7 * H, "They sit on the sofa.");
+    house.say(PersonId(3), 7 * H, "They sit on the sofa.");
     let at_ns = house.now_ns + S;
-    let strange =
-        Observation { source: 9, ..Observation { person: 4, observed_ns: at_ns, ..house.journal[0].clone() } };
+    let strange = Observation {
+        source: 9,
+        ..Observation { person: PersonId(4), observed_ns: at_ns, ..house.journal[0].clone() }
+    };
     let voice = Voice { number: OTHERS, share: 1 };
     house.board.step([Entry { voice, ..Entry::new(strange, at_ns) }], at_ns, at_ns + house.unix_ns).unwrap();
     house.board.tell_outcomes(|_| {});
     house.board.tidy();
-    assert_eq!(house.board.habits().persons(), [(3, 1.0)]);
+    assert_eq!(house.board.habits().persons(), [(PersonId(3), 1.0)]);
 }
 
 /// 06:00 UTC is 08:00 in Berlin in summer and 07:00 in winter, by name and by rule.

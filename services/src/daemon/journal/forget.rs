@@ -5,7 +5,8 @@ use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::{Event, Observation, Presence, SOMEBODY, Sentence};
+use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::narration::{Event, Observation, Presence, Sentence};
 
 use super::disk::{Disk, Half};
 use super::record::{
@@ -15,7 +16,7 @@ use super::record::{
 use super::writer::{Last, Writer};
 
 /// Says whether an observation is of the forgotten person or names them. Of one that named nobody it is told whose it was found to be.
-pub(super) type IsTheirs = dyn Fn(&Observation, Option<u32>) -> bool + Send;
+pub(super) type IsTheirs = dyn Fn(&Observation, Option<PersonId>) -> bool + Send;
 
 /// What stands for the sentence of a person who is forgotten.
 const BLANK: &str = "Forgotten.";
@@ -24,7 +25,7 @@ impl<D: Disk> Writer<D> {
     /// Rewrites both halves, and what the disk has refused so far, without what `is_theirs` says, `person`. A half stays whole until its
     /// successor is. What is kept aside is removed: it may hold more than can be read. Gives how many records were theirs. Where nothing is of them,
     /// nothing is written, for which a full disk may have no room.
-    pub(super) fn forget(&mut self, person: u32, is_theirs: &IsTheirs) -> io::Result<usize> {
+    pub(super) fn forget(&mut self, person: PersonId, is_theirs: &IsTheirs) -> io::Result<usize> {
         self.rewrite()?;
         let (older, current) = (self.disk.read(Half::Older)?, self.disk.read(Half::Current)?);
         let (mut attributed, mut moved) = (BTreeMap::new(), BTreeMap::new());
@@ -75,24 +76,23 @@ impl<D: Disk> Writer<D> {
 }
 
 struct Forgets<'a> {
-    person: u32,
+    person: PersonId,
     is_theirs: &'a IsTheirs,
     /// Whose observations are found to be, each by itself: not those that are of a group.
-    attributed: BTreeMap<Name, BTreeSet<u32>>,
+    attributed: BTreeMap<EventId, BTreeSet<PersonId>>,
     /// How many records were theirs.
     records: Cell<usize>,
     /// Whom all observations moved.
-    moved: BTreeMap<Name, Vec<Move>>,
+    moved: BTreeMap<EventId, Vec<Move>>,
     /// The observations that were theirs, and what they said.
-    taken: RefCell<BTreeMap<Name, Event>>,
+    taken: RefCell<BTreeMap<EventId, Event>>,
 }
 
 /// An observation by its source, epoch and sequence.
-type Name = (u64, u64, u64);
 
 impl Forgets<'_> {
     fn is_theirs(&self, observation: &Observation) -> bool {
-        let name = (observation.source, observation.epoch, observation.sequence);
+        let name = observation.id();
         let found = self.attributed.get(&name).into_iter().flatten().copied();
         let mut found = found.chain(observation.by_fit.then_some(observation.person)).peekable();
         let is_theirs = match found.peek() {
@@ -108,7 +108,7 @@ impl Forgets<'_> {
 
     /// Whom else an observation moved, which was theirs: whether these are in the house, and nothing else of it.
     fn others_of(&self, moves: &[Move], observed: &Event) -> Vec<Move> {
-        let others = moves.iter().filter(|own| ![self.person, SOMEBODY].contains(&own.person));
+        let others = moves.iter().filter(|own| ![self.person, PersonId::SOMEBODY].contains(&own.person));
         let other = |own: &Move| {
             let event = bare_presence(own.event.as_ref().unwrap_or(observed));
             Move { event: Some(event), ..own.clone() }
@@ -118,20 +118,20 @@ impl Forgets<'_> {
 
     /// A record of theirs without what is of them: where others are whom it moved stays so. None where it moved nobody else.
     fn bare(&self, raw: &[u8], observation: &Observation) -> Option<Vec<u8>> {
-        let name = (observation.source, observation.epoch, observation.sequence);
+        let name = observation.id();
         let mut bare = observation.clone();
         if let Some(moves) = self.moved.get(&name) {
             if self.others_of(moves, &observation.event).is_empty() {
                 return None;
             }
-            (bare.person, bare.name, bare.by_fit) = (SOMEBODY, None, false);
+            (bare.person, bare.name, bare.by_fit) = (PersonId::SOMEBODY, None, false);
             bare.event = Event::Did(Sentence::new(BLANK).ok()?);
         } else {
             // By whose key it is, or whom it was found to be of, it is somebody else's.
             let found = self.attributed.get(&name).into_iter().flatten().next().copied();
             let found = found.or(observation.by_fit.then_some(observation.person));
             bare.event = bare_presence(&observation.event);
-            let is_somebodys = bare.person != SOMEBODY || bare.name.is_some() || found.is_some();
+            let is_somebodys = bare.person != PersonId::SOMEBODY || bare.name.is_some() || found.is_some();
             if !is_somebodys || (self.is_theirs)(&bare, found) {
                 return None;
             }
@@ -141,7 +141,7 @@ impl Forgets<'_> {
 
     /// Whom else an observation moved. Where its own record is lost, what it says of others may still name them.
     fn others(&self, moved: &Moved) -> Option<Vec<Move>> {
-        let (source, epoch, sequence) = moved.observation;
+        let EventId { source, epoch, sequence } = moved.observation;
         if let Some(observed) = self.taken.borrow().get(&moved.observation) {
             return Some(self.others_of(&moved.moves, observed)).filter(|others| !others.is_empty());
         }
@@ -210,15 +210,20 @@ fn bare_presence(event: &Event) -> Event {
 fn blank(observation: &Observation) -> Vec<u8> {
     let Ok(sentence) = Sentence::new(BLANK) else { return Vec::new() };
     let Observation { source, epoch, .. } = *observation;
-    let nothing = Observation { person: SOMEBODY, source, epoch, ..Observation::of(observation.sequence, sentence) };
+    let nothing =
+        Observation { person: PersonId::SOMEBODY, source, epoch, ..Observation::of(observation.sequence, sentence) };
     let mut record = encode(&nothing, &[0; 16]);
     record[..MAGIC_CARRIED.len()].copy_from_slice(&MAGIC_CARRIED);
     record
 }
 
-fn attributions(bytes: &[u8], found: &mut BTreeMap<Name, BTreeSet<u32>>, moved: &mut BTreeMap<Name, Vec<Move>>) {
+fn attributions(
+    bytes: &[u8],
+    found: &mut BTreeMap<EventId, BTreeSet<PersonId>>,
+    moved: &mut BTreeMap<EventId, Vec<Move>>,
+) {
     each_record(bytes, |_, record| match record {
-        Record::Outcome { name, person, by_fit: true, .. } => _ = found.entry(name).or_default().insert(person),
+        Record::Outcome { event, person, by_fit: true, .. } => _ = found.entry(event).or_default().insert(person),
         Record::Moved(Moved { observation, moves }) => {
             let own = moves.iter().filter(|own| own.name.is_some() || own.by_fit).map(|own| own.person);
             let mut own = own.peekable();

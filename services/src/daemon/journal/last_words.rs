@@ -6,7 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::narration::{SOMEBODY, person_number};
+use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::narration::person_number;
 
 use super::disk::{Disk, Half};
 use super::record::{MAGIC, MAGIC_KEPT, MAGIC_NAMED, MAGIC_NAMED_KEPT, Moved, Record, each_record, encode_forgotten};
@@ -16,7 +17,6 @@ use super::writer::Writer;
 const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
 
 /// An observation by its source, epoch and sequence.
-type Name = (u64, u64, u64);
 
 /// A record with its bytes.
 type Raw<'a> = (&'a [u8], Record);
@@ -56,13 +56,13 @@ fn last_words(older: &[u8], current: &[u8], bytes_max: u64) -> Vec<u8> {
 
 /// What goes with the older half, in the order in which it was said: first what the current half begins with.
 fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
-    let (mut before, mut names) = (Vec::new(), BTreeSet::new());
+    let (mut before, mut events) = (Vec::new(), BTreeSet::new());
     each_record(current, |raw, record| match record {
         Record::Kept(ref observation) => {
-            names.insert((observation.source, observation.epoch, observation.sequence));
+            events.insert(observation.id());
             before.push((raw, record));
         }
-        Record::Outcome { name, .. } | Record::Moved(Moved { observation: name, .. }) if names.contains(&name) => {
+        Record::Outcome { event, .. } | Record::Moved(Moved { observation: event, .. }) if events.contains(&event) => {
             before.push((raw, record));
         }
         Record::Forgotten { is_before: true, .. } => before.push((raw, record)),
@@ -82,42 +82,42 @@ fn in_order<'a>(older: &'a [u8], current: &'a [u8]) -> Vec<Raw<'a>> {
 /// Of each person the newest observations that changed something; among them the newest that has their name, by which they are known
 /// when what is said of all is read again. And the newest of those of which nothing was told since: a daemon that was killed, or lost it with the
 /// power, did not come to that.
-fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<u32, Vec<Name>> {
-    let mut newest = BTreeMap::<u32, Vec<Name>>::new();
-    let (mut keyed, mut of_themselves) = (BTreeMap::new(), BTreeMap::<u32, Name>::new());
+fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeMap<PersonId, Vec<EventId>> {
+    let mut newest = BTreeMap::<PersonId, Vec<EventId>>::new();
+    let (mut keyed, mut of_themselves) = (BTreeMap::new(), BTreeMap::<PersonId, EventId>::new());
     // By the number that they were named with, which may be another one to the home.
-    let mut untold = BTreeMap::<u32, Vec<Name>>::new();
+    let mut untold = BTreeMap::<PersonId, Vec<EventId>>::new();
     for record in records {
-        if let Record::Outcome { name, by_fit: false, .. } = record
-            && let Some(untold) = keyed.get(name).and_then(|number| untold.get_mut(number))
+        if let Record::Outcome { event, by_fit: false, .. } = record
+            && let Some(untold) = keyed.get(event).and_then(|number| untold.get_mut(number))
         {
-            let told = untold.iter().position(|untold| untold == name).map_or(0, |place| place + 1);
+            let told = untold.iter().position(|untold| untold == event).map_or(0, |place| place + 1);
             untold.drain(..told);
         }
         match record {
-            Record::Observation(own) | Record::Kept(own) if own.name.is_some() || own.person != SOMEBODY => {
-                let name = (own.source, own.epoch, own.sequence);
+            Record::Observation(own) | Record::Kept(own) if own.name.is_some() || own.person != PersonId::SOMEBODY => {
+                let event = own.id();
                 let number = own.name.as_deref().map_or(own.person, person_number);
-                keyed.insert(name, number);
+                keyed.insert(event, number);
                 let untold = untold.entry(number).or_default();
-                untold.push(name);
+                untold.push(event);
                 untold.drain(..untold.len().saturating_sub(words));
             }
             Record::Moved(Moved { observation, moves }) => {
                 let named = moves.iter().filter(|own| own.name.is_some());
                 of_themselves.extend(named.map(|own| (own.person, *observation)));
             }
-            Record::Outcome { name, person, by_fit: false, .. } if keyed.contains_key(name) => {
-                of_themselves.insert(*person, *name);
+            Record::Outcome { event, person, by_fit: false, .. } if keyed.contains_key(event) => {
+                of_themselves.insert(*person, *event);
                 let own = newest.entry(*person).or_default();
-                own.retain(|known| known != name);
-                own.push(*name);
+                own.retain(|known| known != event);
+                own.push(*event);
                 own.drain(..own.len().saturating_sub(words));
             }
-            Record::Outcome { name, person, by_fit: false, .. } => {
+            Record::Outcome { event, person, by_fit: false, .. } => {
                 let own = newest.entry(*person).or_default();
-                own.retain(|known| known != name);
-                own.push(*name);
+                own.retain(|known| known != event);
+                own.push(*event);
                 own.drain(..own.len().saturating_sub(words));
             }
             Record::Forgotten { person, .. } => {
@@ -140,16 +140,16 @@ fn newest<'a>(records: impl Iterator<Item = &'a Record>, words: usize) -> BTreeM
 }
 
 /// The records to keep: each observation with what became of it, and who was forgotten.
-fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>) -> Vec<Vec<u8>> {
-    let mut needed: BTreeSet<Name> = needed.values().flatten().copied().collect();
+fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<PersonId, Vec<EventId>>) -> Vec<Vec<u8>> {
+    let mut needed: BTreeSet<EventId> = needed.values().flatten().copied().collect();
     // Of each kind the newest.
-    let mut outcomes = BTreeMap::<Name, BTreeMap<(u32, bool, bool), &[u8]>>::new();
-    let mut moved = BTreeMap::<Name, &[u8]>::new();
+    let mut outcomes = BTreeMap::<EventId, BTreeMap<(PersonId, bool, bool), &[u8]>>::new();
+    let mut moved = BTreeMap::<EventId, &[u8]>::new();
     for (raw, record) in goes.iter().chain(stays) {
         match record {
-            Record::Outcome { name, person, by_fit, expectation } if needed.contains(name) => {
+            Record::Outcome { event, person, by_fit, expectation } if needed.contains(event) => {
                 let is_belief = expectation.paces.is_some();
-                outcomes.entry(*name).or_default().insert((*person, *by_fit, is_belief), raw);
+                outcomes.entry(*event).or_default().insert((*person, *by_fit, is_belief), raw);
             }
             Record::Moved(Moved { observation, .. }) if needed.contains(observation) => {
                 moved.insert(*observation, raw);
@@ -165,15 +165,15 @@ fn chosen(goes: &[Raw<'_>], stays: &[Raw<'_>], needed: &BTreeMap<u32, Vec<Name>>
     for (at, (raw, record)) in goes.iter().enumerate() {
         match record {
             Record::Observation(observation) | Record::Kept(observation) => {
-                let name = (observation.source, observation.epoch, observation.sequence);
-                if !needed.remove(&name) {
+                let event = observation.id();
+                if !needed.remove(&event) {
                     continue;
                 }
-                let outcomes = outcomes.remove(&name).unwrap_or_default();
+                let outcomes = outcomes.remove(&event).unwrap_or_default();
                 let is_named = raw.starts_with(&MAGIC_NAMED) || raw.starts_with(&MAGIC_NAMED_KEPT);
                 let mut words = if is_named { MAGIC_NAMED_KEPT.to_vec() } else { MAGIC_KEPT.to_vec() };
                 words.extend_from_slice(&raw[MAGIC.len()..]);
-                words.extend_from_slice(moved.get(&name).copied().unwrap_or_default());
+                words.extend_from_slice(moved.get(&event).copied().unwrap_or_default());
                 words.extend(outcomes.into_values().flatten());
                 kept.push(words);
             }

@@ -18,7 +18,8 @@
 use std::borrow::Cow;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{Event, Observation, SOMEBODY, Sentence};
+use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
 pub(super) const MAGIC: [u8; 4] = *b"RCJ1";
@@ -89,10 +90,10 @@ pub struct Expectation {
 /// Where a person was believed to be when the map was changed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Believed {
-    /// What was observed of them last: its source, epoch and sequence.
-    pub last: (u64, u64, u64),
+    /// The last event about them.
+    pub last: EventId,
     /// The person.
-    pub person: u32,
+    pub person: PersonId,
     /// The first bytes of the changed map's fingerprint.
     pub map: u64,
     /// How long they had been at what they did then, and so on ([`Forecaster::paces`]).
@@ -106,8 +107,8 @@ pub struct Believed {
 /// What an observation said of one person whom it moved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Move {
-    /// The person; [`SOMEBODY`] where it says that a room is empty.
-    pub person: u32,
+    /// The person; [`PersonId::SOMEBODY`] where it says that a room is empty.
+    pub person: PersonId,
     /// By which name they were meant; none where that was by number, by fit, or as one of a group.
     pub name: Option<Box<str>>,
     /// Whether they were found by fit.
@@ -127,13 +128,13 @@ impl Move {
     /// The part of no person, in an event that the joint filter weighed.
     #[must_use]
     pub(in crate::daemon) fn of_nobody() -> Self {
-        Self { person: SOMEBODY, name: None, by_fit: true, event: None }
+        Self { person: PersonId::SOMEBODY, name: None, by_fit: true, event: None }
     }
 
     /// The same of one that says that a room is empty.
     #[must_use]
     pub(in crate::daemon) fn of_a_room(own: &Observation, observed: &Event) -> Self {
-        Self { person: SOMEBODY, name: None, by_fit: false, ..Self::of(own, observed) }
+        Self { person: PersonId::SOMEBODY, name: None, by_fit: false, ..Self::of(own, observed) }
     }
 
     /// The observation of the person, made of the one that moved them.
@@ -147,8 +148,8 @@ impl Move {
 /// Whom an observation moved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moved {
-    /// The observation's source, epoch and sequence.
-    pub observation: (u64, u64, u64),
+    /// The event.
+    pub observation: EventId,
     /// The persons, in the order in which they were.
     pub moves: Vec<Move>,
 }
@@ -156,14 +157,10 @@ pub struct Moved {
 /// What became of an observation: whom it is of, and what the model said of that person after it.
 #[derive(Debug, Clone, Copy)]
 pub struct Outcome<'a> {
-    /// The observation's source.
-    pub source: u64,
-    /// Its epoch.
-    pub epoch: u64,
-    /// Its number in that epoch.
-    pub sequence: u64,
+    /// The event.
+    pub event: EventId,
     /// Whom it is of.
-    pub person: u32,
+    pub person: PersonId,
     /// Whether it named nobody, and this person was found by fit.
     pub by_fit: bool,
     /// The first bytes of the map's fingerprint.
@@ -192,7 +189,7 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
     ] {
         payload.extend_from_slice(&number.to_le_bytes());
     }
-    payload.extend_from_slice(&observation.person.to_le_bytes());
+    payload.extend_from_slice(&observation.person.0.to_le_bytes());
     payload.extend_from_slice(boot_id);
     if named {
         // A name has at most 48 bytes.
@@ -228,11 +225,8 @@ fn event_of(text: &str, kind: u8) -> Option<Event> {
 /// Whom an observation moved, as a record.
 #[must_use]
 pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
-    let (source, epoch, sequence) = moved.observation;
     let mut payload = vec![0; HEADER_BYTES];
-    for number in [source, epoch, sequence] {
-        payload.extend_from_slice(&number.to_le_bytes());
-    }
+    put_event(&mut payload, moved.observation);
     let mut before = None;
     for Move { person, name, by_fit, event } in &moved.moves {
         let name = name.as_deref().unwrap_or_default().as_bytes();
@@ -244,7 +238,7 @@ pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
                 (kind, Some(text))
             }
         };
-        payload.extend_from_slice(&person.to_le_bytes());
+        payload.extend_from_slice(&person.0.to_le_bytes());
         // A name has at most 48 bytes.
         payload.extend_from_slice(&[kind | if *by_fit { IS_BY_FIT } else { 0 }, name.len() as u8]);
         payload.extend_from_slice(name);
@@ -262,10 +256,8 @@ pub(in crate::daemon) fn encode_moved(moved: &Moved) -> Vec<u8> {
 pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
     let mut payload = Vec::with_capacity(HEADER_BYTES + OUTCOME_BYTES + 4 * outcome.probability.len());
     payload.extend_from_slice(&[0; HEADER_BYTES]);
-    for number in [outcome.source, outcome.epoch, outcome.sequence] {
-        payload.extend_from_slice(&number.to_le_bytes());
-    }
-    payload.extend_from_slice(&outcome.person.to_le_bytes());
+    put_event(&mut payload, outcome.event);
+    payload.extend_from_slice(&outcome.person.0.to_le_bytes());
     payload.push(u8::from(outcome.by_fit));
     payload.extend_from_slice(&outcome.map.to_le_bytes());
     for probability in outcome.probability {
@@ -277,13 +269,11 @@ pub fn encode_outcome(outcome: &Outcome<'_>) -> Vec<u8> {
 /// Where somebody was believed to be when the map was changed, as a record.
 #[must_use]
 pub(in crate::daemon) fn encode_believed(believed: &Believed) -> Vec<u8> {
-    let Believed { last: (source, epoch, sequence), person, map, paces, probability } = believed;
+    let Believed { last, person, map, paces, probability } = believed;
     let mut payload = Vec::with_capacity(HEADER_BYTES + OUTCOME_BYTES + 4 * (PACES + probability.len()));
     payload.extend_from_slice(&[0; HEADER_BYTES]);
-    for number in [source, epoch, sequence] {
-        payload.extend_from_slice(&number.to_le_bytes());
-    }
-    payload.extend_from_slice(&person.to_le_bytes());
+    put_event(&mut payload, *last);
+    payload.extend_from_slice(&person.0.to_le_bytes());
     payload.extend_from_slice(&map.to_le_bytes());
     for number in paces.iter().chain(probability) {
         payload.extend_from_slice(&(*number as f32).to_le_bytes());
@@ -299,8 +289,8 @@ pub fn encode_port(name: (u64, u64), port: Port) -> Vec<u8> {
 }
 
 /// That a person was forgotten, as a record; `is_before` all observations of the halves.
-pub(in crate::daemon) fn encode_forgotten(person: u32, is_before: bool) -> Vec<u8> {
-    let payload = [&[0; HEADER_BYTES][..], &person.to_le_bytes(), &[u8::from(is_before)]];
+pub(in crate::daemon) fn encode_forgotten(person: PersonId, is_before: bool) -> Vec<u8> {
+    let payload = [&[0; HEADER_BYTES][..], &person.0.to_le_bytes(), &[u8::from(is_before)]];
     sealed(MAGIC_FORGOTTEN, payload.concat())
 }
 
@@ -341,20 +331,15 @@ pub(super) fn record_bytes(records: &[u8]) -> usize {
     length.map_or(records.len(), |length| (HEADER_BYTES + length as usize).min(records.len()))
 }
 
-/// An observation by its source, epoch and sequence.
-pub(super) fn name_of(observation: &Observation) -> (u64, u64, u64) {
-    (observation.source, observation.epoch, observation.sequence)
-}
-
 /// What a record holds.
 pub(in crate::daemon) enum Record {
     Observation(Observation),
     Carried(Observation),
-    Outcome { name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation },
+    Outcome { event: EventId, person: PersonId, by_fit: bool, expectation: Expectation },
     Moved(Moved),
     Port { name: (u64, u64), port: Port },
     Kept(Observation),
-    Forgotten { person: u32, is_before: bool },
+    Forgotten { person: PersonId, is_before: bool },
 }
 
 /// The record that some bytes begin with, and how many of them it has.
@@ -386,9 +371,9 @@ pub(super) fn decode(bytes: &[u8], boot_id: &[u8; 16]) -> Option<(Record, usize)
 }
 
 fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Option<Observation> {
-    let (source, epoch, sequence) = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
+    let EventId { source, epoch, sequence } = take_event(&mut payload)?;
     let (observed_ns, observed_unix_ns) = (take_u64(&mut payload)?, take_u64(&mut payload)?);
-    let person = take_u32(&mut payload)?;
+    let person = PersonId(take_u32(&mut payload)?);
     let (boot, mut text) = payload.split_at_checked(boot_id.len())?;
     let (mut kind, mut name) = (0, None);
     if named {
@@ -422,10 +407,10 @@ fn take_kind_and_name(bytes: &mut &[u8]) -> Option<(u8, Option<Box<str>>)> {
 }
 
 fn decode_moved(mut payload: &[u8]) -> Option<Moved> {
-    let observation = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
+    let observation = take_event(&mut payload)?;
     let mut moves = Vec::<Move>::new();
     while !payload.is_empty() {
-        let person = take_u32(&mut payload)?;
+        let person = PersonId(take_u32(&mut payload)?);
         let (kind, name) = take_kind_and_name(&mut payload)?;
         let event = if kind & IS_AS_OBSERVED != 0 {
             None
@@ -443,24 +428,24 @@ fn decode_moved(mut payload: &[u8]) -> Option<Moved> {
 }
 
 fn decode_outcome(mut payload: &[u8]) -> Option<Record> {
-    let name = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
-    let person = take_u32(&mut payload)?;
+    let event = take_event(&mut payload)?;
+    let person = PersonId(take_u32(&mut payload)?);
     let (&by_fit, mut payload) = payload.split_first()?;
     let map = take_u64(&mut payload)?;
     let expectation = Expectation { map, paces: None, probability: take_probability(payload)? };
-    Some(Record::Outcome { name, person, by_fit: by_fit != 0, expectation })
+    Some(Record::Outcome { event, person, by_fit: by_fit != 0, expectation })
 }
 
 fn decode_believed(mut payload: &[u8]) -> Option<Record> {
-    let name = (take_u64(&mut payload)?, take_u64(&mut payload)?, take_u64(&mut payload)?);
-    let (person, map) = (take_u32(&mut payload)?, take_u64(&mut payload)?);
+    let event = take_event(&mut payload)?;
+    let (person, map) = (PersonId(take_u32(&mut payload)?), take_u64(&mut payload)?);
     let mut paces = [0.0; PACES];
     for pace in &mut paces {
         *pace = f32::from_bits(take_u32(&mut payload)?);
     }
     let expectation = Expectation { map, paces: Some(paces), probability: take_probability(payload)? };
     paces.iter().all(|pace| pace.is_finite() && *pace >= 0.0).then_some(Record::Outcome {
-        name,
+        event,
         person,
         by_fit: false,
         expectation,
@@ -483,8 +468,18 @@ fn decode_port(mut payload: &[u8]) -> Option<Record> {
 }
 
 fn decode_forgotten(mut payload: &[u8]) -> Option<Record> {
-    let person = take_u32(&mut payload)?;
+    let person = PersonId(take_u32(&mut payload)?);
     matches!(payload, [0 | 1]).then(|| Record::Forgotten { person, is_before: payload == [1] })
+}
+
+fn put_event(payload: &mut Vec<u8>, event: EventId) {
+    for number in [event.source, event.epoch, event.sequence] {
+        payload.extend_from_slice(&number.to_le_bytes());
+    }
+}
+
+fn take_event(bytes: &mut &[u8]) -> Option<EventId> {
+    Some(EventId::new(take_u64(bytes)?, take_u64(bytes)?, take_u64(bytes)?))
 }
 
 fn take_u64(bytes: &mut &[u8]) -> Option<u64> {

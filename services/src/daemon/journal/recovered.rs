@@ -2,10 +2,11 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
+use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::Observation;
 use roomcast_ipc::Sender as Port;
 
-use super::record::{BOOT_AT, Expectation, HEADER_BYTES, MAGIC, MAGICS, Move, Moved, Record, decode, name_of};
+use super::record::{BOOT_AT, Expectation, HEADER_BYTES, MAGIC, MAGICS, Move, Moved, Record, decode};
 
 /// What was found at the start.
 #[derive(Debug, Default, Clone)]
@@ -19,17 +20,17 @@ pub struct Recovered {
     /// The port that speaks for a start of a source, by the source's number and epoch.
     pub ports: BTreeMap<(u64, u64), Port>,
     /// What the model said of a person after one of the observations, whose index comes first; without rooms of one who was out.
-    pub expectations: Vec<(usize, u32, Expectation)>,
+    pub expectations: Vec<(usize, PersonId, Expectation)>,
     /// Who was forgotten, after the index of the observation that came next.
-    pub forgotten: Vec<(usize, u32)>,
-    /// Whom observations moved, by their source, epoch and sequence. Of others it is read in them.
-    pub moved: HashMap<(u64, u64, u64), Vec<Move>>,
+    pub forgotten: Vec<(usize, PersonId)>,
+    /// Whom observations moved, by event. Of others it is read in them.
+    pub moved: HashMap<EventId, Vec<Move>>,
     /// The last observations of persons that were made before all these, until [`Recovered::join`] puts them in their place.
     pub(super) kept: KeptWords,
-    /// Those that were made before the machine was started last, by source, epoch and sequence.
-    pub of_other_boots: HashSet<(u64, u64, u64)>,
-    /// Where the observations are, by source, epoch and sequence.
-    pub(super) places: HashMap<(u64, u64, u64), usize>,
+    /// Those that were made before the machine was started last.
+    pub of_other_boots: HashSet<EventId>,
+    /// The places of the observations.
+    pub(super) places: HashMap<EventId, usize>,
     /// Bytes that were no record: a torn end, or damage.
     pub damaged_bytes: u64,
     /// There was a full half, so that a rotation may have dropped what came before it.
@@ -40,16 +41,16 @@ pub struct Recovered {
 #[derive(Debug, Default, Clone)]
 pub(super) struct KeptWords {
     observations: Vec<Observation>,
-    expectations: Vec<(usize, u32, Expectation)>,
-    forgotten: Vec<(usize, u32)>,
-    places: HashMap<(u64, u64, u64), usize>,
+    expectations: Vec<(usize, PersonId, Expectation)>,
+    forgotten: Vec<(usize, PersonId)>,
+    places: HashMap<EventId, usize>,
 }
 
 impl Recovered {
     /// Whether an observation was read before.
     fn has(&self, observation: &Observation) -> bool {
-        let name = name_of(observation);
-        self.places.contains_key(&name) || self.kept.places.contains_key(&name)
+        let event = observation.id();
+        self.places.contains_key(&event) || self.kept.places.contains_key(&event)
     }
 
     /// All that was taken, in its order.
@@ -80,11 +81,11 @@ impl Recovered {
     }
 
     /// What became of an observation that was read before; of one that is gone it says nothing.
-    fn note_outcome(&mut self, name: (u64, u64, u64), person: u32, by_fit: bool, expectation: Expectation) {
+    fn note_outcome(&mut self, event: EventId, person: PersonId, by_fit: bool, expectation: Expectation) {
         let Self { observations, expectations, kept, places, .. } = self;
-        let found = match places.get(&name) {
+        let found = match places.get(&event) {
             Some(index) => Some((*index, observations, expectations)),
-            None => kept.places.get(&name).map(|index| (*index, &mut kept.observations, &mut kept.expectations)),
+            None => kept.places.get(&event).map(|index| (*index, &mut kept.observations, &mut kept.expectations)),
         };
         let Some((index, observations, expectations)) = found else { return };
         if by_fit {
@@ -127,22 +128,22 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                 if let Record::Observation(observation) | Record::Kept(observation) = &record
                     && made_in != Some(boot_id)
                 {
-                    recovered.of_other_boots.insert(name_of(observation));
+                    recovered.of_other_boots.insert(observation.id());
                 }
                 match record {
                     // A disk may give a block twice, or one as it was before: what is named the same is the same.
                     Record::Observation(observation) if recovered.has(&observation) => {}
                     Record::Kept(observation) if recovered.has(&observation) => {}
                     Record::Observation(observation) => {
-                        recovered.places.insert(name_of(&observation), recovered.observations.len());
+                        recovered.places.insert(observation.id(), recovered.observations.len());
                         recovered.observations.push(observation);
                     }
                     Record::Carried(observation) => {
                         recovered.carried.push(observation);
                         recovered.carried_before.push(recovered.observations.len());
                     }
-                    Record::Outcome { name, person, by_fit, expectation } => {
-                        recovered.note_outcome(name, person, by_fit, expectation);
+                    Record::Outcome { event, person, by_fit, expectation } => {
+                        recovered.note_outcome(event, person, by_fit, expectation);
                     }
                     Record::Moved(Moved { observation, moves }) => {
                         recovered.moved.insert(observation, moves);
@@ -152,7 +153,7 @@ pub fn read_records(bytes: &[u8], boot_id: &[u8; 16], recovered: &mut Recovered)
                     }
                     Record::Kept(observation) => {
                         let kept = &mut recovered.kept;
-                        kept.places.insert(name_of(&observation), kept.observations.len());
+                        kept.places.insert(observation.id(), kept.observations.len());
                         kept.observations.push(observation);
                     }
                     Record::Forgotten { person, is_before: true } => {

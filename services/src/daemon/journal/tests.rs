@@ -5,7 +5,8 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use roomcast_core::forecast::PACES;
-use roomcast_core::narration::{Event, SOMEBODY, Sentence, person_number};
+use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::narration::{Event, Sentence, person_number};
 
 use super::record::*;
 use super::writer::{SyncDue, UNREAD_MAX};
@@ -110,7 +111,14 @@ impl Disk for Failing {
 fn observation(sequence: u64) -> Observation {
     let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
     let (observed_ns, observed_unix_ns) = (100 + sequence, 5);
-    Observation { person: 3, source: 7, epoch: 1, observed_ns, observed_unix_ns, ..Observation::of(sequence, sentence) }
+    Observation {
+        person: PersonId(3),
+        source: 7,
+        epoch: 1,
+        observed_ns,
+        observed_unix_ns,
+        ..Observation::of(sequence, sentence)
+    }
 }
 
 fn options(directory: &Path, bytes_max: u64) -> JournalOptions {
@@ -155,7 +163,7 @@ fn what_is_kept_aside_goes_when_somebody_is_forgotten() {
     let (mut journal, _) = Journal::open(&options(directory.path(), 16 << 20)).unwrap();
     let carla = |sequence| {
         let sentence = Sentence::new("Carla opens the fridge.").unwrap();
-        Observation { person: 7, source: 3, epoch: 1, ..Observation::of(sequence, sentence) }
+        Observation { person: PersonId(7), source: 3, epoch: 1, ..Observation::of(sequence, sentence) }
     };
     (0..20_000).for_each(|sequence| _ = journal.append(&carla(sequence)));
     drop(journal);
@@ -164,8 +172,8 @@ fn what_is_kept_aside_goes_when_somebody_is_forgotten() {
     let current = directory.path().join("narration.journal");
     let first = PathBuf::from(format!("{}.large-1", current.display()));
     fs::copy(&first, format!("{}.large-64", current.display())).unwrap();
-    let is_carla = |observation: &Observation, _: Option<u32>| observation.person == 7;
-    assert!(journal.handle().forget(7, is_carla, Instant::now() + Duration::from_secs(60)).unwrap() > 0);
+    let is_carla = |observation: &Observation, _: Option<PersonId>| observation.person == PersonId(7);
+    assert!(journal.handle().forget(PersonId(7), is_carla, Instant::now() + Duration::from_secs(60)).unwrap() > 0);
     drop(journal);
     for file in fs::read_dir(directory.path()).unwrap() {
         let path = file.unwrap().path();
@@ -331,11 +339,10 @@ fn words_about_all_push_no_own_word_out() {
     let own = Observation { source: 99, name: Some("ada".into()), ..observation(1) };
     let of_all = |sequence: u64| {
         let event = Event::presence("everybody away").unwrap();
-        Observation { source: 98, person: u32::MAX, event, ..observation(sequence) }
+        Observation { source: 98, person: PersonId::SOMEBODY, event, ..observation(sequence) }
     };
     let told = |journal: &Journal, o: &Observation| {
-        let Observation { source, epoch, sequence, .. } = *o;
-        let outcome = Outcome { source, epoch, sequence, person: 1, by_fit: false, map: 7, probability: &[] };
+        let outcome = Outcome { event: o.id(), person: PersonId(1), by_fit: false, map: 7, probability: &[] };
         journal.handle().append(&outcome);
     };
     let mut sequence = 0;
@@ -368,7 +375,7 @@ fn of_whom_nothing_was_told_is_kept_too() {
     let away = Event::Away;
     let of = |sequence: u64, name: &str, event: Event| Observation {
         source: 99,
-        person: u32::MAX,
+        person: PersonId::SOMEBODY,
         name: Some(name.into()),
         event,
         ..observation(sequence)
@@ -380,20 +387,12 @@ fn of_whom_nothing_was_told_is_kept_too() {
         if run == 0 {
             let told = of(1, "ada", observation(1).event);
             journal.append(&told);
-            let (source, epoch, person) = (99, 1, person_number("ada"));
+            let person = person_number("ada");
             let probability = &[0.5, 0.5];
-            journal.handle().append(&Outcome {
-                source,
-                epoch,
-                sequence: 1,
-                person,
-                by_fit: false,
-                map: 7,
-                probability,
-            });
+            journal.handle().append(&Outcome { event: told.id(), person, by_fit: false, map: 7, probability });
             journal.append(&of(2, "ada", away.clone()));
             journal.append(&of(3, "ben", away.clone()));
-            journal.append(&Observation { source: 99, person: 5, ..observation(4) });
+            journal.append(&Observation { source: 99, person: PersonId(5), ..observation(4) });
         } else {
             let kept: Vec<_> = recovered.observations.iter().filter(|o| o.source == 99).map(|o| o.sequence).collect();
             assert_eq!(kept, [1, 2, 3, 4], "{run}");
@@ -401,9 +400,9 @@ fn of_whom_nothing_was_told_is_kept_too() {
         for _ in 0..700 {
             sequence += 1;
             let number = journal.append(&observation(sequence));
-            let (source, epoch, person, map) = (7, 1, 3, 7);
+            let (event, person, map) = (EventId::new(7, 1, sequence), PersonId(3), 7);
             let probability = &[0.5, 0.5];
-            let outcome = Outcome { source, epoch, sequence, person, by_fit: false, map, probability };
+            let outcome = Outcome { event, person, by_fit: false, map, probability };
             assert!(journal.handle().wait_for(number.max(journal.handle().append(&outcome)), Duration::from_secs(30)));
         }
     }
@@ -420,9 +419,8 @@ fn who_says_much_pushes_nobody_out() {
         let event = event.unwrap_or_else(|_| Event::Did(Sentence::new("They lie on the bed.").unwrap()));
         Observation { source: 99, name: Some(name.into()), event, ..observation(sequence) }
     };
-    let told = |journal: &Journal, o: &Observation, person: u32, probability: &[f64]| {
-        let Observation { source, epoch, sequence, .. } = *o;
-        journal.handle().append(&Outcome { source, epoch, sequence, person, by_fit: false, map: 7, probability })
+    let told = |journal: &Journal, o: &Observation, person: PersonId, probability: &[f64]| {
+        journal.handle().append(&Outcome { event: o.id(), person, by_fit: false, map: 7, probability })
     };
     let words = [
         quiet(1, "ada", "They walk."),
@@ -438,26 +436,30 @@ fn who_says_much_pushes_nobody_out() {
         if run == 0 {
             for (word, person) in words.iter().zip([1, 2, 3, 1, 4]) {
                 journal.append(word);
-                told(&journal, word, person, if person == 3 { &[] } else { &[0.25, 0.75] });
+                told(&journal, word, PersonId(person), if person == 3 { &[] } else { &[0.25, 0.75] });
             }
             // Eve is forgotten, and then said to be away with everybody.
             let is_eve = |o: &Observation, _| o.name.as_deref() == Some("eve");
-            assert_eq!(journal.handle().forget(3, is_eve, Instant::now() + Duration::from_secs(30)).unwrap(), 1);
+            assert_eq!(
+                journal.handle().forget(PersonId(3), is_eve, Instant::now() + Duration::from_secs(30)).unwrap(),
+                1
+            );
             journal.append(&quiet(6, "ben", "present in the kitchen"));
-            told(&journal, &quiet(6, "ben", "present"), 2, &[1.0, 0.0]);
+            told(&journal, &quiet(6, "ben", "present"), PersonId(2), &[1.0, 0.0]);
         } else {
             let kept: Vec<u64> = recovered.observations.iter().filter(|o| o.source == 99).map(|o| o.sequence).collect();
             assert_eq!(kept, [1, 2, 4, 5, 6], "{run}");
             assert_eq!(recovered.observations[..5].iter().filter(|o| o.source == 99).count(), 5);
-            let of_ben: Vec<_> = recovered.expectations.iter().filter(|(_, person, _)| *person == 2).collect();
+            let of_ben: Vec<_> =
+                recovered.expectations.iter().filter(|(_, person, _)| *person == PersonId(2)).collect();
             assert_eq!(of_ben.len(), 2);
             assert_eq!((of_ben[1].0, &of_ben[1].2.probability[..]), (4, &[1.0, 0.0][..]));
-            assert_eq!(recovered.forgotten, [(4, 3)], "{run}");
+            assert_eq!(recovered.forgotten, [(4, PersonId(3))], "{run}");
         }
         for _ in 0..700 {
             sequence += 1;
             let number = journal.append(&observation(sequence));
-            let number = number.max(told(&journal, &observation(sequence), 0, &[0.5, 0.5]));
+            let number = number.max(told(&journal, &observation(sequence), PersonId(0), &[0.5, 0.5]));
             assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
         }
         drop(journal);
@@ -474,20 +476,19 @@ fn a_name_outlives_the_half_that_had_it() {
     let options = options(directory.path(), 16_384);
     let (mut journal, _) = Journal::open(&options).unwrap();
     let mut sequence = 0;
-    let mut say = |journal: &mut Journal, text: &str, persons: &[u32], moves: Vec<Move>| {
+    let mut say = |journal: &mut Journal, text: &str, persons: &[PersonId], moves: Vec<Move>| {
         sequence += 1;
         let event = Event::Did(Sentence::new(text).unwrap());
-        let said = Observation { person: SOMEBODY, name: None, event, ..observation(sequence) };
+        let said = Observation { person: PersonId::SOMEBODY, name: None, event, ..observation(sequence) };
         let mut number = journal.append(&said);
-        let Observation { source, epoch, .. } = said;
         if !moves.is_empty() {
-            number = journal.handle().keep_moved(&Moved { observation: (source, epoch, sequence), moves });
+            number = journal.handle().keep_moved(&Moved { observation: said.id(), moves });
         }
         for person in persons {
             for by_fit in [true, false] {
                 let probability: &[f64] = if by_fit { &[] } else { &[0.5, 0.5] };
                 let (person, map) = (*person, 7);
-                let outcome = Outcome { source, epoch, sequence, person, by_fit, map, probability };
+                let outcome = Outcome { event: said.id(), person, by_fit, map, probability };
                 number = journal.handle().append(&outcome);
             }
         }
@@ -523,10 +524,9 @@ fn last_words_keep_their_order_over_rotations() {
     let directory = tempfile::tempdir().unwrap();
     let options = options(directory.path(), 8192);
     let of_ada = |sequence: u64| Observation { source: 99, name: Some("ada".into()), ..observation(sequence) };
-    let say = |journal: &mut Journal, o: &Observation, person: u32, by_fit: bool| {
+    let say = |journal: &mut Journal, o: &Observation, person: PersonId, by_fit: bool| {
         journal.append(o);
-        let Observation { source, epoch, sequence, .. } = *o;
-        let outcome = Outcome { source, epoch, sequence, person, by_fit, map: 7, probability: &[] };
+        let outcome = Outcome { event: o.id(), person, by_fit, map: 7, probability: &[] };
         let number = journal.handle().append(&outcome);
         assert!(journal.handle().wait_for(number, Duration::from_secs(30)));
     };
@@ -538,21 +538,24 @@ fn last_words_keep_their_order_over_rotations() {
         assert_eq!(of_source.map(|o| o.sequence).collect::<Vec<_>>(), expected, "{round}");
         match round {
             0 | 1 | 2 | 6 => {
-                say(&mut journal, &of_ada(round), 1, false);
+                say(&mut journal, &of_ada(round), PersonId(1), false);
                 expected.push(round);
             }
             4 => {
-                journal.handle().forget(1, |o, _| o.source == 99, Instant::now() + Duration::from_secs(30)).unwrap();
+                journal
+                    .handle()
+                    .forget(PersonId(1), |o, _| o.source == 99, Instant::now() + Duration::from_secs(30))
+                    .unwrap();
                 expected.clear();
             }
             // What names somebody and changes nothing does not count.
-            7 => (0..20).for_each(|number| say(&mut journal, &of_ada(1000 + number), 1, true)),
+            7 => (0..20).for_each(|number| say(&mut journal, &of_ada(1000 + number), PersonId(1), true)),
             _ => {}
         }
         // About one rotation and a half.
         for _ in 0..35 {
             noise += 1;
-            say(&mut journal, &observation(noise), 0, false);
+            say(&mut journal, &observation(noise), PersonId(0), false);
         }
     }
     assert_eq!(expected, [6]);
@@ -565,7 +568,8 @@ fn a_rotation_that_cannot_read_is_put_off_and_not_for_ever() {
         let folder = tempfile::tempdir().unwrap();
         let mut writer = writer(folder.path(), 4096);
         let ada = Observation { source: 99, name: Some("ada".into()), ..observation(1) };
-        let outcome = Outcome { source: 99, epoch: 1, sequence: 1, person: 1, by_fit: false, map: 7, probability: &[] };
+        let outcome =
+            Outcome { event: EventId::new(99, 1, 1), person: PersonId(1), by_fit: false, map: 7, probability: &[] };
         writer.write(&[encode(&ada, &[0; 16]), encode_outcome(&outcome)].concat()).unwrap();
         let mut failed = 0;
         // Until nothing but last words can have ada's.
@@ -609,24 +613,25 @@ fn who_is_forgotten_leaves_no_trace() {
     let of = |sequence: u64, name: &str| {
         let sentence = Sentence::new(&format!("They do secret {sequence}.")).unwrap();
         let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
-        let person = u32::MAX;
+        let person = PersonId::SOMEBODY;
         Observation { person, name, source: 7, epoch: sequence / 64, ..Observation::of(sequence, sentence) }
     };
     for sequence in 1..=120 {
         let name = ["ada", "ben", ""][sequence as usize % 3];
         let mut number = journal.append(&of(sequence, name));
         if name.is_empty() {
-            let (source, epoch, person) = (7, sequence / 64, 1 + sequence as u32 % 2);
-            let outcome = Outcome { source, epoch, sequence, person, by_fit: true, map: 1, probability: &[] };
+            let event = EventId::new(7, sequence / 64, sequence);
+            let person = PersonId(1 + sequence as u32 % 2);
+            let outcome = Outcome { event, person, by_fit: true, map: 1, probability: &[] };
             number = handle.append(&outcome);
         }
         // More at once than a half holds would be cut.
         assert!(handle.wait_for(number, Duration::from_secs(30)));
     }
     let is_ada = |o: &Observation| o.name.as_deref() == Some("ada");
-    let is_theirs = move |o: &Observation, found: Option<u32>| is_ada(o) || found == Some(1);
-    assert!(handle.forget(1, is_theirs, Instant::now() + Duration::from_secs(30)).unwrap() > 0);
-    assert_eq!(handle.forget(1, is_theirs, Instant::now() + Duration::from_secs(30)).unwrap(), 0);
+    let is_theirs = move |o: &Observation, found: Option<PersonId>| is_ada(o) || found == Some(PersonId(1));
+    assert!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap() > 0);
+    assert_eq!(handle.forget(PersonId(1), is_theirs, Instant::now() + Duration::from_secs(30)).unwrap(), 0);
     let last = journal.append(&of(121, "ben"));
     assert!(handle.wait_for(last, Duration::from_secs(30)));
     let size: u64 = fs::read_dir(directory.path()).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
@@ -634,9 +639,9 @@ fn who_is_forgotten_leaves_no_trace() {
     assert!(matches!(Journal::open(&options), Err(JournalError::Locked { .. })));
     drop(journal);
     let (_, recovered) = Journal::open(&options).unwrap();
-    let theirs = |o: &Observation| is_ada(o) || (o.by_fit && o.person == 1);
+    let theirs = |o: &Observation| is_ada(o) || (o.by_fit && o.person == PersonId(1));
     assert!(!recovered.observations.iter().any(theirs) && recovered.observations.len() > 50);
-    assert!(recovered.observations.iter().any(|o| o.by_fit && o.person == 2));
+    assert!(recovered.observations.iter().any(|o| o.by_fit && o.person == PersonId(2)));
     let all: Vec<u8> = ["narration.journal", "narration.journal.old"]
         .iter()
         .flat_map(|half| fs::read(directory.path().join(half)).unwrap())
@@ -658,45 +663,51 @@ fn who_was_where_comes_back() {
         observation(1),
         named(2, "Ada"),
         Observation { event: away, ..named(3, "Éva") },
-        Observation { person: u32::MAX, ..observation(4) },
+        Observation { person: PersonId::SOMEBODY, ..observation(4) },
     ];
     let mut bytes: Vec<u8> = told.iter().flat_map(|observation| encode(observation, &boot)).collect();
     let outcome = |sequence: u64, by_fit: bool, probability: &'static [f64]| {
         let (person, map) = (9, 77);
-        encode_outcome(&Outcome { source: 7, epoch: 1, sequence, person, by_fit, map, probability })
+        encode_outcome(&Outcome {
+            event: EventId::new(7, 1, sequence),
+            person: PersonId(person),
+            by_fit,
+            map,
+            probability,
+        })
     };
     for outcome in [outcome(2, false, &[0.25, 0.75]), outcome(4, true, &[]), outcome(99, true, &[1.0])] {
         bytes.extend_from_slice(&outcome);
     }
-    let (last, probability) = ((7, 1, 2), vec![0.5, 0.5]);
-    bytes.extend(encode_believed(&Believed { last, person: 9, map: 78, paces: [40.5; PACES], probability }));
+    let (last, probability) = (EventId::new(7, 1, 2), vec![0.5, 0.5]);
+    bytes.extend(encode_believed(&Believed { last, person: PersonId(9), map: 78, paces: [40.5; PACES], probability }));
     let mut recovered = Recovered::default();
     read_records(&bytes, &boot, &mut recovered);
-    let attributed = Observation { person: 9, by_fit: true, ..told[3].clone() };
+    let attributed = Observation { person: PersonId(9), by_fit: true, ..told[3].clone() };
     assert_eq!(recovered.observations, [told[0].clone(), told[1].clone(), told[2].clone(), attributed.clone()]);
     let next = Expectation { map: 77, paces: None, probability: vec![0.25, 0.75] };
     let was = Expectation { map: 78, paces: Some([40.5; PACES]), probability: vec![0.5, 0.5] };
-    assert_eq!(recovered.expectations, [(1, 9, next), (1, 9, was)]);
+    assert_eq!(recovered.expectations, [(1, PersonId(9), next), (1, PersonId(9), was)]);
     assert_eq!(recovered.damaged_bytes, 0);
     // Whom an observation moved comes back in its order, nobody included.
     let said = |text: &str| Event::presence(text).ok();
     let sentence = Sentence::new("Mia cooks.").ok().map(Event::Did);
-    let by = |person: u32, name: &str, event: Option<Event>| {
+    let by = |person: PersonId, name: &str, event: Option<Event>| {
         let name = Some(name).filter(|name| !name.is_empty()).map(Into::into);
-        Move { person, name, by_fit: person == 3, event }
+        Move { person, name, by_fit: person == PersonId(3), event }
     };
     let moved = [
-        Moved { observation: (7, 1, 1), moves: Vec::new() },
+        Moved { observation: EventId::new(7, 1, 1), moves: Vec::new() },
         Moved {
-            observation: (7, 1, 2),
+            observation: EventId::new(7, 1, 2),
             moves: vec![
-                by(1, "Éva", None),
-                by(2, "", said("away")),
-                by(3, "", said("away")),
-                by(u32::MAX, "", said("nobody in the kitchen")),
-                by(4, "Mia", sentence.clone()),
-                by(5, "", sentence),
-                by(6, "", None),
+                by(PersonId(1), "Éva", None),
+                by(PersonId(2), "", said("away")),
+                by(PersonId(3), "", said("away")),
+                by(PersonId::SOMEBODY, "", said("nobody in the kitchen")),
+                by(PersonId(4), "Mia", sentence.clone()),
+                by(PersonId(5), "", sentence),
+                by(PersonId(6), "", None),
             ],
         },
     ];
@@ -718,7 +729,7 @@ fn another_boots_monotonic_time_is_dropped() {
     read_records(&encode(&observation(1), &[1; 16]), &[2; 16], &mut recovered);
     read_records(&encode(&observation(2), &[2; 16]), &[2; 16], &mut recovered);
     assert_eq!(recovered.observations[0].observed_ns, 0);
-    assert_eq!(recovered.of_other_boots, HashSet::from([(7, 1, 1)]));
+    assert_eq!(recovered.of_other_boots, HashSet::from([EventId::new(7, 1, 1)]));
 }
 
 proptest! {

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{ReadName, is_number, name_words, person_number};
 
 use super::Persons;
@@ -12,7 +13,7 @@ const FORMER_WORDS: usize = 3;
 /// The names of one person, and those of all others at that time.
 #[derive(Debug)]
 pub(in super::super) struct Called {
-    person: u32,
+    person: PersonId,
     /// The person's own names.
     own: BTreeSet<String>,
     /// The names of others that hold a word of an own name: "anna maria" next to "anna".
@@ -24,7 +25,7 @@ pub(in super::super) struct Called {
 
 impl Called {
     /// A person by number, and the name or number that the question gave.
-    pub(in super::super) fn new(persons: &Persons, person: u32, who: &str) -> Self {
+    pub(in super::super) fn new(persons: &Persons, person: PersonId, who: &str) -> Self {
         let mut names = persons.names_of(person);
         names.extend(Some(who.trim().to_lowercase()).filter(|who| !is_number(who)));
         let has_unknown_name = !names.iter().any(|name| person_number(name) == person);

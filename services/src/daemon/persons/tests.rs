@@ -1,5 +1,6 @@
 use roomcast_core::grounding::{Grounding, GroundingOptions};
-use roomcast_core::narration::{SOMEBODY, Sentence, person_number};
+use roomcast_core::ids::PersonId;
+use roomcast_core::narration::{Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -58,7 +59,7 @@ impl House {
         let event = Event::presence(text).unwrap_or_else(|_| Event::Did(Sentence::new(text).unwrap()));
         self.said += 1;
         Observation {
-            person: who.parse().unwrap_or(SOMEBODY),
+            person: who.parse().unwrap_or(PersonId::SOMEBODY),
             name: Some(who).filter(|name| name.parse::<u32>().is_err() && *name != "somebody").map(Into::into),
             source: 7,
             epoch: 1,
@@ -120,7 +121,7 @@ impl House {
         let told = *self.board.person_scores(self.now_ns);
         told.check().unwrap();
         let number = who.parse().unwrap_or_else(|_| self.board.persons().number_of(who));
-        told.persons().iter().find(|person| person.person == number).copied()
+        told.persons().iter().find(|person| person.person == number.0).copied()
     }
 
     fn presence(&mut self, who: &str) -> Option<u32> {
@@ -167,7 +168,7 @@ fn everybody_may_leave_and_come_back() {
     assert_eq!((ada.since_ns, ada.observed_ns, ada.name()), (house.now_ns, house.now_ns, "ada"));
     assert!(ada.probability.iter().all(|p| *p == 0.0) && ada.log_score_nats[0] == f64::NEG_INFINITY);
     assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
-    assert_eq!(house.board.snapshot().person, house.board.persons().number_of("ben"));
+    assert_eq!(house.board.snapshot().person, house.board.persons().number_of("ben").0);
     house.after(10, "ben", "away");
     let snapshot = *house.board.snapshot();
     snapshot.check().unwrap();
@@ -210,7 +211,7 @@ fn who_is_gone_is_forgotten() {
     assert!(house.person("plumber").is_none());
     // A visitor who falls silent is gone, too; a resident is not, and a restart does not bring the visitor back.
     house.after(1, "3", "They walk to the kitchen.");
-    assert!(!house.wait(3 * 3600) || house.presence("3") == Some(presence::PRESENT));
+    assert!(!house.wait(3 * 3600) || house.presence("3") == Some(PersonId(presence::PRESENT).0));
     assert!(house.wait(2));
     assert_eq!((house.presence("3"), house.presence("ada")), (Some(presence::GONE), Some(presence::PRESENT)));
     house.restart();
@@ -303,8 +304,8 @@ fn no_resident_becomes_another() {
     assert!(matches!(&refused, NotRenamed::Refused(reason) if reason.contains("both live here")), "{refused}");
     assert_eq!(persons.name_of(person_number("ada")), Some("ada"));
     // Of whom only a number was known is one of them.
-    persons.rename(3, "Ben").unwrap();
-    assert_eq!((persons.number_of("ben"), persons.is_visitor(3)), (3, false));
+    persons.rename(PersonId(3), "Ben").unwrap();
+    assert_eq!((persons.number_of("ben"), persons.is_visitor(PersonId(3))), (PersonId(3), false));
 }
 
 #[test]
@@ -317,8 +318,12 @@ fn visitors_make_room_for_residents() {
     house.after(1, "ada", "They lie on the bed.");
     let known = house.board.persons();
     assert_eq!(known.iter().count(), PERSONS_MAX);
-    assert!([0, known.number_of("ada"), 3, PERSONS_MAX as u32].iter().all(|person| known.get(*person).is_some()));
-    assert!(known.get(1).is_none() && known.get(2).is_none());
+    assert!(
+        [PersonId(0), known.number_of("ada"), PersonId(3), PersonId(PERSONS_MAX as u32)]
+            .iter()
+            .all(|person| known.get(*person).is_some())
+    );
+    assert!(known.get(PersonId(1)).is_none() && known.get(PersonId(2)).is_none());
     assert_eq!(house.known(), PERSONS_MAX as u32);
 }
 
@@ -738,9 +743,14 @@ fn a_restart_tells_what_the_model_makes_of_what_is_left() {
         let mut journal = encode(&observation, &BOOT);
         let mut told = Vec::new();
         for probability in [&[][..]].iter().chain(said) {
-            let (source, epoch, sequence) = (observation.source, observation.epoch, observation.sequence);
             let (person, by_fit, map) = (3, false, board(&house.config).map_number());
-            journal.extend(encode_outcome(&Outcome { source, epoch, sequence, person, by_fit, map, probability }));
+            journal.extend(encode_outcome(&Outcome {
+                event: observation.id(),
+                person: PersonId(person),
+                by_fit,
+                map,
+                probability,
+            }));
         }
         let mut recovered = Recovered::default();
         read_records(&journal, &BOOT, &mut recovered);
@@ -771,7 +781,7 @@ fn a_restart_tells_who_is_out_where_nothing_says_it() {
         again.step([], house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
         let mut told = Vec::new();
         again.tell_outcomes(|outcome| {
-            told.push((outcome.sequence, outcome.person, outcome.by_fit, outcome.probability.len()));
+            told.push((outcome.event.sequence, outcome.person, outcome.by_fit, outcome.probability.len()));
             journal.extend(encode_outcome(outcome));
         });
         told
@@ -851,13 +861,13 @@ fn the_later_line_of_a_source_counts_whatever_its_time_was_rounded_to() {
 }
 
 /// Who is known, and whether they are in the house.
-fn presences(house: &House) -> BTreeMap<u32, Presence> {
+fn presences(house: &House) -> BTreeMap<PersonId, Presence> {
     let here = house.board.persons().iter().filter(|(_, known)| known.presence != Presence::Gone);
     here.map(|(number, known)| (number, known.presence)).collect()
 }
 
 /// Who is known, whether they are in the house, and when they were heard of last.
-fn heard(house: &House) -> BTreeMap<u32, (Presence, i64)> {
+fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
     let known = house.board.persons().iter();
     known.map(|(number, known)| (number, (known.presence, known.heard_ns))).collect()
 }

@@ -48,7 +48,7 @@ impl Flat {
         let scores = *self.0.board.person_scores(now_ns);
         let forecasts = *self.0.board.person_forecasts(now_ns);
         forecasts.check().unwrap();
-        let place = scores.persons().iter().position(|own| own.person == number).unwrap();
+        let place = scores.persons().iter().position(|own| own.person == number.0).unwrap();
         let own = &forecasts.person[place];
         match self.room(room) {
             Some(room) => own.probability[room][0],
