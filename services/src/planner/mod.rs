@@ -1,7 +1,7 @@
 //! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
 //!
 //! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
-//! the robot is**, or to go on pausing: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
+//! the robot is**, or to go on pausing: no other choice brings the robot nearer to no person. Such a decision is flagged, is
 //! published once, and the next one follows as soon as there are fresh scores again.
 //!
 //! Work goes in rounds. A round has a deadline, so that the stays that are left become fewer with time and no plan can put a room off
@@ -9,7 +9,7 @@
 //! that is done early goes on to its deadline, and the robot keeps where the person is not; otherwise the next one begins at once.
 //!
 //! A robot that reports ends its stays itself: a room is done when it says so, and is tried again after the others when it could not do
-//! it. One that says nothing ends them by the clock. A person who comes into the robot's room ends its work there.
+//! it. One that says nothing ends them by the clock. The robot's work ends when a person enters its room.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -55,23 +55,23 @@ use robot::{Robot, Work};
 use round::{Round, nanoseconds};
 use rules::{Facts, Now, Reason, allowed, holds};
 
-/// How often connections are renewed at least. Whoever joins by this contract's crate wakes the planner by itself.
+/// How often connections are renewed at least. A participant of this crate wakes the planner when it joins.
 /// Longer than the daemon's usual heartbeat, so that an idle planner wakes for scores, and not once more just before them.
 const TICK: Duration = Duration::from_millis(300);
 /// A robot that waits or pauses may be given work at any new score, and so often without one: time alone changes forecasts.
 const LOOK_AGAIN_NS: u64 = 5_000_000_000;
 /// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
 const WORTH_MOVING: f64 = 0.005;
-/// What is dated further ahead of now than this was not sent on this boot's clock.
+/// A message with a time further ahead is not of this boot's clock.
 const AHEAD_NS: u64 = 1_000_000_000;
 /// A robot that pauses is given a new reason at most so often.
 const SAY_AGAIN_NS: u64 = 300_000_000_000;
 /// A room that is overdue is at most so often as dear to leave undone.
 const WEIGHT_MAX: f64 = 100.0;
-/// Decisions whose rooms stay known, for reports that come late.
+/// The number of past decisions that late reports can answer.
 const DECISIONS: usize = 32;
 
-/// The robot as the planner knows it, and what it decides. Pure: time comes in as a number.
+/// The planner's state. Pure: time comes in as a number.
 #[derive(Debug)]
 pub struct Planner {
     config: PlannerConfig,
@@ -120,7 +120,7 @@ pub struct Planner {
 enum Standing {
     /// Nothing that stands.
     Free,
-    /// Work that a planner before this one asked for is to be asked for again, so that the robot hears it from this one.
+    /// An earlier planner ordered the work in hand. This planner repeats the order, so that the robot knows its number.
     Resumes,
     /// To pause: why, in which words, and when that was said.
     Pauses(Pause, String, u64),
@@ -175,7 +175,7 @@ struct Notice {
 struct Verdict {
     /// Why the robot does not work there.
     reason: Option<Reason>,
-    /// The person who is likely there.
+    /// The likely person there.
     by: Option<Reason>,
     /// A person asked for it.
     is_asked: bool,
@@ -192,7 +192,7 @@ fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
     said
 }
 
-/// What is to be done next.
+/// The next step.
 enum Next {
     Go { room: usize, reason: String, flags: u32 },
     Pause { why: Pause, reason: String },
@@ -235,7 +235,7 @@ impl Planner {
         }
     }
 
-    /// With the residents of the home, whose forecasts come, and its time zone.
+    /// With the residents of the home and its time zone. The planner then expects persons' forecasts.
     #[must_use]
     pub fn with_home(mut self, residents: &[String], zone: Zone) -> Self {
         (self.residents, self.zone, self.follows_persons) = (residents.to_vec(), zone, true);
@@ -325,7 +325,7 @@ impl Planner {
         }
     }
 
-    /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
+    /// Takes a checked forecast. It is used while its rooms are those of the scores.
     ///
     /// # Errors
     ///
@@ -358,13 +358,13 @@ impl Planner {
         Ok(())
     }
 
-    /// Rooms that are not to be entered because somebody may be there, no room where sets are not looked at; none where that is not known.
+    /// The rooms in a person's room set, if the configuration avoids them. `None` if the sets are not known.
     fn avoided(&self, now_ns: u64) -> Option<Vec<bool>> {
         let Some(scores) = self.scores.as_ref().filter(|_| self.config.avoid_sets) else { return Some(Vec::new()) };
         outlook::in_sets(self.persons.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
-    /// Whether sets are to be looked at, and those that belong to the newest scores have not come.
+    /// Whether the configuration avoids room sets and the sets of the newest scores are missing.
     #[must_use]
     pub(crate) fn lacks_sets(&self, now_ns: u64) -> bool {
         self.scores.is_some() && self.avoided(now_ns).is_none()
@@ -379,7 +379,7 @@ impl Planner {
         waits && is_new && scores.sequence > 0 && now_ns < since_ns.saturating_add(self.deadline_ns)
     }
 
-    /// Takes note of what another robot is told, where rooms of others are not entered.
+    /// Takes another robot's decision, if the configuration avoids rooms of robots.
     pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
@@ -455,7 +455,7 @@ impl Planner {
             if !self.config.repeat {
                 self.standing = Standing::Finished;
                 self.round.end();
-                // A robot that was interrupted does not wait where somebody is.
+                // An interrupted robot does not wait in a person's room.
                 let (action, to) = match self.notice.flags & decision_flags::INTERRUPTED {
                     0 => (action::STAY, self.robot.room),
                     _ => (action::PAUSE, None),
@@ -492,7 +492,7 @@ impl Planner {
                 let idle = self.is_idle_in(room);
                 let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 if let Some(waiting) = waiting {
-                    // It changes its place without work for who comes there, if at all.
+                    // A robot without work changes its room only for a person.
                     if idle && (room == waiting.room || !self.is_met(&waiting, scores, now_ns)) {
                         return Ok(None);
                     }
@@ -506,7 +506,7 @@ impl Planner {
                 self.send_to(room, idle, likely_now, now_ns, decision.sequence);
                 Ok(Some(DecisionV1 {
                     probability: likely.unwrap_or_default().clamp(0.0, 1.0),
-                    // Where nothing is to be done, only the place is said.
+                    // Without work the decision is a place only.
                     action: if idle { action::STAY } else { action::GO },
                     flags: decision.flags | flags | forced,
                     ..decision
@@ -517,7 +517,7 @@ impl Planner {
 
     /// Asks again for work that a planner before this one asked for.
     fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: u64, now_unix_ns: u64) -> DecisionV1 {
-        // Where its time is over it owes a report, which it may have sent while nobody listened.
+        // After its time the robot owes a report. It may have sent it while no planner listened.
         let left_ns = work.ends_ns.saturating_sub(now_ns);
         let reason = match left_ns {
             0 => "asks what became of what it was sent to do before the planner's restart",
@@ -536,7 +536,7 @@ impl Planner {
         decision
     }
 
-    /// Drops the orders whose time is over, and notes which rooms need work now.
+    /// Drops expired orders, and notes the rooms that need work now.
     fn look_at_orders(&mut self) {
         let unix_s = self.clock.1 / 1_000_000_000;
         if self.orders.expire(unix_s) {
@@ -553,7 +553,7 @@ impl Planner {
         }
     }
 
-    /// Notes which rooms need work now: those that are due, whatever the round; not those that are excluded or skipped.
+    /// Notes the rooms that need work now: rooms that are due need it in any round, excluded and skipped rooms never.
     fn look_at_needs(&mut self) {
         let Some(scores) = &self.scores else { return };
         let (config, orders) = (&self.config, &self.orders);
@@ -661,7 +661,7 @@ impl Planner {
         let Some(work) = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty()) else { return };
         let now = Now { local_s: self.local_s(), stay_s: 0.0 };
         let ended = allowed(work.room, now, &self.facts(scores, now_ns)).err();
-        // A robot that waits makes no noise; a person who holds it is answered.
+        // A waiting robot makes no noise. A hold is confirmed all the same.
         let Some(reason) = ended.filter(|reason| !work.waits || matches!(reason, Reason::Held { .. })) else { return };
         let (id, cancels) = (self.id_of(work.room), self.own_decision(work));
         let why = if work.waits { String::new() } else { format!("The work in the {id} stops. {reason} ") };
@@ -671,7 +671,7 @@ impl Planner {
         self.ordered();
     }
 
-    /// Ends the work whose time is over: by the clock it is done, and a robot that owes a report has given it up.
+    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has given it up.
     fn look_at_work(&mut self, now_ns: u64) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
@@ -756,7 +756,7 @@ impl Planner {
         }
     }
 
-    /// Rooms that other robots work in, or also wait in; none where they are not looked at.
+    /// Rooms in which other robots work, or also wait, if the configuration avoids them.
     fn taken(&self, waiting_too: bool, now_ns: u64) -> Vec<bool> {
         let known = self.scores.as_ref().zip(self.others.as_ref());
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
@@ -793,7 +793,7 @@ impl Planner {
         closed.resize(closed.len().max(rules.len()), false);
         closed.iter_mut().zip(&rules).for_each(|(closed, verdict)| *closed |= verdict.reason.is_some());
         let mut left = Vec::new();
-        // What is scarce is time only if every stay that is left is needed.
+        // Time is scarce only if every remaining stay is needed.
         let scarce = self.plans()
             && !outlook.has(decision_flags::NOT_KNOWN)
             && self.round.slots_left(now_ns).is_some_and(|slots| slots <= self.round.undone());
@@ -804,7 +804,7 @@ impl Planner {
                 return Ok(Next::Pause { why: Pause::NoRoom, reason });
             };
             let room = partition.0 as usize;
-            // Where it has nothing to do it waits in no room of another robot's.
+            // Without work it waits in no room of another robot.
             if self.is_idle_in(room) && shared.get(room) == Some(&true) && closed.get(room) == Some(&false) {
                 closed[room] = true;
                 continue;
@@ -817,7 +817,7 @@ impl Planner {
                 }
                 continue;
             }
-            // Nobody is led from one person to another.
+            // A robot that made way for a person is not sent to another person.
             let interrupted = self.notice.flags & decision_flags::INTERRUPTED != 0
                 || matches!(self.standing, Standing::Pauses(Pause::Persons, ..));
             if interrupted && here.and_then(|here| here.get(room)).is_some_and(|likely| *likely >= occupied) {
@@ -885,7 +885,7 @@ impl Planner {
         self.policy.choose(&state, &outlook.likely, &mut self.rng).map(Some)
     }
 
-    /// The room that the robot is in, where it has nothing to do and nothing is gained by another.
+    /// The robot's room, if the robot has no work and gains nothing in another room.
     fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: u64) -> Option<usize> {
         let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
         let closed = |rooms: &[bool]| rooms.get(here).copied().unwrap_or(false);
@@ -917,12 +917,12 @@ impl Planner {
         let planner = Self::new(&config.planner, 1).with_home(&config.persons.residents, Zone::local());
         match setup::load_map(config.scene.path.as_deref()) {
             Ok(map) => planner.with_map(map, config.grounding.level),
-            // The planner says what is wrong with it.
+            // The planner logs the fault.
             Err(_) => planner,
         }
     }
 
-    /// For each room, by its id, the reason why now is no good time to clean it; none where it is a good one. Nothing while scores are stale.
+    /// For each room, by its id, the reason against cleaning it now; `None` for a good time. Empty while scores are stale.
     pub fn advise(&mut self, now_ns: u64, now_unix_ns: u64) -> BTreeMap<String, Option<String>> {
         self.clock = (now_ns, now_unix_ns);
         let Some(scores) = self.scores.filter(|_| self.stale(now_ns) == 0) else { return BTreeMap::new() };
@@ -955,7 +955,7 @@ impl Planner {
         Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
     }
 
-    /// Why the rooms that are still to do wait: a rule, or a person who is there.
+    /// The reasons of the rooms that wait: rules and persons.
     fn why_waiting(&self, rules: &[Verdict]) -> String {
         let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
         sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))).join(" ")
@@ -988,7 +988,7 @@ impl Planner {
         if self.robot.work.is_some() || self.is_finished() || self.standing == Standing::FellBack {
             return None;
         }
-        // A robot that was sent away from somebody is not told to wait beside them.
+        // A robot that made way for a person does not stay next to that person.
         let (action, to, does) = match std::mem::replace(&mut self.standing, Standing::FellBack) {
             Standing::Pauses(..) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
             _ => (action::STAY, self.robot.room, "staying is safe"),
@@ -1089,7 +1089,7 @@ impl Planner {
         decision
     }
 
-    /// Nothing is left to do or to say, until a map has a room that is not covered.
+    /// Every room is covered and the planner said so. A new room on the map changes that.
     fn is_finished(&self) -> bool {
         self.standing == Standing::Finished && self.round.undone() == 0
     }
@@ -1102,7 +1102,7 @@ impl Planner {
             Some(scores) if scores.silence_ns(now_ns) > self.deadline_ns => {
                 decision_flags::STALE | decision_flags::DAEMON_SILENT
             }
-            // The daemon lives, but these scores do not contain what has happened since.
+            // The daemon lives, but these scores lack the newest events.
             Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns) > self.deadline_ns => {
                 decision_flags::STALE
             }
@@ -1110,7 +1110,7 @@ impl Planner {
         }
     }
 
-    /// Whether the clock has ended the work: not that of a robot whose own word is taken, unless there is nothing to be done in it.
+    /// Whether the clock has ended the work. It ends no work of a robot that reports, except waiting.
     fn is_over(&self, work: &Work, now_ns: u64) -> bool {
         now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
     }

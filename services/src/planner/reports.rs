@@ -49,7 +49,7 @@ fn is_of_work(kind: u32) -> bool {
 }
 
 impl Planner {
-    /// Takes a checked report of the planner's robot, whoever sent it; reports of other robots, and those that were taken before, are
+    /// Takes a checked report of the planner's robot, from any sender. Reports of other robots and repeated reports are
     /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
     ///
     /// # Errors

@@ -18,7 +18,7 @@ pub fn holds(set: RoomSet, room: usize) -> bool {
 pub struct Now {
     /// Seconds since 1970 in local time.
     pub local_s: f64,
-    /// Seconds that the robot is to be in the room from now on; 0 while it works there already.
+    /// The length of the stay from now on in seconds; 0 for work in progress.
     pub stay_s: f64,
 }
 
@@ -32,7 +32,7 @@ pub struct Hold {
     pub until_unix_s: Option<u64>,
 }
 
-/// A person who sleeps.
+/// A sleeping person.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sleeper {
     /// The person's name.
@@ -43,7 +43,7 @@ pub struct Sleeper {
     pub near: RoomSet,
 }
 
-/// A person who is likely in a room.
+/// A likely person in a room.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Staying {
     /// The person's name.
@@ -75,7 +75,7 @@ pub struct Facts<'a> {
     pub at_home: Vec<String>,
     /// The probability that the house is empty now, and all the time for `min_absence_s`.
     pub house_empty: (f64, f64),
-    /// Per room the probability that nobody is there now, and all the time for a stay or `min_absence_s`.
+    /// Per room the probability that it is empty now, and for all of a stay or `min_absence_s`.
     pub room_free: Vec<(f64, f64)>,
     /// Per room the likeliest person there now.
     pub staying: Vec<Option<Staying>>,
