@@ -243,7 +243,9 @@ pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, WishesError> {
     const START: usize = 3 * 60;
     let lives = household(days, seed);
     let known: Vec<Known> = household(KNOWN_DAYS, seed ^ 0xABCD).iter().map(Known::of).collect();
-    let mut planner = Planner::new(&way.config()?, 1).with_map(map()?, PartitionLevel::Room);
+    let map = map()?;
+    let fingerprint = map.fingerprint();
+    let mut planner = Planner::new(&way.config()?, 1).with_map(map, PartitionLevel::Room);
     planner = planner.with_home(&PERSONS.map(str::to_owned), Zone::UTC);
     let seen_from = lives
         .each_ref()
@@ -278,7 +280,7 @@ pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, WishesError> {
             }
             _ => {
                 let seen: Vec<bool> = seen_from.iter().map(|from| minute >= *from).collect();
-                tell(&mut planner, minute, &now, &seen, &known)?;
+                tell(&mut planner, (minute, fingerprint), &now, &seen, &known)?;
                 let now_ns = minute as u64 * MINUTE_NS;
                 if let Some(decision) = planner.decide(now_ns, now_ns + MONDAY_NS)? {
                     match decision.action {
@@ -338,7 +340,7 @@ fn map() -> Result<SemanticMap, SceneError> {
 /// Sends the messages that the daemon would send.
 fn tell(
     planner: &mut Planner,
-    minute: usize,
+    (minute, map_fingerprint): (usize, [u8; 32]),
     now: &[(Option<usize>, bool)],
     seen: &[bool],
     known: &[Known],
@@ -350,7 +352,7 @@ fn tell(
         computed_ns: at_ns,
         published_ns: at_ns,
         room_count: ROOMS.len() as u32,
-        map_fingerprint: map()?.fingerprint(),
+        map_fingerprint,
         ..Default::default()
     };
     let mut each = Box::new(PersonForecastsV1 {
