@@ -8,6 +8,7 @@
     reason = "each driver uses its own; a panic is the report"
 )]
 
+use roomcast_core::ids::{BootNs, UnixNs};
 use std::cell::RefCell;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -159,7 +160,7 @@ pub fn line(bytes: &[u8]) {
     let message = NarrationV1::new(item.kind, &item.text).expect("what the narrator accepts is a message");
     let message = NarrationV1 { source: 1, epoch: 1, sequence: 1, ..message };
     message.check().expect("what the narrator sends passes the daemon's check");
-    let taken = Intake::new(IntakeLimits::default()).take(&message, Sender::simulated(1), 1);
+    let taken = Intake::new(IntakeLimits::default()).take(&message, Sender::simulated(1), BootNs(1));
     assert!(matches!(taken, Taken::Accepted { .. }), "{taken:?}");
 }
 
@@ -170,7 +171,7 @@ thread_local! {
 fn home_of_two() -> DryRun {
     let residents = ["Ada", "Ben"].map(str::to_owned).to_vec();
     let persons = PersonsConfig { residents, ..PersonsConfig::default() };
-    DryRun::new(&Config { persons, ..Config::default() }, 1_000_000_000_000_000_000)
+    DryRun::new(&Config { persons, ..Config::default() }, UnixNs(1_000_000_000_000_000_000))
         .expect("the shipped scene is a home")
 }
 
@@ -225,11 +226,11 @@ pub fn message(bytes: &[u8]) {
             let mut intake = Intake::new(IntakeLimits::default());
             let checked = message.check();
             let passed = checked.is_ok();
-            match intake.receive(checked.map(|()| &message), Sender::simulated(1), 5) {
+            match intake.receive(checked.map(|()| &message), Sender::simulated(1), BootNs(5)) {
                 Taken::Accepted { observation, .. } => {
-                    assert!(passed && observation.observed_ns <= 5);
+                    assert!(passed && observation.observed_ns <= BootNs(5));
                     assert!(!observation.event.to_string().contains(char::is_control));
-                    assert_eq!(intake.take(&message, Sender::simulated(1), 6), Taken::Duplicate);
+                    assert_eq!(intake.take(&message, Sender::simulated(1), BootNs(6)), Taken::Duplicate);
                 }
                 Taken::Malformed(why) => assert!(!why.is_empty()),
                 other => panic!("{other:?}"),
@@ -242,12 +243,12 @@ pub fn message(bytes: &[u8]) {
             if scores.check().is_ok() {
                 let config = PlannerConfig { room_time_s: 1.0, ..PlannerConfig::default() };
                 let mut planner = Planner::new(&config, 1);
-                planner.take(&scores, scores.published_ns.max(scores.computed_ns)).expect("its own time");
+                planner.take(&scores, BootNs(scores.published_ns.max(scores.computed_ns))).expect("its own time");
                 planner
-                    .take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() }, 0)
+                    .take_forecast(&ForecastV1 { epoch: scores.epoch, ..ForecastV1::default() }, BootNs(0))
                     .expect("long ago");
                 for now_ns in [0, scores.published_ns, scores.published_ns.saturating_add(1 << 40)] {
-                    if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
+                    if let Ok(Some(decision)) = planner.decide(BootNs(now_ns), UnixNs(0)) {
                         decision.check().expect("the planner's decisions pass the check");
                     }
                 }
@@ -258,12 +259,12 @@ pub fn message(bytes: &[u8]) {
             if report.check().is_ok() {
                 let config = PlannerConfig { robot: "robot".to_owned(), ..PlannerConfig::default() };
                 let mut planner = Planner::new(&config, 1);
-                planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() }, 0).expect("long ago");
+                planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() }, BootNs(0)).expect("long ago");
                 let own = RobotReportV1 { robot: sequence::source_of_name("robot"), ..report };
                 // A room that the map lacks is a fault of the report alone.
-                let _placed = planner.take_report(&own, 5);
+                let _placed = planner.take_report(&own, BootNs(5));
                 for now_ns in [0, 5, 1 << 40] {
-                    if let Ok(Some(decision)) = planner.decide(now_ns, 0) {
+                    if let Ok(Some(decision)) = planner.decide(BootNs(now_ns), UnixNs(0)) {
                         decision.check().expect("the planner's decisions pass the check");
                     }
                 }

@@ -18,7 +18,8 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{HeaderMap, Method, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
-use roomcast_ipc::clock;
+use roomcast_core::ids::BootNs;
+use roomcast_services::clock;
 use roomcast_services::notify::Watchdog;
 use roomcast_services::stop::Stop;
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -94,7 +95,7 @@ impl Server {
         let listener = std::net::TcpListener::bind(address).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        let turned_ns = Arc::new(AtomicU64::new(clock::monotonic_ns()));
+        let turned_ns = Arc::new(AtomicU64::new(clock::monotonic_ns().0));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build();
         let runtime = runtime.map_err(HttpError::Thread)?;
         let (turned, asked) = (Arc::clone(&turned_ns), stop.clone());
@@ -120,7 +121,7 @@ impl Server {
         if self.thread.is_finished() && !self.stop.requested() {
             return Err(HttpError::Ended);
         }
-        if turns(self.turned_ns.load(Ordering::Relaxed), clock::monotonic_ns()) {
+        if turns(BootNs(self.turned_ns.load(Ordering::Relaxed)), clock::monotonic_ns()) {
             self.watchdog.lives();
         }
         Ok(())
@@ -133,8 +134,8 @@ impl Server {
 }
 
 /// Whether the serving thread, which last turned then, is at work.
-fn turns(turned_ns: u64, now_ns: u64) -> bool {
-    u128::from(now_ns.saturating_sub(turned_ns)) <= TURN_MAX.as_nanos()
+fn turns(turned_ns: BootNs, now_ns: BootNs) -> bool {
+    u128::from(now_ns.since(turned_ns)) <= TURN_MAX.as_nanos()
 }
 
 /// Serves connections on this thread until it is asked to stop, and notes each turn.
@@ -148,7 +149,7 @@ async fn serve(
     let answer = Rc::new(RefCell::new(answer));
     let mut connections: VecDeque<JoinHandle<()>> = VecDeque::with_capacity(CONNECTIONS_MAX);
     while !stop.requested() {
-        turned_ns.store(clock::monotonic_ns(), Ordering::Relaxed);
+        turned_ns.store(clock::monotonic_ns().0, Ordering::Relaxed);
         let Ok(accepted) = timeout(TICK, listener.accept()).await else { continue };
         match accepted {
             Ok((stream, _)) => {
@@ -266,7 +267,7 @@ mod tests {
 
     #[test]
     fn a_serving_thread_that_stands_still_is_no_sign_of_life() {
-        assert!(turns(7, 7) && turns(7, 2_000_000_007) && turns(9, 7));
-        assert!(!turns(7, 2_000_000_008));
+        assert!(turns(BootNs(7), BootNs(7)) && turns(BootNs(7), BootNs(2_000_000_007)) && turns(BootNs(9), BootNs(7)));
+        assert!(!turns(BootNs(7), BootNs(2_000_000_008)));
     }
 }

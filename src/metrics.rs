@@ -18,13 +18,14 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber, clock,
+    DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber,
     decision_flags, question, score_flags,
 };
+use roomcast_services::clock;
 
 use crate::decided::{Decided, News};
 use crate::http::{HttpError, Server, refusal};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::stop::Stop;
@@ -403,12 +404,12 @@ impl Metrics {
     }
 
     /// The text of a scrape.
-    fn text(&self, now_ns: u64) -> String {
+    fn text(&self, now_ns: BootNs) -> String {
         if let Some(scores) = &self.newest {
-            self.scores_age.set(seconds(scores.age_ns(now_ns)));
-            self.scores_silence.set(seconds(scores.silence_ns(now_ns)));
+            self.scores_age.set(seconds(scores.age_ns(now_ns.0)));
+            self.scores_silence.set(seconds(scores.silence_ns(now_ns.0)));
             if scores.observed_ns > 0 {
-                self.narration_age.set(seconds(now_ns.saturating_sub(scores.observed_ns)));
+                self.narration_age.set(seconds(now_ns.since(BootNs(scores.observed_ns))));
             }
         }
         let mut text = String::new();
@@ -441,18 +442,13 @@ pub fn run(
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(received) = scores.receive()? {
-            match received {
-                Ok(scores) => metrics.take(&scores),
-                Err(_) => {
-                    metrics.malformed_scores.inc();
-                }
-            }
+        while let Some(scores) = scores.receive()? {
+            metrics.take(&scores);
         }
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received {
-                metrics.decide(&decision);
-            }
+        let new = scores.malformed() - metrics.malformed_scores.get();
+        metrics.malformed_scores.inc_by(new);
+        while let Some(decision) = decisions.receive()? {
+            metrics.decide(&decision);
         }
         drop(metrics);
         server.look_after()?;
@@ -544,7 +540,7 @@ mod tests {
         PolicyName::ALL.iter().for_each(|policy| decide(policy.as_str()));
         (0..1000).for_each(|number| decide(&format!("policy-{number}")));
         decide("other");
-        let text = metrics.text(0);
+        let text = metrics.text(BootNs(0));
         let series: Vec<_> = text.lines().filter(|line| line.starts_with("roomcast_decisions_total")).collect();
         assert_eq!(series.len(), PolicyName::ALL.len() + 1, "{series:?}");
         for line in [
@@ -573,7 +569,7 @@ mod tests {
         metrics.take(&scores);
         metrics.take(&RoomScoresV1 { flags: score_flags::HEARTBEAT, published_ns: 9_000_000, ..scores });
         metrics.take(&RoomScoresV1 { sequence: 4, ..scores });
-        let text = metrics.text(10_000_000);
+        let text = metrics.text(BootNs(10_000_000));
         for line in [
             "roomcast_event_to_scores_seconds_count 2",
             "roomcast_event_to_scores_seconds_bucket{le=\"0.002\"} 0",
@@ -627,7 +623,7 @@ mod tests {
                 scores.room[place].id = text::encode("id", id).unwrap();
             }
             metrics.take(&scores);
-            let text = metrics.text(1);
+            let text = metrics.text(BootNs(1));
             let told = text.lines().filter(|line| line.starts_with("roomcast_room_probability{")).count();
             let all = rooms.iter().all(|id| text.contains(&format!("roomcast_room_probability{{room=\"{id}\"}}")));
             assert!(told == rooms.len() && all, "{text}");
@@ -660,7 +656,7 @@ mod tests {
             forecast: vec![line],
         };
         metrics.habits(&HabitsAnswer { persons: vec![ada], ..HabitsAnswer::default() });
-        let text = metrics.text(1);
+        let text = metrics.text(BootNs(1));
         for line in [
             "roomcast_habits_size_bytes 4096",
             "roomcast_habits_counts 12",
@@ -672,7 +668,7 @@ mod tests {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }
         metrics.habits(&HabitsAnswer::default());
-        assert!(!metrics.text(2).contains("person=\"7\""));
+        assert!(!metrics.text(BootNs(2)).contains("person=\"7\""));
     }
 
     /// A daemon may be too busy to say what it has learned, or be away: nobody is forgotten by that.

@@ -1,16 +1,16 @@
 //! What `roomcast top` shows: the state gathered from the services, and its drawing. No port, no clock, no terminal: a test feeds it
 //! messages and looks at the text.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RobotReportV1,
     RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
@@ -18,7 +18,7 @@ use crate::bar::bar;
 use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
 use crate::robot_place::Places;
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
 
@@ -75,6 +75,8 @@ pub struct View {
     rooms: Vec<Room>,
     /// Each person's line, where it says more than the rooms do.
     persons: Vec<String>,
+    /// By person: the observation that moved the belief most.
+    reasons: BTreeMap<u32, String>,
     forecasts: Option<Box<PersonForecastsV1>>,
     forecast_flags: u32,
     narration: VecDeque<(String, String)>,
@@ -163,7 +165,7 @@ impl View {
         for person in scores.persons() {
             let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
             let mut line =
-                format!("{}: {}", who(PersonId(person.person), person.name()), presence_word(person.presence));
+                format!("{}: {}", who(PersonId(person.person), person.name()), Presence::of(person.presence));
             if let (Some(told), Some(own)) = (forecasts, own) {
                 line.push_str(&forecast_words(told, own));
             }
@@ -176,6 +178,7 @@ impl View {
                 line.push_str(crate::flags::plain(word));
             }
             self.persons.push(line);
+            self.persons.extend(self.reasons.get(&person.person).map(|reason| format!("  {reason}")));
             // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
             let has_learned = self.status.as_ref().is_none_or(|status| status.learned > 0);
             self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own, has_learned)));
@@ -184,6 +187,11 @@ impl View {
         if left_out > 0 {
             self.persons.push(format!("and {left_out} more"));
         }
+    }
+
+    /// Takes in why persons are believed to be where they are, which the next scores are shown with.
+    pub fn reasons(&mut self, reasons: &BTreeMap<u32, String>) {
+        self.reasons.clone_from(reasons);
     }
 
     /// Takes in each person's forecast, which the next scores are shown with.
@@ -213,9 +221,9 @@ impl View {
         self.status = Some(status);
     }
 
-    /// Counts a message that was malformed.
-    pub fn malformed(&mut self) {
-        self.malformed += 1;
+    /// Shows so many malformed messages.
+    pub fn malformed(&mut self, messages: u64) {
+        self.malformed = messages;
     }
 
     /// Adds a point to every room's line; to be called every [`POINT_NS`].
@@ -229,7 +237,7 @@ impl View {
     }
 
     /// Draws everything; `now_ns` is the monotonic clock.
-    pub fn draw(&self, frame: &mut Frame<'_>, now_ns: u64) {
+    pub fn draw(&self, frame: &mut Frame<'_>, now_ns: BootNs) {
         let area = frame.area();
         let persons = self.person_lines(area.width);
         let room_rows = ((self.rooms.len().max(1) + persons.len()) as u16).saturating_add(2);
@@ -250,12 +258,12 @@ impl View {
         }
     }
 
-    fn head(&self, now_ns: u64) -> Line<'static> {
+    fn head(&self, now_ns: BootNs) -> Line<'static> {
         let title = Span::from(" roomcast ").bold().reversed();
         let Some(scores) = &self.scores else {
             return Line::from(vec![title, Span::from("  no daemon has been heard yet").yellow()]);
         };
-        let silence_ns = scores.silence_ns(now_ns);
+        let silence_ns = scores.silence_ns(now_ns.0);
         let alive = if silence_ns > SILENCE_NS {
             Span::from(format!("  daemon silent for {:.1} s", silence_ns as f64 / 1e9)).red().bold()
         } else {
@@ -339,9 +347,9 @@ impl View {
         frame.render_widget(Paragraph::new(lines).block(titled("what comes next")), area);
     }
 
-    fn decision_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
+    fn decision_lines(&self, now_ns: BootNs) -> Vec<Line<'static>> {
         let Some(decision) = &self.decision else { return vec![Line::from("no decision has been heard yet").dim()] };
-        let age_s = now_ns.saturating_sub(decision.decided_ns) as f64 / 1e9;
+        let age_s = now_ns.since(BootNs(decision.decided_ns)) as f64 / 1e9;
         let robot = match decision.robot_name() {
             name if decision.robot != self.robot && !name.is_empty() => format!("{name}: "),
             _ => String::new(),
@@ -363,7 +371,7 @@ impl View {
         vec![Line::from(first), Line::from(decision.reason().to_owned())]
     }
 
-    fn health_lines(&self, now_ns: u64) -> Vec<Line<'static>> {
+    fn health_lines(&self, now_ns: BootNs) -> Vec<Line<'static>> {
         let mut first = Vec::new();
         if let Some(scores) = &self.scores {
             let reached = match scores.reached {
@@ -388,7 +396,7 @@ impl View {
         let second = match &self.status {
             None => Line::from("the daemon has not answered for itself yet").dim(),
             Some(status) => {
-                let age_s = now_ns.saturating_sub(status.answered_ns) as f64 / 1e9;
+                let age_s = now_ns.since(BootNs(status.answered_ns)) as f64 / 1e9;
                 let age = if age_s > 3.0 { format!("{age_s:.0} s ago: ") } else { String::new() };
                 let lost: Vec<String> = [
                     (status.missed, "missed"),
@@ -582,7 +590,7 @@ mod tests {
         view
     }
 
-    fn drawn(view: &View, width: u16, height: u16, now_ns: u64) -> String {
+    fn drawn(view: &View, width: u16, height: u16, now_ns: BootNs) -> String {
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         terminal.draw(|frame| view.draw(frame, now_ns)).unwrap();
         let buffer = terminal.backend().buffer();
@@ -600,9 +608,9 @@ mod tests {
         };
         let mut view = View::of_robot("dusty");
         view.decision(&of("rusty", "attic"));
-        assert!(drawn(&view, 80, 24, 0).contains("rusty: attic"));
+        assert!(drawn(&view, 80, 24, BootNs(0)).contains("rusty: attic"));
         ["dusty", "rusty"].into_iter().zip(["cellar", "attic"]).for_each(|(robot, to)| view.decision(&of(robot, to)));
-        let shown = drawn(&view, 80, 24, 0);
+        let shown = drawn(&view, 80, 24, BootNs(0));
         assert!(shown.contains("cellar (") && !shown.contains("dusty:") && !shown.contains("attic"), "{shown}");
     }
 
@@ -613,11 +621,11 @@ mod tests {
         let mut decision = DecisionV1 { robot: sequence::source_of_name("robot"), ..Default::default() };
         decision.cleaned_min[1] = 181;
         view.decision(&decision);
-        let shown = drawn(&view, 100, 24, 0);
+        let shown = drawn(&view, 100, 24, BootNs(0));
         assert!(shown.contains("done 3 h") && shown.contains("[dry run]"), "{shown}");
         let docked = RobotReportV1 { robot: decision.robot, kind: report_kind::DOCKED, ..Default::default() };
         view.report(&docked);
-        assert!(drawn(&view, 100, 24, 0).contains("[on its dock]"));
+        assert!(drawn(&view, 100, 24, BootNs(0)).contains("[on its dock]"));
         assert_eq!(
             [0, 119, 120, 2879, 2880].map(ago),
             ["done 0 min", "done 119 min", "done 2 h", "done 47 h", "done 2 d"]
@@ -675,7 +683,7 @@ mod tests {
         view.forecast_flags(u32::MAX);
         for now_ns in [0, 1, MOST] {
             for (width, height) in [(1, 1), (80, 24), (200, 50)] {
-                drawn(&view, width, height, now_ns);
+                drawn(&view, width, height, BootNs(now_ns));
             }
         }
     }
@@ -683,7 +691,7 @@ mod tests {
     #[test]
     fn everything_fits_a_small_and_a_large_terminal() {
         for (width, height) in [(80, 24), (200, 50)] {
-            let text = drawn(&full(), width, height, 1_100_000_000);
+            let text = drawn(&full(), width, height, BootNs(1_100_000_000));
             println!("{text}");
             for part in [
                 "daemon alive",
@@ -709,7 +717,7 @@ mod tests {
     /// On the smallest screens the rooms stay, and everything has exactly the rows that there are.
     #[test]
     fn a_tiny_terminal_shows_the_rooms() {
-        let text = drawn(&full(), 40, 10, 1_100_000_000);
+        let text = drawn(&full(), 40, 10, BootNs(1_100_000_000));
         for part in ["kitchen", "living-room", "bathroom", "90.0 %", "q quits"] {
             assert!(text.contains(part), "{part:?} is missing:\n{text}");
         }
@@ -732,7 +740,7 @@ mod tests {
         let names = ["kitchen", "living-room", "bathroom", "bedroom", "office", "hall"];
         view.scores(&scores(31, &names.map(|name| (name, 1.0 / 6.0))));
         view.persons = vec!["ada: present".to_owned(), "ben: away".to_owned()];
-        let text = drawn(&view, 40, 10, 1_100_000_000);
+        let text = drawn(&view, 40, 10, BootNs(1_100_000_000));
         for part in names.into_iter().chain(["ada: present", "ben: away", "q quits"]) {
             assert!(text.contains(part), "{part:?} is missing:\n{text}");
         }
@@ -744,11 +752,11 @@ mod tests {
     fn persons_who_do_not_fit_are_counted() {
         let mut view = full();
         view.persons = (0..8).map(|number| format!("person {number}: present")).collect();
-        let text = drawn(&view, 80, 10, 1_100_000_000);
+        let text = drawn(&view, 80, 10, BootNs(1_100_000_000));
         assert!(text.contains("person 1: present") && text.contains("more lines"), "{text}");
         let shown = (0..8).filter(|number| text.contains(&format!("person {number}"))).count();
         assert!(text.contains(&format!("and {} more lines", 8 - shown)), "{text}");
-        assert!(!drawn(&view, 80, 40, 1_100_000_000).contains("more lines"));
+        assert!(!drawn(&view, 80, 40, BootNs(1_100_000_000)).contains("more lines"));
     }
 
     /// The kind decides how a text is read, as in the daemon.
@@ -781,7 +789,7 @@ mod tests {
         }
         scores.person[1].flags = roomcast_ipc::person_flags::RESTORED;
         view.persons(&scores);
-        let text = drawn(&view, 80, 24, 1_100_000_000);
+        let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         for line in [
             "person 3: unknown, next kitchen 75.0 %",
             "person 4: unknown, next bathroom 90.0 %, not observed since the start",
@@ -791,7 +799,7 @@ mod tests {
         }
         scores.person_count = 1;
         view.persons(&scores);
-        assert!(!drawn(&view, 80, 24, 1_100_000_000).contains("person 3"));
+        assert!(!drawn(&view, 80, 24, BootNs(1_100_000_000)).contains("person 3"));
     }
 
     /// Names, presence, where everybody is now and whether they will be elsewhere stand in one line each.
@@ -817,7 +825,7 @@ mod tests {
         (forecasts.person[1].elsewhere[0], forecasts.person[1].elsewhere[1]) = (1.0, 0.625);
         view.forecasts(&forecasts);
         view.persons(&scores);
-        let text = drawn(&view, 80, 24, 1_100_000_000);
+        let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         for line in [
             "ada: present, now kitchen 87.5 %, next bathroom 50.0 %, probably asleep",
             "ben: away, elsewhere in 60 min 62.5 %",
@@ -831,19 +839,19 @@ mod tests {
         (ada.probability[1][1], ada.elsewhere[1]) = (0.5, 0.125);
         view.forecasts(&forecasts);
         view.persons(&scores);
-        let text = drawn(&view, 80, 24, 1_100_000_000);
+        let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         let line = "in 60 min, set for 90 %, has 62 %: bathroom, elsewhere (40 % learned)";
         assert!(text.contains(line), "{line:?} is missing:\n{text}");
         // Nothing was learned yet: the share would be that of what habits assume.
         view.status(StatusResponseV1::default());
         view.persons(&scores);
-        let text = drawn(&view, 80, 24, 1_100_000_000);
+        let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         assert!(text.contains("bathroom, elsewhere") && !text.contains("learned)"), "{text}");
         // What is longer than the screen is wide goes on in the next line, between words.
         scores.person[0].name = text::encode("name", "anne-marie of the upper floor").unwrap();
         view.persons(&scores);
         for (width, height) in [(80, 40), (50, 40), (33, 60)] {
-            let text = drawn(&view, width, height, 1_100_000_000);
+            let text = drawn(&view, width, height, BootNs(1_100_000_000));
             let panel = text.lines().skip(1).take_while(|line| !line.contains("narration"));
             let words: Vec<&str> = panel.flat_map(|line| line.trim_matches('│').split_whitespace()).collect();
             let said = words.join(" ");
@@ -855,13 +863,13 @@ mod tests {
         // One person alone has a line too where it says more than the rooms.
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);
-        assert!(drawn(&view, 80, 24, 1_100_000_000).contains("anne-marie of the upper floor: present"));
+        assert!(drawn(&view, 80, 24, BootNs(1_100_000_000)).contains("anne-marie of the upper floor: present"));
     }
 
     #[test]
     fn a_silent_daemon_and_an_empty_view_are_told() {
-        assert!(drawn(&full(), 80, 24, 9_000_000_000).contains("daemon silent for 8.0 s"));
-        let empty = drawn(&View::default(), 80, 24, 0);
+        assert!(drawn(&full(), 80, 24, BootNs(9_000_000_000)).contains("daemon silent for 8.0 s"));
+        let empty = drawn(&View::default(), 80, 24, BootNs(0));
         assert!(
             empty.contains("no daemon has been heard yet")
                 && empty.contains("no decision has been heard yet")
@@ -884,7 +892,7 @@ mod tests {
         let mut view = full();
         view.help = true;
         for (width, height) in [(1, 1), (10, 3), (40, 8)] {
-            drawn(&view, width, height, 0);
+            drawn(&view, width, height, BootNs(0));
         }
     }
 }

@@ -5,6 +5,7 @@
 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::habits::HabitsOptions;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::narration::{Observation, Program, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::certified::Effort;
@@ -48,18 +49,18 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
         for (sequence, sentence) in (1..).zip(sentences.iter().cycle().take((TOLD + 1) * sentences.len())) {
             let now_ns = clock::monotonic_ns();
             let sentence = Sentence::new(sentence).unwrap();
-            let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence) };
+            let observation = Observation { observed_ns: BootNs(now_ns), ..Observation::of(sequence, sentence) };
             let scored = allocation_counter::measure(|| {
-                cycle.enter(Entry::new(observation, now_ns), 0);
-                cycle.step(now_ns, now_ns).unwrap();
+                cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
+                cycle.step(BootNs(now_ns), UnixNs(now_ns)).unwrap();
             });
             let (mut forecast, mut message) = (None, None);
             let written = allocation_counter::measure(|| {
-                forecast = Some(*cycle.board_mut().forecast(now_ns));
-                cycle.board_mut().person_scores(now_ns);
-                cycle.board_mut().person_forecasts(now_ns);
-                cycle.board_mut().tick(now_ns, now_ns);
-                message = cycle.message(now_ns, u64::MAX, false).copied();
+                forecast = Some(*cycle.board_mut().forecast(BootNs(now_ns)));
+                cycle.board_mut().person_scores(BootNs(now_ns));
+                cycle.board_mut().person_forecasts(BootNs(now_ns));
+                cycle.board_mut().tick(BootNs(now_ns), UnixNs(now_ns));
+                message = cycle.message(BootNs(now_ns), u64::MAX, false).copied();
             });
             let sent = allocation_counter::measure(|| {
                 forecasts.send(&forecast.unwrap()).unwrap();

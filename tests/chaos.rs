@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::Pipeline;
 use roomcast_ipc::{
@@ -391,11 +391,12 @@ impl World {
         // Decisions first: the scores that they rest on were sent before them, and are here then.
         let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
         let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
+        assert_eq!((observer.decisions.malformed(), observer.scores.malformed()), (0, 0));
         for scores in scores {
-            self.look_at_scores(&scores.unwrap());
+            self.look_at_scores(&scores);
         }
         for decision in decisions {
-            self.look_at_decision(&decision.unwrap());
+            self.look_at_decision(&decision);
         }
     }
 
@@ -481,7 +482,7 @@ impl World {
         };
         let room = decision.to().to_owned();
         let report = Report { room: Some(room.clone()), decision: Some(decision.sequence), ..Report::new(kind) };
-        let message = self.reporter.message(&report, clock::monotonic_ns(), clock::unix_ns()).unwrap();
+        let message = self.reporter.message(&report, BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();
         observer.reports.send(&message).unwrap();
         observer.reports.tick().unwrap();
         if kind == Kind::Finished {

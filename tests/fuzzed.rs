@@ -12,7 +12,7 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
@@ -62,7 +62,13 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
 fn observation(sequence: u64) -> Observation {
     let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
     let (observed_ns, observed_unix_ns) = (sequence, sequence);
-    Observation { source: 7, epoch: 1, observed_ns, observed_unix_ns, ..Observation::of(sequence, sentence) }
+    Observation {
+        source: 7,
+        epoch: 1,
+        observed_ns: BootNs(observed_ns),
+        observed_unix_ns: UnixNs(observed_unix_ns),
+        ..Observation::of(sequence, sentence)
+    }
 }
 
 /// Records of every kind.
@@ -88,7 +94,7 @@ fn recording() -> Vec<u8> {
     for sequence in 1..4 {
         let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
         let message = NarrationV1 { source: 7, epoch: 1, sequence, ..message };
-        let received = Received { unix_ns: sequence, monotonic_ns: sequence };
+        let received = Received { unix_ns: UnixNs(sequence), monotonic_ns: BootNs(sequence) };
         recorder.write(&Recorded::Narration(Box::new(message)), received).unwrap();
     }
     recorder.finish().unwrap();

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::narration::program::Program;
 use roomcast_core::narration::{Observation, Sentence};
@@ -441,7 +441,7 @@ fn the_tokenizer_is_the_one_of_the_training() {
 }
 
 fn observation(sequence: u64, sentence: &str) -> Observation {
-    Observation { observed_ns: sequence, ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
+    Observation { observed_ns: BootNs(sequence), ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
 }
 
 /// A long running pipeline with partial answers and idle compaction against an exact one: the bounds hold, the certified
@@ -520,21 +520,22 @@ fn what_lies_hours_back_does_not_say_what_comes_next() {
     let mut board = Board::new(pipeline(), map.clone(), GroundingOptions::default(), 1).unwrap();
     let evening = ["They open the fridge.", "They grab the milk.", "They lie on the bed.", "They fall asleep."];
     for (sequence, sentence) in (1..).zip(evening) {
-        let observation = Observation { observed_ns: (1000 + 20 * sequence) * S, ..observation(sequence, sentence) };
+        let observation =
+            Observation { observed_ns: BootNs((1000 + 20 * sequence) * S), ..observation(sequence, sentence) };
         let now_ns = observation.observed_ns;
-        board.step([Entry::new(observation, now_ns)], now_ns, now_ns).unwrap();
+        board.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
     }
     let evening = board.snapshot().rooms()[kitchen].probability;
     let morning_ns = (1080 + 8 * 3600) * S;
-    assert!(!board.is_overdue((1080 + 3600) * S) && board.is_overdue(morning_ns));
-    board.step([], morning_ns, morning_ns).unwrap();
-    assert!(!board.is_overdue(morning_ns) && board.snapshot().window == 0);
+    assert!(!board.is_overdue(BootNs((1080 + 3600) * S)) && board.is_overdue(BootNs(morning_ns)));
+    board.step([], BootNs(morning_ns), UnixNs(morning_ns)).unwrap();
+    assert!(!board.is_overdue(BootNs(morning_ns)) && board.snapshot().window == 0);
     let mut unknown = pipeline();
     let unknown = &unknown.score().unwrap().grounded.partition_probability;
     for (room, unknown) in board.snapshot().rooms().iter().zip(unknown) {
         assert!((room.probability - unknown).abs() < 1e-3, "{}: {} {unknown}", room.id(), room.probability);
     }
-    let forecast = board.forecast(morning_ns);
+    let forecast = board.forecast(BootNs(morning_ns));
     println!("kitchen {evening:.3} in the evening, {:.3} in the morning", unknown[kitchen]);
     println!(
         "bedroom now {:.3}, in a quarter of an hour {:.3}",

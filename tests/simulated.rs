@@ -40,7 +40,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
 use roomcast_core::habits::HabitsOptions;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::narration::{Event, HistoryLimits, Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -649,7 +649,7 @@ impl World {
         let item = Item::new(kind, text, who_did);
         let (now_ns, unix_ns) = (self.now_ns, self.unix_ns);
         let narrator = &mut self.narrators[who];
-        let message = narrator.account.next(&item, now_ns, unix_ns).unwrap();
+        let message = narrator.account.next(&item, BootNs(now_ns), UnixNs(unix_ns)).unwrap();
         if narrator.history.len() == HISTORY {
             narrator.history.pop_front();
         }
@@ -756,7 +756,7 @@ impl World {
         if !daemon.intake.knows_port(port) {
             daemon.intake.note_alive(self.narrators.iter().map(|narrator| narrator.port).chain([FORGER, INVENTOR]));
         }
-        let taken = daemon.intake.receive(checked, port, now_ns);
+        let taken = daemon.intake.receive(checked, port, BootNs(now_ns));
         let counted = daemon.intake.counters();
         let refused = counted.limited + counted.malformed + counted.forged + counted.costly;
         ensure(counted.received == counted.accepted + counted.duplicates + refused, || {
@@ -775,7 +775,8 @@ impl World {
                 daemon.appended += 1;
                 daemon.records.push_back((journal::encode(&observation, &BOOT), true));
                 let after_gap = missed > 0;
-                let entry = Entry { observation: observation.clone(), received_ns: now_ns, after_gap, voice, leaves };
+                let entry =
+                    Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, voice, leaves };
                 daemon.queue.push_back((entry, daemon.appended));
                 self.tally.accepted += 1;
                 self.tally.missed += missed;
@@ -865,7 +866,7 @@ impl World {
         let now_ns = self.now_ns;
         let Some(daemon) = self.daemon.as_mut().filter(|_| self.learns) else { return Ok(()) };
         // What is observed is learned with the next forecast.
-        daemon.cycle.board_mut().forecast(now_ns);
+        daemon.cycle.board_mut().forecast(BootNs(now_ns));
         let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
@@ -1012,8 +1013,8 @@ impl World {
             daemon.cycle.enter(entry, record);
         }
         daemon.entered = contained;
-        if daemon.cycle.step_due(now_ns) {
-            match daemon.cycle.step(now_ns, unix_ns) {
+        if daemon.cycle.step_due(BootNs(now_ns)) {
+            match daemon.cycle.step(BootNs(now_ns), UnixNs(unix_ns)) {
                 Ok(()) => {
                     self.tally.prepared += daemon.cycle.board().pipeline().scores().prepared as u64;
                     daemon.scored = contained;
@@ -1049,7 +1050,7 @@ impl World {
         }
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
         let written = if self.planted == Planted::ClaimsBeforeJournal { u64::MAX } else { daemon.written };
-        let mut message = daemon.cycle.message(now_ns, written, self.rng.random_bool(0.1)).copied();
+        let mut message = daemon.cycle.message(BootNs(now_ns), written, self.rng.random_bool(0.1)).copied();
         if self.planted == Planted::MapBeforeScores
             && let Some(message) = &mut message
         {
@@ -1146,9 +1147,9 @@ impl World {
         let (now_ns, limits) = (self.now_ns, self.options.history);
         let history = HistoryLimits { observations: 1000, gap_s: 0, ..limits };
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        let told = *daemon.cycle.board_mut().person_scores(now_ns);
-        let forecast = *daemon.cycle.board_mut().forecast(now_ns);
-        let forecasts = *daemon.cycle.board_mut().person_forecasts(now_ns);
+        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
+        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
+        let forecasts = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
         let (map, scored, all_read) = (daemon.scored_map, daemon.scored, daemon.read.clone());
         self.was_joint |= daemon.cycle.board().is_joint();
         let is_joint = self.was_joint;
@@ -1222,15 +1223,15 @@ impl World {
                 format!("the window of person {number} holds {window} sentences, of which {} are theirs", shown.len())
             })?;
             // What is told late does not lie after a gap when something else of its time was there, in the window or not any more.
-            let silent_s = |until_ns: u64, before: &[&Observation]| {
+            let silent_s = |until_ns: BootNs, before: &[&Observation]| {
                 let newest_ns = before.iter().map(|o| o.observed_ns).max();
-                newest_ns.map_or(0.0, |newest_ns| until_ns.saturating_sub(newest_ns) as f64 / 1e9)
+                newest_ns.map_or(0.0, |newest_ns| until_ns.since(newest_ns) as f64 / 1e9)
             };
             let is_first = |o: &&Observation| shown.first().is_some_and(|first| first.id() == o.id());
             let first = sentences.iter().position(is_first).unwrap_or(sentences.len());
             let inner = first + 1..sentences.len();
             let mut gaps = inner.map(|place| silent_s(sentences[place].observed_ns, &sentences[..place]));
-            let has_ended = window > 0 && limits.is_gap(silent_s(message.computed_ns, &sentences));
+            let has_ended = window > 0 && limits.is_gap(silent_s(BootNs(message.computed_ns), &sentences));
             ensure(!gaps.any(|gap_s| limits.is_gap(gap_s)) && !has_ended, || {
                 format!("the window of person {number} holds what lies before a gap")
             })?;
@@ -1281,8 +1282,8 @@ impl World {
         if !std::mem::take(&mut daemon.restarted) {
             return Ok(());
         }
-        let forecast = *daemon.cycle.board_mut().forecast(now_ns);
-        let told = *daemon.cycle.board_mut().person_scores(now_ns);
+        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
+        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
         let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
         let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
         // Nobody knows of a home with nobody in it where somebody who lives there was never observed.
@@ -1295,10 +1296,10 @@ impl World {
         if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
             return Ok(());
         }
-        ghost.board.step([], now_ns, unix_ns).unwrap();
+        ghost.board.step([], BootNs(now_ns), UnixNs(unix_ns)).unwrap();
         let is_joint = self.was_joint || ghost.board.is_joint();
-        let before = *ghost.board.person_forecasts(now_ns);
-        let after = *daemon.cycle.board_mut().person_forecasts(now_ns);
+        let before = *ghost.board.person_forecasts(BootNs(now_ns));
+        let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
         // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
         // was whose is not known any more.
         let same_windows = ghost.board.pipeline().read_sentences().eq(daemon.cycle.board().pipeline().read_sentences());
@@ -1480,12 +1481,13 @@ impl World {
         let mut forgetful = Intake::new(IntakeLimits::default());
         let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
         if self.planted == Planted::NoTimesAfterRestart {
-            (recovered.observations.iter_mut()).for_each(|o| (o.observed_ns, o.observed_unix_ns) = (0, 0));
+            (recovered.observations.iter_mut())
+                .for_each(|o| (o.observed_ns, o.observed_unix_ns) = (BootNs(0), UnixNs(0)));
         }
         if self.planted == Planted::NoPortsAfterRestart {
             recovered.ports.clear();
         }
-        let costly = cycle.restore(recovered, known, self.now_ns, self.unix_ns);
+        let costly = cycle.restore(recovered, known, BootNs(self.now_ns), UnixNs(self.unix_ns));
         ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
         let learned = cycle.board().habits().learned().observations as usize;
         let said = self.lessons.len();
@@ -1722,7 +1724,7 @@ impl World {
     fn report(&mut self, report: &Report, decision_epoch: u64) {
         let body = &mut self.body;
         let (Some(reporter), false) = (&mut body.reporter, body.silent) else { return };
-        let message = reporter.message(report, self.now_ns, self.now_ns).unwrap();
+        let message = reporter.message(report, BootNs(self.now_ns), UnixNs(self.now_ns)).unwrap();
         // The decision is named whole, as a robot does that hears decisions.
         let message = RobotReportV1 { decision_epoch, ..message };
         if body.history.len() == 8 {
@@ -1781,7 +1783,7 @@ impl World {
         let clock_ns = if self.planted == Planted::ClockStopsInSleep { now_ns - self.asleep_ns } else { now_ns };
         let robot = &mut self.robot;
         while let Some(scores) = robot.scores.pop_front() {
-            if let Err(error) = robot.planner.take(&scores, clock_ns) {
+            if let Err(error) = robot.planner.take(&scores, BootNs(clock_ns)) {
                 ensure(self.planted == Planted::ClockStopsInSleep, || format!("the daemon's scores are {error}"))?;
                 continue;
             }
@@ -1803,13 +1805,13 @@ impl World {
                 forecast.id[room] = score.id;
                 forecast.probability[room][0] = [0.0, 0.5, 1.0][self.rng.random_range(0..3)];
             }
-            robot.planner.take_forecast(&forecast, clock_ns).unwrap();
+            robot.planner.take_forecast(&forecast, BootNs(clock_ns)).unwrap();
             robot.forecast = forecast;
         }
         while robot.planner.knows_rooms()
             && let Some(report) = self.body.wire.pop_front()
         {
-            let heard = robot.planner.take_report(&report, clock_ns);
+            let heard = robot.planner.take_report(&report, BootNs(clock_ns));
             let room = self.body.room_of(&report);
             self.body.begun.remove(&room);
             match report.kind {
@@ -1836,8 +1838,8 @@ impl World {
             let is_fault = heard.is_err() && !matches!(heard, Err(ReportFault::UnknownDecision { .. }));
             ensure(!is_fault || self.tally.map_changes > 0 || self.tally.daemon_kills > 0, || format!("{heard:?}"))?;
         }
-        let free = robot.planner.is_free(clock_ns);
-        let Some(decision) = robot.planner.decide(clock_ns, clock_ns).unwrap() else { return Ok(()) };
+        let free = robot.planner.is_free(BootNs(clock_ns));
+        let Some(decision) = robot.planner.decide(BootNs(clock_ns), UnixNs(clock_ns)).unwrap() else { return Ok(()) };
         // After a restart the planner says once more what the robot was sent to do, as soon as there are scores.
         let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
         let asks = ["goes on", "asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
@@ -1925,7 +1927,7 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
     let (mut newest_ns, mut presence, mut was_gone) = (0, Presence::Unknown, false);
     let mut kept = Vec::with_capacity(own.len());
     for observation in own {
-        let is_late = observation.observed_ns < newest_ns;
+        let is_late = observation.observed_ns < BootNs(newest_ns);
         if is_late && (is_visitor || was_gone) {
             return None;
         }
@@ -1933,7 +1935,7 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
         if is_late && presence != said {
             continue;
         }
-        (newest_ns, presence) = (newest_ns.max(observation.observed_ns), said);
+        (newest_ns, presence) = (newest_ns.max(observation.observed_ns.0), said);
         was_gone |= said == Presence::Gone;
         kept.push(observation);
     }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_ipc::{DecisionV1, Domain, NarrationV1, RoomScoresV1, Sender, clock, narration_kind, sequence};
 use roomcast_services::config::{IntakeLimits, PlannerConfig};
@@ -79,27 +79,27 @@ fn memory_and_descriptors_stay_flat() {
         let sent = Instant::now();
         let text = format!("They do thing {event}.");
         let item = Item::new(narration_kind::SENTENCE, text, Who::Number(PersonId((event % 3) as u32)));
-        let message = account.next(&item, clock::monotonic_ns(), clock::unix_ns()).unwrap();
+        let message = account.next(&item, BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();
         narration_out.send(&message).unwrap();
         narration_in.wait(Duration::from_secs(1)).unwrap();
         while let Some(received) = narration_in.receive().unwrap() {
             let now_ns = clock::monotonic_ns();
             let Taken::Accepted { observation, missed: 0, .. } =
-                intake.take(&received.unwrap(), Sender::simulated(1), now_ns)
+                intake.take(&received, Sender::simulated(1), BootNs(now_ns))
             else {
                 panic!("{event}")
             };
             let record = journal.append(&observation);
-            cycle.enter(Entry::new(observation, now_ns), record);
+            cycle.enter(Entry::new(observation, BootNs(now_ns)), record);
         }
-        cycle.step(clock::monotonic_ns(), clock::unix_ns()).unwrap();
+        cycle.step(BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap();
         assert!(handle.wait_for(cycle.scored_record(), Duration::from_secs(60)), "the journal stands still");
-        let scores = cycle.message(clock::monotonic_ns(), handle.written(), false).unwrap();
+        let scores = cycle.message(BootNs(clock::monotonic_ns()), handle.written(), false).unwrap();
         scores_out.send(scores).unwrap();
         let scores = scores_in.newest().unwrap().unwrap();
         account.confirm(&scores);
-        planner.take(&scores, clock::monotonic_ns()).unwrap();
-        if let Some(decision) = planner.decide(clock::monotonic_ns(), clock::unix_ns()).unwrap() {
+        planner.take(&scores, BootNs(clock::monotonic_ns())).unwrap();
+        if let Some(decision) = planner.decide(BootNs(clock::monotonic_ns()), UnixNs(clock::unix_ns())).unwrap() {
             decisions.send(&decision).unwrap();
             decided += 1;
         }

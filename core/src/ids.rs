@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::num::ParseIntError;
+use std::ops::Add;
 use std::str::FromStr;
 
 /// A person's number.
@@ -52,3 +53,52 @@ impl EventId {
         (self.source, self.epoch)
     }
 }
+
+/// Defines a point in time in nanoseconds.
+macro_rules! clock {
+    ($name:ident, $about:literal) => {
+        #[doc = $about]
+        #[derive(
+            Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, serde::Serialize, serde::Deserialize,
+        )]
+        #[serde(transparent)]
+        pub struct $name(pub u64);
+
+        impl $name {
+            /// Nanoseconds since an earlier time; 0 since a later one.
+            #[must_use]
+            pub const fn since(self, earlier: Self) -> u64 {
+                self.0.saturating_sub(earlier.0)
+            }
+
+            /// So many nanoseconds later.
+            #[must_use]
+            pub const fn saturating_add(self, nanoseconds: u64) -> Self {
+                Self(self.0.saturating_add(nanoseconds))
+            }
+
+            /// So many nanoseconds earlier.
+            #[must_use]
+            pub const fn saturating_sub(self, nanoseconds: u64) -> Self {
+                Self(self.0.saturating_sub(nanoseconds))
+            }
+
+            /// As seconds.
+            #[must_use]
+            pub fn seconds(self) -> f64 {
+                self.0 as f64 / 1e9
+            }
+        }
+
+        impl Add<u64> for $name {
+            type Output = Self;
+
+            fn add(self, nanoseconds: u64) -> Self {
+                self.saturating_add(nanoseconds)
+            }
+        }
+    };
+}
+
+clock!(BootNs, "A time of the clock that begins at boot and never goes back; 0 for no time.");
+clock!(UnixNs, "A time of the wall clock, since 1970; 0 for no time.");

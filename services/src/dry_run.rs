@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use roomcast_core::grounding::{Grounding, GroundingError};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
@@ -120,8 +120,8 @@ fn meaning(report: &SensorReport) -> String {
 pub struct DryRun {
     board: Board<TableModel>,
     sequence: u64,
-    now_ns: u64,
-    unix_ns: u64,
+    now_ns: BootNs,
+    unix_ns: UnixNs,
 }
 
 impl DryRun {
@@ -129,19 +129,19 @@ impl DryRun {
     ///
     /// # Errors
     /// When the map cannot be used.
-    pub fn new(config: &Config, now_unix_ns: u64) -> Result<Self, DryRunError> {
+    pub fn new(config: &Config, now_unix_ns: UnixNs) -> Result<Self, DryRunError> {
         let map = setup::load_map(config.scene.path.as_deref())?;
         let names = config.daemon.state_directory().map(|directory| PersonsFile::load(&directory)).unwrap_or_default();
         let persons = Persons::new(config.persons.clone(), names);
         Self::of(map, config, persons, now_unix_ns)
     }
 
-    fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: u64) -> Result<Self, DryRunError> {
+    fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: UnixNs) -> Result<Self, DryRunError> {
         let grounding = Grounding::new(&map, &config.grounding)?;
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
         let board =
             Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
-        Ok(Self { board, sequence: 0, now_ns: 1_000_000_000_000, unix_ns: now_unix_ns })
+        Ok(Self { board, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
     }
 
     /// What an item would do after all items before it; `None` for an item that the daemon refuses.
@@ -150,10 +150,9 @@ impl DryRun {
     /// When a step fails.
     pub fn take(&mut self, item: &Item) -> Result<Option<DryLine>, DryRunError> {
         let Ok(event) = event_of(item.kind, &item.text) else { return Ok(None) };
-        let apart_ns =
-            item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.saturating_sub(self.unix_ns));
+        let apart_ns = item.observed_unix_ns.map_or(APART_S * 1_000_000_000, |at_ns| at_ns.since(self.unix_ns));
         (self.sequence, self.now_ns) = (self.sequence + 1, self.now_ns + apart_ns);
-        self.unix_ns += apart_ns;
+        self.unix_ns = self.unix_ns + apart_ns;
         let (person, name) = match &item.person {
             Who::Somebody => (PersonId::SOMEBODY, None),
             Who::Number(number) => (*number, None),
@@ -221,7 +220,7 @@ mod tests {
         let residents = vec!["Ada".to_owned(), "Ben".to_owned()];
         let config = PersonsConfig { residents, ..PersonsConfig::default() };
         let persons = Persons::new(config, PersonsFile::default());
-        let mut dry_run = DryRun::of(map, &Config::default(), persons, 1_000_000_000_000_000_000).unwrap();
+        let mut dry_run = DryRun::of(map, &Config::default(), persons, UnixNs(1_000_000_000_000_000_000)).unwrap();
         let mut shown = |line: &str| {
             let item = line_item(line, &Who::Somebody).unwrap();
             dry_run.take(&item).unwrap().unwrap().shown()

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::fmt::Display;
 
 use roomcast_core::habits::{Habits, HabitsOptions, StoredError};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
@@ -46,7 +46,7 @@ pub enum LessonError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lesson {
     /// When it was observed, in nanoseconds since 1970, by the clock of [`Lessons::zone`].
-    at_ns: u64,
+    at_ns: UnixNs,
     person: PersonId,
     name: Option<Box<str>>,
     count: u8,
@@ -83,28 +83,28 @@ fn in_words(length_ns: u64) -> String {
 pub struct Lessons {
     lessons: Vec<Lesson>,
     zone: Zone,
-    now_ns: u64,
+    now_ns: UnixNs,
     faults: Faults,
 }
 
 impl Lessons {
     /// None yet. Their times are of the wall clock, in UTC, where it is `now_unix_ns`; hours of the day are those of `zone`.
     #[must_use]
-    pub fn of_wall_clock(zone: Zone, now_unix_ns: u64) -> Self {
+    pub fn of_wall_clock(zone: Zone, now_unix_ns: UnixNs) -> Self {
         Self { lessons: Vec::new(), zone, now_ns: now_unix_ns, faults: Faults::default() }
     }
 
     /// None yet. Their times are local ones of `zone`, without regard to time zones, as logs have them; the wall clock has `now_unix_ns`.
     #[must_use]
-    pub fn of_local_time(zone: &Zone, now_unix_ns: u64) -> Self {
-        Self::of_wall_clock(Zone::UTC, (zone.local_s(now_unix_ns).max(0.0) * 1e9) as u64)
+    pub fn of_local_time(zone: &Zone, now_unix_ns: UnixNs) -> Self {
+        Self::of_wall_clock(Zone::UTC, UnixNs((zone.local_s(now_unix_ns).max(0.0) * 1e9) as u64))
     }
 
     /// Takes what was said at `at_s` seconds since 1970, or by its own time, or else says that it cannot be learned from. `place` is where it stands.
     pub fn take(&mut self, place: impl Display, item: &Item, at_s: Option<f64>) {
         let at_ns = match at_s {
             Some(at_s) if at_s < 0.0 => return self.faults.add_at(place, Unfit::Early),
-            Some(at_s) => Some((at_s * 1e9) as u64),
+            Some(at_s) => Some(UnixNs((at_s * 1e9) as u64)),
             None => item.observed_unix_ns,
         };
         let (person, name) = match &item.person {
@@ -114,14 +114,14 @@ impl Lessons {
         };
         let event = event_of(item.kind, &item.text).map_err(|error| Unfit::Text(error.to_string()));
         let count = item.count;
-        self.admit(place, at_ns, event.map(|event| Lesson { at_ns: 0, person, name, count, event }));
+        self.admit(place, at_ns, event.map(|event| Lesson { at_ns: UnixNs(0), person, name, count, event }));
     }
 
     /// Takes a lesson of a time if it may be learned.
-    fn admit(&mut self, place: impl Display, at_ns: Option<u64>, lesson: Result<Lesson, Unfit>) {
+    fn admit(&mut self, place: impl Display, at_ns: Option<UnixNs>, lesson: Result<Lesson, Unfit>) {
         let lesson = lesson.and_then(|lesson| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
-            match at_ns.saturating_sub(self.now_ns) {
+            match at_ns.since(self.now_ns) {
                 ahead_ns if ahead_ns > FAST_NS => Err(Unfit::Ahead(ahead_ns)),
                 _ => Ok(Lesson { at_ns: at_ns.min(self.now_ns), ..lesson }),
             }
@@ -178,8 +178,8 @@ impl Lessons {
             let Ok(event) = event_of(narration.kind, narration.text()) else { continue };
             if names.insert((narration.source, narration.epoch, narration.sequence)) {
                 let (person, name, count) = (narration.person, name.map(Into::into), narration.counted());
-                let lesson = Lesson { at_ns: 0, person: PersonId(person), name, count, event };
-                self.admit(format_args!("narration {number}"), Some(at_unix_ns), Ok(lesson));
+                let lesson = Lesson { at_ns: UnixNs(0), person: PersonId(person), name, count, event };
+                self.admit(format_args!("narration {number}"), Some(UnixNs(at_unix_ns)), Ok(lesson));
             }
         }
     }
@@ -227,21 +227,21 @@ pub fn teach<M: LanguageModel>(
     mut told: impl FnMut(usize),
 ) -> Result<String, LessonError> {
     lessons.sort_by_key(|lesson| lesson.at_ns);
-    let mut now_ns = lessons.first().map_or(0, |lesson| lesson.at_ns);
+    let mut now_ns = lessons.first().map_or(UnixNs(0), |lesson| lesson.at_ns);
     // The monotonic clock of the board stands still while nobody watched.
     let mut skipped_ns = 0;
     for (sequence, lesson) in (1..).zip(lessons) {
         let Lesson { at_ns, person, name, count, event } = lesson;
-        if at_ns - now_ns > GAP_NS {
-            skipped_ns += at_ns - now_ns - MINUTE_NS;
+        if at_ns.since(now_ns) > GAP_NS {
+            skipped_ns += at_ns.since(now_ns) - MINUTE_NS;
             now_ns = at_ns;
         }
-        while at_ns - now_ns > MINUTE_NS {
-            now_ns += MINUTE_NS;
-            board.tick(now_ns - skipped_ns, now_ns);
+        while at_ns.since(now_ns) > MINUTE_NS {
+            now_ns = now_ns + MINUTE_NS;
+            board.tick(BootNs(now_ns.0 - skipped_ns), now_ns);
         }
         now_ns = at_ns;
-        let observed_ns = now_ns - skipped_ns;
+        let observed_ns = BootNs(now_ns.0 - skipped_ns);
         let observation = Observation {
             person,
             name,
@@ -287,7 +287,7 @@ mod tests {
     }
 
     fn item(at_s: u64, text: &str) -> Item {
-        let observed_unix_ns = Some(at_s * 1_000_000_000);
+        let observed_unix_ns = Some(UnixNs(at_s * 1_000_000_000));
         Item { observed_unix_ns, ..Item::new(narration_kind::SENTENCE, text, Who::Number(PersonId(3))) }
     }
 
@@ -295,7 +295,7 @@ mod tests {
     const NOW_NS: u64 = 1_709_280_900_000_000_000;
 
     fn lines() -> Lessons {
-        Lessons::of_wall_clock(Zone::UTC, NOW_NS)
+        Lessons::of_wall_clock(Zone::UTC, UnixNs(NOW_NS))
     }
 
     #[test]
@@ -330,9 +330,9 @@ mod tests {
     #[test]
     fn a_sensor_log_teaches_a_home() {
         let log = "2024-03-01 07:15:00\t2024-03-01 07:15:10\tfridge\t-\t-\n2024-03-01 08:15:00\t2024-03-01 08:15:00\tfridge\t-\t-\n";
-        let mut lessons = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        let mut lessons = Lessons::of_local_time(&Zone::UTC, UnixNs(NOW_NS));
         lessons.take_sensors(fridge(log));
-        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns).collect();
+        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns.0).collect();
         assert_eq!((times, lessons.faults().count()), (vec![NOW_NS - 3_600_000_000_000, NOW_NS], 0));
     }
 
@@ -352,12 +352,12 @@ mod tests {
                 && faults[1].starts_with("line 3: it has no time")
         );
         // A second ahead is a clock that differs, and counts as of now.
-        assert_eq!(of_lines.lessons()[1].at_ns, NOW_NS);
+        assert_eq!(of_lines.lessons()[1].at_ns, UnixNs(NOW_NS));
         let log =
             "2024-03-01 08:15:03\t2024-03-01 08:16:00\tfridge\n1e10\t1e10\tfridge\n-5\t-4\tfridge\n10\t20\tfridge\n";
         let rules = "columns = [\"start\", \"end\", \"sensor\"]\n[[rule]]\nsay = \"They open the {sensor}.\"\n\
             [[rule]]\nat = \"end\"\nsay = \"They close the {sensor}.\"\n";
-        let mut of_sensors = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        let mut of_sensors = Lessons::of_local_time(&Zone::UTC, UnixNs(NOW_NS));
         of_sensors.take_sensors(SensorRules::parse(rules).unwrap().narrate(log.as_bytes(), &Who::Somebody));
         let (taken, faults) = told(&of_sensors);
         assert_eq!(taken, 2, "begin and end of the one in 1970");
@@ -381,20 +381,24 @@ mod tests {
     }
 
     #[cfg(feature = "recording")]
-    fn message(sequence: u64, observed_unix_ns: u64) -> Recorded {
+    fn message(sequence: u64, observed_unix_ns: UnixNs) -> Recorded {
         let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
-        Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 { sequence, observed_unix_ns, ..narration }))
+        Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 {
+            sequence,
+            observed_unix_ns: observed_unix_ns.0,
+            ..narration
+        }))
     }
 
     /// The times of a recording go on from a start in 1970, and its clock was set meanwhile.
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_over_a_clock_that_was_set_teaches_hours_by_the_right_one() {
-        let messages = vec![(1, message(1, 0)), (2, message(2, NOW_NS - 7))];
+        let messages = vec![(1, message(1, UnixNs(0))), (2, message(2, UnixNs(NOW_NS - 7)))];
         let mut lessons = lines();
         let received_unix_ns = vec![NOW_NS - 9, NOW_NS - 5];
         lessons.take_recording(&Recording { messages, received_unix_ns, ..Recording::default() });
-        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns).collect();
+        let times: Vec<u64> = lessons.lessons().iter().map(|lesson| lesson.at_ns.0).collect();
         assert_eq!(times, [NOW_NS - 9, NOW_NS - 7]);
     }
 
@@ -402,8 +406,11 @@ mod tests {
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_of_the_future_teaches_nothing() {
-        let messages =
-            vec![(NOW_NS, message(1, 0)), (2 * NOW_NS, message(2, 2 * NOW_NS)), (2 * NOW_NS, message(3, NOW_NS))];
+        let messages = vec![
+            (NOW_NS, message(1, UnixNs(0))),
+            (2 * NOW_NS, message(2, UnixNs(2 * NOW_NS))),
+            (2 * NOW_NS, message(3, UnixNs(NOW_NS))),
+        ];
         let mut lessons = lines();
         let received_unix_ns = vec![NOW_NS, 2 * NOW_NS, 2 * NOW_NS];
         lessons.take_recording(&Recording { messages, received_unix_ns, ..Recording::default() });
@@ -414,14 +421,14 @@ mod tests {
     /// A log in plain seconds, learned into a home that knows something.
     #[test]
     fn what_is_of_long_ago_harms_nothing_that_is_known() {
-        let mut lessons = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        let mut lessons = Lessons::of_local_time(&Zone::UTC, UnixNs(NOW_NS));
         let day = |day: u64| format!("{}\t{}\tfridge\t-\t-\n", day * 86_400, day * 86_400 + 5);
         let recent: String = (19_770..19_780).map(day).collect();
         lessons.take_sensors(fridge(&recent));
         let json = teach(board(), lessons.lessons().to_vec(), |_| {}).unwrap();
         let known = |json: &str| Habits::from_json(HabitsOptions::default(), json).unwrap();
         let board = board().with_habits(HomeHabits::new(Memory::of(known(&json)), Zone::UTC).of_the_past());
-        let mut old = Lessons::of_local_time(&Zone::UTC, NOW_NS);
+        let mut old = Lessons::of_local_time(&Zone::UTC, UnixNs(NOW_NS));
         old.take_sensors(fridge("100\t105\tfridge\t-\t-\n600\t605\tfridge\t-\t-\n"));
         let after = teach(board, old.lessons().to_vec(), |_| {}).unwrap();
         let after = known(&after);

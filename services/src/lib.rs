@@ -16,6 +16,8 @@
 //! ```
 
 // In the order in which one may use another; the empty lines keep rustfmt from sorting them.
+pub mod clock;
+
 pub mod logging;
 
 pub mod stop;

@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::embedded;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{PersonId, UnixNs};
 use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
@@ -25,7 +25,7 @@ pub struct Item {
     /// The person observed.
     pub person: Who,
     /// When it was observed, in Unix nanoseconds; none for now.
-    pub observed_unix_ns: Option<u64>,
+    pub observed_unix_ns: Option<UnixNs>,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
     /// How long it takes in reality, in seconds: time that passes before it is observed.
@@ -176,7 +176,12 @@ pub fn line_item(line: &str, person: &Who) -> Result<Item, LineError> {
 /// # Errors
 ///
 /// As [`line_item`].
-pub(crate) fn item_by(bytes: &[u8], is_first: bool, person: &Who, now_unix_ns: u64) -> Result<Option<Item>, LineError> {
+pub(crate) fn item_by(
+    bytes: &[u8],
+    is_first: bool,
+    person: &Who,
+    now_unix_ns: UnixNs,
+) -> Result<Option<Item>, LineError> {
     let Some(text) = line::text_of(bytes, is_first)? else { return Ok(None) };
     Item::of_line(Line::read(text, person)?.observed_by(now_unix_ns)?).map(Some)
 }
@@ -195,10 +200,10 @@ mod tests {
         for row in table {
             let now_ns = row["now_s"].as_u64().unwrap() * 1_000_000_000;
             let bytes = row["line"].as_str().unwrap().as_bytes();
-            let taken = item_by(bytes, row["first"] == true, &Who::Somebody, now_ns);
+            let taken = item_by(bytes, row["first"] == true, &Who::Somebody, UnixNs(now_ns));
             let says = match &taken {
                 Ok(Some(item)) => {
-                    let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| now_ns.saturating_sub(observed_ns));
+                    let age_ns = item.observed_unix_ns.map_or(0, |observed_ns| UnixNs(now_ns).since(observed_ns));
                     let kind = line::Kind::of_number(item.kind);
                     json!({"kind": kind, "text": item.text, "person": item.person.json(), "age_s": age_ns as f64 / 1e9})
                 }

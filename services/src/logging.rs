@@ -7,9 +7,11 @@ use std::io::{self, IsTerminal, Write};
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
+use roomcast_core::ids::BootNs;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, fmt};
 
 /// The environment variable with the filter, for instance `roomcast=debug`.
 const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
@@ -32,11 +34,11 @@ pub struct Log {
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
     let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
-    let (given, refused) = match wanted.map(EnvFilter::try_new).transpose() {
+    let (given, refused) = match wanted.map(|wanted| wanted.parse::<Targets>()).transpose() {
         Ok(given) => (given, None),
         Err(error) => (None, Some(error)),
     };
-    let filter = given.unwrap_or_else(|| EnvFilter::new(FILTER_DEFAULT));
+    let filter = given.or_else(|| FILTER_DEFAULT.parse().ok()).unwrap_or_default();
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.
@@ -140,7 +142,7 @@ pub struct Limiter {
     interval_ns: u64,
     /// Of how many intervals messages may come ahead of their time.
     ahead_ns: u64,
-    next_ns: u64,
+    next_ns: BootNs,
     held: u64,
 }
 
@@ -154,11 +156,11 @@ impl Limiter {
     /// One message per `interval_ns` over time, of which `burst` may come at once.
     #[must_use]
     pub(crate) fn with_burst(interval_ns: u64, burst: u64) -> Self {
-        Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: 0, held: 0 }
+        Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: BootNs(0), held: 0 }
     }
 
     /// Whether to log now, and then how many were held back since the last.
-    pub fn pass(&mut self, now_ns: u64) -> Option<u64> {
+    pub fn pass(&mut self, now_ns: BootNs) -> Option<u64> {
         if now_ns.saturating_add(self.ahead_ns) < self.next_ns {
             self.held += 1;
             return None;
@@ -173,6 +175,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_default_filter_is_read_and_a_misspelt_level_is_refused() {
+        let default: Targets = FILTER_DEFAULT.parse().unwrap();
+        assert!(default.would_enable("roomcast_services::daemon", &tracing::Level::INFO));
+        assert!(!default.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
+        assert!(!default.would_enable("llama-cpp-2", &tracing::Level::INFO));
+        assert!(!default.would_enable("rumqttc::state", &tracing::Level::WARN));
+        assert!("info,roomcast=loud".parse::<Targets>().is_err());
+    }
+
+    #[test]
     fn the_writer_ends_when_its_lines_are_written_and_later_lines_are_lost_without_a_wait() {
         let (mut lines, writer) = writer().unwrap();
         lines.write_all(b"the last line\n").unwrap();
@@ -185,14 +197,15 @@ mod tests {
     #[test]
     fn a_flood_of_messages_is_one_line_per_interval() {
         let mut limiter = Limiter::new(100);
-        let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(now)).collect();
+        let passed: Vec<_> = (0..250).filter_map(|now| limiter.pass(BootNs(now))).collect();
         assert_eq!(passed, [0, 99, 99]);
     }
 
     #[test]
     fn a_few_messages_come_at_once_and_a_flood_does_not() {
         let mut limiter = Limiter::with_burst(100, 3);
-        let mut passed = |from, until| (from..until).filter_map(|now| limiter.pass(now)).collect::<Vec<_>>();
+        let mut passed =
+            |from: u64, until: u64| (from..until).filter_map(|now| limiter.pass(BootNs(now))).collect::<Vec<_>>();
         assert_eq!(passed(1000, 1250), [0, 0, 0, 97, 99]);
         // A silence fills it up again, and no more than that.
         assert_eq!(passed(9000, 9003), [49, 0, 0]);

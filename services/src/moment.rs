@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::habits_reason::PersonHabits;
 use roomcast_core::explanation::{self, Evidence, Explanation, TokenReason};
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{PersonId, UnixNs};
 use roomcast_core::narration::{ReadName, same_name};
 use roomcast_core::pipeline::{PersonScores, Pipeline};
 use roomcast_core::prompt::{BindingError, BindingSequence};
@@ -130,7 +130,7 @@ pub struct Moment {
     /// Sequence of those scores.
     pub sequence: u64,
     /// When they were computed: Unix nanoseconds, 0 when not known.
-    pub computed_unix_ns: u64,
+    pub computed_unix_ns: UnixNs,
     /// The model's name.
     pub model: String,
     /// SHA-256 of the model file, hexadecimal.
@@ -231,7 +231,7 @@ impl Moment {
             version: VERSION,
             epoch: snapshot.map_or_else(String::new, |snapshot| format!("{:016x}", snapshot.epoch)),
             sequence: snapshot.map_or(0, |snapshot| snapshot.sequence),
-            computed_unix_ns: snapshot.map_or(0, |snapshot| snapshot.computed_unix_ns),
+            computed_unix_ns: snapshot.map_or(UnixNs(0), |snapshot| UnixNs(snapshot.computed_unix_ns)),
             model: pipeline.model().name.clone(),
             model_fingerprint: hex::encode(pipeline.model().fingerprint),
             map_fingerprint: hex::encode(map.fingerprint()),

@@ -13,11 +13,12 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use roomcast_ipc::{
-    Domain, IpcError, Message, MessageError, NAME_BYTES, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock,
+    Domain, IpcError, Message, MessageError, NAME_BYTES, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber,
     narration_kind, sequence, text,
 };
 use sd_notify::NotifyState;
 
+use crate::clock;
 use crate::config::{IntakeLimits, NarratorConfig};
 pub use crate::line::{Faults, InputError, Item, LineError, Who, WhoError, line_item};
 use crate::line::{LINE_BYTES_MAX, item_by};
@@ -27,7 +28,7 @@ use crate::participant::join;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::Program;
 use roomcast_core::text::odd_name;
 
@@ -51,7 +52,7 @@ fn program_items(program: &Program, person: &Who) -> Vec<Item> {
 }
 
 /// The next item of the input, and the time at which it was read, if it is live.
-type Told = (Option<u64>, Result<Item, InputError>);
+type Told = (Option<BootNs>, Result<Item, InputError>);
 
 /// Where narration comes from.
 pub enum Input {
@@ -223,20 +224,20 @@ impl Account {
     /// # Errors
     ///
     /// [`MessageError`] when the text cannot be a message; no number is used up then.
-    pub fn next(&mut self, item: &Item, now_ns: u64, now_unix_ns: u64) -> Result<NarrationV1, MessageError> {
+    pub fn next(&mut self, item: &Item, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<NarrationV1, MessageError> {
         let message = item.message()?;
         let observed_unix_ns = item.observed_unix_ns.unwrap_or(now_unix_ns);
         // If the input's clock is fast, both times say so: the daemon corrects and counts it.
-        let ahead_ns = observed_unix_ns.saturating_sub(now_unix_ns);
+        let ahead_ns = observed_unix_ns.since(now_unix_ns);
         // An observation from before the machine's start has no monotonic time: 0, as in the contract.
-        let age_ns = now_unix_ns.saturating_sub(observed_unix_ns);
+        let age_ns = now_unix_ns.since(observed_unix_ns);
         self.outcome.sent += 1;
         Ok(NarrationV1 {
             source: self.source,
             epoch: self.epoch,
             sequence: self.outcome.sent,
-            observed_ns: now_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
-            observed_unix_ns,
+            observed_ns: now_ns.saturating_sub(age_ns).saturating_add(ahead_ns).0,
+            observed_unix_ns: observed_unix_ns.0,
             source_name: self.source_name,
             ..message
         })
@@ -293,14 +294,14 @@ pub struct Throttle(TokenBucket);
 impl Throttle {
     /// For a daemon with these limits, as full as it gets.
     #[must_use]
-    pub fn new(limits: IntakeLimits, now_ns: u64) -> Self {
+    pub fn new(limits: IntakeLimits, now_ns: BootNs) -> Self {
         let (rate_per_s, burst) = (0.9 * limits.rate_per_s, (0.5 * limits.burst).max(1.0));
         let limits = IntakeLimits { rate_per_s, burst };
         Self(TokenBucket::full(limits, now_ns))
     }
 
     /// How long to wait until one more may be sent; zero is now. A rate of 0 is no limit.
-    pub fn wait(&mut self, now_ns: u64) -> Duration {
+    pub fn wait(&mut self, now_ns: BootNs) -> Duration {
         self.0.wait(now_ns)
     }
 
@@ -370,12 +371,13 @@ impl Narrator {
     }
 
     /// Sends an item observed at that time.
-    fn send(&mut self, item: &Item, observed_ns: u64) -> Result<(), IpcError> {
-        let waited_ns = clock::monotonic_ns().saturating_sub(observed_ns);
+    fn send(&mut self, item: &Item, observed_ns: BootNs) -> Result<(), IpcError> {
+        let waited_ns = clock::monotonic_ns().since(observed_ns);
         let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
         let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
         self.throttle.sent();
-        self.narration.send(&message)
+        self.narration.send(&message)?;
+        Ok(())
     }
 
     /// Sleeps up to `timeout` for a confirmation.
@@ -383,10 +385,8 @@ impl Narrator {
         self.narration.tick()?;
         notify(&[NotifyState::Watchdog]);
         self.scores.wait(timeout.min(TICK))?;
-        while let Some(received) = self.scores.receive()? {
-            if let Ok(scores) = received {
-                self.account.confirm(&scores);
-            }
+        while let Some(scores) = self.scores.receive()? {
+            self.account.confirm(&scores);
         }
         self.settle();
         Ok(())
@@ -590,28 +590,31 @@ mod tests {
     fn a_throttled_narrator_loses_nothing_at_the_intake() {
         use crate::daemon::{Intake, Taken};
         let limits = IntakeLimits::default();
-        let (mut throttle, mut intake) = (Throttle::new(limits, 0), Intake::new(limits));
+        let (mut throttle, mut intake) = (Throttle::new(limits, BootNs(0)), Intake::new(limits));
         let mut account = Account::new("test", 1);
         let item = Item::new(narration_kind::SENTENCE, "They sit.", Who::Somebody);
         let (mut now_ns, mut arrived_ns) = (0, 0);
         for number in 0..20_000_u64 {
             loop {
-                let wait = throttle.wait(now_ns);
+                let wait = throttle.wait(BootNs(now_ns));
                 if wait.is_zero() {
                     break;
                 }
                 now_ns += u64::try_from(wait.as_nanos()).unwrap().max(1);
             }
             throttle.sent();
-            let message = account.next(&item, now_ns, 0).unwrap();
+            let message = account.next(&item, BootNs(now_ns), UnixNs(0)).unwrap();
             // The daemon gets them up to a second late and 32 at once.
             arrived_ns =
                 u64::max(arrived_ns, now_ns + if number < 64 { 1_000_000_000 } else { (31 - number % 32) * 900_000 });
-            let taken = intake.take(&message, Sender::simulated(1), arrived_ns);
+            let taken = intake.take(&message, Sender::simulated(1), BootNs(arrived_ns));
             assert!(matches!(taken, Taken::Accepted { missed: 0, .. }), "{number}");
         }
         assert!(now_ns > 15_000_000_000, "20 000 take 20 s, less the burst: {now_ns} ns");
-        assert_eq!(Throttle::new(IntakeLimits { rate_per_s: 0.0, ..limits }, 0).wait(0), Duration::ZERO);
+        assert_eq!(
+            Throttle::new(IntakeLimits { rate_per_s: 0.0, ..limits }, BootNs(0)).wait(BootNs(0)),
+            Duration::ZERO
+        );
     }
 
     /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: a refused narration is not confirmed.
@@ -627,7 +630,7 @@ mod tests {
         };
         let figures = |account: &Account| (account.outcome.confirmed, account.outcome.dropped, account.under_way());
         for _ in 0..10 {
-            account.next(&item, 1, 1).unwrap();
+            account.next(&item, BootNs(1), UnixNs(1)).unwrap();
         }
         account.confirm(&scores(1, 4, 3));
         assert_eq!(figures(&account), (3, 1, 6));
@@ -654,11 +657,11 @@ mod tests {
             let message = account.next(item, now_ns, now_unix_ns).unwrap();
             (message.observed_ns, message.observed_unix_ns)
         };
-        assert_eq!(times(&sat(None), 500, 10_000), (500, 10_000));
-        assert_eq!(times(&sat(Some(9_900)), 500, 10_000), (400, 9_900));
+        assert_eq!(times(&sat(None), BootNs(500), UnixNs(10_000)), (500, 10_000));
+        assert_eq!(times(&sat(Some(UnixNs(9_900))), BootNs(500), UnixNs(10_000)), (400, 9_900));
         // Before the machine's start, and by a clock that is fast, which the daemon corrects.
-        assert_eq!(times(&sat(Some(1_000)), 500, 10_000), (0, 1_000));
-        assert_eq!(times(&sat(Some(10_001)), 500, 10_000), (501, 10_001));
+        assert_eq!(times(&sat(Some(UnixNs(1_000))), BootNs(500), UnixNs(10_000)), (0, 1_000));
+        assert_eq!(times(&sat(Some(UnixNs(10_001))), BootNs(500), UnixNs(10_000)), (501, 10_001));
     }
 
     /// Gives a line at a time, and counts them.
@@ -703,14 +706,14 @@ mod tests {
         while newest.is_none_or(|newest| newest.sequence < UNDER_WAY + 8) {
             heard.wait(TICK).unwrap();
             while let Some(narration) = heard.receive().unwrap() {
-                let narration = narration.unwrap();
                 assert!(narration.observed_ns > 0 && narration.sequence > newest.map_or(0, |newest| newest.sequence));
-                let wall_ns = clock::unix_ns().saturating_sub(clock::monotonic_ns() - narration.observed_ns);
-                assert!(wall_ns.abs_diff(narration.observed_unix_ns) < 1_000_000_000, "both clocks say the same");
+                let wall_ns =
+                    clock::unix_ns().saturating_sub(clock::monotonic_ns().since(BootNs(narration.observed_ns)));
+                assert!(wall_ns.0.abs_diff(narration.observed_unix_ns) < 1_000_000_000, "both clocks say the same");
                 if narration.sequence <= UNDER_WAY + 2 {
-                    assert!(narration.observed_ns <= back_ns, "{}", narration.sequence);
+                    assert!(narration.observed_ns <= back_ns.0, "{}", narration.sequence);
                 } else {
-                    late += usize::from(narration.observed_ns > back_ns);
+                    late += usize::from(narration.observed_ns > back_ns.0);
                 }
                 newest = Some(narration);
             }

@@ -1,5 +1,6 @@
 //! The reporter: what a robot says of itself, as lines of JSON or word by word, as messages for its planner.
 
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::parsing::{Keyed, json_of_one_line_says, word};
 use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
 use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
@@ -175,7 +176,12 @@ impl Reporter {
     ///
     /// # Errors
     /// [`ReporterError`] names what is missing, or what the contract refuses.
-    pub fn message(&mut self, report: &Report, now_ns: u64, now_unix_ns: u64) -> Result<RobotReportV1, ReporterError> {
+    pub fn message(
+        &mut self,
+        report: &Report,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
+    ) -> Result<RobotReportV1, ReporterError> {
         let missing = |key, remedy| Err(ReporterError::Missing { kind: report.kind, key, remedy });
         match report.kind {
             Kind::Battery if report.battery.is_none() => return missing("battery", "give 0 (empty) to 1 (full)"),
@@ -193,8 +199,8 @@ impl Reporter {
             robot: self.robot,
             epoch: self.epoch,
             sequence: self.sequence + 1,
-            reported_ns: now_ns,
-            reported_unix_ns: now_unix_ns,
+            reported_ns: now_ns.0,
+            reported_unix_ns: now_unix_ns.0,
             decision_sequence: report.decision.unwrap_or(0),
             position_m: report.position.unwrap_or_default(),
             battery: report.battery.unwrap_or_default(),
@@ -202,7 +208,7 @@ impl Reporter {
             flags: flag(report.position.is_some(), report_flags::HAS_POSITION)
                 | flag(report.battery.is_some(), report_flags::HAS_BATTERY),
             minor: 1,
-            until_unix_ns: report.for_s.map_or(0, |for_s| now_unix_ns.saturating_add((for_s * 1e9) as u64)),
+            until_unix_ns: report.for_s.map_or(0, |for_s| now_unix_ns.0.saturating_add((for_s * 1e9) as u64)),
             robot_name: self.name,
             room: text::encode("room", report.room.as_deref().unwrap_or(""))?,
             note: text::encode("note", report.note.as_deref().unwrap_or(""))?,
@@ -222,14 +228,14 @@ mod tests {
     fn a_line_becomes_a_message_and_its_number_grows_with_good_ones_alone() {
         let mut reporter = Reporter::new("vacuum", 9).unwrap();
         let line = r#"{"report": "docked", "room": "hall", "battery": 0.8, "position": [1, 2.5, 0], "decision": 3, "note": "full"}"#;
-        let message = reporter.message(&Report::parse(line).unwrap(), 5, 6).unwrap();
+        let message = reporter.message(&Report::parse(line).unwrap(), BootNs(5), UnixNs(6)).unwrap();
         assert_eq!((message.kind, message.sequence, message.epoch), (report_kind::DOCKED, 1, 9));
         assert_eq!((message.robot, message.robot_name()), (sequence::source_of_name("vacuum"), "vacuum"));
         assert_eq!((message.room(), message.note(), message.decision_sequence), ("hall", "full", 3));
         assert_eq!((message.battery(), message.position_m()), (Some(0.8), Some([1.0, 2.5, 0.0])));
         let nothing = Report::new(Kind::Finished);
-        reporter.message(&Report { battery: Some(1.5), ..nothing.clone() }, 7, 8).unwrap_err();
-        let message = reporter.message(&nothing, 7, 8).unwrap();
+        reporter.message(&Report { battery: Some(1.5), ..nothing.clone() }, BootNs(7), UnixNs(8)).unwrap_err();
+        let message = reporter.message(&nothing, BootNs(7), UnixNs(8)).unwrap();
         assert_eq!((message.sequence, message.flags, message.room()), (2, 0, ""));
     }
 
@@ -237,9 +243,9 @@ mod tests {
     fn orders_of_persons_are_reports_too() {
         let mut reporter = Reporter::new("vacuum", 9).unwrap();
         let line = r#"{"report": "hold", "for_s": 60, "note": "meeting"}"#;
-        let hold = reporter.message(&Report::parse(line).unwrap(), 5, 1_000_000_000).unwrap();
+        let hold = reporter.message(&Report::parse(line).unwrap(), BootNs(5), UnixNs(1_000_000_000)).unwrap();
         assert_eq!((hold.kind, hold.until_unix_ns, hold.note()), (report_kind::HOLD, 61_000_000_000, "meeting"));
-        let resume = reporter.message(&Report::new(Kind::Resume), 5, 6).unwrap();
+        let resume = reporter.message(&Report::new(Kind::Resume), BootNs(5), UnixNs(6)).unwrap();
         assert!(resume.is_order() && resume.until_unix_ns == 0);
         for (line, part) in [
             (r#"{"report": "clean"}"#, "needs `room`: give the id of a room"),
@@ -247,7 +253,7 @@ mod tests {
             (r#"{"report": "resume", "for_s": 60}"#, "resume has no `for_s`"),
             (r#"{"report": "hold", "for_s": 0}"#, "1 to 1000000000 seconds"),
         ] {
-            let error = reporter.message(&Report::parse(line).unwrap(), 1, 1).unwrap_err().to_string();
+            let error = reporter.message(&Report::parse(line).unwrap(), BootNs(1), UnixNs(1)).unwrap_err().to_string();
             assert!(error.contains(part), "{line}: {error}");
         }
     }
@@ -274,7 +280,10 @@ mod tests {
             (r#"{"report": "docked", "battery": 80}"#, "battery"),
             (r#"{"report": "docked", "room": "a\nb"}"#, "room"),
         ] {
-            let error = Report::parse(line).and_then(|report| reporter.message(&report, 1, 1)).unwrap_err().to_string();
+            let error = Report::parse(line)
+                .and_then(|report| reporter.message(&report, BootNs(1), UnixNs(1)))
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(part), "{line}: {error}");
         }
         assert!(Reporter::new(&"x".repeat(49), 9).is_err());

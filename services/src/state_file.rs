@@ -6,10 +6,10 @@ use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
-use roomcast_ipc::clock;
 pub(crate) use roomcast_ipc::own_file::require_own;
 use serde::Serialize;
 
+use crate::clock;
 use crate::logging::Limiter;
 
 /// How often a file that cannot be written is complained of.

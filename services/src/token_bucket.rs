@@ -3,36 +3,37 @@
 use std::time::Duration;
 
 use crate::config::IntakeLimits;
+use roomcast_core::ids::BootNs;
 
 /// Tokens that come at a rate and are taken one by one.
 #[derive(Debug, Clone)]
 pub struct TokenBucket {
     limits: IntakeLimits,
     tokens: f64,
-    refilled_ns: u64,
+    refilled_ns: BootNs,
 }
 
 impl TokenBucket {
     /// As full as it gets. A rate of 0 is no limit.
     #[must_use]
-    pub fn full(limits: IntakeLimits, now_ns: u64) -> Self {
+    pub fn full(limits: IntakeLimits, now_ns: BootNs) -> Self {
         Self { limits, tokens: limits.burst, refilled_ns: now_ns }
     }
 
     /// Whether a token is there.
-    pub(crate) fn has_one(&mut self, now_ns: u64) -> bool {
+    pub(crate) fn has_one(&mut self, now_ns: BootNs) -> bool {
         let IntakeLimits { rate_per_s, burst } = self.limits;
         if rate_per_s <= 0.0 {
             return true;
         }
-        let since_s = now_ns.saturating_sub(self.refilled_ns) as f64 / 1e9;
+        let since_s = now_ns.since(self.refilled_ns) as f64 / 1e9;
         self.tokens = (self.tokens + since_s * rate_per_s).min(burst);
         self.refilled_ns = now_ns;
         self.tokens >= 1.0
     }
 
     /// How long until a token is there; at least a nanosecond when there is none.
-    pub fn wait(&mut self, now_ns: u64) -> Duration {
+    pub fn wait(&mut self, now_ns: BootNs) -> Duration {
         if self.has_one(now_ns) {
             return Duration::ZERO;
         }

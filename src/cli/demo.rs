@@ -17,8 +17,9 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
     DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RobotReportV1, RoomScoresV1, Subscriber,
-    action, clock, decision_flags, report_kind, score_flags,
+    action, decision_flags, report_kind, score_flags,
 };
+use roomcast_services::clock;
 
 use super::demo_robot::DemoRobot;
 use super::stage::Stage;
@@ -27,6 +28,7 @@ use crate::bar::bar;
 use crate::columns::{columns, cut, prose, wrapped};
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::ids::BootNs;
 use roomcast_core::policy::PolicyName;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::CorrectionChoice;
@@ -290,7 +292,7 @@ struct Show<'a> {
     moves: VecDeque<(usize, usize)>,
     person: Option<usize>,
     /// When the person's time began: with the robot's first decision.
-    begin_ns: Option<u64>,
+    begin_ns: Option<BootNs>,
     latency_ns: Option<Histogram<u64>>,
     /// Lines of the live panel that stand at the end of the terminal.
     panel: Option<usize>,
@@ -329,8 +331,7 @@ impl<'a> Show<'a> {
 
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {
         self.scores.wait(timeout)?;
-        while let Some(received) = self.scores.receive()? {
-            let Ok(scores) = received else { continue };
+        while let Some(scores) = self.scores.receive()? {
             // The items' scores follow their rooms' within moments.
             let start = Instant::now();
             while !scores.has(score_flags::HEARTBEAT) && start.elapsed() < ITEMS_WITHIN {
@@ -354,22 +355,19 @@ impl<'a> Show<'a> {
 
     /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
     fn hear(&mut self) -> Result<(), IpcError> {
-        while let Some(received) = self.reports.receive()? {
-            let Ok(report) = received else { continue };
+        while let Some(report) = self.reports.receive()? {
             if report.kind == report_kind::FINISHED {
                 self.finished.push_back((report.decision_sequence, report.reported_ns));
             }
         }
-        while let Some(received) = self.decisions.receive()? {
-            let Ok(decision) = received else { continue };
-            self.begin_ns.get_or_insert(decision.decided_ns);
+        while let Some(decision) = self.decisions.receive()? {
+            self.begin_ns.get_or_insert(BootNs(decision.decided_ns));
             // What comes behind the person's time is no part of the show.
-            if self.at_s(decision.decided_ns) < self.timeline.len() {
+            if self.at_s(BootNs(decision.decided_ns)) < self.timeline.len() {
                 self.untold.push_back(decision);
             }
         }
-        while let Some(received) = self.narration.receive()? {
-            let Ok(narration) = received else { continue };
+        while let Some(narration) = self.narration.receive()? {
             self.sentences.push_back((narration.observed_ns, narration.text().to_owned()));
         }
         Ok(())
@@ -377,15 +375,15 @@ impl<'a> Show<'a> {
 
     /// Tells the decisions and the person's moves before `until_ns`, but for those that narration comes before which waits for its
     /// scores: what is told is in the order of time.
-    fn tell(&mut self, until_ns: u64) {
-        let until_ns = self.sentences.front().map_or(until_ns, |(observed_ns, _)| until_ns.min(*observed_ns));
+    fn tell(&mut self, until_ns: BootNs) {
+        let until_ns = self.sentences.front().map_or(until_ns, |(observed_ns, _)| until_ns.min(BootNs(*observed_ns)));
         let Some(begin_ns) = self.begin_ns else { return };
         loop {
-            let decision = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns);
+            let decision = self.untold.front().copied().filter(|decision| decision.decided_ns < until_ns.0);
             let at_ns = |(step, _): &(usize, usize)| begin_ns.saturating_add((*step as f64 / self.speed * 1e9) as u64);
             let entry = self.moves.front().copied().filter(|entry| at_ns(entry) < until_ns);
             match (decision, entry) {
-                (Some(decision), entry) if entry.is_none_or(|entry| decision.decided_ns <= at_ns(&entry)) => {
+                (Some(decision), entry) if entry.is_none_or(|entry| decision.decided_ns <= (at_ns(&entry)).0) => {
                     self.untold.pop_front();
                     self.decided(&decision);
                 }
@@ -408,11 +406,15 @@ impl<'a> Show<'a> {
             let before = self.decision.filter(|before| before.sequence == sequence);
             let room = before.and_then(|before| self.ids.iter().position(|id| id == before.to()));
             if let Some(room) = room {
-                self.say(&[format!("{:6} s  report: work in the {} is finished", self.at_s(at_ns), self.names[room])]);
+                self.say(&[format!(
+                    "{:6} s  report: work in the {} is finished",
+                    self.at_s(BootNs(at_ns)),
+                    self.names[room]
+                )]);
             }
         }
         let room = self.ids.iter().position(|id| id == decision.to());
-        let at_s = self.at_s(decision.decided_ns);
+        let at_s = self.at_s(BootNs(decision.decided_ns));
         self.robot.push(Stay { from_s: at_s, room, works: decision.action == action::GO });
         self.decision = Some(*decision);
         let fallback = if decision.has(decision_flags::FALLBACK) { " (fallback)" } else { "" };
@@ -444,9 +446,9 @@ impl<'a> Show<'a> {
         // Everything that these scores include for the first time.
         while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
             let Some((observed_ns, sentence)) = self.sentences.pop_front() else { break };
-            self.tell(observed_ns);
+            self.tell(BootNs(observed_ns));
             let took_ms = scores.published_ns.saturating_sub(observed_ns) as f64 / 1e6;
-            let at_s = self.at_s(observed_ns);
+            let at_s = self.at_s(BootNs(observed_ns));
             self.say(&[format!("{at_s:6} s  {sentence}  (scored after {took_ms:.1} ms)")]);
             news = true;
         }
@@ -482,15 +484,15 @@ impl<'a> Show<'a> {
     }
 
     /// The person's time of a moment, in whole seconds, as the simulation counts.
-    fn at_s(&self, monotonic_ns: u64) -> usize {
-        let since_ns = monotonic_ns.saturating_sub(self.begin_ns.unwrap_or(monotonic_ns));
+    fn at_s(&self, monotonic_ns: BootNs) -> usize {
+        let since_ns = monotonic_ns.since(self.begin_ns.unwrap_or(monotonic_ns));
         (since_ns as f64 / 1e9 * self.speed).round() as usize
     }
 
     /// How much of the person's time is over.
     fn now_s(&self) -> f64 {
         let now_ns = clock::monotonic_ns();
-        now_ns.saturating_sub(self.begin_ns.unwrap_or(now_ns)) as f64 / 1e9 * self.speed
+        now_ns.since(self.begin_ns.unwrap_or(now_ns)) as f64 / 1e9 * self.speed
     }
 
     /// Prints lines above the live panel, if there is one.

@@ -5,7 +5,9 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use roomcast_ipc::{DecisionV1, Domain, IpcError, Publisher, RobotReportV1, action, clock, sequence};
+use roomcast_core::ids::BootNs;
+use roomcast_ipc::{DecisionV1, Domain, IpcError, Publisher, RobotReportV1, action, sequence};
+use roomcast_services::clock;
 
 use super::{CommandResult, Failure};
 use crate::exit_code;
@@ -58,14 +60,13 @@ fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), S
     let reports = node.publisher::<RobotReportV1>().map_err(ipc)?;
     let stay_ns = u64::try_from(stay.as_nanos()).unwrap_or(u64::MAX);
     // The decision that it works on, and when it is done with it.
-    let mut work: Option<(u64, u64)> = None;
+    let mut work: Option<(u64, BootNs)> = None;
     while stopped.try_recv() == Err(TryRecvError::Empty) {
-        let left = work.map(|(_, ends_ns)| Duration::from_nanos(ends_ns.saturating_sub(clock::monotonic_ns())));
+        let left = work.map(|(_, ends_ns)| Duration::from_nanos(ends_ns.since(clock::monotonic_ns())));
         decisions.wait(left.map_or(TICK, |left| left.min(TICK))).map_err(ipc)?;
-        while let Some(received) = decisions.receive().map_err(ipc)? {
-            let Ok(decision) = received else { continue };
+        while let Some(decision) = decisions.receive().map_err(ipc)? {
             work = (decision.action == action::GO)
-                .then(|| (decision.sequence, decision.decided_ns.saturating_add(stay_ns)));
+                .then(|| (decision.sequence, BootNs(decision.decided_ns).saturating_add(stay_ns)));
             if work.is_some() {
                 say(&mut reporter, &reports, Kind::Started, decision.sequence)?;
             }
@@ -81,5 +82,6 @@ fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), S
 fn say(reporter: &mut Reporter, reports: &Publisher<RobotReportV1>, kind: Kind, decision: u64) -> Result<(), String> {
     let report = Report { decision: Some(decision), ..Report::new(kind) };
     let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
-    reports.send(&message.map_err(|error| error.to_string())?).map_err(|error| error.to_string())
+    reports.send(&message.map_err(|error| error.to_string())?).map_err(|error| error.to_string())?;
+    Ok(())
 }

@@ -16,7 +16,7 @@ use crate::columns::{columns, prose};
 use crate::exit_code;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::HabitsOptions;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Program};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::semantic_map::SemanticMap;
@@ -181,13 +181,13 @@ impl<M: LanguageModel> Watcher<M> {
         let at_ns = (at_s * 1e9) as u64;
         let observation = Observation {
             person: PERSON,
-            observed_ns: at_ns,
-            observed_unix_ns: at_ns,
+            observed_ns: BootNs(at_ns),
+            observed_unix_ns: UnixNs(at_ns),
             source: 1,
             epoch: 1,
             ..Observation::saying(sequence, event.clone())
         };
-        self.0.step([Entry::new(observation, at_ns)], at_ns, at_ns).map_err(failed)?;
+        self.0.step([Entry::new(observation, BootNs(at_ns))], BootNs(at_ns), UnixNs(at_ns)).map_err(failed)?;
         self.0.tell_outcomes(|_| {});
         while self.0.tidy() {}
         Ok(())
@@ -196,9 +196,9 @@ impl<M: LanguageModel> Watcher<M> {
     /// Where the person will be, per place, with the message itself.
     fn looks_ahead(&mut self, now_s: f64, rooms: usize) -> Option<(Vec<f64>, usize, &PersonForecastV1)> {
         let now_ns = (now_s * 1e9) as u64;
-        self.0.tick(now_ns, now_ns);
-        self.0.person_scores(now_ns);
-        let message = self.0.person_forecasts(now_ns);
+        self.0.tick(BootNs(now_ns), UnixNs(now_ns));
+        self.0.person_scores(BootNs(now_ns));
+        let message = self.0.person_forecasts(BootNs(now_ns));
         let horizon = message.horizons_s().iter().position(|horizon_s| f64::from(*horizon_s) == AHEAD_S)?;
         let own = message.persons().iter().find(|own| own.person == PERSON.0)?;
         let p = own.probability[..rooms].iter().map(|row| f64::from(row[horizon]));

@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "simulation")]
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{PersonId, UnixNs};
 use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
 
@@ -255,7 +255,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
 fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let person = args.person.clone().unwrap_or_default();
-    let (zone, now_unix_ns) = (Zone::local(), roomcast_ipc::clock::unix_ns());
+    let (zone, now_unix_ns) = (Zone::local(), roomcast_services::clock::unix_ns());
     #[cfg(feature = "simulation")]
     if let Some(folder) = &args.days {
         let days = roomcast_cli::days::read(folder)?;

@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use super::{CommandResult, Failure, print_json, ranges, service};
 #[cfg(feature = "mqtt")]
 use super::{broker, narrate_mqtt};
+use roomcast_core::ids::UnixNs;
 use roomcast_core::text::count;
-use roomcast_ipc::{Domain, clock, question};
+use roomcast_ipc::{Domain, question};
+use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UNDERSTOOD_MAX, UnderstoodLine};
 use roomcast_services::dry_run::DryRun;

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Subscriber, clock, limits, question, score_flags,
+    RoomScoresV1, Subscriber, limits, question, score_flags,
 };
+use roomcast_services::clock;
 
 use super::choice::choice;
 use super::top::{SILENCE, silence};
@@ -172,7 +174,7 @@ struct Known {
 
 impl Known {
     /// Whether a message only says again what the recording has.
-    fn repeats(&mut self, message: &Recorded, now_ns: u64) -> bool {
+    fn repeats(&mut self, message: &Recorded, now_ns: BootNs) -> bool {
         match message {
             // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
             Recorded::RoomScores(scores) => {
@@ -202,14 +204,14 @@ impl Known {
 struct Forecasts {
     last: Option<Name>,
     /// When the minute began.
-    minute_ns: Option<u64>,
+    minute_ns: Option<BootNs>,
 }
 
 impl Forecasts {
-    fn repeats(&mut self, name: Name, now_ns: u64) -> bool {
+    fn repeats(&mut self, name: Name, now_ns: BootNs) -> bool {
         let is_same = self.last.replace(name) == Some(name);
         // What is new in between begins no other minute: whoever compares forecasts with what came finds one of each.
-        let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.saturating_sub(begun_ns) < FORECAST_NS);
+        let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.since(begun_ns) < FORECAST_NS);
         if !is_within {
             self.minute_ns = Some(now_ns);
         }
@@ -270,7 +272,6 @@ pub fn run(args: &Args) -> CommandResult {
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
     let mut known = Known::default();
     let (started, mut flushed) = (Instant::now(), Instant::now());
-    let mut malformed = 0;
     let mut is_silent = true;
     let interrupted = loop {
         // What came before the end is still recorded.
@@ -278,13 +279,13 @@ pub fn run(args: &Args) -> CommandResult {
         let ends = stop.requested() || is_over == Some(true);
         // In the order of the flow: what scores contain stands before them.
         let mut news = Vec::new();
-        take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
-        take(&scores, &mut news, &mut malformed, |message| Recorded::RoomScores(Box::new(message)))?;
-        take(&persons, &mut news, &mut malformed, |message| Recorded::PersonScores(Box::new(message)))?;
-        take(&forecast, &mut news, &mut malformed, |message| Recorded::Forecast(Box::new(message)))?;
-        take(&forecasts, &mut news, &mut malformed, |message| Recorded::PersonForecasts(Box::new(message)))?;
-        take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
-        take(&reports, &mut news, &mut malformed, |message| Recorded::RobotReport(Box::new(message)))?;
+        take(&narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
+        take(&scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
+        take(&persons, &mut news, |message| Recorded::PersonScores(Box::new(message)))?;
+        take(&forecast, &mut news, |message| Recorded::Forecast(Box::new(message)))?;
+        take(&forecasts, &mut news, |message| Recorded::PersonForecasts(Box::new(message)))?;
+        take(&decisions, &mut news, |message| Recorded::Decision(Box::new(message)))?;
+        take(&reports, &mut news, |message| Recorded::RobotReport(Box::new(message)))?;
         let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
         is_silent &= !news.iter().any(|message| matches!(message, Recorded::RoomScores(_)));
         if is_silent && started.elapsed() >= SILENCE {
@@ -332,6 +333,16 @@ pub fn run(args: &Args) -> CommandResult {
         }
     };
     let written = recorder.finish().map_err(output)?;
+    let malformed = [
+        narration.malformed(),
+        scores.malformed(),
+        persons.malformed(),
+        forecast.malformed(),
+        forecasts.malformed(),
+        decisions.malformed(),
+        reports.malformed(),
+    ];
+    let malformed: u64 = malformed.iter().sum();
     let told = format!("{written} messages in {}; {malformed} malformed ones left out", args.file.display());
     if interrupted {
         return Err(service::interrupted(&told));
@@ -343,14 +354,10 @@ pub fn run(args: &Args) -> CommandResult {
 fn take<M: Message>(
     subscriber: &Subscriber<M>,
     news: &mut Vec<Recorded>,
-    malformed: &mut u64,
     wrap: impl Fn(M) -> Recorded,
 ) -> CommandResult {
-    while let Some(received) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
-        match received {
-            Ok(message) => news.push(wrap(message)),
-            Err(_) => *malformed += 1,
-        }
+    while let Some(message) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
+        news.push(wrap(message));
     }
     Ok(())
 }
@@ -373,7 +380,7 @@ mod tests {
         for second in 0..200 {
             // Something is said after 100 s.
             for (message, kept) in both(1 + u64::from(second >= 100)).iter().zip(&mut kept) {
-                if !known.repeats(message, (7 + second) * second_ns) {
+                if !known.repeats(message, BootNs((7 + second) * second_ns)) {
                     kept.push(second);
                 }
             }

@@ -8,9 +8,8 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{
-    DecisionV1, IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, clock, sequence,
-};
+use roomcast_ipc::{DecisionV1, IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, sequence};
+use roomcast_services::clock;
 use strum::{EnumMessage, VariantArray};
 
 use super::{CommandResult, Failure, count, ranges, service};
@@ -393,11 +392,8 @@ fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
     // The planner has to notice that somebody listens before it gives what it decided last.
     let until = Instant::now() + NOTICED_WITHIN;
     loop {
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received
-                && PLANNER.robot_of(planner) == Some(decision.robot)
-                && !decision.robot_name().is_empty()
-            {
+        while let Some(decision) = decisions.receive()? {
+            if PLANNER.robot_of(planner) == Some(decision.robot) && !decision.robot_name().is_empty() {
                 return Ok(Some(decision.robot_name().to_owned()));
             }
         }

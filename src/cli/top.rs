@@ -4,20 +4,21 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, Subscriber, clock, narration_kind, sequence,
+    Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, Subscriber, narration_kind, sequence,
 };
+use roomcast_services::clock;
 use serde_json::{Value, json};
 
 use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
-use roomcast_ipc::action::word as action_word;
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast top`.
@@ -97,31 +98,24 @@ fn screen(
     let mut reports = node.subscriber::<RobotReportV1>().ok();
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
+    let mut reasons = Reasons::new(&node).map_err(ipc)?;
     let mut view = View::of_robot(robot);
-    let (mut point_ns, mut status_ns) = (0, 0);
+    let (mut point_ns, mut status_ns) = (BootNs(0), BootNs(0));
     let mut taken = None;
     let mut count = 0;
     let mut heard = Instant::now();
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
         if !view.paused {
-            while let Some(received) = narration.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.narration(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = narration.receive().map_err(ipc)? {
+                view.narration(&message);
             }
-            while let Some(received) = scores.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => {
-                        view.scores(&message);
-                        heard = Instant::now();
-                        let name = Some((message.epoch, message.sequence));
-                        count += u64::from(taken != name);
-                        taken = name;
-                    }
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = scores.receive().map_err(ipc)? {
+                view.scores(&message);
+                heard = Instant::now();
+                let name = Some((message.epoch, message.sequence));
+                count += u64::from(taken != name);
+                taken = name;
             }
             if let Some(message) = forecasts.newest().map_err(ipc)? {
                 view.forecasts(&message);
@@ -130,30 +124,29 @@ fn screen(
                 view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
+                view.reasons(reasons.refresh(message.persons().iter().map(|person| person.person)));
                 view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
             }
-            while let Some(received) =
+            while let Some(report) =
                 reports.as_mut().map(|reports| reports.receive()).transpose().map_err(ipc)?.flatten()
             {
-                received.iter().for_each(|report| view.report(report));
+                view.report(&report);
             }
-            while let Some(received) = decisions.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.decision(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = decisions.receive().map_err(ipc)? {
+                view.decision(&message);
             }
-            if now_ns.saturating_sub(status_ns) >= STATUS_NS {
+            view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
+            if now_ns.since(status_ns) >= STATUS_NS {
                 // A daemon that is busy or gone does not hold up the view: its last answer stays.
                 if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
                     view.status(answer);
                 }
                 status_ns = now_ns;
             }
-            if now_ns.saturating_sub(point_ns) >= POINT_NS {
+            if now_ns.since(point_ns) >= POINT_NS {
                 view.point();
                 point_ns = now_ns;
             }
@@ -235,7 +228,7 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
         .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
         .collect();
     let mut line = json!({
-        "epoch": format!("{:016x}", snapshot.epoch), "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns()),
+        "epoch": format!("{:016x}", snapshot.epoch), "sequence": snapshot.sequence, "age_ns": snapshot.age_ns(clock::monotonic_ns().0),
         "rooms": rooms, "label_mass": snapshot.label_mass, "flags": score_flag_names(snapshot.flags),
         "model": hex::encode(snapshot.model_fingerprint), "map": hex::encode(snapshot.map_fingerprint),
         "timing_ns": {"wait": snapshot.wait_ns, "tokenise": snapshot.tokenise_ns, "prefix": snapshot.prefix_ns,
@@ -300,11 +293,13 @@ impl Others {
         self.persons = persons.newest()?.or(self.persons);
         self.forecast = forecast.newest()?.or(self.forecast);
         self.forecasts = forecasts.newest()?.or(self.forecasts);
-        while let Some(received) = narration.receive()? {
-            self.narration.extend(received.iter().map(narration_json));
+        while let Some(message) = narration.receive()? {
+            self.narration.push(narration_json(&message));
         }
-        while let Some(received) = decisions.receive()? {
-            self.decisions.extend(received.iter().filter(|told| self.decided.take(told) != News::None));
+        while let Some(message) = decisions.receive()? {
+            if self.decided.take(&message) != News::None {
+                self.decisions.push(message);
+            }
         }
         Ok(())
     }
@@ -350,7 +345,7 @@ fn persons_json(told: &PersonScoresV1) -> Value {
     let person = |person: &PersonV1| {
         let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "since_ns": person.since_ns, "observed_ns": person.observed_ns, "elsewhere": person.elsewhere,
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "rooms": rooms.collect::<Vec<_>>(),
         })
@@ -375,7 +370,7 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
         let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
         let sets = (0..horizons).map_while(|horizon| set_places(told, person, horizon));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
             "rooms": rooms.collect::<Vec<_>>(),
             "set_coverage": person.set_coverage, "sets": sets.collect::<Vec<_>>(),
@@ -428,7 +423,7 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
         rooms.filter(|(room, _)| told.covered >> room & 1 == 1).map(|(_, room)| room.id()).collect::<Vec<_>>()
     });
     json!({
-        "robot_name": name, "action_name": action_word(told.action), "covered": covered,
+        "robot_name": name, "action_name": Action::of(told.action).word(), "covered": covered,
         "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": given(told.from()),
         "to": given(told.to()), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
         "cancels": Some(told.cancels).filter(|cancelled| *cancelled > 0), "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,

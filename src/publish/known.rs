@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1, StatusResponseV1,
-    decision_flags, forecast_flags, person_flags, presence, sequence,
+    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RobotReportV1, RoomScoresV1,
+    StatusResponseV1, decision_flags, forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
@@ -13,7 +14,6 @@ use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unna
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
 use crate::robot_place::{Place, Places};
-use roomcast_ipc::action::word as action_word;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use roomcast_services::planner::Planner;
@@ -58,7 +58,7 @@ impl Known {
     }
 
     /// Asks the advisor about this moment.
-    pub(super) fn advise(&mut self, now_ns: u64, unix_ns: u64, own: &str) {
+    pub(super) fn advise(&mut self, now_ns: BootNs, unix_ns: UnixNs, own: &str) {
         let Some(advisor) = &mut self.advisor else { return };
         if let (Some(scores), Some(forecast), Some(persons)) = (&self.scores, &self.forecast, &self.persons) {
             // What is dated ahead is of another boot, and the advice stays away.
@@ -155,8 +155,8 @@ impl Known {
     }
 
     /// Nanoseconds since the daemon last said that it lives; none where it never did.
-    pub(super) fn silence_ns(&self, now_ns: u64) -> Option<u64> {
-        self.scores.as_ref().map(|scores| scores.silence_ns(now_ns))
+    pub(super) fn silence_ns(&self, now_ns: BootNs) -> Option<u64> {
+        self.scores.as_ref().map(|scores| scores.silence_ns(now_ns.0))
     }
 
     /// Whether all rooms and persons are known, so that what an earlier run told of others may go.
@@ -349,7 +349,7 @@ fn person_message(all: &PersonForecastsV1, person: &PersonForecastV1, config: &B
     let flag = |flag: u32| person.flags & flag != 0;
     let mut told = json!({
         "person": name_of(person),
-        "presence": presence::word(person.presence),
+        "presence": Presence::of(person.presence).word(),
         "asleep": flag(person_flags::ASLEEP),
         "visitor": flag(person_flags::VISITOR),
         "at": ahead,
@@ -365,7 +365,7 @@ fn name_in(rooms: &[String], id: &str) -> String {
 }
 
 fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String], at: &Place) -> Value {
-    let action = action_word(decision.action);
+    let action = Action::of(decision.action).word();
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
     json!({

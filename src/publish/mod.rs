@@ -9,8 +9,9 @@ use std::time::{Duration, Instant};
 
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber,
-    clock, sequence,
+    sequence,
 };
+use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
 use roomcast_services::mqtt::link::{Heard, Link, Will};
@@ -320,7 +321,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             (Way::Print { .. }, _) if start.elapsed() >= WAIT => return Err(BridgeError::NoDaemon),
             _ => {}
         }
-        let turns = |link: &Link| clock::monotonic_ns().saturating_sub(link.turned_ns()) <= TURN_MAX_NS;
+        let turns = |link: &Link| clock::monotonic_ns().since(link.turned_ns()) <= TURN_MAX_NS;
         if link.as_ref().is_none_or(turns) {
             watchdog.lives();
         }

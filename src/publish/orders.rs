@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{RobotReportV1, sequence};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
@@ -66,7 +67,7 @@ impl Orders {
         payload: &[u8],
         robots: &[Named],
         rooms: &[String],
-        (now_ns, unix_ns): (u64, u64),
+        (now_ns, unix_ns): (BootNs, UnixNs),
     ) -> Result<RobotReportV1, String> {
         let (part, level) = self.parts(topic).ok_or("it is no topic of orders")?;
         let robot = robots.iter().find(|robot| robot.part == part);
@@ -109,8 +110,9 @@ mod tests {
         let mut orders = Orders::new("roomcast");
         let robots = [Named { part: "vacuum".to_owned(), name: "Vacuum".to_owned() }];
         let rooms = ["kitchen".to_owned(), "küche".to_owned()];
-        let mut read =
-            |topic: &str, payload: &str| orders.read(topic, payload.as_bytes(), &robots, &rooms, (5, 1_000_000_000));
+        let mut read = |topic: &str, payload: &str| {
+            orders.read(topic, payload.as_bytes(), &robots, &rooms, (BootNs(5), UnixNs(1_000_000_000)))
+        };
         let hold = read("roomcast/robots/vacuum/hold", "ON").unwrap();
         assert_eq!((hold.kind, hold.robot_name(), hold.until_unix_ns), (report_kind::HOLD, "Vacuum", 0));
         let hold = read("roomcast/robots/vacuum/hold", r#"{"note": "meeting", "for_s": 60}"#).unwrap();

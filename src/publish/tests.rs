@@ -1,6 +1,7 @@
 use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{StatusResponseV1, action, decision_flags, forecast_flags, presence, text};
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
@@ -422,7 +423,7 @@ fn a_room_says_whether_it_is_a_good_time_to_clean_it_and_when_that_was_done() {
     let config = toml::from_str(text).unwrap();
     let mut known = known(&["kitchen", "hall"], &[[0.0; 3]; 2], &[]).with_advisor(Planner::for_advice(&config));
     let told = |known: &mut Known, room: &str| -> Value {
-        known.advise(6, 6, "robot");
+        known.advise(BootNs(6), UnixNs(6), "robot");
         serde_json::from_str(&draw(known)[&format!("roomcast/rooms/{room}")]).unwrap()
     };
     let kitchen = told(&mut known, "kitchen");

@@ -1,5 +1,6 @@
 //! A line of narration, read as every narrator reads it ([`roomcast_core::narration::line`]), as what goes to robots.
 
+use roomcast_core::ids::UnixNs;
 pub use roomcast_core::narration::line::LINE_BYTES_MAX;
 use roomcast_core::narration::line::{self, Line, Who};
 
@@ -20,11 +21,11 @@ pub struct Age {
 ///
 /// [`Fault`] for what is no narration.
 pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, Age), Fault> {
-    let read = Line::read(text, &Who::Somebody).and_then(|line| line.observed_by(now_unix_ns));
+    let read = Line::read(text, &Who::Somebody).and_then(|line| line.observed_by(UnixNs(now_unix_ns)));
     let Line { kind, text, person, observed_unix_ns, count } = read.map_err(|error| Fault(error.to_string()))?;
     let observation = Observation { text, kind, person, count };
     observation.message()?;
-    let observed_ns = observed_unix_ns.unwrap_or(now_unix_ns);
+    let observed_ns = observed_unix_ns.map_or(now_unix_ns, |observed_ns| observed_ns.0);
     let age =
         Age { age_ns: now_unix_ns.saturating_sub(observed_ns), ahead_ns: observed_ns.saturating_sub(now_unix_ns) };
     Ok((observation, age))

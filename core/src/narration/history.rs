@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use serde::{Deserialize, Serialize};
 
 use super::Observation;
-use crate::ids::PersonId;
+use crate::ids::{BootNs, PersonId, UnixNs};
 
 /// Most persons with a history; a new person replaces the person without an event for longest.
 pub const PERSONS_MAX: usize = 64;
@@ -215,7 +215,7 @@ impl History {
         let observed_ns = |held: &Held| held.observation.observed_ns;
         let newest_ns = self.window.iter().map(observed_ns).max().unwrap_or_default();
         let others = self.window.len() - 1;
-        let expired = |held: &Held| held.voice == Voice::EARLIER || newest_ns - observed_ns(held) > KEPT_NS;
+        let expired = |held: &Held| held.voice == Voice::EARLIER || newest_ns.since(observed_ns(held)) > KEPT_NS;
         if let Some(place) = self.window.iter().take(others).position(expired) {
             return place;
         }
@@ -384,8 +384,8 @@ mod tests {
             person,
             source: 1,
             epoch: 1,
-            observed_ns,
-            observed_unix_ns,
+            observed_ns: BootNs(observed_ns),
+            observed_unix_ns: UnixNs(observed_unix_ns),
             ..Observation::of(sequence, sentence)
         }
     }
@@ -417,8 +417,8 @@ mod tests {
     fn a_gap_in_time_begins_a_new_window() {
         const S: u64 = 1_000_000_000;
         let at = |sequence: u64, monotonic_s: u64, unix_s: u64| Observation {
-            observed_ns: monotonic_s * S,
-            observed_unix_ns: unix_s * S,
+            observed_ns: BootNs(monotonic_s * S),
+            observed_unix_ns: UnixNs(unix_s * S),
             ..observation(PersonId(0), sequence)
         };
         let mut history = History::new(HistoryLimits { gap_s: 60, ..HistoryLimits::default() });
@@ -504,7 +504,7 @@ mod tests {
         for n in 0..2 {
             history.push(said(1, n), 5);
         }
-        let later = |n| Observation { observed_ns: KEPT_NS + 10 + n, ..said(2, n) };
+        let later = |n| Observation { observed_ns: BootNs(KEPT_NS + 10 + n), ..said(2, n) };
         for n in 2..6 {
             history.push(later(n), 5);
         }

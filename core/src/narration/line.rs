@@ -13,7 +13,7 @@ use super::{
     Action, DeviceState, Event, ObservedError, PERSON_NAME_BYTES_MAX, RoomName, SensorReport, Sentence, check_name,
     is_number,
 };
-use crate::ids::PersonId;
+use crate::ids::{PersonId, UnixNs};
 use crate::parsing::{json_of_one_line_says, json_says};
 use crate::text::{is_hidden, without_mark};
 
@@ -205,7 +205,7 @@ pub struct Line {
     /// The person observed.
     pub person: Who,
     /// When it was observed, in Unix nanoseconds; none for now.
-    pub observed_unix_ns: Option<u64>,
+    pub observed_unix_ns: Option<UnixNs>,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
 }
@@ -376,10 +376,10 @@ impl Line {
     ///
     /// # Errors
     /// [`LineError`] with how far ahead that is.
-    pub fn observed_by(self, now_unix_ns: u64) -> Result<Self, LineError> {
+    pub fn observed_by(self, now_unix_ns: UnixNs) -> Result<Self, LineError> {
         match self.observed_unix_ns {
             Some(observed_ns) if observed_ns > now_unix_ns.saturating_add(AHEAD_NS) => {
-                let (ahead_s, most_s) = ((observed_ns - now_unix_ns) as f64 / 1e9, AHEAD_NS / 1_000_000_000);
+                let (ahead_s, most_s) = (observed_ns.since(now_unix_ns) as f64 / 1e9, AHEAD_NS / 1_000_000_000);
                 Err(reason(&format!(
                     "\"observed_unix_s\" lies {ahead_s:.0} s ahead, at most {most_s} s are allowed: set the clock of the machine that gives it (NTP), or leave the key out for now"
                 )))
@@ -439,11 +439,11 @@ fn statement(presence: &str, room: Option<&str>) -> Result<Event, LineError> {
 }
 
 /// Whole nanoseconds of seconds since 1970; the caller checks for future times.
-fn unix_ns(value: &Value) -> Result<u64, LineError> {
+fn unix_ns(value: &Value) -> Result<UnixNs, LineError> {
     const ALLOWED: &str = "seconds since 1970, as in 1709280900.5, or leave it out for now";
     match value.as_f64() {
         // About the year 2500. 0 is what a clock that was never set says.
-        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok((seconds * 1e9) as u64),
+        Some(seconds) if (1.0..=1.7e10).contains(&seconds) => Ok(UnixNs((seconds * 1e9) as u64)),
         _ => Err(key_error("observed_unix_s", value, ALLOWED)),
     }
 }
@@ -656,7 +656,7 @@ mod tests {
     #[test]
     fn a_time_of_observation_is_kept_to_the_microsecond() {
         let item = item(r#"{"text": "They sit.", "observed_unix_s": 1709280900.5}"#).unwrap();
-        assert_eq!(item.observed_unix_ns, Some(1_709_280_900_500_000_000));
+        assert_eq!(item.observed_unix_ns, Some(UnixNs(1_709_280_900_500_000_000)));
     }
 
     #[test]
@@ -665,12 +665,12 @@ mod tests {
             let line = item(&format!(r#"{{"text": "They sit.", "observed_unix_s": {observed_s}}}"#)).unwrap();
             line.observed_by(now_ns)
         };
-        let error = by(62, 1_000_000_000).unwrap_err().to_string();
+        let error = by(62, UnixNs(1_000_000_000)).unwrap_err().to_string();
         assert!(
             error.contains("\"observed_unix_s\" lies 61 s ahead, at most 60 s are allowed: set the clock"),
             "{error}"
         );
-        by(61, 1_000_000_000).unwrap();
+        by(61, UnixNs(1_000_000_000)).unwrap();
     }
 
     #[test]

@@ -6,7 +6,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use crate::ids::{EventId, PersonId};
+use crate::ids::{BootNs, EventId, PersonId, UnixNs};
 use crate::text::is_hidden;
 
 pub mod action;
@@ -160,9 +160,9 @@ pub struct Observation {
     /// Counts the narrator's observations within an epoch.
     pub sequence: u64,
     /// Monotonic time of the observation, in nanoseconds.
-    pub observed_ns: u64,
+    pub observed_ns: BootNs,
     /// Wall clock, in nanoseconds since 1970, for people.
-    pub observed_unix_ns: u64,
+    pub observed_unix_ns: UnixNs,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
     /// The text may be a presence form: it is a plain sentence, and no action, device state or filled template of a rule.
@@ -189,8 +189,8 @@ impl Observation {
             source: 0,
             epoch: 0,
             sequence,
-            observed_ns: 0,
-            observed_unix_ns: 0,
+            observed_ns: BootNs(0),
+            observed_unix_ns: UnixNs(0),
             count,
             may_be_form: true,
             event,
@@ -214,8 +214,8 @@ impl Observation {
     #[must_use]
     pub(crate) fn seconds_after(&self, earlier: &Self) -> Option<f64> {
         let between = |from_ns: u64, to_ns: u64| (from_ns > 0 && to_ns > 0).then(|| to_ns.checked_sub(from_ns));
-        let monotonic = between(earlier.observed_ns, self.observed_ns);
-        let unix = between(earlier.observed_unix_ns, self.observed_unix_ns);
+        let monotonic = between(earlier.observed_ns.0, self.observed_ns.0);
+        let unix = between(earlier.observed_unix_ns.0, self.observed_unix_ns.0);
         let nanoseconds = match (monotonic, unix) {
             (Some(Some(after)), _) | (Some(None) | None, Some(Some(after))) => after,
             (None, None) => return None,

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use super::person::Person;
 use super::scores::{Included, Scores};
-use crate::ids::EventId;
+use crate::ids::{BootNs, EventId};
 use crate::narration::Observation;
 use crate::narration::history::Voice;
 
@@ -42,7 +42,7 @@ pub(super) struct Sources {
     settled: BTreeMap<(u64, u64), u64>,
     /// Narrations included so far.
     turns: u64,
-    newest_observed_ns: u64,
+    newest_observed_ns: BootNs,
 }
 
 impl Sources {
@@ -100,7 +100,7 @@ impl Sources {
             self.starts.len() - 1
         });
         let heard = &mut self.starts[place];
-        let none = Included { source, epoch, sequence: 0, observed_ns: 0, accepted, voice: 0, turn: 0 };
+        let none = Included { source, epoch, sequence: 0, observed_ns: BootNs(0), accepted, voice: 0, turn: 0 };
         let mut newest = heard.newest().copied().unwrap_or(none);
         change(&mut newest);
         if heard.trail.len() >= TRAIL_MAX {

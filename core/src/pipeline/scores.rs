@@ -2,7 +2,7 @@
 
 use super::person::{Due, Person};
 use crate::grounding::GroundedScores;
-use crate::ids::PersonId;
+use crate::ids::{BootNs, PersonId};
 use crate::scorer::DecodeStats;
 use crate::scorer::certified::Effort;
 
@@ -16,7 +16,7 @@ pub struct Included {
     /// Its sequence number in that epoch.
     pub sequence: u64,
     /// When it was observed, monotonic nanoseconds.
-    pub observed_ns: u64,
+    pub observed_ns: BootNs,
     /// How many narrations of this epoch went into the histories.
     pub accepted: u64,
     /// The number of the voice that it was heard as ([`crate::narration::history::Voice`]).
@@ -57,7 +57,7 @@ pub struct Scores {
     /// Per start of a source, the last narration that these scores include.
     pub included: Vec<Included>,
     /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
-    pub newest_observed_ns: u64,
+    pub newest_observed_ns: BootNs,
     /// How the scores were reached; of several persons, what the intervals of all together show.
     pub reached: Effort,
     /// Per partition a certified lower bound of the score in nats; the score itself when exact.

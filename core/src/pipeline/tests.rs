@@ -3,7 +3,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use proptest::prelude::*;
 
 use super::*;
-use crate::ids::PersonId;
+use crate::ids::{BootNs, PersonId};
 use crate::label_trie::TokenTree;
 use crate::narration::{Event, Sentence};
 use crate::scorer::correction::Continuation;
@@ -648,7 +648,7 @@ proptest! {
                     3 => presence(sequence, PersonId(person), "gone"),
                     _ => observation(sequence, PersonId(person)),
                 };
-                Observation { observed_ns: at_s * 1_000_000_000, ..said }
+                Observation { observed_ns: BootNs(at_s * 1_000_000_000), ..said }
             }).collect();
             // Silence ends a window.
             if *pause_s % 5 == 0 {

@@ -6,6 +6,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use roomcast_core::grounding::PartitionLevel;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::PolicyError;
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_ipc::{
@@ -282,7 +283,7 @@ pub fn play(way: Way, days: usize, seed: u64) -> Result<Sums, WishesError> {
                 let seen: Vec<bool> = seen_from.iter().map(|from| minute >= *from).collect();
                 tell(&mut planner, (minute, fingerprint), &now, &seen, &known)?;
                 let now_ns = minute as u64 * MINUTE_NS;
-                if let Some(decision) = planner.decide(now_ns, now_ns + MONDAY_NS)? {
+                if let Some(decision) = planner.decide(BootNs(now_ns), UnixNs(now_ns + MONDAY_NS))? {
                     match decision.action {
                         action::GO => {
                             robot.work = ROOMS.iter().position(|id| *id == decision.to()).map(|room| (room, STAY));
@@ -416,9 +417,9 @@ fn tell(
     whole.elsewhere = if count == 0 { [0.0; MAX_HORIZONS] } else { out };
     // All of it is dated now.
     let taken = [
-        planner.take(&scores, at_ns).is_ok(),
-        planner.take_forecast(&whole, at_ns).is_ok(),
-        planner.take_persons(&each, at_ns).is_ok(),
+        planner.take(&scores, BootNs(at_ns)).is_ok(),
+        planner.take_forecast(&whole, BootNs(at_ns)).is_ok(),
+        planner.take_persons(&each, BootNs(at_ns)).is_ok(),
     ];
     debug_assert_eq!(taken, [true; 3]);
     Ok(())

@@ -8,7 +8,6 @@ use roomcast_core::narration::Observation;
 use roomcast_core::narration::line::Who;
 use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
-use roomcast_ipc::clock;
 
 use super::board::Board;
 use super::habits_file::Keeper;
@@ -16,6 +15,7 @@ use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};
+use crate::clock;
 
 /// A question to forget somebody waits at most this long for the journal and the habits file together.
 pub(super) const FORGET_PATIENCE: Duration = Duration::from_secs(5);
@@ -38,7 +38,7 @@ pub(super) fn answer_change<M: LanguageModel>(
         let map = board.map().changed(question.changes).map_err(|error| refused(&error))?;
         board.change_map(map).map_err(|error| refused(&error))
     });
-    let regrouped_in_ns = clock::monotonic_ns().saturating_sub(start_ns);
+    let regrouped_in_ns = clock::monotonic_ns().since(start_ns);
     let mut number = 0;
     board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.keep_belief(&believed)));
     // A disk that is slower than that loses at most where people were.
@@ -113,7 +113,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             if records == 0 && !is_learned { is_known.map(|_| left) } else { Ok(left) }
         }
     });
-    let now_ns = i64::try_from(clock_ns).unwrap_or(i64::MAX);
+    let now_ns = i64::try_from(clock_ns.0).unwrap_or(i64::MAX);
     let (done, left) = (result.is_ok(), result.unwrap_or_else(Some));
     let is_kept = board.persons().file().is_kept() && journal.is_none_or(JournalHandle::is_kept);
     let kept = done && left.is_none() && is_kept;

@@ -15,9 +15,9 @@ use rustix::time::{ClockId, clock_gettime};
 
 use super::LOG_INTERVAL_NS;
 use super::ahead::{Ahead, Now};
+use crate::clock;
 use crate::logging::Limiter;
 use crate::power;
-use roomcast_ipc::clock;
 
 /// How much nicer than the rest the thread is: it has a ninth of what they have of a core that both want. Under SCHED_IDLE, or with all the niceness
 /// that there is, it would get no time on a busy machine for many seconds, also to leave a lock that another thread waits for, or to end.

@@ -21,7 +21,7 @@ use crate::moment::Moment;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{Grounding, GroundingOptions, partitions};
 use roomcast_core::habits::{Place as Whereabouts, WhenShares};
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Presence, Voice};
 use roomcast_core::pipeline::{Included, Pipeline, PipelineError, Prepared};
 use roomcast_core::places::{Mention, PlaceMatcher};
@@ -84,7 +84,7 @@ pub struct Entry {
     /// What was observed.
     pub observation: Observation,
     /// When the daemon received it.
-    pub received_ns: u64,
+    pub received_ns: BootNs,
     /// Whether observations of its source were lost before it.
     pub after_gap: bool,
     /// For whom it counts in its person's window.
@@ -96,7 +96,7 @@ pub struct Entry {
 impl Entry {
     /// An observation after no gap, for which nobody gives way, of its source's own voice.
     #[must_use]
-    pub fn new(observation: Observation, received_ns: u64) -> Self {
+    pub fn new(observation: Observation, received_ns: BootNs) -> Self {
         let voice = Voice::of_source(observation.source);
         Self { observation, received_ns, after_gap: false, voice, leaves: None }
     }
@@ -104,13 +104,13 @@ impl Entry {
 
 /// When something was observed, on the monotonic clock; negative where that was before the machine's start, which the wall clock knows.
 /// None where no clock tells: also where the wall clock stands before that time, so that it was set wrong since, or then.
-fn observed_at_ns(observation: &Observation, now_ns: u64, now_unix_ns: u64) -> Option<i64> {
+fn observed_at_ns(observation: &Observation, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<i64> {
     let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
     match (observation.observed_ns, observation.observed_unix_ns) {
-        (0, 0) => None,
-        (0, unix_ns) if unix_ns > now_unix_ns => None,
-        (0, unix_ns) => Some(signed(now_ns).saturating_sub(signed(now_unix_ns - unix_ns))),
-        (monotonic_ns, _) => Some(signed(monotonic_ns)),
+        (BootNs(0), UnixNs(0)) => None,
+        (BootNs(0), unix_ns) if unix_ns > now_unix_ns => None,
+        (BootNs(0), unix_ns) => Some(signed(now_ns.0).saturating_sub(signed(now_unix_ns.since(unix_ns)))),
+        (monotonic_ns, _) => Some(signed(monotonic_ns.0)),
     }
 }
 
@@ -183,8 +183,8 @@ pub struct Board<M> {
     /// Events that the forecasts do not have yet.
     seen: VecDeque<Seen>,
     /// Of the narration that no step has scored yet: when its first was received, of each person and of nobody, and whether some was lost before it.
-    unscored: BTreeMap<PersonId, u64>,
-    unscored_ns: Option<u64>,
+    unscored: BTreeMap<PersonId, BootNs>,
+    unscored_ns: Option<BootNs>,
     unscored_gap: bool,
     /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
     strange_rooms: BTreeSet<String>,
@@ -372,7 +372,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Lets habits count the time spent, about once a minute, and gives whether it did.
-    pub fn tick(&mut self, now_ns: u64, now_unix_ns: u64) -> bool {
+    pub fn tick(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
         if !self.home.is_tick_due(now_ns) || !self.is_scored() {
             return false;
         }
@@ -520,7 +520,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// All that is behind the newest scores, and what was learned, in the forecasts of `now_ns`.
     #[must_use]
-    pub fn moment(&mut self, now_ns: u64) -> Moment {
+    pub fn moment(&mut self, now_ns: BootNs) -> Moment {
         self.forecast(now_ns);
         let names =
             self.persons.iter().filter_map(|(person, _)| Some((person, self.persons.name_of(person)?.to_owned())));
@@ -589,10 +589,10 @@ impl<M: LanguageModel> Board<M> {
 
     /// Enters observations of a former run without scoring: into the histories, and with their times into the forecasts, together with what
     /// the model said after some of them. Gives how many were left out, because they cost more tokens than a window holds.
-    pub fn restore(&mut self, recovered: Recovered, now_ns: u64, now_unix_ns: u64) -> usize {
+    pub fn restore(&mut self, recovered: Recovered, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
         let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
-        let started_unix_ns = now_unix_ns.saturating_sub(now_ns);
+        let started_unix_ns = now_unix_ns.saturating_sub(now_ns.0);
         self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
@@ -621,7 +621,7 @@ impl<M: LanguageModel> Board<M> {
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
                 // However little the wall clock says has passed, it was before the machine's start; 0 would say that it has no time.
-                observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns.max(1));
+                observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns.max(UnixNs(1)));
             }
             let mut at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
             if is_of_another_boot {
@@ -765,8 +765,8 @@ impl<M: LanguageModel> Board<M> {
 
     /// Whether time alone changes the scores: a window ends, or a visitor is gone.
     #[must_use]
-    pub fn is_overdue(&self, now_ns: u64) -> bool {
-        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+    pub fn is_overdue(&self, now_ns: BootNs) -> bool {
+        let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         self.persons.expired(now_ns).is_some() || self.silent(now_ns).is_some() || self.departed().is_some()
     }
 
@@ -790,8 +790,8 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Does what time alone asks for.
-    fn lapse(&mut self, now_ns: u64) {
-        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+    fn lapse(&mut self, now_ns: BootNs) {
+        let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         while let Some(person) = self.silent(now_ns) {
             self.pipeline.end_window(person);
             if let Some(own) = self.followed.get_mut(&person) {
@@ -811,7 +811,7 @@ impl<M: LanguageModel> Board<M> {
         while let Some(person) = self.departed() {
             // A restart believes the same without a record: the filter says it again.
             let last = self.persons.get(person).map_or(EventId::new(0, 0, 0), |known| known.last);
-            let observed_ns = u64::try_from(now_ns).unwrap_or_default();
+            let observed_ns = BootNs(u64::try_from(now_ns).unwrap_or_default());
             let away =
                 Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, Event::Away) };
             let away = Observation { source: last.source, epoch: last.epoch, ..away };
@@ -925,9 +925,9 @@ impl<M: LanguageModel> Board<M> {
     pub fn step(
         &mut self,
         entries: impl IntoIterator<Item = Entry>,
-        now_ns: u64,
-        now_unix_ns: u64,
-    ) -> Result<Option<u64>, PipelineError> {
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
+    ) -> Result<Option<BootNs>, PipelineError> {
         self.step_within(entries, now_ns, now_unix_ns, u64::MAX)
     }
 
@@ -941,10 +941,10 @@ impl<M: LanguageModel> Board<M> {
     pub fn step_within(
         &mut self,
         entries: impl IntoIterator<Item = Entry>,
-        now_ns: u64,
-        now_unix_ns: u64,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
         patience_ns: u64,
-    ) -> Result<Option<u64>, PipelineError> {
+    ) -> Result<Option<BootNs>, PipelineError> {
         // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
         self.watch();
         if self.next_rooms.is_some() {
@@ -966,7 +966,7 @@ impl<M: LanguageModel> Board<M> {
                 self.unscored_ns.get_or_insert(received_ns);
                 continue;
             }
-            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns).ok());
+            let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns.0).ok());
             let is_unknown = !self.named.is_empty() && voice.number == OTHERS;
             let reporter = self.reporter(observation.source, is_unknown);
             self.pipeline.include(&observation, voice);
@@ -1012,8 +1012,8 @@ impl<M: LanguageModel> Board<M> {
         let pipeline = &self.pipeline;
         self.rescored.iter().filter(|person| !pipeline.waits(**person)).for_each(|person| self.home.rescored(*person));
         self.snapshot.sequence += 1;
-        self.snapshot.computed_ns = now_ns;
-        self.snapshot.computed_unix_ns = now_unix_ns;
+        self.snapshot.computed_ns = now_ns.0;
+        self.snapshot.computed_unix_ns = now_unix_ns.0;
         let mut received_ns = self.unscored_ns.take();
         self.unscored.retain(|person, first_ns| {
             let waits = pipeline.waits(*person);
@@ -1022,8 +1022,8 @@ impl<M: LanguageModel> Board<M> {
             }
             waits
         });
-        self.snapshot.received_ns = received_ns.unwrap_or(self.snapshot.received_ns);
-        self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.saturating_sub(received_ns));
+        self.snapshot.received_ns = received_ns.map_or(self.snapshot.received_ns, |received_ns| received_ns.0);
+        self.snapshot.wait_ns = received_ns.map_or(0, |received_ns| now_ns.since(received_ns));
         self.snapshot.flags = if std::mem::take(&mut self.unscored_gap) { score_flags::GAP } else { 0 };
         self.count_prepared();
         self.fill();

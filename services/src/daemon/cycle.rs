@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake, Recovered};
-use roomcast_core::ids::EventId;
+use roomcast_core::ids::{BootNs, EventId, UnixNs};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 
@@ -39,13 +39,13 @@ pub struct Cycle<M> {
     scored_record: u64,
     /// There is something to score: new narration, persons whom no step had time for, a step that failed, or nothing scored yet.
     due: bool,
-    retry_ns: u64,
+    retry_ns: BootNs,
     /// The newest scores were not sent yet.
     fresh: bool,
     /// When the first narration that they newly contain was received.
-    received_ns: Option<u64>,
+    received_ns: Option<BootNs>,
     heartbeat_ns: u64,
-    sent_ns: u64,
+    sent_ns: BootNs,
     /// The claims of the last message whose narration was all in the journal.
     claims: (u32, [IncludedV1; MAX_SOURCES]),
     /// The last message claimed less than its scores contain.
@@ -66,11 +66,11 @@ impl<M: LanguageModel> Cycle<M> {
             scored_record: 0,
             // The first step scores what the journal gave, or the binding sequence alone.
             due: true,
-            retry_ns: 0,
+            retry_ns: BootNs(0),
             fresh: false,
             received_ns: None,
             heartbeat_ns,
-            sent_ns: 0,
+            sent_ns: BootNs(0),
             claims: Default::default(),
             not_told: false,
             less: Box::default(),
@@ -79,7 +79,7 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice. Gives how
     /// many were left out, because they cost more tokens than a window holds.
-    pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: u64, now_unix_ns: u64) -> usize {
+    pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         recovered.taken().for_each(|observation| intake.restore(observation));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
         self.board.settle(recovered.settled());
@@ -119,7 +119,7 @@ impl<M: LanguageModel> Cycle<M> {
 
     /// Whether a step is due: new narration at once, a failed step after a second, and what time alone changes.
     #[must_use]
-    pub fn step_due(&self, now_ns: u64) -> bool {
+    pub fn step_due(&self, now_ns: BootNs) -> bool {
         let due = self.due || self.board.is_overdue(now_ns);
         due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
@@ -130,7 +130,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// # Errors
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
-    pub fn step(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<(), PipelineError> {
+    pub fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<(), PipelineError> {
         let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
         let most = self.waiting.len().min(STEP_ENTRIES_MAX);
         let taken = self.waiting.drain(..most);
@@ -147,7 +147,7 @@ impl<M: LanguageModel> Cycle<M> {
             Err(error) => {
                 if !failed_before {
                     // Planners learn it at once, not with the next heartbeat.
-                    self.sent_ns = 0;
+                    self.sent_ns = BootNs(0);
                 }
                 self.due = true;
                 self.retry_ns = now_ns.saturating_add(RETRY_NS);
@@ -174,23 +174,22 @@ impl<M: LanguageModel> Cycle<M> {
     /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
     /// journal is.
     #[must_use]
-    pub(crate) fn message_due(&self, now_ns: u64, written: u64) -> bool {
-        let confirmation =
-            now_ns.saturating_sub(self.sent_ns) >= self.heartbeat_ns || (self.not_told && self.durable(written));
+    pub(crate) fn message_due(&self, now_ns: BootNs, written: u64) -> bool {
+        let confirmation = now_ns.since(self.sent_ns) >= self.heartbeat_ns || (self.not_told && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
     }
 
     /// How long there is nothing to do unless something arrives: until the next heartbeat, or until a failed step is tried again. What waits
     /// for the journal is looked after every few milliseconds.
     #[must_use]
-    pub(crate) fn idle_ns(&self, now_ns: u64) -> u64 {
+    pub(crate) fn idle_ns(&self, now_ns: BootNs) -> u64 {
         const JOURNAL_NS: u64 = 50_000_000;
         // Without scores there is nothing to confirm.
         let heartbeat_ns = match self.board.snapshot().sequence {
             0 => u64::MAX,
-            _ => self.sent_ns.saturating_add(self.heartbeat_ns).saturating_sub(now_ns),
+            _ => self.sent_ns.saturating_add(self.heartbeat_ns).since(now_ns),
         };
-        let retry_ns = if self.due { self.retry_ns.saturating_sub(now_ns) } else { u64::MAX };
+        let retry_ns = if self.due { self.retry_ns.since(now_ns) } else { u64::MAX };
         let journal_ns = if self.not_told { JOURNAL_NS } else { u64::MAX };
         heartbeat_ns.min(retry_ns).min(journal_ns)
     }
@@ -203,7 +202,7 @@ impl<M: LanguageModel> Cycle<M> {
     ///
     /// Scores that contain narration beyond `written` are sent all the same, but do not claim it: a claim is what lets a narrator forget,
     /// and must survive a killed daemon.
-    pub fn message(&mut self, now_ns: u64, written: u64, behind: bool) -> Option<&RoomScoresV1> {
+    pub fn message(&mut self, now_ns: BootNs, written: u64, behind: bool) -> Option<&RoomScoresV1> {
         if !self.message_due(now_ns, written) {
             return None;
         }
@@ -222,13 +221,13 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// When the first narration was received that the newest scores contain and those before them did not; given once.
-    pub(crate) fn newly_received_ns(&mut self) -> Option<u64> {
+    pub(crate) fn newly_received_ns(&mut self) -> Option<BootNs> {
         self.received_ns.take()
     }
 
     /// Makes a step due at once: the map has changed.
     pub fn score_again(&mut self) {
-        (self.due, self.retry_ns) = (true, 0);
+        (self.due, self.retry_ns) = (true, BootNs(0));
     }
 
     /// The board, to change its map or to forecast.

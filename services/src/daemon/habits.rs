@@ -19,7 +19,7 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::habits::{
     Habits, HabitsOptions, Learned, PARTS, PERSONS_MAX, Place, RoomShares, Shares, StoredError, Turn, WhenShares,
 };
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
@@ -93,11 +93,11 @@ impl Zone {
 
     /// Seconds since 1970 in local time.
     #[must_use]
-    pub fn local_s(&self, unix_ns: u64) -> f64 {
-        let unix_s = unix_ns / 1_000_000_000;
+    pub fn local_s(&self, unix_ns: UnixNs) -> f64 {
+        let unix_s = unix_ns.0 / 1_000_000_000;
         let zone = self.0.as_ref().zip(i64::try_from(unix_s).ok());
         let offset_s = zone.and_then(|(zone, unix_s)| Some(zone.find_local_time_type(unix_s).ok()?.ut_offset()));
-        unix_ns as f64 / 1e9 + f64::from(offset_s.unwrap_or_default())
+        unix_ns.seconds() + f64::from(offset_s.unwrap_or_default())
     }
 }
 
@@ -170,7 +170,7 @@ impl Memory {
 #[derive(Debug, Default)]
 struct Ahead {
     /// Of when it is, and of which state of the habits; none where nothing is known.
-    of: Option<(u64, u64)>,
+    of: Option<(BootNs, u64)>,
     /// Per horizon and place, row by row; elsewhere comes last.
     probability: Vec<f64>,
     shares: Vec<WhenShares>,
@@ -217,7 +217,7 @@ pub struct HomeHabits {
     zone: Zone,
     is_of_the_past: bool,
     /// The monotonic clock and the local time at the same moment.
-    clock: Option<(u64, f64)>,
+    clock: Option<(BootNs, f64)>,
     /// What comes now was learned by a former run.
     recalling: bool,
     next: Next,
@@ -227,7 +227,7 @@ pub struct HomeHabits {
     ahead: BTreeMap<PersonId, Ahead>,
     /// Grows with everything that changes a forecast.
     state: u64,
-    ticked_ns: u64,
+    ticked_ns: BootNs,
     changed: bool,
     /// How often what is known was changed since the start: by what was learned, forgotten, or put in its place.
     taken: u64,
@@ -264,7 +264,7 @@ impl HomeHabits {
             labels: 0,
             ahead: BTreeMap::new(),
             state: 0,
-            ticked_ns: 0,
+            ticked_ns: BootNs(0),
             changed: false,
             taken: 0,
             replaced: Vec::new(),
@@ -314,13 +314,13 @@ impl HomeHabits {
     }
 
     /// Takes note of the time.
-    pub(super) fn set_clock(&mut self, now_ns: u64, now_unix_ns: u64) {
+    pub(super) fn set_clock(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) {
         if self.is_idle() {
             return;
         }
         let local_s = self.zone.local_s(now_unix_ns);
         if let Some((then_ns, then_s)) = self.clock {
-            let set_s = local_s - then_s - (now_ns as f64 - then_ns as f64) / 1e9;
+            let set_s = local_s - then_s - (now_ns.0 as f64 - then_ns.0 as f64) / 1e9;
             if set_s.abs() > CLOCK_SET_S {
                 if self.is_of_the_past {
                     // Nobody was there to see what came of the last forecasts.
@@ -332,7 +332,7 @@ impl HomeHabits {
                 }
                 self.state += 1;
             }
-            if now_ns.saturating_sub(then_ns) > ASLEEP_NS && !self.is_of_the_past {
+            if now_ns.since(then_ns) > ASLEEP_NS && !self.is_of_the_past {
                 // The machine slept, and nobody watched.
                 self.memory.habits.pass(local_s);
             }
@@ -348,17 +348,17 @@ impl HomeHabits {
     }
 
     /// Local time less the monotonic clock, in whole seconds: clocks drift.
-    pub(super) fn local_ahead_s(&self, now_ns: u64, unix_ns: u64) -> f64 {
-        (self.zone.local_s(unix_ns) - now_ns as f64 / 1e9).round()
+    pub(super) fn local_ahead_s(&self, now_ns: BootNs, unix_ns: UnixNs) -> f64 {
+        (self.zone.local_s(unix_ns) - now_ns.seconds()).round()
     }
 
     /// Seconds since 1970 in local time, of a time of the monotonic clock.
     fn local_s(&self, at_ns: i64) -> Option<f64> {
-        self.clock.map(|(now_ns, local_s)| local_s + (at_ns as f64 - now_ns as f64) / 1e9)
+        self.clock.map(|(now_ns, local_s)| local_s + (at_ns as f64 - now_ns.0 as f64) / 1e9)
     }
 
     /// Observations of a former run come: how many of them were learned by it.
-    pub(super) fn begin_recall(&mut self, observations: &[Observation], now_ns: u64, now_unix_ns: u64) -> usize {
+    pub(super) fn begin_recall(&mut self, observations: &[Observation], now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         self.set_clock(now_ns, now_unix_ns);
         self.recalling = true;
         self.memory.heard.learned_of(observations)
@@ -499,16 +499,16 @@ impl HomeHabits {
     }
 
     /// Whether time spent is to be counted.
-    pub(super) fn is_tick_due(&self, now_ns: u64) -> bool {
-        !self.is_idle() && now_ns.saturating_sub(self.ticked_ns) >= TICK_NS
+    pub(super) fn is_tick_due(&self, now_ns: BootNs) -> bool {
+        !self.is_idle() && now_ns.since(self.ticked_ns) >= TICK_NS
     }
 
     /// Time passes for everybody who is followed.
-    pub(super) fn tick(&mut self, now_ns: u64, now_unix_ns: u64, followed: &BTreeMap<PersonId, Forecaster>) {
+    pub(super) fn tick(&mut self, now_ns: BootNs, now_unix_ns: UnixNs, followed: &BTreeMap<PersonId, Forecaster>) {
         self.set_clock(now_ns, now_unix_ns);
         self.ticked_ns = now_ns;
         let Some((_, now_s)) = self.clock else { return };
-        let from_s = now_ns as f64 / 1e9;
+        let from_s = now_ns.seconds();
         for (person, own) in followed {
             if self.memory.habits.place(*person).is_some() {
                 self.memory.habits.tick(*person, now_s, &mut |ahead_s, out| write_shipped(own, from_s, ahead_s, out));
@@ -524,15 +524,15 @@ impl HomeHabits {
         &mut self,
         person: PersonId,
         own: &Forecaster,
-        now_ns: u64,
+        now_ns: BootNs,
         horizons_s: &[f32; MAX_HORIZONS],
     ) -> Option<&[f64]> {
-        let now_s = self.local_s(i64::try_from(now_ns).unwrap_or(i64::MAX)).filter(|_| !self.is_idle())?;
+        let now_s = self.local_s(i64::try_from(now_ns.0).unwrap_or(i64::MAX)).filter(|_| !self.is_idle())?;
         let of = (now_ns, self.state);
         let ahead = self.ahead.entry(person).or_default();
         if ahead.of != Some(of) {
             ahead.of = None;
-            let from_s = now_ns as f64 / 1e9;
+            let from_s = now_ns.seconds();
             let out = own.elsewhere(from_s, 0.0);
             let sure = match self.memory.habits.place(person) {
                 Some(Place::Elsewhere) => out,

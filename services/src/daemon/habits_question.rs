@@ -6,7 +6,7 @@ use super::asked::{Answer, Question};
 use super::board::Board;
 use crate::habits_reason::HorizonLine;
 use roomcast_core::habits::{BYTES_MAX, PARTS};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::scorer::LanguageModel;
 
 /// Most bytes of one part of what is imported: a question has a limit.
@@ -165,7 +165,7 @@ pub(super) fn answer<M: LanguageModel>(
     board: &mut Board<M>,
     importing: &mut Importing,
     asked: Result<HabitsQuestion, String>,
-    now_ns: u64,
+    now_ns: BootNs,
 ) -> (HabitsAnswer, After) {
     let mut export = None;
     let (mut after, mut learned_meanwhile) = (After::Nothing, false);
@@ -298,7 +298,7 @@ mod tests {
         // Also after a restart.
         memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
         let mut board = board(memory);
-        let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), 0);
+        let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), BootNs(0));
         let line = &answer.persons[0];
         assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
     }
@@ -313,7 +313,7 @@ mod tests {
         let mut board = board(memory);
         let (mut importing, mut number) = (Importing::default(), 0);
         let mut ask = |question| {
-            let (answer, _) = answer(&mut board, &mut importing, Ok(question), 0);
+            let (answer, _) = answer(&mut board, &mut importing, Ok(question), BootNs(0));
             (answer.done, answer.taken, answer.export.unwrap_or_default())
         };
         let mut import = |text: &str, expected| {
@@ -349,7 +349,7 @@ mod tests {
         let mut board = board(memory);
         let mut is_done = |who: String| {
             let question = HabitsQuestion::Forget { id: "1".to_owned(), who: Some(who) };
-            answer(&mut board, &mut Importing::default(), Ok(question), 0).0.done
+            answer(&mut board, &mut Importing::default(), Ok(question), BootNs(0)).0.done
         };
         assert!(!is_done(format!("+{ada}")));
         assert!(is_done(format!(" {ada} ")) && !is_done("ada".to_owned()), "it is forgotten");

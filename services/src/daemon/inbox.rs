@@ -6,14 +6,15 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_core::ids::EventId;
-use roomcast_ipc::{IpcError, NarrationV1, Subscriber, clock};
+use roomcast_core::ids::{BootNs, EventId};
+use roomcast_ipc::{IpcError, NarrationV1, Subscriber};
 
 use super::board::Entry;
 use super::intake::{Intake, IntakeCounters, Taken};
 use super::journal::Journal;
 use super::{LOG_INTERVAL_NS, Progress};
 use crate::awake::Awake;
+use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
@@ -286,7 +287,7 @@ impl Relief {
             let Ok(inbox) = self.from_scoring.recv() else { return };
             let mut own = Some(inbox);
             while let Some(mut inbox) = own {
-                moved(clock::monotonic_ns());
+                moved(clock::monotonic_ns().0);
                 // It fails only when the scoring thread is gone, and the main thread sees that too.
                 inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
                 own = if self.is_to_keep() { Some(inbox) } else { self.give_back(inbox) };

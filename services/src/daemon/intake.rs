@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
 use roomcast_ipc::{Message, MessageError, NarrationV1, Sender, narration_kind};
 
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
@@ -162,13 +162,13 @@ struct Held {
     start: (u64, u64),
     sequence: u64,
     /// When it came last.
-    at_ns: u64,
+    at_ns: BootNs,
 }
 
 impl Port {
     /// Whether a relayed narrator's message may be taken: there is a token, and nothing is waited for that comes before it.
-    fn admits(&mut self, start: (u64, u64), sequence: u64, now_ns: u64) -> bool {
-        let since_ns = |held: &Held| now_ns.saturating_sub(held.at_ns);
+    fn admits(&mut self, start: (u64, u64), sequence: u64, now_ns: BootNs) -> bool {
+        let since_ns = |held: &Held| now_ns.since(held.at_ns);
         self.held = self.held.filter(|held| since_ns(held) < HELD_S * 1_000_000_000);
         if self.held.is_some_and(|held| held.start != start || held.sequence < sequence) {
             return false;
@@ -268,7 +268,7 @@ impl Intake {
     }
 
     /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
-    pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, sender: Sender, now_ns: u64) -> Taken {
+    pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, sender: Sender, now_ns: BootNs) -> Taken {
         match received {
             Ok(message) => self.take(message, sender, now_ns),
             Err(error) => {
@@ -280,7 +280,7 @@ impl Intake {
     }
 
     /// Judges a message that has passed [`roomcast_ipc::Message::check`].
-    pub fn take(&mut self, message: &NarrationV1, sender: Sender, now_ns: u64) -> Taken {
+    pub fn take(&mut self, message: &NarrationV1, sender: Sender, now_ns: BootNs) -> Taken {
         let taken = self.judge(message, sender, now_ns);
         let counters = &mut self.counters;
         counters.received += 1;
@@ -301,7 +301,7 @@ impl Intake {
         taken
     }
 
-    fn judge(&mut self, message: &NarrationV1, sender: Sender, now_ns: u64) -> Taken {
+    fn judge(&mut self, message: &NarrationV1, sender: Sender, now_ns: BootNs) -> Taken {
         let event = match event_of(message.kind, message.text()) {
             Ok(event) => event,
             Err(error) => return Taken::Malformed(error.to_string()),
@@ -369,7 +369,7 @@ impl Intake {
             None if self.narrators.is_empty() => Voice { number: port_voice, share: 1 },
             _ => Voice { number: OTHERS, share: 1 },
         };
-        let ahead_ns = message.observed_ns.saturating_sub(now_ns);
+        let ahead_ns = BootNs(message.observed_ns).since(now_ns);
         let observation = Observation {
             person: PersonId(message.person),
             name: name.map(Into::into),
@@ -380,10 +380,14 @@ impl Intake {
             // An observation cannot lie in the future: a narrator's clock is not trusted beyond that. Without any time it is of now.
             observed_ns: match (message.observed_ns, message.observed_unix_ns) {
                 (0, 0) => now_ns,
-                (observed_ns, _) => observed_ns.min(now_ns),
+                (observed_ns, _) => BootNs(observed_ns.min(now_ns.0)),
             },
             // Further ahead, the two times are of no one clock.
-            observed_unix_ns: message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS { 0 } else { ahead_ns }),
+            observed_unix_ns: UnixNs(message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS {
+                0
+            } else {
+                ahead_ns
+            })),
             count: message.counted(),
             may_be_form: ![narration_kind::ACTION, narration_kind::DEVICE].contains(&message.kind),
             event,
@@ -450,7 +454,7 @@ impl Intake {
     }
 
     /// A port, known or new; `source` is the one that it speaks for first.
-    fn port(&mut self, sender: Sender, source: u64, now_ns: u64) -> &mut Port {
+    fn port(&mut self, sender: Sender, source: u64, now_ns: BootNs) -> &mut Port {
         if !self.ports.contains_key(&sender) && self.ports.len() >= PORTS_MAX {
             let silent = self.ports.iter().min_by_key(|(port, known)| (self.alive.contains(port), known.turn));
             if let Some(silent) = silent.map(|(port, _)| *port) {
@@ -567,12 +571,15 @@ mod tests {
     #[test]
     fn each_narration_is_taken_once_and_gaps_are_counted() {
         let mut intake = Intake::new(IntakeLimits::default());
-        let first = intake.take(&message(7, 1, 1, "[Grab] <mug> (1)"), PORT, 10);
+        let first = intake.take(&message(7, 1, 1, "[Grab] <mug> (1)"), PORT, BootNs(10));
         assert_eq!(accepted(first).0.sentence(), Some("They grab the mug."));
-        assert_eq!(intake.take(&message(7, 1, 1, "[Grab] <mug> (1)"), PORT, 11), Taken::Duplicate);
-        assert!(matches!(intake.take(&message(7, 1, 4, "They sit."), PORT, 12), Taken::Accepted { missed: 2, .. }));
-        assert!(matches!(intake.take(&message(8, 1, 1, "They sit."), OTHER, 12), Taken::Accepted { .. }));
-        assert!(matches!(intake.take(&message(7, 1, 5, "[Fly] <mug> (1)"), PORT, 13), Taken::Malformed(_)));
+        assert_eq!(intake.take(&message(7, 1, 1, "[Grab] <mug> (1)"), PORT, BootNs(11)), Taken::Duplicate);
+        assert!(matches!(
+            intake.take(&message(7, 1, 4, "They sit."), PORT, BootNs(12)),
+            Taken::Accepted { missed: 2, .. }
+        ));
+        assert!(matches!(intake.take(&message(8, 1, 1, "They sit."), OTHER, BootNs(12)), Taken::Accepted { .. }));
+        assert!(matches!(intake.take(&message(7, 1, 5, "[Fly] <mug> (1)"), PORT, BootNs(13)), Taken::Malformed(_)));
         let counters = intake.counters();
         assert_eq!((counters.received, counters.accepted, counters.duplicates), (5, 3, 1));
         assert_eq!((counters.missed, counters.malformed), (2, 1));
@@ -586,11 +593,11 @@ mod tests {
             kind: narration_kind::PRESENCE,
             ..message(7, 1, 1, "present in the kitchen")
         };
-        let Taken::Accepted { observation, .. } = intake.take(&named, PORT, 10) else { panic!() };
+        let Taken::Accepted { observation, .. } = intake.take(&named, PORT, BootNs(10)) else { panic!() };
         assert_eq!((observation.name.as_deref(), observation.sentence()), (Some("Ada"), None));
         assert_eq!(observation.event.to_string(), "present in the kitchen");
         let nonsense = NarrationV1 { kind: narration_kind::PRESENCE, ..message(7, 1, 2, "perhaps") };
-        assert!(matches!(intake.take(&nonsense, PORT, 10), Taken::Malformed(why) if why.contains("perhaps")));
+        assert!(matches!(intake.take(&nonsense, PORT, BootNs(10)), Taken::Malformed(why) if why.contains("perhaps")));
     }
 
     /// What no narrator of this program sends, and ports can have.
@@ -599,11 +606,11 @@ mod tests {
         let mut intake = Intake::new(IntakeLimits::default());
         for name in ["nobody", "Me", "who", "12", " -1", "they", "!"] {
             let person_name = roomcast_ipc::text::encode("name", name).unwrap();
-            let taken = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, 10);
+            let taken = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, BootNs(10));
             assert!(matches!(&taken, Taken::Malformed(why) if why.contains(name.trim())), "{name}: {taken:?}");
         }
         let person_name = roomcast_ipc::text::encode("name", " ").unwrap();
-        let nobody = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, 10);
+        let nobody = intake.take(&NarrationV1 { person_name, ..message(7, 1, 1, "They sit.") }, PORT, BootNs(10));
         assert_eq!(accepted(nobody).0.name, None);
         assert_eq!((intake.counters().malformed, intake.counters().accepted), (7, 1));
     }
@@ -612,12 +619,13 @@ mod tests {
     fn a_flooding_source_is_held_and_the_others_are_not() {
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 10.0, burst: 5.0 });
         // Other names give a port no other rate.
-        let taken = (1..=100)
-            .filter(|n| matches!(intake.take(&message(7 + n % 3, 1, *n, "A."), PORT, 0), Taken::Accepted { .. }));
+        let taken = (1..=100).filter(|n| {
+            matches!(intake.take(&message(7 + n % 3, 1, *n, "A."), PORT, BootNs(0)), Taken::Accepted { .. })
+        });
         assert_eq!(taken.count(), 5);
-        assert!(matches!(intake.take(&message(18, 1, 1, "B."), OTHER, 0), Taken::Accepted { .. }));
+        assert!(matches!(intake.take(&message(18, 1, 1, "B."), OTHER, BootNs(0)), Taken::Accepted { .. }));
         // A tenth of a second later there is room for one; what it lost is known as missed.
-        let later = intake.take(&message(7, 1, 101, "C."), PORT, 100_000_000);
+        let later = intake.take(&message(7, 1, 101, "C."), PORT, BootNs(100_000_000));
         assert!(matches!(later, Taken::Accepted { missed: 97, .. }), "{later:?}");
     }
 
@@ -645,7 +653,7 @@ mod tests {
                 let new = tenth % 3 == 0 && sent < confirmed + 32;
                 sent += u64::from(new);
                 for number in again.chain(new.then_some(sent)) {
-                    match intake.take(&message(hall, 1, number, "They sit."), PORT, tenth * S / 10) {
+                    match intake.take(&message(hall, 1, number, "They sit."), PORT, BootNs(tenth * S / 10)) {
                         Taken::Accepted { missed: own, .. } => {
                             missed += own;
                             taken.push(number);
@@ -661,11 +669,11 @@ mod tests {
         // What its hub has given up is not waited for without end, and a start before it does not hold up the next for longer.
         for next in [(1, 7), (2, 1)] {
             let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 1.0 }).with_narrators(&[known(true)]);
-            accepted(intake.take(&message(hall, 1, 1, "A."), PORT, 0));
-            assert_eq!(intake.take(&message(hall, 1, 2, "B."), PORT, 0), Taken::Limited);
+            accepted(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
+            assert_eq!(intake.take(&message(hall, 1, 2, "B."), PORT, BootNs(0)), Taken::Limited);
             let mut later = |now_ns| intake.take(&message(hall, next.0, next.1, "C."), PORT, now_ns);
-            assert_eq!(later((HELD_S - 1) * S), Taken::Limited);
-            accepted(later(HELD_S * S));
+            assert_eq!(later(BootNs((HELD_S - 1) * S)), Taken::Limited);
+            accepted(later(BootNs(HELD_S * S)));
         }
     }
 
@@ -700,7 +708,7 @@ mod tests {
                 }
                 let sent: Vec<_> = std::iter::from_fn(|| relay.send(now_ns)).collect();
                 for given in sent.into_iter().chain(relay.again(now_ns, true)) {
-                    match intake.take(&given, PORT, now_ns) {
+                    match intake.take(&given, PORT, BootNs(now_ns)) {
                         Taken::Accepted { missed, .. } => {
                             assert_eq!(missed, 0, "a line each {gap_ms} ms: lost before {}", given.sequence);
                             newest = given.sequence;
@@ -737,7 +745,7 @@ mod tests {
         }
         for now_ns in (10..40).map(|tenth| tenth * S / 10) {
             for given in std::iter::from_fn(|| relay.send(now_ns)) {
-                accepted(intake.take(&given, PORT, now_ns));
+                accepted(intake.take(&given, PORT, BootNs(now_ns)));
             }
             let mut scores = RoomScoresV1 { epoch: 1, source_count: intake.sources() as u32, ..Default::default() };
             for (included, ((source, epoch), known)) in scores.included.iter_mut().zip(&intake.sources) {
@@ -756,13 +764,13 @@ mod tests {
     #[test]
     fn what_another_port_says_in_a_sources_name_is_forged() {
         let mut intake = Intake::new(IntakeLimits::default());
-        accepted(intake.take(&message(7, 1, 1, "They sit."), PORT, 1));
+        accepted(intake.take(&message(7, 1, 1, "They sit."), PORT, BootNs(1)));
         for sequence in [2, 9, u64::MAX] {
-            assert_eq!(intake.take(&message(7, 1, sequence, "They go to the attic."), OTHER, 2), Taken::Forged);
+            assert_eq!(intake.take(&message(7, 1, sequence, "They go to the attic."), OTHER, BootNs(2)), Taken::Forged);
         }
         // Not by its own hand either.
-        assert!(matches!(intake.take(&message(7, 1, u64::MAX, "They sit."), PORT, 3), Taken::Malformed(_)));
-        let next = intake.take(&message(7, 1, 2, "They stand up."), PORT, 4);
+        assert!(matches!(intake.take(&message(7, 1, u64::MAX, "They sit."), PORT, BootNs(3)), Taken::Malformed(_)));
+        let next = intake.take(&message(7, 1, 2, "They stand up."), PORT, BootNs(4));
         assert!(matches!(next, Taken::Accepted { missed: 0, .. }), "{next:?}");
         assert_eq!((intake.counters().forged, intake.counters().malformed), (3, 1));
     }
@@ -775,43 +783,47 @@ mod tests {
             Taken::Accepted { binds, observation, .. } => (binds, observation),
             other => panic!("{other:?}"),
         };
-        let (first, said) = binds(intake.take(&message(7, 1, 1, "They sit."), PORT, 1));
-        assert!(first && !binds(intake.take(&message(7, 1, 2, "They sit."), PORT, 2)).0, "it is told once");
+        let (first, said) = binds(intake.take(&message(7, 1, 1, "They sit."), PORT, BootNs(1)));
+        assert!(first && !binds(intake.take(&message(7, 1, 2, "They sit."), PORT, BootNs(2))).0, "it is told once");
         let mut restarted = Intake::new(IntakeLimits::default());
         restarted.restore(&said);
         restarted.restore_port((7, 1), PORT);
         restarted.restore_port((8, 1), PORT);
         assert_eq!(restarted.sources(), 1);
         for sequence in [2, 3, u64::MAX] {
-            assert_eq!(restarted.take(&message(7, 1, sequence, "They hide."), OTHER, 3), Taken::Forged);
+            assert_eq!(restarted.take(&message(7, 1, sequence, "They hide."), OTHER, BootNs(3)), Taken::Forged);
         }
-        assert_eq!(restarted.take(&message(7, 1, 1, "They sit."), OTHER, 3), Taken::Duplicate);
-        assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
+        assert_eq!(restarted.take(&message(7, 1, 1, "They sit."), OTHER, BootNs(3)), Taken::Duplicate);
+        assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
         // A journal from before says nothing of ports: then it is told at once.
         let mut older = Intake::new(IntakeLimits::default());
         older.restore(&said);
-        assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, 3), Taken::Duplicate);
-        assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
+        assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, BootNs(3)), Taken::Duplicate);
+        assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
     }
 
     /// The strangers' chaos test found this: starts of ended narrators gave way to invented ones, and whoever went on with them was heard.
     #[test]
     fn what_gave_way_is_still_whose_it_was() {
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
-        let (said, ..) = accepted(intake.take(&message(7, 1, 5, "They sit."), PORT, 1));
+        let (said, ..) = accepted(intake.take(&message(7, 1, 5, "They sit."), PORT, BootNs(1)));
         // The narrator has ended, and others invent sources, each from a port of its own, too.
         let invent = |intake: &mut Intake| {
             intake.note_alive([OTHER]);
             for n in 0..10_000 {
                 let port = if n % 2 == 0 { OTHER } else { Sender::simulated(3 + n % 40) };
-                accepted(intake.take(&message(1000 + n, 1, 1, "B."), port, 2));
+                accepted(intake.take(&message(1000 + n, 1, 1, "B."), port, BootNs(2)));
             }
         };
         invent(&mut intake);
         for sequence in [6, 7, u64::MAX] {
-            assert_eq!(intake.take(&message(7, 1, sequence, "They hide."), OTHER, 3), Taken::Forged, "{sequence}");
+            assert_eq!(
+                intake.take(&message(7, 1, sequence, "They hide."), OTHER, BootNs(3)),
+                Taken::Forged,
+                "{sequence}"
+            );
         }
-        assert_eq!(intake.take(&message(7, 1, 5, "They sit."), OTHER, 3), Taken::Duplicate);
+        assert_eq!(intake.take(&message(7, 1, 5, "They sit."), OTHER, BootNs(3)), Taken::Duplicate);
         assert!(intake.former.len() <= FORMER_SOURCES_MAX);
         // And after a restart, in whose journal the invented ones come last.
         let mut restarted = Intake::new(IntakeLimits::default());
@@ -820,8 +832,11 @@ mod tests {
             restarted.restore(&Observation { source, ..said.clone() });
         }
         restarted.restore_port((7, 1), PORT);
-        assert_eq!(restarted.take(&message(7, 1, 6, "They hide."), OTHER, 3), Taken::Forged);
-        assert!(matches!(restarted.take(&message(7, 1, 7, "They sit."), PORT, 3), Taken::Accepted { missed: 1, .. }));
+        assert_eq!(restarted.take(&message(7, 1, 6, "They hide."), OTHER, BootNs(3)), Taken::Forged);
+        assert!(matches!(
+            restarted.take(&message(7, 1, 7, "They sit."), PORT, BootNs(3)),
+            Taken::Accepted { missed: 1, .. }
+        ));
     }
 
     /// A name is no password, but who uses one that is in use has none of its places.
@@ -833,7 +848,7 @@ mod tests {
         let hall = source_of_name("hall");
         let mut voice = |epoch, port, alive: &[Sender]| {
             intake.note_alive(alive.iter().copied());
-            accepted(intake.take(&message(hall, epoch, 1, "A."), port, epoch)).1
+            accepted(intake.take(&message(hall, epoch, 1, "A."), port, BootNs(epoch))).1
         };
         let own = voice(1, PORT, &[PORT]);
         let stranger = voice(2, OTHER, &[PORT, OTHER]);
@@ -852,7 +867,7 @@ mod tests {
         let mut intake = Intake::new(IntakeLimits::default());
         for sequence in 1..10 {
             for (epoch, port) in [(5, PORT), (6, OTHER)] {
-                let taken = intake.take(&message(7, epoch, sequence, "They sit."), port, sequence);
+                let taken = intake.take(&message(7, epoch, sequence, "They sit."), port, BootNs(sequence));
                 assert!(matches!(taken, Taken::Accepted { missed: 0, .. }), "{epoch} {sequence}: {taken:?}");
             }
         }
@@ -867,7 +882,7 @@ mod tests {
             let mut intake = Intake::new(IntakeLimits::default());
             let start = |(epoch, (port, alive)): (u64, &(Sender, &[Sender]))| {
                 intake.note_alive(alive.iter().copied());
-                accepted(intake.take(&message(7, epoch, 1, "They sit."), *port, epoch)).1
+                accepted(intake.take(&message(7, epoch, 1, "They sit."), *port, BootNs(epoch))).1
             };
             (1..).zip(starts).map(start).collect()
         };
@@ -893,22 +908,22 @@ mod tests {
         for relayed in [false, true] {
             let mut intake = Intake::new(IntakeLimits::default()).with_narrators(&[known(relayed)]);
             intake.note_alive([PORT]);
-            let (first, ..) = accepted(intake.take(&message(hall, 1, 1, "A."), PORT, 0));
+            let (first, ..) = accepted(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
             intake.note_alive([PORT, OTHER]);
-            assert_eq!(intake.take(&message(hall, 1, 2, "B."), OTHER, 0), Taken::Forged, "its port is open");
+            assert_eq!(intake.take(&message(hall, 1, 2, "B."), OTHER, BootNs(0)), Taken::Forged, "its port is open");
             assert!(intake.is_contested(hall, 1, OTHER));
             intake.note_alive([OTHER, third]);
-            assert_eq!(intake.take(&message(hall, 1, 1, "A."), OTHER, 0), Taken::Duplicate);
-            let taken = intake.take(&message(hall, 1, 2, "B."), OTHER, 0);
+            assert_eq!(intake.take(&message(hall, 1, 1, "A."), OTHER, BootNs(0)), Taken::Duplicate);
+            let taken = intake.take(&message(hall, 1, 2, "B."), OTHER, BootNs(0));
             if relayed {
                 assert!(matches!(taken, Taken::Accepted { binds: true, missed: 0, .. }), "{taken:?}");
-                assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, 0), Taken::Forged);
+                assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, BootNs(0)), Taken::Forged);
                 // So does one after a restart of the daemon, to which the journal has said whose it was.
                 let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
                 next.restore(&first);
                 next.restore_port((hall, 1), PORT);
                 next.note_alive([third]);
-                accepted(next.take(&message(hall, 1, 2, "B."), third, 0));
+                accepted(next.take(&message(hall, 1, 2, "B."), third, BootNs(0)));
             } else {
                 assert_eq!(taken, Taken::Forged);
             }
@@ -920,32 +935,35 @@ mod tests {
     fn invented_sources_lock_nobody_out() {
         let mut intake = Intake::new(IntakeLimits::default());
         intake.note_alive([PORT, OTHER]);
-        accepted(intake.take(&message(1, 1, 1, "A."), PORT, 0));
+        accepted(intake.take(&message(1, 1, 1, "A."), PORT, BootNs(0)));
         for source in 2..10_000 {
-            let (_, voice, _) = accepted(intake.take(&message(source, 1, 1, "B."), OTHER, source * 10_000_000));
-            assert_eq!(voice, accepted(intake.take(&message(source, 1, 2, "B."), OTHER, source * 10_000_000)).1);
+            let (_, voice, _) = accepted(intake.take(&message(source, 1, 1, "B."), OTHER, BootNs(source * 10_000_000)));
+            assert_eq!(
+                voice,
+                accepted(intake.take(&message(source, 1, 2, "B."), OTHER, BootNs(source * 10_000_000))).1
+            );
         }
         assert_eq!(intake.sources(), 1 + SOURCES_OF_A_PORT);
-        assert_eq!(intake.take(&message(1, 1, 1, "A."), PORT, 0), Taken::Duplicate);
+        assert_eq!(intake.take(&message(1, 1, 1, "A."), PORT, BootNs(0)), Taken::Duplicate);
         // Processes that come and go leave what they used behind, until others need the place.
         for port in 3..1000 {
             let sender = Sender::simulated(port);
             intake.note_alive([PORT, OTHER, sender]);
-            (0..8).for_each(|n| drop(intake.take(&message(port * 10_000 + n, 1, 1, "C."), sender, 1 << 40)));
+            (0..8).for_each(|n| drop(intake.take(&message(port * 10_000 + n, 1, 1, "C."), sender, BootNs(1 << 40))));
         }
         assert_eq!(intake.sources(), SOURCES_MAX);
-        assert_eq!(intake.take(&message(1, 1, 2, "A."), OTHER, 1 << 40), Taken::Forged);
-        accepted(intake.take(&message(1, 1, 2, "A."), PORT, 1 << 40));
+        assert_eq!(intake.take(&message(1, 1, 2, "A."), OTHER, BootNs(1 << 40)), Taken::Forged);
+        accepted(intake.take(&message(1, 1, 2, "A."), PORT, BootNs(1 << 40)));
 
-        let (said, ..) = accepted(Intake::default().take(&message(1, 1, 1, "A."), PORT, 0));
+        let (said, ..) = accepted(Intake::default().take(&message(1, 1, 1, "A."), PORT, BootNs(0)));
         let mut restarted = Intake::new(IntakeLimits::default());
         for source in 1..=100 {
             restarted.restore(&Observation { source, ..said.clone() });
         }
         assert_eq!(restarted.sources(), SOURCES_MAX);
-        assert_eq!(restarted.take(&message(100, 1, 1, "A."), PORT, 8), Taken::Duplicate);
+        assert_eq!(restarted.take(&message(100, 1, 1, "A."), PORT, BootNs(8)), Taken::Duplicate);
         for source in 1001..1009 {
-            accepted(restarted.take(&message(source, 1, 1, "A."), Sender::simulated(source), 8));
+            accepted(restarted.take(&message(source, 1, 1, "A."), Sender::simulated(source), BootNs(8)));
         }
     }
 
@@ -963,18 +981,18 @@ mod tests {
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 2.0 }).with_narrators(&[named]);
         let hall = source_of_name("hall");
         let voice = |taken| accepted(taken).1;
-        let own = voice(intake.take(&message(hall, 1, 1, "A."), PORT, 0));
+        let own = voice(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
         assert_eq!(own.share, 4);
-        (2..100).for_each(|n| drop(accepted(intake.take(&message(hall, 1, n, "A."), PORT, 0))));
+        (2..100).for_each(|n| drop(accepted(intake.take(&message(hall, 1, n, "A."), PORT, BootNs(0)))));
         let others: Vec<_> =
-            (2..9).map(|n| voice(intake.take(&message(n, 1, 1, "A."), Sender::simulated(n), 0))).collect();
+            (2..9).map(|n| voice(intake.take(&message(n, 1, 1, "A."), Sender::simulated(n), BootNs(0)))).collect();
         assert!(others.iter().all(|other| *other == others[0] && *other != own));
         // What nobody living holds, the named keep longest.
-        let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), 0));
+        let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), BootNs(0)));
         for source in 0..100 {
             intake.restore(&Observation { source: 50 + source, ..said.clone() });
         }
-        assert_eq!(intake.take(&message(hall, 1, 99, "A."), PORT, 0), Taken::Duplicate);
+        assert_eq!(intake.take(&message(hall, 1, 99, "A."), PORT, BootNs(0)), Taken::Duplicate);
     }
 
     /// Row "a sentence of one kilobyte that makes some 1 000 tokens" of the attacks.
@@ -984,16 +1002,16 @@ mod tests {
         let cost = SentenceCost::new(Arc::new(|text| 2 * text.split(' ').count()), Arc::clone(&most));
         let mut intake = Intake::new(IntakeLimits::default()).with_cost(cost);
         let long = "A ".repeat(60);
-        let taken = intake.take(&message(7, 1, 1, &long), PORT, 0);
+        let taken = intake.take(&message(7, 1, 1, &long), PORT, BootNs(0));
         assert_eq!(taken, Taken::Costly { tokens: 121, most: 100, first: true });
-        assert!(matches!(intake.take(&message(7, 1, 2, &long), PORT, 0), Taken::Costly { first: false, .. }));
+        assert!(matches!(intake.take(&message(7, 1, 2, &long), PORT, BootNs(0)), Taken::Costly { first: false, .. }));
         // It was dealt with: neither is it missed, nor taken when it comes again.
-        assert!(matches!(intake.take(&message(7, 1, 3, "A."), PORT, 0), Taken::Accepted { missed: 0, .. }));
-        assert_eq!(intake.take(&message(7, 1, 1, &long), PORT, 0), Taken::Duplicate);
+        assert!(matches!(intake.take(&message(7, 1, 3, "A."), PORT, BootNs(0)), Taken::Accepted { missed: 0, .. }));
+        assert_eq!(intake.take(&message(7, 1, 1, &long), PORT, BootNs(0)), Taken::Duplicate);
         // Words decide, not bytes; and a map with more labels leaves less.
-        accepted(intake.take(&message(7, 1, 4, &"abcdefghij ".repeat(49)), PORT, 0));
+        accepted(intake.take(&message(7, 1, 4, &"abcdefghij ".repeat(49)), PORT, BootNs(0)));
         most.store(20, Ordering::Relaxed);
-        assert!(matches!(intake.take(&message(7, 1, 5, &"abc ".repeat(10)), PORT, 0), Taken::Costly { .. }));
+        assert!(matches!(intake.take(&message(7, 1, 5, &"abc ".repeat(10)), PORT, BootNs(0)), Taken::Costly { .. }));
         assert_eq!(intake.counters().costly, 3);
     }
 
@@ -1010,9 +1028,12 @@ mod tests {
                 ..message(7, 1, sequence, "A.")
             };
             let before = intake.counters();
-            let (observation, ..) = accepted(intake.take(&dated, PORT, now_ns));
+            let (observation, ..) = accepted(intake.take(&dated, PORT, BootNs(now_ns)));
             let late_s = (age_s.saturating_sub(fast_s)) * S;
-            assert_eq!((observation.observed_ns, observation.observed_unix_ns), (now_ns - late_s, unix_ns - late_s));
+            assert_eq!(
+                (observation.observed_ns, observation.observed_unix_ns),
+                (BootNs(now_ns - late_s), UnixNs(unix_ns - late_s))
+            );
             let counters = intake.counters();
             let is_told = ahead_s > 1;
             assert_eq!(counters.ahead - before.ahead, u64::from(is_told), "{fast_s} s fast");
@@ -1025,7 +1046,7 @@ mod tests {
         for (observed_ns, expected) in [(u64::MAX, 99), (0, 99), (98, 98)] {
             let mut intake = Intake::new(IntakeLimits::default());
             let dated = NarrationV1 { observed_ns, ..message(7, 1, 1, "A.") };
-            assert_eq!(accepted(intake.take(&dated, PORT, 99)).0.observed_ns, expected);
+            assert_eq!(accepted(intake.take(&dated, PORT, BootNs(99))).0.observed_ns, BootNs(expected));
         }
     }
 }

@@ -20,10 +20,11 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, clock, limits, sequence, text};
+use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, limits, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::awake::Awake;
+use crate::clock;
 use crate::config::{Config, DaemonConfig};
 use crate::embedded;
 use crate::no_model::NoModel;
@@ -36,6 +37,7 @@ use inbox::{Counters, Inbox, Lending};
 
 use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
+use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
@@ -77,7 +79,6 @@ pub use person_question::{
 };
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
-pub use roomcast_ipc::presence::word as presence_word;
 pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread looks after the others.
@@ -202,7 +203,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
         stop: stop.clone(),
     };
     let moved_ns = Arc::clone(&progress.scoring_ns);
-    cycle.board_mut().watch_model(Arc::new(move || moved_ns.store(clock::monotonic_ns(), Ordering::Relaxed)));
+    cycle.board_mut().watch_model(Arc::new(move || moved_ns.store(clock::monotonic_ns().0, Ordering::Relaxed)));
     let inbox = Inbox::new(narration, intake, journal, counters);
     let (inbox, relief) = Lending::new(inbox, Awake::new(config.ipc.spin_us), progress.clone(), stop.clone());
     let mut scoring = Scoring::new(cycle, ports, inbox, tools, tally);
@@ -313,7 +314,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
     let snapshot = board.snapshot();
     StatusResponseV1 {
         epoch: snapshot.epoch,
-        started_unix_ns: clock::unix_ns(),
+        started_unix_ns: clock::unix_ns().0,
         restored,
         model_fingerprint: snapshot.model_fingerprint,
         map_fingerprint: snapshot.map_fingerprint,
@@ -371,7 +372,7 @@ fn supervise(
     threads: Threads,
 ) -> Result<(), DaemonError> {
     let Threads { scoring, relief, ahead } = threads;
-    let (mut cleaned_ns, mut was_still) = (0, false);
+    let (mut cleaned_ns, mut was_still) = (BootNs(0), false);
     while !stop.requested() {
         let name = select! {
             recv(ended) -> name => name.ok(),
@@ -401,7 +402,7 @@ fn supervise(
         }
         was_still = is_still;
         notify(&[NotifyState::Watchdog]);
-        if now_ns.saturating_sub(cleaned_ns) >= CLEAN_UP_NS {
+        if now_ns.since(cleaned_ns) >= CLEAN_UP_NS {
             node.clean_up_dead();
             cleaned_ns = now_ns;
         }
@@ -458,15 +459,15 @@ struct Progress {
 
 impl Default for Progress {
     fn default() -> Self {
-        let now = || Arc::new(AtomicU64::new(clock::monotonic_ns()));
+        let now = || Arc::new(AtomicU64::new(clock::monotonic_ns().0));
         Self { relief_ns: now(), scoring_ns: now() }
     }
 }
 
 impl Progress {
     /// The thread that stood still longest, and for how long, in nanoseconds.
-    fn slowest(&self, now_ns: u64) -> (&'static str, u64) {
-        let still = |moved: &AtomicU64| now_ns.saturating_sub(moved.load(Ordering::Relaxed));
+    fn slowest(&self, now_ns: BootNs) -> (&'static str, u64) {
+        let still = |moved: &AtomicU64| now_ns.since(BootNs(moved.load(Ordering::Relaxed)));
         let (relief_ns, scoring_ns) = (still(&self.relief_ns), still(&self.scoring_ns));
         if relief_ns > scoring_ns { ("relief", relief_ns) } else { ("scoring", scoring_ns) }
     }

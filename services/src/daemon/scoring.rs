@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use hdrhistogram::Histogram;
 use roomcast_ipc::{
     AnswerPort, DecisionV1, ForecastV1, IpcError, ItemScoresPublisher, Node, PersonForecastsV1, PersonScoresV1,
-    Publisher, RobotReportV1, RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, clock, question, score_flags,
+    Publisher, RobotReportV1, RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, question, score_flags,
 };
 use sd_notify::NotifyState;
 
@@ -22,9 +22,11 @@ use super::journal::JournalHandle;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
+use crate::clock;
 use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::stop::Stop;
+use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::LanguageModel;
 
 /// Silence before work for which nobody waits: a burst of narration is not held up by it.
@@ -88,7 +90,7 @@ pub(super) struct Scoring<M> {
     /// Writes what was learned; none without a state directory.
     keeper: Option<Keeper>,
     save_ns: u64,
-    saved_ns: u64,
+    saved_ns: BootNs,
     inbox: Lending,
     /// What the last step took, as a guess at the next.
     step_ns: u64,
@@ -97,7 +99,7 @@ pub(super) struct Scoring<M> {
     /// It was interrupted since it was told what is so.
     is_interrupted: bool,
     /// Until when what waits for silence waits.
-    quiet_ns: u64,
+    quiet_ns: BootNs,
     /// There is something to tidy up.
     is_untidy: bool,
     /// What a sentence may cost with the map in use, for the intake.
@@ -144,7 +146,7 @@ impl<M: LanguageModel> Scoring<M> {
             step_ns: u64::MAX,
             desk,
             is_interrupted: false,
-            quiet_ns: 0,
+            quiet_ns: BootNs(0),
             is_untidy: false,
             sentence_tokens_max,
             journal,
@@ -168,7 +170,7 @@ impl<M: LanguageModel> Scoring<M> {
             };
             self.take(if wait { idle() } else { Duration::ZERO });
             let now_ns = clock::monotonic_ns();
-            self.progress.scoring_ns.store(now_ns, Ordering::Relaxed);
+            self.progress.scoring_ns.store(now_ns.0, Ordering::Relaxed);
             let events = self.cycle.waiting() as u64;
             self.take_answers(events > 0);
             self.see_robots(now_ns)?;
@@ -179,7 +181,7 @@ impl<M: LanguageModel> Scoring<M> {
                     self.inbox.lend();
                 }
                 is_scored = self.step(now_ns);
-                self.step_ns = clock::monotonic_ns().saturating_sub(now_ns);
+                self.step_ns = clock::monotonic_ns().since(now_ns);
             }
             self.send(events)?;
             if is_scored {
@@ -227,17 +229,13 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// Takes in where robots are and go: their motion explains what sensors see. A malformed message says nothing.
-    fn see_robots(&mut self, now_ns: u64) -> Result<(), IpcError> {
+    fn see_robots(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         let (ports, board) = (&mut self.ports, self.cycle.board_mut());
-        while let Some(checked) = ports.decisions.receive_into(&mut ports.decision)? {
-            if checked.is_ok() {
-                board.see_decision(&ports.decision, now_ns);
-            }
+        while ports.decisions.receive_into(&mut ports.decision)? {
+            board.see_decision(&ports.decision, now_ns);
         }
-        while let Some(checked) = ports.reports.receive_into(&mut ports.report)? {
-            if checked.is_ok() {
-                board.see_report(&ports.report, now_ns);
-            }
+        while ports.reports.receive_into(&mut ports.report)? {
+            board.see_report(&ports.report, now_ns);
         }
         Ok(())
     }
@@ -266,7 +264,7 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// Gives whether it scored.
-    fn step(&mut self, now_ns: u64) -> bool {
+    fn step(&mut self, now_ns: BootNs) -> bool {
         self.tally.steps += 1;
         let waited = self.cycle.waiting();
         let done = self.cycle.step(now_ns, clock::unix_ns());
@@ -333,8 +331,8 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// How long until what waits for silence is done.
-    fn until_quiet_ns(&self, now_ns: u64) -> u64 {
-        if self.is_untidy || self.is_ahead_due() { self.quiet_ns.saturating_sub(now_ns) } else { u64::MAX }
+    fn until_quiet_ns(&self, now_ns: BootNs) -> u64 {
+        if self.is_untidy || self.is_ahead_due() { self.quiet_ns.since(now_ns) } else { u64::MAX }
     }
 
     /// Does a small part of what waits for silence: tidies up, then says what is so now to whoever scores ahead. At once it would take the core
@@ -375,7 +373,7 @@ impl<M: LanguageModel> Scoring<M> {
         if let Some(received_ns) = self.cycle.newly_received_ns()
             && let Some(latency_ns) = &mut self.latency_ns
         {
-            latency_ns.saturating_record(after_ns.saturating_sub(received_ns));
+            latency_ns.saturating_record(after_ns.since(received_ns));
         }
         let message = self.cycle.board().snapshot();
         self.tally.sequence = message.sequence;
@@ -391,7 +389,7 @@ impl<M: LanguageModel> Scoring<M> {
             prefix_us = message.prefix_ns / 1000,
             trie_us = message.trie_ns / 1000,
             ground_us = message.ground_ns / 1000,
-            publish_us = (after_ns - before_ns) / 1000,
+            publish_us = after_ns.since(before_ns) / 1000,
             label_mass = message.label_mass,
             "step"
         );
@@ -407,10 +405,11 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// Sends the forecast, the persons' scores and their forecasts.
-    fn send_about_persons(&mut self, now_ns: u64) -> Result<(), IpcError> {
+    fn send_about_persons(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         self.ports.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
         self.ports.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
-        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))
+        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))?;
+        Ok(())
     }
 
     /// Does what was asked of the map; returns whether it changed.
@@ -506,10 +505,10 @@ impl<M: LanguageModel> Scoring<M> {
     }
 
     /// Lets habits count time, and has them written now and then.
-    fn look_after_habits(&mut self, now_ns: u64) {
+    fn look_after_habits(&mut self, now_ns: BootNs) {
         let board = self.cycle.board_mut();
         board.tick(now_ns, clock::unix_ns());
-        let is_due = now_ns.saturating_sub(self.saved_ns) >= self.save_ns;
+        let is_due = now_ns.since(self.saved_ns) >= self.save_ns;
         let Some(keeper) = self.keeper.as_ref().filter(|_| is_due) else { return };
         self.saved_ns = now_ns;
         if keeper.has_failed() {
@@ -551,7 +550,7 @@ impl<M: LanguageModel> Scoring<M> {
             prepared: prepared.prepared,
             prepared_used: prepared.used,
             prepare_ns: self.desk.as_ref().map_or(0, Desk::spent_ns),
-            answered_ns: clock::monotonic_ns(),
+            answered_ns: clock::monotonic_ns().0,
             received: counters.received,
             accepted: counters.accepted,
             duplicates: counters.duplicates,

@@ -7,7 +7,6 @@ use std::pin::pin;
 use std::time::{Duration, Instant};
 
 use roomcast_core::text::visible;
-use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Packet, Publish};
@@ -27,6 +26,7 @@ use super::tally::Tally;
 use super::{
     FAREWELL, HELD_BYTES_MAX, MESSAGES_AHEAD_MAX, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX,
 };
+use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 

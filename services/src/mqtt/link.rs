@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use roomcast_core::ids::BootNs;
 use roomcast_core::text::visible;
-use roomcast_ipc::clock;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{ConnAck, Filter, LastWill, Packet, PubAckReason, Publish, PublishProperties};
@@ -22,6 +22,7 @@ use tokio::time::timeout;
 use super::client::{broken, correct_keep_alive, fault_of, renew};
 use super::probe::{self, Probe};
 use super::{Broker, FAREWELL, MqttError, PAYLOAD_BYTES_MAX, POLL, RECONNECT, RECONNECT_BROKEN_MAX};
+use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
@@ -72,7 +73,7 @@ struct Shared {
     confirmed: u64,
     refused: u64,
     disconnected: bool,
-    turned_ns: u64,
+    turned_ns: BootNs,
     /// The largest packet that this broker takes.
     packet_max: Option<u32>,
     /// Topics of messages that were larger.
@@ -163,7 +164,7 @@ impl Link {
 
     /// When the thread last looked up, in monotonic nanoseconds.
     #[must_use]
-    pub fn turned_ns(&self) -> u64 {
+    pub fn turned_ns(&self) -> BootNs {
         lock(&self.shared).turned_ns
     }
 

@@ -7,9 +7,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{clock, sequence};
+use roomcast_ipc::sequence;
 use serde::{Deserialize, Serialize};
 
+use crate::clock;
 use crate::state_file::{self, Kept};
 
 /// A count is written at most so often, and at the end.
@@ -60,7 +61,7 @@ impl Tally {
     /// Goes on with what a narrator of this name has counted there; `keys` are those of its rules.
     #[must_use]
     pub fn new(directory: &Path, narrator: &str, keys: Vec<String>) -> Self {
-        let new = || Counted { since_unix_s: clock::unix_ns() / 1_000_000_000, fitted: BTreeMap::new() };
+        let new = || Counted { since_unix_s: clock::unix_ns().0 / 1_000_000_000, fitted: BTreeMap::new() };
         let mut before = Counted::of(directory, narrator).unwrap_or_else(new);
         before.fitted.retain(|key, _| keys.contains(key));
         for key in &keys {

@@ -1,5 +1,6 @@
 //! What the rules of the house look at, gathered from scores, forecasts, orders and the map.
 
+use roomcast_core::ids::BootNs;
 use roomcast_core::narration::same_but_for_accents;
 use roomcast_ipc::{
     MAX_ROOMS, PersonForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, person_flags, presence,
@@ -45,16 +46,16 @@ impl<'a> People<'a> {
     pub(super) fn usable(
         message: Option<&'a PersonForecastsV1>,
         scores: &RoomScoresV1,
-        (now_ns, deadline_ns): (u64, u64),
+        (now_ns, deadline_ns): (BootNs, u64),
     ) -> Option<Self> {
         let message = message.filter(|persons| {
             persons.epoch == scores.epoch
-                && now_ns.saturating_sub(persons.published_ns) <= deadline_ns
+                && now_ns.since(BootNs(persons.published_ns)) <= deadline_ns
                 && persons.room_count == scores.room_count
                 && persons.horizon_count > 0
                 && scores.rooms().iter().zip(&persons.id).all(|(room, id)| room.id == *id)
         })?;
-        Some(Self { message, age_s: now_ns.saturating_sub(message.computed_ns) as f64 / 1e9 })
+        Some(Self { message, age_s: now_ns.since(BootNs(message.computed_ns)) as f64 / 1e9 })
     }
 
     fn at_home(&self) -> impl Iterator<Item = &'a PersonForecastV1> {

@@ -3,6 +3,7 @@
 
 use super::round::nanoseconds;
 use crate::config::PlannerConfig;
+use roomcast_core::ids::BootNs;
 
 /// Looks at how likely somebody is in each room.
 #[derive(Debug)]
@@ -14,7 +15,7 @@ pub(super) struct Interruption {
     /// The room of the stay that is looked at, and whether somebody who is there now came after the robot.
     stay: Option<(usize, bool)>,
     /// Since when somebody is likely there.
-    since_ns: Option<u64>,
+    since_ns: Option<BootNs>,
     /// Rooms that were left to a person.
     held: Vec<bool>,
 }
@@ -73,7 +74,7 @@ impl Interruption {
 
     /// Takes how likely somebody is in each room now, while the robot works in `room`; whether that interrupts it. Only somebody who comes
     /// does.
-    pub(super) fn look(&mut self, now_ns: u64, likely: &[f64], room: Option<usize>) -> bool {
+    pub(super) fn look(&mut self, now_ns: BootNs, likely: &[f64], room: Option<usize>) -> bool {
         for (held, likely) in self.held.iter_mut().zip(likely) {
             *held &= *likely > self.resume_at;
         }
@@ -91,7 +92,7 @@ impl Interruption {
             return false;
         }
         let since_ns = *self.since_ns.get_or_insert(now_ns);
-        if now_ns.saturating_sub(since_ns) < self.after_ns {
+        if now_ns.since(since_ns) < self.after_ns {
             return false;
         }
         self.hold(room);
@@ -126,14 +127,14 @@ mod tests {
     #[test]
     fn a_person_who_comes_and_stays_interrupts_once() {
         let mut robot = interruption(2);
-        assert!(!robot.look(0, &[0.5, 0.0], Some(0)));
-        assert!(!robot.look(S, &[0.7, 0.0], Some(0)));
-        assert!(!robot.look(2 * S, &[0.5, 0.0], Some(0)), "who only passes does not");
-        assert!(!robot.look(3 * S, &[0.7, 0.0], Some(0)));
-        assert!(!robot.look(4 * S, &[0.6, 0.0], Some(0)));
-        assert!(robot.look(5 * S, &[0.6, 0.0], Some(0)));
+        assert!(!robot.look(BootNs(0), &[0.5, 0.0], Some(0)));
+        assert!(!robot.look(BootNs(S), &[0.7, 0.0], Some(0)));
+        assert!(!robot.look(BootNs(2 * S), &[0.5, 0.0], Some(0)), "who only passes does not");
+        assert!(!robot.look(BootNs(3 * S), &[0.7, 0.0], Some(0)));
+        assert!(!robot.look(BootNs(4 * S), &[0.6, 0.0], Some(0)));
+        assert!(robot.look(BootNs(5 * S), &[0.6, 0.0], Some(0)));
         assert_eq!(robot.held(), [true, false]);
-        assert!(!robot.look(6 * S, &[0.9, 0.0], None));
+        assert!(!robot.look(BootNs(6 * S), &[0.9, 0.0], None));
     }
 
     /// Of the first person that anybody tells of, nobody knew when the robot was sent.
@@ -142,20 +143,20 @@ mod tests {
         let mut robot = interruption(2);
         robot.new_stay(Some((0, 0.0)));
         robot.forget(Some(0));
-        assert!(!robot.look(0, &[0.98, 0.0], Some(0)) && robot.look(3 * S, &[0.98, 0.0], Some(0)));
+        assert!(!robot.look(BootNs(0), &[0.98, 0.0], Some(0)) && robot.look(BootNs(3 * S), &[0.98, 0.0], Some(0)));
         // Who was known to be there when it was sent does not.
         robot.new_stay(Some((1, 0.98)));
-        assert!(!robot.look(4 * S, &[0.0, 0.98], Some(1)) && !robot.look(9 * S, &[0.0, 0.98], Some(1)));
+        assert!(!robot.look(BootNs(4 * S), &[0.0, 0.98], Some(1)) && !robot.look(BootNs(9 * S), &[0.0, 0.98], Some(1)));
     }
 
     #[test]
     fn the_room_is_free_again_only_when_it_is_likely_empty() {
         let mut robot = interruption(1);
-        robot.look(0, &[0.0], Some(0));
-        robot.look(S, &[0.9], Some(0));
-        assert!(robot.look(9 * S, &[0.9], Some(0)));
+        robot.look(BootNs(0), &[0.0], Some(0));
+        robot.look(BootNs(S), &[0.9], Some(0));
+        assert!(robot.look(BootNs(9 * S), &[0.9], Some(0)));
         for (likely, held) in [(0.5, true), (0.31, true), (0.3, false), (0.5, false)] {
-            robot.look(10 * S, &[likely], None);
+            robot.look(BootNs(10 * S), &[likely], None);
             assert_eq!(robot.held(), [held], "{likely}");
         }
     }
@@ -163,9 +164,9 @@ mod tests {
     #[test]
     fn a_room_is_left_to_nobody_once_nobody_is_known() {
         let mut robot = interruption(1);
-        robot.look(0, &[0.0], Some(0));
-        robot.look(S, &[0.9], Some(0));
-        assert!(robot.look(9 * S, &[0.9], Some(0)) && robot.held()[0]);
+        robot.look(BootNs(0), &[0.0], Some(0));
+        robot.look(BootNs(S), &[0.9], Some(0));
+        assert!(robot.look(BootNs(9 * S), &[0.9], Some(0)) && robot.held()[0]);
         robot.look_away();
         assert!(robot.held()[0], "a forecast that is late says nothing");
         robot.forget(None);
@@ -176,26 +177,26 @@ mod tests {
     fn whoever_was_there_before_the_robot_does_not_interrupt_before_they_have_left() {
         let mut robot = interruption(1);
         robot.new_stay(Some((0, 0.9)));
-        assert!((0..100).all(|s| !robot.look(s * S, &[0.9], Some(0))));
-        assert!(!robot.look(100 * S, &[0.5], Some(0)));
-        assert!((101..200).all(|s| !robot.look(s * S, &[0.9], Some(0))), "a doubt is no leaving");
-        robot.look(200 * S, &[0.2], Some(0));
-        robot.look(201 * S, &[0.9], Some(0));
-        assert!(robot.look(203 * S, &[0.9], Some(0)));
+        assert!((0..100).all(|s| !robot.look(BootNs(s * S), &[0.9], Some(0))));
+        assert!(!robot.look(BootNs(100 * S), &[0.5], Some(0)));
+        assert!((101..200).all(|s| !robot.look(BootNs(s * S), &[0.9], Some(0))), "a doubt is no leaving");
+        robot.look(BootNs(200 * S), &[0.2], Some(0));
+        robot.look(BootNs(201 * S), &[0.9], Some(0));
+        assert!(robot.look(BootNs(203 * S), &[0.9], Some(0)));
     }
 
     #[test]
     fn time_without_a_forecast_does_not_count_and_it_can_be_off() {
         let mut robot = interruption(1);
-        robot.look(0, &[0.0], Some(0));
-        robot.look(S, &[0.9], Some(0));
+        robot.look(BootNs(0), &[0.0], Some(0));
+        robot.look(BootNs(S), &[0.9], Some(0));
         robot.look_away();
-        assert!(!robot.look(60 * S, &[0.9], Some(0)));
-        assert!(robot.look(62 * S, &[0.9], Some(0)));
+        assert!(!robot.look(BootNs(60 * S), &[0.9], Some(0)));
+        assert!(robot.look(BootNs(62 * S), &[0.9], Some(0)));
         let config = PlannerConfig { interrupt: false, ..PlannerConfig::default() };
         let mut off = Interruption::new(&config);
         off.move_rooms(1, |_| None);
-        off.look(0, &[0.0], Some(0));
-        assert!((1..100).all(|s| !off.look(s * S, &[1.0], Some(0))));
+        off.look(BootNs(0), &[0.0], Some(0));
+        assert!((1..100).all(|s| !off.look(BootNs(s * S), &[1.0], Some(0))));
     }
 }

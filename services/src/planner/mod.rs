@@ -25,6 +25,7 @@ use crate::config::{Config, Forced, PlannerConfig};
 use crate::daemon::Zone;
 use crate::setup;
 use roomcast_core::grounding::PartitionLevel;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
 use roomcast_core::semantic_map::SemanticMap;
 
@@ -91,7 +92,7 @@ pub struct Planner {
     forecast: Option<ForecastV1>,
     persons: Option<Box<PersonForecastsV1>>,
     /// The daemon's epoch, and when its first scores came.
-    daemon: Option<(u64, u64)>,
+    daemon: Option<(u64, BootNs)>,
     /// The other robots, where their rooms are not entered.
     others: Option<Others>,
     places: Option<Places>,
@@ -102,14 +103,14 @@ pub struct Planner {
     interruption: Interruption,
     orders: Orders,
     /// The monotonic clock and the wall clock at one moment, in nanoseconds.
-    clock: (u64, u64),
+    clock: (BootNs, UnixNs),
     /// What a planner before this one has kept, until scores say which rooms there are.
     kept: Option<KeptRound>,
     /// The last decisions' rooms.
     decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
     /// Epoch and sequence of the scores last decided upon, and when that was.
     decided: Option<(u64, u64)>,
-    decided_ns: u64,
+    decided_ns: BootNs,
     /// What the next decision has to say of the work before it.
     notice: Notice,
     standing: Standing,
@@ -123,7 +124,7 @@ enum Standing {
     /// An earlier planner ordered the work in hand. This planner repeats the order, so that the robot knows its number.
     Resumes,
     /// To pause: why, in which words, and when that was said.
-    Pauses(Pause, String, u64),
+    Pauses(Pause, String, BootNs),
     /// The fallback, which holds until scores are fresh.
     FellBack,
     /// To stay, because every room is covered.
@@ -156,8 +157,8 @@ pub struct DatedAhead {
 }
 
 impl DatedAhead {
-    fn refuse(dated_ns: u64, now_ns: u64) -> Result<(), Self> {
-        let ahead_ns = dated_ns.saturating_sub(now_ns);
+    fn refuse(dated_ns: BootNs, now_ns: BootNs) -> Result<(), Self> {
+        let ahead_ns = dated_ns.since(now_ns);
         if ahead_ns > AHEAD_NS { Err(Self { ahead_s: ahead_ns / 1_000_000_000 }) } else { Ok(()) }
     }
 }
@@ -225,11 +226,11 @@ impl Planner {
             robot: Robot::new(config),
             interruption: Interruption::new(config),
             orders: Orders::default(),
-            clock: (0, 0),
+            clock: (BootNs(0), UnixNs(0)),
             kept: None,
             decisions: VecDeque::new(),
             decided: None,
-            decided_ns: 0,
+            decided_ns: BootNs(0),
             notice: Notice::default(),
             standing: Standing::Free,
         }
@@ -275,8 +276,8 @@ impl Planner {
     /// # Errors
     ///
     /// [`DatedAhead`]; nothing is taken then.
-    pub fn take(&mut self, scores: &RoomScoresV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(scores.published_ns.max(scores.computed_ns), now_ns)?;
+    pub fn take(&mut self, scores: &RoomScoresV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(scores.published_ns.max(scores.computed_ns)), now_ns)?;
         if let Some(known) = &self.scores {
             if known.epoch == scores.epoch
                 && (known.sequence, known.published_ns) > (scores.sequence, scores.published_ns)
@@ -330,8 +331,8 @@ impl Planner {
     /// # Errors
     ///
     /// As [`Planner::take`].
-    pub fn take_forecast(&mut self, forecast: &ForecastV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(forecast.published_ns.max(forecast.computed_ns), now_ns)?;
+    pub fn take_forecast(&mut self, forecast: &ForecastV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(forecast.published_ns.max(forecast.computed_ns)), now_ns)?;
         self.forecast = Some(*forecast);
         Ok(())
     }
@@ -352,27 +353,27 @@ impl Planner {
     /// # Errors
     ///
     /// As [`Planner::take`].
-    pub fn take_persons(&mut self, forecasts: &PersonForecastsV1, now_ns: u64) -> Result<(), DatedAhead> {
-        DatedAhead::refuse(forecasts.published_ns.max(forecasts.computed_ns), now_ns)?;
+    pub fn take_persons(&mut self, forecasts: &PersonForecastsV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+        DatedAhead::refuse(BootNs(forecasts.published_ns.max(forecasts.computed_ns)), now_ns)?;
         self.persons = Some(Box::new(*forecasts));
         Ok(())
     }
 
     /// The rooms in a person's room set, if the configuration avoids them. `None` if the sets are not known.
-    fn avoided(&self, now_ns: u64) -> Option<Vec<bool>> {
+    fn avoided(&self, now_ns: BootNs) -> Option<Vec<bool>> {
         let Some(scores) = self.scores.as_ref().filter(|_| self.config.avoid_sets) else { return Some(Vec::new()) };
         outlook::in_sets(self.persons.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
     /// Whether the configuration avoids room sets and the sets of the newest scores are missing.
     #[must_use]
-    pub(crate) fn lacks_sets(&self, now_ns: u64) -> bool {
+    pub(crate) fn lacks_sets(&self, now_ns: BootNs) -> bool {
         self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
     /// Whether the persons' forecasts of a daemon that was just heard are still on their way.
     #[must_use]
-    pub(crate) fn expects_persons(&self, now_ns: u64) -> bool {
+    pub(crate) fn expects_persons(&self, now_ns: BootNs) -> bool {
         let (Some(scores), Some((_, since_ns))) = (&self.scores, self.daemon) else { return false };
         let is_new = self.persons.as_ref().is_none_or(|persons| persons.epoch != scores.epoch);
         let waits = self.follows_persons && self.config.know_s > 0.0;
@@ -380,7 +381,7 @@ impl Planner {
     }
 
     /// Takes another robot's decision, if the configuration avoids rooms of robots.
-    pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: u64) {
+    pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
         }
@@ -396,7 +397,7 @@ impl Planner {
     /// # Errors
     ///
     /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
-    pub fn decide(&mut self, now_ns: u64, now_unix_ns: u64) -> Result<Option<DecisionV1>, PolicyError> {
+    pub fn decide(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<Option<DecisionV1>, PolicyError> {
         self.clock = (now_ns, now_unix_ns);
         self.look_at_work(now_ns);
         self.look_at_orders();
@@ -419,8 +420,8 @@ impl Planner {
     fn decide_on(
         &mut self,
         scores: &RoomScoresV1,
-        now_ns: u64,
-        now_unix_ns: u64,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
     ) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_for_persons(scores, now_ns);
         self.look_for_robots(scores, now_ns);
@@ -516,9 +517,9 @@ impl Planner {
     }
 
     /// Asks again for work that a planner before this one asked for.
-    fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: u64, now_unix_ns: u64) -> DecisionV1 {
+    fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         // After its time the robot owes a report. It may have sent it while no planner listened.
-        let left_ns = work.ends_ns.saturating_sub(now_ns);
+        let left_ns = work.ends_ns.since(now_ns);
         let reason = match left_ns {
             0 => "asks what became of what it was sent to do before the planner's restart",
             _ => "goes on with what it was sent to do before the planner's restart",
@@ -538,7 +539,7 @@ impl Planner {
 
     /// Drops expired orders, and notes the rooms that need work now.
     fn look_at_orders(&mut self) {
-        let unix_s = self.clock.1 / 1_000_000_000;
+        let unix_s = self.clock.1.0 / 1_000_000_000;
         if self.orders.expire(unix_s) {
             self.ordered();
         }
@@ -560,7 +561,7 @@ impl Planner {
         if config.room.is_empty() && orders.skipped.is_empty() && orders.asked.is_empty() {
             return;
         }
-        let unix_s = self.clock.1 / 1_000_000_000;
+        let unix_s = self.clock.1.0 / 1_000_000_000;
         for (room, id) in scores.rooms().iter().map(|room| room.id()).enumerate() {
             let needs = config.needs_of(id);
             if orders.asked.contains_key(id) {
@@ -575,10 +576,10 @@ impl Planner {
     }
 
     /// A room was cleaned.
-    fn cover(&mut self, room: usize, at_ns: u64) {
+    fn cover(&mut self, room: usize, at_ns: BootNs) {
         self.round.cover(room);
         let (now_ns, unix_ns) = self.clock;
-        let unix_ns = unix_ns.saturating_sub(now_ns.saturating_sub(at_ns));
+        let unix_ns = unix_ns.0.saturating_sub(now_ns.since(at_ns));
         let id = self.id_of(room).to_owned();
         self.orders.clean(&id, unix_ns / 1_000_000_000);
     }
@@ -586,7 +587,7 @@ impl Planner {
     /// How much more it costs to leave each room undone than usual: by its priority, and by how long it is overdue.
     fn weights(&self) -> Vec<f64> {
         let Some(scores) = self.scores.as_ref().filter(|_| !self.config.room.is_empty()) else { return Vec::new() };
-        let unix_s = self.clock.1 as f64 / 1e9;
+        let unix_s = self.clock.1.0 as f64 / 1e9;
         let weight = |id: &str| {
             let Some(needs) = self.config.needs_of(id) else { return 1.0 };
             let last_s = self.orders.cleaned.get(id).map(|last_s| *last_s as f64);
@@ -603,14 +604,14 @@ impl Planner {
     }
 
     /// What the rules look at.
-    fn facts<'a>(&'a self, scores: &'a RoomScoresV1, now_ns: u64) -> Facts<'a> {
+    fn facts<'a>(&'a self, scores: &'a RoomScoresV1, now_ns: BootNs) -> Facts<'a> {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let persons = People::usable(self.persons.as_deref(), scores, (now_ns, self.deadline_ns));
         let stays_s = (0..scores.rooms().len()).map(|room| self.stay_in_s(room)).collect();
         let known = Known { config: &self.config, scores, forecast, persons, near: &self.near, stays_s };
         let ids = || scores.rooms().iter().map(|room| room.id());
         let until = |hold: &rules::Hold| {
-            hold.until_unix_s.map(|until_s| self.zone.local_s(until_s.saturating_mul(1_000_000_000)))
+            hold.until_unix_s.map(|until_s| self.zone.local_s(UnixNs(until_s.saturating_mul(1_000_000_000))))
         };
         Facts {
             hold: self.orders.hold.as_ref().map(|hold| (hold, until(hold))),
@@ -622,7 +623,7 @@ impl Planner {
     }
 
     /// The wait for residents does not pass in quiet hours: they sleep then, and no sensor observes them.
-    fn wait_through_quiet_hours(&mut self, now_ns: u64) {
+    fn wait_through_quiet_hours(&mut self, now_ns: BootNs) {
         let local_s = self.local_s();
         let is_quiet =
             self.config.quiet.iter().any(|hours| hours.rooms().is_empty() && hours.meets(local_s, 0.0).is_some());
@@ -641,10 +642,10 @@ impl Planner {
         scores: &RoomScoresV1,
         forecast: Option<Forecast<'_>>,
         persons: Option<People<'_>>,
-        now_ns: u64,
+        now_ns: BootNs,
     ) -> Option<(Vec<String>, f64)> {
         let (_, since_ns) = self.daemon?;
-        let left_ns = since_ns.saturating_add(nanoseconds(self.config.know_s)).saturating_sub(now_ns);
+        let left_ns = since_ns.saturating_add(nanoseconds(self.config.know_s)).since(now_ns);
         let is_unsure = outlook::what_is_known(scores, forecast) == decision_flags::NOT_KNOWN
             || forecast.is_some_and(|forecast| forecast.misses_resident());
         let lacks_persons = self.follows_persons && persons.is_none();
@@ -657,7 +658,7 @@ impl Planner {
     }
 
     /// Ends work that a rule does not allow any more. A robot that a person started works on.
-    fn look_at_rules(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+    fn look_at_rules(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let Some(work) = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty()) else { return };
         let now = Now { local_s: self.local_s(), stay_s: 0.0 };
         let ended = allowed(work.room, now, &self.facts(scores, now_ns)).err();
@@ -672,7 +673,7 @@ impl Planner {
     }
 
     /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has given it up.
-    fn look_at_work(&mut self, now_ns: u64) {
+    fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
             self.standing = Standing::Free;
@@ -698,7 +699,7 @@ impl Planner {
     }
 
     /// Ends the work in a room that somebody has come into.
-    fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+    fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let Some(forecast) = forecast else { return self.interruption.look_away() };
         let works = self.robot.work.as_ref().filter(|work| !work.waits && self.round.stay_ns > 0);
@@ -719,7 +720,7 @@ impl Planner {
     }
 
     /// Ends the work, or the wait, in a room that another robot has, too, and keeps.
-    fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: u64) {
+    fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let Some(work) = self.robot.work.as_ref() else { return };
         let room = scores.rooms().get(work.room).map(|room| room.id);
         if !room.zip(self.others.as_ref()).is_some_and(|(room, others)| others.go_before(&room, work.waits, now_ns)) {
@@ -733,14 +734,14 @@ impl Planner {
     }
 
     /// Whether somebody is likely in the room where the robot waits.
-    fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: u64) -> bool {
+    fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let likely = forecast.filter(|forecast| !forecast.knows_nobody()).map(|forecast| forecast.now());
         likely.is_some_and(|likely| likely.get(work.room).is_some_and(|likely| self.interruption.is_met(*likely)))
     }
 
     /// Whether the robot is free and something may have changed since the last decision.
-    fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: u64) -> bool {
+    fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
         let pauses = matches!(self.standing, Standing::Pauses(..));
         let sets_came = matches!(self.standing, Standing::Pauses(Pause::NoSets, ..)) && !self.lacks_sets(now_ns);
         let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
@@ -757,7 +758,7 @@ impl Planner {
     }
 
     /// Rooms in which other robots work, or also wait, if the configuration avoids them.
-    fn taken(&self, waiting_too: bool, now_ns: u64) -> Vec<bool> {
+    fn taken(&self, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let known = self.scores.as_ref().zip(self.others.as_ref());
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
     }
@@ -768,7 +769,7 @@ impl Planner {
     }
 
     /// The policy's choice, among the rooms that the robot may go to.
-    fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: u64) -> Result<Next, PolicyError> {
+    fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: BootNs) -> Result<Next, PolicyError> {
         let (occupied, empty) = (self.config.interrupt_at, self.config.resume_at);
         let Some(avoided) = self.avoided(now_ns) else {
             let reason = "it is not known which rooms are in somebody's set: no room is entered until it is".to_owned();
@@ -856,7 +857,7 @@ impl Planner {
     }
 
     /// The policy's choice: rooms that the robot could not do come after the others. None when no room is open.
-    fn choose(&mut self, closed: &[bool], outlook: &Outlook, now_ns: u64) -> Result<Option<Choice>, PolicyError> {
+    fn choose(&mut self, closed: &[bool], outlook: &Outlook, now_ns: BootNs) -> Result<Option<Choice>, PolicyError> {
         let close = |also: &dyn Fn(usize) -> bool| -> Vec<bool> {
             closed.iter().enumerate().map(|(room, closed)| *closed || also(room)).collect()
         };
@@ -886,7 +887,7 @@ impl Planner {
     }
 
     /// The robot's room, if the robot has no work and gains nothing in another room.
-    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: u64) -> Option<usize> {
+    fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: BootNs) -> Option<usize> {
         let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
         let closed = |rooms: &[bool]| rooms.get(here).copied().unwrap_or(false);
         let open = !closed(self.interruption.held()) && !closed(&self.taken(true, now_ns));
@@ -895,7 +896,7 @@ impl Planner {
     }
 
     /// What the rules say of each room.
-    fn verdicts(&self, now_ns: u64) -> Vec<Verdict> {
+    fn verdicts(&self, now_ns: BootNs) -> Vec<Verdict> {
         let Some(scores) = &self.scores else { return Vec::new() };
         let facts = self.facts(scores, now_ns);
         let verdict = |room: usize| {
@@ -923,7 +924,7 @@ impl Planner {
     }
 
     /// For each room, by its id, the reason against cleaning it now; `None` for a good time. Empty while scores are stale.
-    pub fn advise(&mut self, now_ns: u64, now_unix_ns: u64) -> BTreeMap<String, Option<String>> {
+    pub fn advise(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> BTreeMap<String, Option<String>> {
         self.clock = (now_ns, now_unix_ns);
         let Some(scores) = self.scores.filter(|_| self.stale(now_ns) == 0) else { return BTreeMap::new() };
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
@@ -984,7 +985,7 @@ impl Planner {
     }
 
     /// The robot stays, since the scores may not be acted upon.
-    fn fall_back(&mut self, stale: u32, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+    fn fall_back(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         if self.robot.work.is_some() || self.is_finished() || self.standing == Standing::FellBack {
             return None;
         }
@@ -1004,7 +1005,7 @@ impl Planner {
     }
 
     /// The robot pauses; said once.
-    fn pause(&mut self, why: Pause, reason: &str, now_ns: u64, now_unix_ns: u64) -> Option<DecisionV1> {
+    fn pause(&mut self, why: Pause, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         let said = Standing::Pauses(why, reason.to_owned(), now_ns);
         if let Standing::Pauses(before, words, said_ns) = &self.standing {
             let is_other = *before != why && [*before, why].iter().any(|why| matches!(why, Pause::Rule(_)));
@@ -1024,7 +1025,7 @@ impl Planner {
     }
 
     /// A decision to be in a room.
-    fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: u64, now_unix_ns: u64) -> DecisionV1 {
+    fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
         if self.decisions.len() == DECISIONS {
             self.decisions.pop_front();
@@ -1035,15 +1036,15 @@ impl Planner {
     }
 
     /// The robot's new work, in a room that somebody is in with this probability, if that is known.
-    fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: u64, sequence: u64) {
-        let ends_ns = now_ns.saturating_add(self.stay_in_ns(room)).max(1);
+    fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: BootNs, sequence: u64) {
+        let ends_ns = now_ns.saturating_add(self.stay_in_ns(room)).max(BootNs(1));
         let decisions = vec![(self.epoch, sequence)];
         self.robot.work = Some(Work { room, decisions, began_ns: now_ns, ends_ns, waits, started: false });
         self.robot.be(Some(room), now_ns);
         self.interruption.new_stay(likely.map(|likely| (room, likely)));
     }
 
-    fn decision(&mut self, now_ns: u64, now_unix_ns: u64, to: Option<usize>, reason: &str) -> DecisionV1 {
+    fn decision(&mut self, now_ns: BootNs, now_unix_ns: UnixNs, to: Option<usize>, reason: &str) -> DecisionV1 {
         self.sequence += 1;
         let Notice { cancels, flags, why } = std::mem::take(&mut self.notice);
         let covered = self.round.covered().iter().take(64).enumerate();
@@ -1055,8 +1056,8 @@ impl Planner {
             robot: self.number,
             epoch: self.epoch,
             sequence: self.sequence,
-            decided_ns: now_ns,
-            decided_unix_ns: now_unix_ns,
+            decided_ns: now_ns.0,
+            decided_unix_ns: now_unix_ns.0,
             covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
             action: action::STAY,
             flags: flags | reported | silent | held,
@@ -1074,11 +1075,12 @@ impl Planner {
         if let Some(scores) = &self.scores {
             decision.scores_epoch = scores.epoch;
             decision.scores_sequence = scores.sequence;
-            decision.scores_age_ns = scores.age_ns(now_ns);
+            decision.scores_age_ns = scores.age_ns(now_ns.0);
             decision.observed_ns = scores.observed_ns;
             for (minutes, room) in decision.cleaned_min.iter_mut().zip(scores.rooms()) {
                 let cleaned_s = self.orders.cleaned.get(room.id());
-                let past = cleaned_s.map(|cleaned_s| (now_unix_ns / 1_000_000_000).saturating_sub(*cleaned_s) / 60 + 1);
+                let past =
+                    cleaned_s.map(|cleaned_s| (now_unix_ns.0 / 1_000_000_000).saturating_sub(*cleaned_s) / 60 + 1);
                 *minutes = past.map_or(0, |past| u16::try_from(past).unwrap_or(u16::MAX));
             }
             let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));
@@ -1096,14 +1098,14 @@ impl Planner {
 
     /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
     #[must_use]
-    pub fn stale(&self, now_ns: u64) -> u32 {
+    pub fn stale(&self, now_ns: BootNs) -> u32 {
         match &self.scores {
             None => decision_flags::NO_SCORES,
-            Some(scores) if scores.silence_ns(now_ns) > self.deadline_ns => {
+            Some(scores) if scores.silence_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE | decision_flags::DAEMON_SILENT
             }
             // The daemon lives, but these scores lack the newest events.
-            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns) > self.deadline_ns => {
+            Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE
             }
             Some(_) => 0,
@@ -1111,28 +1113,28 @@ impl Planner {
     }
 
     /// Whether the clock has ended the work. It ends no work of a robot that reports, except waiting.
-    fn is_over(&self, work: &Work, now_ns: u64) -> bool {
+    fn is_over(&self, work: &Work, now_ns: BootNs) -> bool {
         now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
     }
 
     /// Whether the robot has no work in hand.
     #[must_use]
-    pub fn is_free(&self, now_ns: u64) -> bool {
+    pub fn is_free(&self, now_ns: BootNs) -> bool {
         self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
     }
 
     /// How long there is nothing to decide unless something arrives, at most one tick.
     #[must_use]
-    pub fn idle(&self, now_ns: u64) -> Duration {
+    pub fn idle(&self, now_ns: BootNs) -> Duration {
         const LEAST_NS: u64 = 1_000_000;
         let ends_ns = self.robot.work.as_ref().map(|work| work.ends_ns).filter(|_| self.round.stay_ns > 0);
         // Scores that go stale are noticed at once.
         let stale_ns = self
             .scores
             .as_ref()
-            .map(|scores| scores.published_ns.saturating_add(self.deadline_ns).saturating_add(LEAST_NS));
+            .map(|scores| BootNs(scores.published_ns).saturating_add(self.deadline_ns).saturating_add(LEAST_NS));
         let next_ns = ends_ns.into_iter().chain(stale_ns).filter(|next_ns| *next_ns > now_ns).min();
-        next_ns.map_or(TICK, |next_ns| Duration::from_nanos((next_ns - now_ns).max(LEAST_NS)).min(TICK))
+        next_ns.map_or(TICK, |next_ns| Duration::from_nanos(next_ns.since(now_ns).max(LEAST_NS)).min(TICK))
     }
 
     /// The room that the robot is in, by index in the scores' rooms.

@@ -7,6 +7,7 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags, text};
 
 /// Robots that are followed; of more, the one whose room is free first gives way.
@@ -24,7 +25,7 @@ struct Claim {
     /// It has nothing to do there.
     waits: bool,
     /// 0 where it has no room.
-    until_ns: u64,
+    until_ns: BootNs,
     /// It was said that its room is none of the map.
     is_told: bool,
 }
@@ -43,7 +44,7 @@ impl Others {
     }
 
     /// Takes note of a checked decision; of its robot's own it takes none.
-    pub(super) fn hear(&mut self, decision: &DecisionV1, now_ns: u64) {
+    pub(super) fn hear(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         let name = (decision.epoch, decision.sequence);
         let old = |claim: &Claim| claim.decision.0 == name.0 && claim.decision.1 > name.1;
         if decision.robot == self.own || self.robots.get(&decision.robot).is_some_and(old) {
@@ -52,8 +53,8 @@ impl Others {
         let is_somewhere = decision.action != action::PAUSE && !decision.to().is_empty();
         let waits = decision.action != action::GO;
         let more_ns = if !waits && decision.has(decision_flags::REPORTED) { AT_WORK_NS } else { LATE_NS };
-        let end_ns = decision.decided_ns.min(now_ns).saturating_add(decision.stay_ns).saturating_add(more_ns);
-        let until_ns = if is_somewhere { end_ns } else { 0 };
+        let end_ns = BootNs(decision.decided_ns).min(now_ns).saturating_add(decision.stay_ns).saturating_add(more_ns);
+        let until_ns = if is_somewhere { end_ns } else { BootNs(0) };
         let is_told = self.robots.get(&decision.robot).is_some_and(|claim| claim.is_told);
         self.robots.insert(decision.robot, Claim { decision: name, room: decision.to, waits, until_ns, is_told });
         if self.robots.len() > ROBOTS_MAX
@@ -64,14 +65,14 @@ impl Others {
     }
 
     /// Whether each room of the scores is another robot's now: of one that works there, or also of one that waits there.
-    pub(super) fn taken(&self, scores: &RoomScoresV1, waiting_too: bool, now_ns: u64) -> Vec<bool> {
+    pub(super) fn taken(&self, scores: &RoomScoresV1, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let counts = |claim: &Claim| waiting_too || !claim.waits;
         let taken = |id: &[u8; NAME_BYTES]| self.claims(now_ns).any(|(_, claim)| claim.room == *id && counts(claim));
         scores.rooms().iter().map(|room| taken(&room.id)).collect()
     }
 
     /// Whether a room in which this robot works or waits is another's that comes before it: work before waiting, then the smaller number.
-    pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], waits: bool, now_ns: u64) -> bool {
+    pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], waits: bool, now_ns: BootNs) -> bool {
         let before = |robot: u64, claim: &Claim| (claim.waits, robot) < (waits, self.own);
         self.claims(now_ns).any(|(robot, claim)| claim.room == *room && before(*robot, claim))
     }
@@ -79,13 +80,13 @@ impl Others {
     /// A robot whose room the map lacks, and that room; each robot once.
     pub(super) fn of_another_map(&mut self, scores: &RoomScoresV1) -> Option<(u64, String)> {
         let is_known = |claim: &Claim| scores.rooms().iter().any(|room| room.id == claim.room);
-        let lacks = |claim: &Claim| !claim.is_told && claim.until_ns > 0 && !is_known(claim);
+        let lacks = |claim: &Claim| !claim.is_told && claim.until_ns > BootNs(0) && !is_known(claim);
         let (robot, claim) = self.robots.iter_mut().find(|(_, claim)| lacks(claim))?;
         claim.is_told = true;
         Some((*robot, text::decode("to", &claim.room).unwrap_or_default().to_owned()))
     }
 
-    fn claims(&self, now_ns: u64) -> impl Iterator<Item = (&u64, &Claim)> {
+    fn claims(&self, now_ns: BootNs) -> impl Iterator<Item = (&u64, &Claim)> {
         self.robots.iter().filter(move |(_, claim)| claim.until_ns > now_ns)
     }
 }
@@ -116,12 +117,12 @@ mod tests {
         let mut scores = RoomScoresV1 { room_count: 1, ..Default::default() };
         scores.room[0].id = text::encode("id", "kitchen-3").unwrap();
         let mut others = Others::new(5);
-        others.hear(&decision(8, 1, "kitchen-3"), S);
-        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(7, 1, "") }, S);
+        others.hear(&decision(8, 1, "kitchen-3"), BootNs(S));
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(7, 1, "") }, BootNs(S));
         assert_eq!(others.of_another_map(&scores), None);
-        others.hear(&decision(9, 1, "kitchen-16"), S);
+        others.hear(&decision(9, 1, "kitchen-16"), BootNs(S));
         assert_eq!(others.of_another_map(&scores), Some((9, "kitchen-16".to_owned())));
-        others.hear(&decision(9, 2, "hall-17"), S);
+        others.hear(&decision(9, 2, "hall-17"), BootNs(S));
         assert_eq!(others.of_another_map(&scores), None);
     }
 
@@ -131,17 +132,18 @@ mod tests {
         scores.room[0].id = text::encode("id", "kitchen").unwrap();
         let kitchen = scores.room[0].id;
         let mut others = Others::new(5);
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(9, 1, "kitchen") }, S);
-        let taken = |others: &Others| [false, true].map(|waiting_too| others.taken(&scores, waiting_too, 2 * S)[0]);
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(9, 1, "kitchen") }, BootNs(S));
+        let taken =
+            |others: &Others| [false, true].map(|waiting_too| others.taken(&scores, waiting_too, BootNs(2 * S))[0]);
         assert_eq!(taken(&others), [false, true], "open to work, and not to wait in");
-        let goes = |others: &Others| [false, true].map(|waits| others.go_before(&kitchen, waits, 2 * S));
+        let goes = |others: &Others| [false, true].map(|waits| others.go_before(&kitchen, waits, BootNs(2 * S)));
         assert_eq!(goes(&others), [false, false], "its number is the greater one");
-        others.hear(&decision(9, 2, "kitchen"), S);
+        others.hear(&decision(9, 2, "kitchen"), BootNs(S));
         assert_eq!((taken(&others), goes(&others)), ([true, true], [false, true]), "it works now");
-        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, S);
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 1, "kitchen") }, S);
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, BootNs(S));
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 1, "kitchen") }, BootNs(S));
         assert_eq!((taken(&others), goes(&others)), ([false, true], [false, true]));
-        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 2, "") }, S);
+        others.hear(&DecisionV1 { action: action::STAY, ..decision(3, 2, "") }, BootNs(S));
         assert_eq!(taken(&others), [false, false], "where it waits is not said");
     }
 
@@ -152,32 +154,32 @@ mod tests {
         scores.room[1].id = text::encode("id", "hall").unwrap();
         let kitchen = scores.room[0].id;
         let mut others = Others::new(5);
-        others.hear(&decision(5, 1, "hall"), S);
-        others.hear(&decision(9, 2, "kitchen"), S);
+        others.hear(&decision(5, 1, "hall"), BootNs(S));
+        others.hear(&decision(9, 2, "kitchen"), BootNs(S));
         assert_eq!(
-            (others.taken(&scores, false, 2 * S), others.go_before(&kitchen, false, 2 * S)),
+            (others.taken(&scores, false, BootNs(2 * S)), others.go_before(&kitchen, false, BootNs(2 * S))),
             (vec![true, false], false)
         );
-        others.hear(&decision(9, 1, "hall"), S);
-        assert_eq!(others.taken(&scores, false, 2 * S), [true, false], "it was older");
-        assert_eq!(others.taken(&scores, false, 71 * S), [false, false]);
-        others.hear(&decision(3, 1, "kitchen"), S);
-        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, S);
+        others.hear(&decision(9, 1, "hall"), BootNs(S));
+        assert_eq!(others.taken(&scores, false, BootNs(2 * S)), [true, false], "it was older");
+        assert_eq!(others.taken(&scores, false, BootNs(71 * S)), [false, false]);
+        others.hear(&decision(3, 1, "kitchen"), BootNs(S));
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 3, "") }, BootNs(S));
         assert_eq!(
-            (others.taken(&scores, false, 2 * S), others.go_before(&kitchen, false, 2 * S)),
+            (others.taken(&scores, false, BootNs(2 * S)), others.go_before(&kitchen, false, BootNs(2 * S))),
             (vec![true, false], true)
         );
         // One that reports is at work until it is told to go elsewhere.
-        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 4, "kitchen") }, S);
-        assert_eq!(others.taken(&scores, false, 3_600 * S), [true, false]);
-        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 5, "hall") }, S);
-        assert_eq!(others.taken(&scores, false, 3_600 * S), [false, true]);
-        assert_eq!(others.taken(&scores, false, 7_300 * S), [false, false], "its planner may have ended");
-        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 6, "") }, S);
+        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 4, "kitchen") }, BootNs(S));
+        assert_eq!(others.taken(&scores, false, BootNs(3_600 * S)), [true, false]);
+        others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 5, "hall") }, BootNs(S));
+        assert_eq!(others.taken(&scores, false, BootNs(3_600 * S)), [false, true]);
+        assert_eq!(others.taken(&scores, false, BootNs(7_300 * S)), [false, false], "its planner may have ended");
+        others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 6, "") }, BootNs(S));
         // A time in the future is of now.
-        others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, S);
-        assert_eq!(others.taken(&scores, false, 72 * S), [false, false]);
-        (10..1000).for_each(|robot| others.hear(&decision(robot, 1, "hall"), S));
+        others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, BootNs(S));
+        assert_eq!(others.taken(&scores, false, BootNs(72 * S)), [false, false]);
+        (10..1000).for_each(|robot| others.hear(&decision(robot, 1, "hall"), BootNs(S)));
         assert!(others.robots.len() <= ROBOTS_MAX);
     }
 }

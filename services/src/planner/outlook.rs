@@ -1,5 +1,6 @@
 //! What a planner sees of persons at one moment: how likely somebody is in each room next, now, and in each slot to come.
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
 
 /// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
@@ -13,17 +14,17 @@ impl<'a> Forecast<'a> {
     pub(super) fn usable(
         message: Option<&'a ForecastV1>,
         scores: &RoomScoresV1,
-        now_ns: u64,
+        now_ns: BootNs,
         deadline_ns: u64,
     ) -> Option<Self> {
         let message = message.filter(|forecast| {
             forecast.epoch == scores.epoch
-                && now_ns.saturating_sub(forecast.published_ns) <= deadline_ns
+                && now_ns.since(BootNs(forecast.published_ns)) <= deadline_ns
                 && forecast.room_count == scores.room_count
                 && forecast.horizon_count > 0
                 && scores.rooms().iter().enumerate().all(|(index, room)| forecast.id[index] == room.id)
         })?;
-        Some(Self { message, age_s: now_ns.saturating_sub(message.computed_ns) as f64 / 1e9 })
+        Some(Self { message, age_s: now_ns.since(BootNs(message.computed_ns)) as f64 / 1e9 })
     }
 
     /// Nobody is known: what it says of rooms says nothing.
@@ -67,18 +68,18 @@ impl<'a> Forecast<'a> {
 pub(super) fn in_sets(
     sets: Option<&PersonForecastsV1>,
     scores: &RoomScoresV1,
-    (now_ns, deadline_ns): (u64, u64),
+    (now_ns, deadline_ns): (BootNs, u64),
     stay_s: f64,
 ) -> Option<Vec<bool>> {
     let rooms = scores.rooms();
     let sets = sets.filter(|sets| {
         sets.epoch == scores.epoch
             && sets.sequence >= scores.sequence
-            && now_ns.saturating_sub(sets.published_ns) <= deadline_ns
+            && now_ns.since(BootNs(sets.published_ns)) <= deadline_ns
             && sets.room_count == scores.room_count
             && rooms.iter().zip(&sets.id).all(|(room, id)| *id == room.id)
     })?;
-    let begin_s = now_ns.saturating_sub(sets.computed_ns) as f64 / 1e9;
+    let begin_s = now_ns.since(BootNs(sets.computed_ns)) as f64 / 1e9;
     let grid = sets.horizons_s();
     let at = |index: usize| f64::from(grid[index]);
     // From the last point before the stay to the first one after it.
@@ -184,20 +185,28 @@ mod tests {
         (scores.sequence, sets.sequence) = (4, 4);
         let of =
             |sets: &PersonForecastsV1, now_ns, stay_s| in_sets(Some(sets), &scores, (now_ns, 2_000_000_000), stay_s);
-        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, false]));
-        assert_eq!(of(&sets, 0, 61.0), Some(vec![true, true, false]));
-        assert_eq!(of(&sets, 1_000_000_000, 60.0), Some(vec![true, true, false]), "the sets are a second old");
-        assert_eq!(of(&sets, 3_000_000_000, 60.0), None, "they are too old");
+        assert_eq!(of(&sets, BootNs(0), 60.0), Some(vec![true, false, false]));
+        assert_eq!(of(&sets, BootNs(0), 61.0), Some(vec![true, true, false]));
+        assert_eq!(of(&sets, BootNs(1_000_000_000), 60.0), Some(vec![true, true, false]), "the sets are a second old");
+        assert_eq!(of(&sets, BootNs(3_000_000_000), 60.0), None, "they are too old");
         sets.person[1].room_set[0] = 0b100;
-        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, true]));
+        assert_eq!(of(&sets, BootNs(0), 60.0), Some(vec![true, false, true]));
         sets.person[1].set_coverage = 0.0;
-        assert_eq!(of(&sets, 0, 60.0), Some(vec![true, false, false]));
-        assert_eq!(of(&PersonForecastsV1 { sequence: 5, ..sets }, 0, 60.0), of(&sets, 0, 60.0), "they know more");
-        assert_eq!(of(&PersonForecastsV1 { sequence: 3, ..sets }, 0, 60.0), None, "they are of the event before");
-        assert_eq!(of(&PersonForecastsV1 { epoch: 2, ..sets }, 0, 60.0), None, "they are another daemon's");
-        assert_eq!(in_sets(None, &scores, (0, 2_000_000_000), 60.0), None, "there are none");
+        assert_eq!(of(&sets, BootNs(0), 60.0), Some(vec![true, false, false]));
+        assert_eq!(
+            of(&PersonForecastsV1 { sequence: 5, ..sets }, BootNs(0), 60.0),
+            of(&sets, BootNs(0), 60.0),
+            "they know more"
+        );
+        assert_eq!(
+            of(&PersonForecastsV1 { sequence: 3, ..sets }, BootNs(0), 60.0),
+            None,
+            "they are of the event before"
+        );
+        assert_eq!(of(&PersonForecastsV1 { epoch: 2, ..sets }, BootNs(0), 60.0), None, "they are another daemon's");
+        assert_eq!(in_sets(None, &scores, (BootNs(0), 2_000_000_000), 60.0), None, "there are none");
         sets.id[1] = text::encode("id", "attic").unwrap();
-        assert_eq!(of(&sets, 0, 60.0), None, "they are of other rooms");
+        assert_eq!(of(&sets, BootNs(0), 60.0), None, "they are of other rooms");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What becomes of the robot's reports.
 
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{RobotReportV1, report_kind};
 
 use super::robot::{Work, note_newest};
@@ -55,12 +56,12 @@ impl Planner {
     /// # Errors
     /// [`ReportFault`] when it names a room or answers a decision that is none, or a position cannot be placed; the rest of it is used, but for
     /// work in a room that is none.
-    pub fn take_report(&mut self, report: &RobotReportV1, now_ns: u64) -> Result<(), ReportFault> {
+    pub fn take_report(&mut self, report: &RobotReportV1, now_ns: BootNs) -> Result<(), ReportFault> {
         let is_meant = report.robot == self.number && (self.robot.listens() || report.is_order());
         if !is_meant || !self.robot.is_new(report.epoch, report.sequence) {
             return Ok(());
         }
-        let at_ns = report.reported_ns.min(now_ns);
+        let at_ns = BootNs(report.reported_ns).min(now_ns);
         if report.is_order() {
             return self.take_order(report);
         }
@@ -168,7 +169,7 @@ impl Planner {
         }
         let unix_s = report.reported_unix_ns / 1_000_000_000;
         let room = self.named_room(report)?;
-        let local_s = self.zone.local_s(report.reported_unix_ns);
+        let local_s = self.zone.local_s(UnixNs(report.reported_unix_ns));
         let day_ends_s = unix_s.saturating_add((DAY_S - local_s.rem_euclid(DAY_S)).ceil() as u64);
         match (report.kind, room) {
             (report_kind::HOLD, _) => {
@@ -193,7 +194,14 @@ impl Planner {
     }
 
     /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.
-    fn start(&mut self, room: Option<usize>, answered: Option<(u64, u64)>, of_work: bool, at_ns: u64, now_ns: u64) {
+    fn start(
+        &mut self,
+        room: Option<usize>,
+        answered: Option<(u64, u64)>,
+        of_work: bool,
+        at_ns: BootNs,
+        now_ns: BootNs,
+    ) {
         let Some(room) = room else { return };
         let ends_ns = at_ns.saturating_add(self.stay_in_ns(room));
         let may_still_work = self.robot.may_still_work(ends_ns, now_ns);

@@ -1,6 +1,7 @@
 //! The robot as it is known: its work, where it is, its battery, and when it was heard.
 
 use crate::config::{PlannerConfig, Reports};
+use roomcast_core::ids::BootNs;
 
 use super::round::nanoseconds;
 
@@ -19,9 +20,9 @@ pub(super) struct Work {
     pub(super) room: usize,
     /// The decisions that asked for it, by epoch and sequence, newest last: of this planner, and of those before a restart.
     pub(super) decisions: Vec<(u64, u64)>,
-    pub(super) began_ns: u64,
+    pub(super) began_ns: BootNs,
     /// When the time for it is over.
-    pub(super) ends_ns: u64,
+    pub(super) ends_ns: BootNs,
     /// Nothing is to be done there: the robot waits.
     pub(super) waits: bool,
     /// The robot has said that it began.
@@ -58,10 +59,10 @@ pub(super) struct Robot {
     /// It has reported its work.
     pub(super) reports_work: bool,
     /// When it was heard last.
-    pub(super) heard_ns: Option<u64>,
+    pub(super) heard_ns: Option<BootNs>,
     pub(super) room: Option<usize>,
     /// When it was there.
-    pub(super) room_ns: u64,
+    pub(super) room_ns: BootNs,
     pub(super) battery: Option<f64>,
     /// It is not to be sent out until its battery is ready.
     pub(super) charges: bool,
@@ -70,7 +71,7 @@ pub(super) struct Robot {
     pub(super) silent: bool,
     /// How often in a row it failed without beginning its work, and until when it is not asked again.
     refusals: u32,
-    rests_until_ns: u64,
+    rests_until_ns: BootNs,
 }
 
 impl Robot {
@@ -86,18 +87,18 @@ impl Robot {
             reports_work: false,
             heard_ns: None,
             room: None,
-            room_ns: 0,
+            room_ns: BootNs(0),
             battery: None,
             charges: false,
             work: None,
             silent: false,
             refusals: 0,
-            rests_until_ns: 0,
+            rests_until_ns: BootNs(0),
         }
     }
 
     /// It failed without beginning its work.
-    pub(super) fn refuse(&mut self, at_ns: u64) {
+    pub(super) fn refuse(&mut self, at_ns: BootNs) {
         self.refusals = self.refusals.saturating_add(1);
         if let Some(more) = self.refusals.checked_sub(REFUSALS) {
             let (first_ns, most_ns) = REST_NS;
@@ -107,28 +108,28 @@ impl Robot {
     }
 
     /// How often in a row it failed, and until when it is left alone, to be kept over a restart.
-    pub(super) fn trouble(&self) -> (u32, u64) {
+    pub(super) fn trouble(&self) -> (u32, BootNs) {
         (self.refusals, self.rests_until_ns)
     }
 
     /// Takes up what was kept.
-    pub(super) fn restore_trouble(&mut self, (refusals, rests_until_ns): (u32, u64)) {
+    pub(super) fn restore_trouble(&mut self, (refusals, rests_until_ns): (u32, BootNs)) {
         (self.refusals, self.rests_until_ns) = (refusals, rests_until_ns);
     }
 
     /// It works, or has come to its dock: whatever was wrong with it is over.
     pub(super) fn is_well(&mut self) {
-        (self.refusals, self.rests_until_ns) = (0, 0);
+        (self.refusals, self.rests_until_ns) = (0, BootNs(0));
     }
 
     /// Whether it is left alone after failing again and again.
-    pub(super) fn rests(&self, now_ns: u64) -> bool {
+    pub(super) fn rests(&self, now_ns: BootNs) -> bool {
         now_ns < self.rests_until_ns
     }
 
     /// Why it is left alone, if it is.
-    pub(super) fn why_it_rests(&self, now_ns: u64) -> Option<String> {
-        let minutes = (self.rests_until_ns.saturating_sub(now_ns)).div_ceil(60_000_000_000);
+    pub(super) fn why_it_rests(&self, now_ns: BootNs) -> Option<String> {
+        let minutes = self.rests_until_ns.since(now_ns).div_ceil(60_000_000_000);
         let often = self.refusals;
         self.rests(now_ns).then(|| {
             format!("the robot failed {often} times in a row before it began: it is asked again in {minutes} min, or when it comes to its dock")
@@ -168,13 +169,13 @@ impl Robot {
     }
 
     /// It was heard.
-    pub(super) fn hear(&mut self, at_ns: u64) {
+    pub(super) fn hear(&mut self, at_ns: BootNs) {
         self.heard_ns = self.heard_ns.max(Some(at_ns));
         self.silent = false;
     }
 
     /// It is in a room, or in none.
-    pub(super) fn be(&mut self, room: Option<usize>, at_ns: u64) {
+    pub(super) fn be(&mut self, room: Option<usize>, at_ns: BootNs) {
         if at_ns >= self.room_ns {
             (self.room, self.room_ns) = (room, at_ns);
         }
@@ -201,18 +202,18 @@ impl Robot {
     }
 
     /// Whether the robot's time for its work is over and it owes a report for too long.
-    pub(super) fn is_overdue(&self, now_ns: u64) -> bool {
-        let due_ns = self.work.as_ref().map(|work| work.ends_ns.max(self.heard_ns.unwrap_or(0)));
+    pub(super) fn is_overdue(&self, now_ns: BootNs) -> bool {
+        let due_ns = self.work.as_ref().map(|work| work.ends_ns.max(self.heard_ns.unwrap_or_default()));
         self.is_believed() && due_ns.is_some_and(|due_ns| now_ns >= due_ns.saturating_add(self.timeout_ns))
     }
 
     /// Whether work that began then may still be going on.
-    pub(super) fn may_still_work(&self, ends_ns: u64, now_ns: u64) -> bool {
+    pub(super) fn may_still_work(&self, ends_ns: BootNs, now_ns: BootNs) -> bool {
         now_ns < ends_ns.saturating_add(self.timeout_ns)
     }
 
     /// A robot that charges and has said nothing for too long counts as charged; whether it does so now.
-    pub(super) fn give_up_charging(&mut self, now_ns: u64) -> bool {
+    pub(super) fn give_up_charging(&mut self, now_ns: BootNs) -> bool {
         let until_ns = self.heard_ns.unwrap_or_default().saturating_add(self.charge_timeout_ns);
         let gives_up = self.charges && now_ns >= until_ns;
         if gives_up {
@@ -273,11 +274,11 @@ mod tests {
         robot.leave_dock();
         assert!(robot.charges, "it works on its last reserve, and is not sent to more");
         let mut lost = Robot::new(&PlannerConfig::default());
-        lost.hear(5);
+        lost.hear(BootNs(5));
         lost.charge(0.1);
-        assert!(!lost.give_up_charging(14_400_000_000_004) && lost.charges);
-        assert!(lost.give_up_charging(14_400_000_000_005) && !lost.charges && lost.silent);
-        assert!(!lost.give_up_charging(u64::MAX));
+        assert!(!lost.give_up_charging(BootNs(14_400_000_000_004)) && lost.charges);
+        assert!(lost.give_up_charging(BootNs(14_400_000_000_005)) && !lost.charges && lost.silent);
+        assert!(!lost.give_up_charging(BootNs(u64::MAX)));
         let mut unknown = Robot::new(&PlannerConfig::default());
         unknown.dock();
         assert_eq!(unknown.why_it_charges(), None);

@@ -1,6 +1,7 @@
 //! The rooms of a round: what is done, what the robot could not do, and the time that is left.
 
 use crate::config::PlannerConfig;
+use roomcast_core::ids::BootNs;
 
 /// How many stays a round has for each room, where the configuration gives no deadline: one to do it, one to wait for it.
 const STAYS_PER_ROOM: u64 = 2;
@@ -21,12 +22,12 @@ pub(super) struct Round {
     /// How long a round is; without it, so long as [`STAYS_PER_ROOM`] says.
     length_ns: Option<u64>,
     /// When it began; none between two rounds.
-    pub(super) began_ns: Option<u64>,
+    pub(super) began_ns: Option<BootNs>,
     /// When the round before was due, of a given length: so long after that this one is.
-    pub(super) due_ns: Option<u64>,
+    pub(super) due_ns: Option<BootNs>,
     covered: Vec<bool>,
     /// When the robot last could not do the room.
-    failed_ns: Vec<Option<u64>>,
+    failed_ns: Vec<Option<BootNs>>,
     /// How often it could not do it in a row.
     failures: Vec<u32>,
 }
@@ -69,21 +70,21 @@ impl Round {
     }
 
     /// The robot could not do the room.
-    pub(super) fn fail(&mut self, room: usize, now_ns: u64) {
+    pub(super) fn fail(&mut self, room: usize, now_ns: BootNs) {
         if let (Some(failed_ns), Some(failures)) = (self.failed_ns.get_mut(room), self.failures.get_mut(room)) {
             (*failed_ns, *failures) = (Some(now_ns), failures.saturating_add(1));
         }
     }
 
     /// When the robot last could not do a room, of those that are still to do, and how often in a row.
-    pub(super) fn failed(&self) -> impl Iterator<Item = (usize, u64, u32)> {
+    pub(super) fn failed(&self) -> impl Iterator<Item = (usize, BootNs, u32)> {
         let failed = self.failed_ns.iter().zip(&self.failures).enumerate();
         let failed = failed.filter_map(|(room, (failed_ns, failures))| Some((room, (*failed_ns)?, *failures)));
         failed.filter(|(room, ..)| !self.is_done(*room))
     }
 
     /// Takes up what another run has seen of a room.
-    pub(super) fn restore_failed(&mut self, room: usize, failed_ns: u64, failures: u32) {
+    pub(super) fn restore_failed(&mut self, room: usize, failed_ns: BootNs, failures: u32) {
         self.fail(room, failed_ns);
         if let Some(known) = self.failures.get_mut(room) {
             *known = failures.max(1);
@@ -96,7 +97,7 @@ impl Round {
     }
 
     /// Whether a room that failed may not be tried again yet.
-    pub(super) fn rests(&self, room: usize, now_ns: u64) -> bool {
+    pub(super) fn rests(&self, room: usize, now_ns: BootNs) -> bool {
         let failed_ns = self.failed_ns.get(room).copied().flatten();
         let doublings = self.failures.get(room).map_or(0, |failures| failures.saturating_sub(1).min(DOUBLINGS_MAX));
         let rest_ns = self.stay_ns.min(RETRY_NS) << doublings;
@@ -134,23 +135,23 @@ impl Round {
     }
 
     /// The round's deadline.
-    fn end_ns(&self) -> Option<u64> {
+    fn end_ns(&self) -> Option<BootNs> {
         let began_ns = self.began_ns?;
         let default_ns = || self.stay_ns.saturating_mul(STAYS_PER_ROOM.saturating_mul(self.covered.len() as u64));
         let length_ns = self.length_ns.unwrap_or_else(default_ns);
         // A planner that paused for longer begins afresh.
-        let due_ns = self.due_ns.filter(|due_ns| began_ns.abs_diff(*due_ns) <= self.stay_ns);
+        let due_ns = self.due_ns.filter(|due_ns| began_ns.0.abs_diff(due_ns.0) <= self.stay_ns);
         Some(due_ns.unwrap_or(began_ns).saturating_add(length_ns))
     }
 
     /// How many stays fit before the round's deadline. A robot that stays nowhere has no round to plan.
-    pub(super) fn slots_left(&self, now_ns: u64) -> Option<usize> {
-        let left_ns = self.end_ns()?.saturating_add(self.stay_ns / OVERTIME).saturating_sub(now_ns);
+    pub(super) fn slots_left(&self, now_ns: BootNs) -> Option<usize> {
+        let left_ns = self.end_ns()?.saturating_add(self.stay_ns / OVERTIME).since(now_ns);
         left_ns.checked_div(self.stay_ns).map(|slots| slots.min(SLOTS_MAX) as usize)
     }
 
     /// Whether a round that is done goes on without work: one of a given length does, to its deadline.
-    pub(super) fn goes_on(&self, now_ns: u64) -> bool {
+    pub(super) fn goes_on(&self, now_ns: BootNs) -> bool {
         self.length_ns.is_some() && self.slots_left(now_ns).is_some_and(|slots| slots > 0)
     }
 }
@@ -168,17 +169,22 @@ mod tests {
     fn a_room_that_failed_rests_for_a_while_and_is_no_failure_once_it_is_done() {
         let mut round = Round::new(&PlannerConfig { room_time_s: 600.0, ..PlannerConfig::default() });
         round.move_rooms(2, |_| None);
-        round.fail(1, 5);
-        assert!(round.has_failed(1) && round.rests(1, 5) && !round.rests(1, 5 + RETRY_NS) && !round.has_failed(0));
+        round.fail(1, BootNs(5));
+        assert!(
+            round.has_failed(1)
+                && round.rests(1, BootNs(5))
+                && !round.rests(1, BootNs(5 + RETRY_NS))
+                && !round.has_failed(0)
+        );
         // A room that no map of the robot has cannot be done, however often it is tried.
-        round.fail(1, 5);
-        assert!(round.rests(1, 5 + RETRY_NS) && !round.rests(1, 5 + 2 * RETRY_NS));
-        (0..40).for_each(|_| round.fail(1, 5));
-        assert!(round.rests(1, 5 + 31 * RETRY_NS) && !round.rests(1, 5 + 32 * RETRY_NS));
+        round.fail(1, BootNs(5));
+        assert!(round.rests(1, BootNs(5 + RETRY_NS)) && !round.rests(1, BootNs(5 + 2 * RETRY_NS)));
+        (0..40).for_each(|_| round.fail(1, BootNs(5)));
+        assert!(round.rests(1, BootNs(5 + 31 * RETRY_NS)) && !round.rests(1, BootNs(5 + 32 * RETRY_NS)));
         round.cover(1);
-        assert!(!round.has_failed(1) && !round.rests(1, 5));
+        assert!(!round.has_failed(1) && !round.rests(1, BootNs(5)));
         // Places that no map has are no fault.
-        round.fail(9, 5);
+        round.fail(9, BootNs(5));
         round.cover(9);
         assert!(!round.has_failed(9) && !round.is_done(9));
     }
@@ -193,8 +199,8 @@ mod tests {
         let mut begun = Vec::new();
         for _ in 0..20 {
             begun.push(now_ns);
-            round.began_ns = Some(now_ns);
-            while round.slots_left(now_ns) != Some(0) {
+            round.began_ns = Some(BootNs(now_ns));
+            while round.slots_left(BootNs(now_ns)) != Some(0) {
                 now_ns += 10 * S;
             }
             round.begin_again();
@@ -204,8 +210,8 @@ mod tests {
             assert!(began_ns.abs_diff(due_ns) <= 10 * S, "round {place} begins at {began_ns}, due at {due_ns}");
         }
         // After a long pause the round has its whole length.
-        round.began_ns = Some(now_ns + 1000 * S);
-        assert_eq!(round.slots_left(now_ns + 1000 * S), Some(3));
+        round.began_ns = Some(BootNs(now_ns + 1000 * S));
+        assert_eq!(round.slots_left(BootNs(now_ns + 1000 * S)), Some(3));
     }
 
     #[test]
@@ -213,7 +219,7 @@ mod tests {
         let mut round = Round::new(&PlannerConfig::default());
         round.move_rooms(2, |_| None);
         round.cover(0);
-        round.fail(1, 5);
+        round.fail(1, BootNs(5));
         round.move_rooms(3, |room| room.checked_sub(1));
         assert_eq!(round.covered(), [false, true, false]);
         assert!(round.has_failed(2) && !round.has_failed(0));

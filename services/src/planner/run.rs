@@ -3,9 +3,10 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     Awaited, DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1,
-    RoomScoresV1, clock, decision_flags, report_kind, sequence,
+    RoomScoresV1, decision_flags, report_kind, sequence,
 };
 use sd_notify::NotifyState;
 
@@ -13,6 +14,7 @@ use super::orders::OrdersFile;
 use super::state::RoundFile;
 use super::{DatedAhead, Planner};
 use crate::awake::Awake;
+use crate::clock;
 use crate::config::Config;
 use crate::daemon::Zone;
 use crate::logging::Limiter;
@@ -175,7 +177,7 @@ fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter)
 /// Decides, if there is something to decide, sends it and logs it.
 fn decide(
     planner: &mut Planner,
-    now_ns: u64,
+    now_ns: BootNs,
     decisions: &Publisher<DecisionV1>,
     log: &mut Limiter,
 ) -> Result<(), IpcError> {

@@ -6,11 +6,12 @@
 
 use std::path::Path;
 
-use roomcast_ipc::clock;
+use roomcast_core::ids::BootNs;
 use serde::{Deserialize, Serialize};
 
 use super::robot::{REST_NS, Work};
 use super::{Planner, Standing};
+use crate::clock;
 use crate::state_file::{self, Kept};
 
 /// How often the file says that a robot which charges was heard.
@@ -27,14 +28,14 @@ pub struct KeptRound {
     boot: String,
     /// The map that the rooms are of, in hexadecimal.
     map: String,
-    began_ns: Option<u64>,
+    began_ns: Option<BootNs>,
     /// When the round before was due.
     #[serde(default)]
-    due_ns: Option<u64>,
+    due_ns: Option<BootNs>,
     done: Vec<String>,
     /// Rooms that the robot could not do, and when.
     #[serde(default)]
-    failed: Vec<(String, u64)>,
+    failed: Vec<(String, BootNs)>,
     /// How often in a row it could not do each of them; once where an older version did not keep it.
     #[serde(default)]
     failures: Vec<u32>,
@@ -48,13 +49,13 @@ pub struct KeptRound {
     charges: bool,
     /// The minute in which a robot that charges was heard last.
     #[serde(default)]
-    heard_ns: Option<u64>,
+    heard_ns: Option<BootNs>,
     /// Reporters by their epoch, and the newest report of work or dock of each that the round rests on.
     #[serde(default)]
     told: Vec<(u64, u64)>,
     /// How often in a row the robot failed before it began, and until when it is left alone.
     #[serde(default)]
-    trouble: (u32, u64),
+    trouble: (u32, BootNs),
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -62,8 +63,8 @@ pub struct KeptRound {
 struct KeptWork {
     room: String,
     decisions: Vec<(u64, u64)>,
-    began_ns: u64,
-    ends_ns: u64,
+    began_ns: BootNs,
+    ends_ns: BootNs,
     waits: bool,
     started: bool,
     /// Nobody was likely there when it began, or they have left since: who is there came after it.
@@ -111,7 +112,7 @@ impl Planner {
                 .robot
                 .heard_ns
                 .filter(|_| self.robot.charges)
-                .map(|heard_ns| heard_ns - heard_ns % MINUTE_NS),
+                .map(|heard_ns| BootNs(heard_ns.0 - heard_ns.0 % MINUTE_NS)),
             told: self.robot.told.clone(),
             trouble: self.robot.trouble(),
         })
@@ -148,7 +149,7 @@ impl Planner {
         robot.restore_told(&kept.told);
         robot.restore_trouble(kept.trouble);
         // An older version kept no time: a robot that charges counts as heard when its round was taken up.
-        robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(scores.published_ns));
+        robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(BootNs(scores.published_ns)));
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
@@ -230,21 +231,21 @@ mod tests {
     fn how_often_a_room_failed_outlasts_a_restart() {
         let with_room = || {
             let mut planner = Planner::new(&PlannerConfig::default(), 1);
-            planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, 0).unwrap();
+            planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, BootNs(0)).unwrap();
             planner
         };
         let mut planner = with_room();
-        (0..3).for_each(|_| planner.round.fail(0, 5));
+        (0..3).for_each(|_| planner.round.fail(0, BootNs(5)));
         let kept = serde_json::to_string(&planner.kept("boot").unwrap()).unwrap();
         let restored = |kept: &str| {
             let mut again = with_room();
             again.restore(&serde_json::from_str(kept).unwrap());
             again.round.failed().collect::<Vec<_>>()
         };
-        assert_eq!(restored(&kept), [(0, 5, 3)]);
+        assert_eq!(restored(&kept), [(0, BootNs(5), 3)]);
         let older = kept.replace("\"failures\":[3],", "");
         assert!(older != kept);
-        assert_eq!(restored(&older), [(0, 5, 1)]);
+        assert_eq!(restored(&older), [(0, BootNs(5), 1)]);
     }
 
     #[test]
@@ -257,7 +258,7 @@ mod tests {
         let write = |kept: &KeptRound| std::fs::write(&path, serde_json::to_vec(kept).unwrap()).unwrap();
         file.keep(&planner);
         assert!(!path.exists(), "nothing is known before the first scores");
-        planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, 0).unwrap();
+        planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, BootNs(0)).unwrap();
         // A directory that is away for a moment costs nothing that does not change.
         std::fs::remove_dir(directory.path()).unwrap();
         file.keep(&planner);
@@ -276,7 +277,7 @@ mod tests {
             write(&KeptRound { battery: Some(battery), ..planner.kept(&file.boot).unwrap() });
             assert_eq!(file.load(), None, "{battery}");
         }
-        write(&KeptRound { trouble: (2, u64::MAX), ..planner.kept(&file.boot).unwrap() });
+        write(&KeptRound { trouble: (2, BootNs(u64::MAX)), ..planner.kept(&file.boot).unwrap() });
         assert_eq!(file.load(), None);
         let left = std::fs::read_dir(directory.path()).unwrap().count();
         assert_eq!(left, 1, "no half-written files");

@@ -29,15 +29,15 @@ fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
 /// Messages that come as soon as they are sent.
 impl Planner {
     fn hear(&mut self, scores: &RoomScoresV1) {
-        self.take(scores, scores.published_ns).unwrap();
+        self.take(scores, BootNs(scores.published_ns)).unwrap();
     }
 
     fn hear_forecast(&mut self, forecast: &ForecastV1) {
-        self.take_forecast(forecast, forecast.published_ns).unwrap();
+        self.take_forecast(forecast, BootNs(forecast.published_ns)).unwrap();
     }
 
     fn hear_sets(&mut self, sets: &PersonForecastsV1) {
-        self.take_persons(sets, sets.published_ns).unwrap();
+        self.take_persons(sets, BootNs(sets.published_ns)).unwrap();
     }
 }
 
@@ -70,7 +70,7 @@ fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     let scores = scores(1, S, &[0.1, 0.9]);
     planner.hear(&scores);
     planner.hear_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
-    let decision = planner.decide(S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(decision.to(), "room-1");
     assert!(decision.reason().contains("; the plan for "), "{}", decision.reason());
 }
@@ -135,7 +135,7 @@ fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
         for slot in 0..8 {
             let now_ns = 3600 * S + (8 * round + slot) * stay_ns;
             sleeper.tell(&mut planner, now_ns);
-            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
             let planned = format!("plan for {} stay", 8 - slot);
             assert!(decision.reason().contains(&planned), "slot {slot}: {}", decision.reason());
             if slot > 2 {
@@ -166,11 +166,11 @@ fn a_round_ends_at_its_deadline_also_when_nobody_could_decide() {
         };
         let mut planner = Planner::new(&config, 1);
         planner.hear(&scores(1, S, &[0.1, 0.2, 0.7]));
-        assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-0");
+        assert_eq!(planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap().to(), "room-0");
         // The daemon is silent for two of the three stays.
-        assert!(planner.decide(11 * S, 0).unwrap().unwrap().has(decision_flags::FALLBACK));
+        assert!(planner.decide(BootNs(11 * S), UnixNs(0)).unwrap().unwrap().has(decision_flags::FALLBACK));
         planner.hear(&scores(2, 31 * S, &[0.1, 0.2, 0.7]));
-        let decision = planner.decide(31 * S, 0).unwrap().unwrap();
+        let decision = planner.decide(BootNs(31 * S), UnixNs(0)).unwrap().unwrap();
         let said = format!("the round's deadline came with 2 of 3 rooms undone, {next}: ");
         assert!(decision.reason().starts_with(&said), "{}", decision.reason());
         let (to, covered) = if repeat { ("room-0", 0) } else { ("room-1", 0b1) };
@@ -188,7 +188,7 @@ fn a_round_of_a_given_length_that_is_done_early_goes_on_without_work() {
         let scores = scores(stay + 1, now_ns, &[0.9, 0.1]);
         planner.hear(&scores);
         planner.hear_forecast(&forecast(&scores, &[[0.1, 0.1], [0.0, 0.0]]));
-        let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+        let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
         said.push((decision.to().to_owned(), decision.covered, decision.has(decision_flags::COVERED)));
     }
     let expected = [
@@ -207,19 +207,19 @@ fn rooms_that_are_added_after_all_was_done_are_done_too() {
     for (visit, to) in ["room-1", "room-0"].into_iter().enumerate() {
         let now_ns = (1 + 10 * visit as u64) * S;
         planner.hear(&scores(visit as u64 + 1, now_ns, &[0.6, 0.4]));
-        assert_eq!(planner.decide(now_ns, 0).unwrap().unwrap().to(), to);
+        assert_eq!(planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap().to(), to);
     }
     planner.hear(&scores(3, 21 * S, &[0.6, 0.4]));
-    let finished = planner.decide(21 * S, 0).unwrap().unwrap();
+    let finished = planner.decide(BootNs(21 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!((finished.action, finished.reason()), (action::STAY, "every room is covered"));
-    assert_eq!((planner.idle(21 * S), planner.decide(99 * S, 0).unwrap()), (TICK, None));
+    assert_eq!((planner.idle(BootNs(21 * S)), planner.decide(BootNs(99 * S), UnixNs(0)).unwrap()), (TICK, None));
 
     let added = RoomScoresV1 { map_fingerprint: [1; 32], ..scores(4, 100 * S, &[0.3, 0.3, 0.4]) };
     planner.hear(&added);
-    let decision = planner.decide(100 * S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(100 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!((decision.action, decision.to(), decision.covered), (action::GO, "room-2", 0b011));
     planner.hear(&RoomScoresV1 { published_ns: 110 * S, ..added });
-    assert_eq!(planner.decide(110 * S, 0).unwrap().unwrap().action, action::STAY);
+    assert_eq!(planner.decide(BootNs(110 * S), UnixNs(0)).unwrap().unwrap().action, action::STAY);
 }
 
 #[test]
@@ -229,7 +229,7 @@ fn a_long_round_of_short_stays_is_planned_in_bounds() {
     let scores = scores(1, S, &[1.0 / 64.0; 64]);
     planner.hear(&scores);
     planner.hear_forecast(&forecast(&scores, &[[0.5, 0.5]; 64]));
-    let decision = planner.decide(S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     assert!(decision.reason().contains("plan for 256 stays"), "{}", decision.reason());
 }
 
@@ -237,9 +237,9 @@ fn a_long_round_of_short_stays_is_planned_in_bounds() {
 fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
     let mut planner = planner(PolicyName::UncoveredFirst, true);
     planner.hear(&scores(1, S, &[0.5, 0.5]));
-    let first = planner.decide(S, 0).unwrap().unwrap();
+    let first = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     planner.hear(&scores(2, 11 * S, &[0.5, 0.5]));
-    planner.decide(11 * S, 0).unwrap().unwrap();
+    planner.decide(BootNs(11 * S), UnixNs(0)).unwrap().unwrap();
     // A room is added in front; the two known ones move by a place.
     let mut changed = scores(3, 12 * S, &[0.2, 0.4, 0.4]);
     changed.map_fingerprint = [1; 32];
@@ -247,48 +247,48 @@ fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
         room.id = text::encode("id", id).unwrap();
     }
     planner.hear(&changed);
-    assert!(planner.decide(12 * S, 0).unwrap().is_none(), "it goes on with its work");
+    assert!(planner.decide(BootNs(12 * S), UnixNs(0)).unwrap().is_none(), "it goes on with its work");
     planner.hear(&RoomScoresV1 { published_ns: 21 * S, ..changed });
-    let next = planner.decide(21 * S, 0).unwrap().unwrap();
+    let next = planner.decide(BootNs(21 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(next.to(), "garage", "the first room {} stays covered", first.to());
     // Another daemon with another map.
     let other = RoomScoresV1 { epoch: 6, map_fingerprint: [2; 32], ..scores(1, 22 * S, &[0.5, 0.5]) };
     planner.hear(&other);
-    assert_eq!(planner.decide(22 * S, 0).unwrap().unwrap().covered, 0);
+    assert_eq!(planner.decide(BootNs(22 * S), UnixNs(0)).unwrap().unwrap().covered, 0);
 }
 
 #[test]
 fn the_robot_goes_where_the_person_is_not_and_stays_for_its_time() {
     let mut planner = planner(PolicyName::GreedyAvoidance, true);
     planner.hear(&scores(1, S, &[0.7, 0.1, 0.2]));
-    let decision = planner.decide(S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     assert_eq!((decision.action, decision.to(), decision.flags), (action::GO, "room-1", 0));
     assert_eq!((decision.scores_sequence, decision.stay_ns), (1, 10 * S));
     planner.hear(&scores(2, 2 * S, &[0.1, 0.7, 0.2]));
-    assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "not free yet");
+    assert_eq!(planner.decide(BootNs(2 * S), UnixNs(0)).unwrap(), None, "not free yet");
     planner.hear(&scores(3, 11 * S, &[0.1, 0.7, 0.2]));
-    let decision = planner.decide(11 * S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(11 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
 }
 
 #[test]
 fn stale_scores_are_never_acted_upon() {
     let mut planner = planner(PolicyName::Naive, true);
-    let none = planner.decide(S, 0).unwrap().unwrap();
+    let none = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(none.flags, decision_flags::FALLBACK | decision_flags::NO_SCORES);
     assert_eq!((none.action, none.to()), (action::STAY, ""));
-    assert_eq!(planner.decide(2 * S, 0).unwrap(), None, "the fallback is said once");
+    assert_eq!(planner.decide(BootNs(2 * S), UnixNs(0)).unwrap(), None, "the fallback is said once");
 
     planner.hear(&scores(1, 3 * S, &[0.5, 0.5]));
-    let gone = planner.decide(3 * S, 0).unwrap().unwrap();
+    let gone = planner.decide(BootNs(3 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(gone.action, action::GO);
-    let silent = planner.decide(20 * S, 0).unwrap().unwrap();
+    let silent = planner.decide(BootNs(20 * S), UnixNs(0)).unwrap().unwrap();
     assert!(silent.has(decision_flags::FALLBACK) && silent.has(decision_flags::DAEMON_SILENT));
     assert_eq!((silent.action, silent.to()), (action::STAY, gone.to()));
 
     // A heartbeat makes the same scores good again.
     planner.hear(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
-    assert_eq!(planner.decide(21 * S, 0).unwrap().unwrap().action, action::GO);
+    assert_eq!(planner.decide(BootNs(21 * S), UnixNs(0)).unwrap().unwrap().action, action::GO);
 }
 
 /// One snapshot of a recording from a boot that had run for longer was acted upon for days, and the daemon was not heard.
@@ -298,19 +298,19 @@ fn what_is_dated_ahead_is_refused_and_the_daemon_is_heard() {
     let mut planner = Planner::new(&config, 1);
     let ahead = RoomScoresV1 { epoch: 9, ..scores(9, 240 * 3600 * S, &[0.1, 0.9]) };
     for far in [ahead, scores(9, u64::MAX, &[0.1, 0.9]), RoomScoresV1 { published_ns: S, ..ahead }] {
-        assert!(planner.take(&far, S).is_err());
-        assert_eq!(planner.stale(S), decision_flags::NO_SCORES);
+        assert!(planner.take(&far, BootNs(S)).is_err());
+        assert_eq!(planner.stale(BootNs(S)), decision_flags::NO_SCORES);
     }
-    let message = planner.take(&ahead, S).unwrap_err().to_string();
+    let message = planner.take(&ahead, BootNs(S)).unwrap_err().to_string();
     assert!(message.starts_with("dated 863999 s ahead"), "{message}");
-    assert!(planner.take_forecast(&forecast(&ahead, &[[0.0, 0.0]; 2]), S).is_err());
+    assert!(planner.take_forecast(&forecast(&ahead, &[[0.0, 0.0]; 2]), BootNs(S)).is_err());
     let sets = PersonForecastsV1 { published_ns: ahead.published_ns, ..Default::default() };
-    assert!(planner.take_persons(&sets, S).is_err());
+    assert!(planner.take_persons(&sets, BootNs(S)).is_err());
     assert!(planner.forecast.is_none() && planner.persons.is_none());
     // What two clocks may differ by is no reason to refuse anything.
-    planner.take(&scores(1, 2 * S, &[0.9, 0.1]), S).unwrap();
-    assert_eq!(planner.stale(2 * S), 0);
-    assert_ne!(planner.stale(12 * S), 0, "it goes stale as ever");
+    planner.take(&scores(1, 2 * S, &[0.9, 0.1]), BootNs(S)).unwrap();
+    assert_eq!(planner.stale(BootNs(2 * S)), 0);
+    assert_ne!(planner.stale(BootNs(12 * S)), 0, "it goes stale as ever");
 }
 
 #[test]
@@ -318,7 +318,7 @@ fn scores_that_a_failed_scorer_left_behind_are_stale_too() {
     let mut planner = planner(PolicyName::Naive, true);
     let failed = RoomScoresV1 { flags: score_flags::SCORER_FAILED, published_ns: 9 * S, ..scores(1, S, &[0.5, 0.5]) };
     planner.hear(&failed);
-    let decision = planner.decide(9 * S, 0).unwrap().unwrap();
+    let decision = planner.decide(BootNs(9 * S), UnixNs(0)).unwrap().unwrap();
     assert_eq!(decision.flags, decision_flags::FALLBACK | decision_flags::STALE);
 }
 
@@ -327,10 +327,10 @@ fn a_robot_that_is_always_free_decides_once_per_score() {
     let config = PlannerConfig { policy: PolicyName::GreedyAvoidance, room_time_s: 0.0, ..PlannerConfig::default() };
     let mut planner = Planner::new(&config, 1);
     planner.hear(&scores(1, S, &[0.7, 0.3]));
-    assert_eq!(planner.decide(S, 0).unwrap().unwrap().to(), "room-1");
-    assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
+    assert_eq!(planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap().to(), "room-1");
+    assert_eq!(planner.decide(BootNs(S + 1), UnixNs(0)).unwrap(), None);
     planner.hear(&scores(2, S + 2, &[0.2, 0.8]));
-    assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
+    assert_eq!(planner.decide(BootNs(S + 2), UnixNs(0)).unwrap().unwrap().to(), "room-0");
 }
 
 #[test]
@@ -341,7 +341,7 @@ fn coverage_ends_or_begins_again() {
         for visit in 0..3 {
             let now_ns = (1 + 10 * visit) * S;
             planner.hear(&scores(visit + 1, now_ns, &[0.6, 0.4]));
-            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
             visited.push((decision.to().to_owned(), decision.has(decision_flags::COVERED), decision.action));
         }
         assert_eq!(visited[0], ("room-1".to_owned(), false, action::GO));
@@ -358,10 +358,10 @@ fn old_and_foreign_snapshots_do_not_replace_newer_ones() {
     planner.hear(&scores(5, 5 * S, &[0.5, 0.5]));
     planner.hear(&scores(4, 6 * S, &[1.0, 0.0]));
     planner.hear(&RoomScoresV1 { epoch: 4, ..scores(9, 4 * S, &[1.0, 0.0]) });
-    assert_eq!(planner.decide(6 * S, 0).unwrap().unwrap().scores_sequence, 5);
+    assert_eq!(planner.decide(BootNs(6 * S), UnixNs(0)).unwrap().unwrap().scores_sequence, 5);
     // A restarted daemon counts from 1 again.
     planner.hear(&RoomScoresV1 { epoch: 6, ..scores(1, 20 * S, &[0.5, 0.5]) });
-    assert_eq!(planner.decide(20 * S, 0).unwrap().unwrap().scores_epoch, 6);
+    assert_eq!(planner.decide(BootNs(20 * S), UnixNs(0)).unwrap().unwrap().scores_epoch, 6);
 }
 
 /// A robot that reports, in a home of rooms, and its planner.
@@ -392,7 +392,7 @@ impl Home {
         let curves: Vec<_> = self.likely.iter().map(|p| [*p, *p]).collect();
         self.planner.hear(&scores);
         self.planner.hear_forecast(&ForecastV1 { flags: self.flags, ..forecast(&scores, &curves) });
-        self.planner.decide(at_s * S, 0).unwrap()
+        self.planner.decide(BootNs(at_s * S), UnixNs(0)).unwrap()
     }
 
     /// The decision of this moment: that there is one.
@@ -414,7 +414,7 @@ impl Home {
         };
         change(&mut report);
         report.check().unwrap();
-        self.planner.take_report(&report, at_s * S).unwrap();
+        self.planner.take_report(&report, BootNs(at_s * S)).unwrap();
     }
 
     /// The robot answers a decision.
@@ -706,7 +706,7 @@ fn a_restarted_planner_takes_no_report_of_work_twice() {
             decision_sequence,
             ..Default::default()
         };
-        planner.take_report(&report, at_s * S).unwrap();
+        planner.take_report(&report, BootNs(at_s * S)).unwrap();
         said.push(report);
     };
     let first = home.decision(1);
@@ -722,7 +722,7 @@ fn a_restarted_planner_takes_no_report_of_work_twice() {
     home.planner = Planner::new(&config, 2).with_kept(kept.clone());
     home.planner.hear(&home.scores(52 * S));
     for report in &said {
-        home.planner.take_report(report, 52 * S).unwrap();
+        home.planner.take_report(report, BootNs(52 * S)).unwrap();
     }
     assert_eq!(home.planner.kept("boot"), Some(kept));
 }
@@ -843,7 +843,7 @@ fn a_home_without_knowledge_is_equally_free_everywhere() {
         let mut planner = Planner::new(&PlannerConfig { policy, ..config.clone() }, 1);
         let unknown = RoomScoresV1 { flags: score_flags::NO_NARRATION, ..scores(1, S, &[0.7, 0.2, 0.1]) };
         planner.hear(&unknown);
-        let decision = planner.decide(S, 0).unwrap().unwrap();
+        let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
         assert!(decision.has(decision_flags::NOT_KNOWN) && (decision.probability - 1.0 / 3.0).abs() < 1e-9, "{policy}");
     }
 }
@@ -886,7 +886,7 @@ fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
             let scores = scores(at_s, at_s * S, &[0.9, 0.0]);
             planner.hear(&scores);
             planner.hear_forecast(&forecast(&scores, &[[0.9, 0.9], [0.0, 0.0]]));
-            last = planner.decide(at_s * S, 0).unwrap();
+            last = planner.decide(BootNs(at_s * S), UnixNs(0)).unwrap();
         }
         let last = last.unwrap();
         assert_eq!((last.to(), last.has(decision_flags::DEADLINE)), (to, forced == Forced::Enter), "{}", last.reason());
@@ -914,19 +914,19 @@ fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
     let mut planner = planner(PolicyName::CoverageAware, true).with_map(map.clone(), PartitionLevel::Room);
     planner.hear(&of_map(map.fingerprint()));
     for (sequence, (x, room)) in (1..).zip([(5.0, Some(1)), (1.0, Some(0)), (9.0, None)]) {
-        planner.take_report(&report(sequence, x), 9 * S).unwrap();
+        planner.take_report(&report(sequence, x), BootNs(9 * S)).unwrap();
         assert_eq!(planner.room(), room, "{x}");
     }
     let named = RobotReportV1 { room: text::encode("room", "Bedroom").unwrap(), flags: 0, ..report(4, 0.0) };
-    planner.take_report(&named, 9 * S).unwrap();
+    planner.take_report(&named, BootNs(9 * S)).unwrap();
     assert_eq!(planner.room(), Some(1), "by its name in the map");
     let unknown = RobotReportV1 { room: text::encode("room", "attic").unwrap(), flags: 0, ..report(5, 0.0) };
-    let fault = planner.take_report(&unknown, 9 * S).unwrap_err().to_string();
+    let fault = planner.take_report(&unknown, BootNs(9 * S)).unwrap_err().to_string();
     assert!(fault.contains("`attic`") && fault.contains("room-0, room-1"), "{fault}");
 
     let mut other = Planner::new(&PlannerConfig::default(), 1).with_map(map, PartitionLevel::Room);
     other.hear(&of_map([9; 32]));
-    assert_eq!(other.take_report(&report(1, 5.0), 9 * S), Err(ReportFault::OtherMap));
+    assert_eq!(other.take_report(&report(1, 5.0), BootNs(9 * S)), Err(ReportFault::OtherMap));
     assert_eq!(other.room(), None);
 }
 
@@ -945,7 +945,7 @@ fn a_room_that_is_none_is_not_the_one_in_hand() {
         room: text::encode("room", "attic").unwrap(),
         ..Default::default()
     };
-    assert!(matches!(home.planner.take_report(&unknown, 5 * S), Err(ReportFault::UnknownRoom { .. })));
+    assert!(matches!(home.planner.take_report(&unknown, BootNs(5 * S)), Err(ReportFault::UnknownRoom { .. })));
     assert_eq!(home.look(6), None, "it is still at work");
     home.answer(7, report_kind::FINISHED, &first);
     assert_eq!(home.decision(7).covered.count_ones(), 1);
@@ -966,7 +966,7 @@ fn a_decision_that_is_none_is_not_the_one_in_hand() {
         decision_sequence: 12_345,
         ..Default::default()
     };
-    let fault = home.planner.take_report(&unknown, 5 * S).unwrap_err();
+    let fault = home.planner.take_report(&unknown, BootNs(5 * S)).unwrap_err();
     assert_eq!(fault, ReportFault::UnknownDecision { decision: 12_345 });
     assert_eq!(home.look(6), None, "it is still at work");
 }
@@ -1129,16 +1129,16 @@ fn a_robot_waits_where_no_other_robot_is() {
     // Somebody is in room-0, which is left to do; the others are done.
     home.likely = vec![0.9, 0.0, 0.0];
     assert_eq!((home.decision(1).to(), home.decision(101).to()), ("room-1", "room-2"));
-    home.planner.take_other(&other(action::STAY, 1, "room-2", 200), 200 * S);
+    home.planner.take_other(&other(action::STAY, 1, "room-2", 200), BootNs(200 * S));
     let waits = home.decision(201);
     assert_eq!((waits.action, waits.to()), (action::STAY, "room-1"), "{}", waits.reason());
     assert_eq!(home.look(210), None);
-    home.planner.take_other(&other(action::GO, 2, "room-1", 220), 220 * S);
+    home.planner.take_other(&other(action::GO, 2, "room-1", 220), BootNs(220 * S));
     let leaves = home.decision(221);
     assert_eq!((leaves.action, leaves.to(), leaves.cancels), (action::STAY, "room-2", waits.sequence));
     assert!(leaves.reason().starts_with("another robot has the room-1, so it waits no longer there: "), "{leaves:?}");
     // Work comes before the other one's wait.
-    home.planner.take_other(&other(action::STAY, 3, "room-0", 230), 230 * S);
+    home.planner.take_other(&other(action::STAY, 3, "room-0", 230), BootNs(230 * S));
     home.likely = vec![0.0, 0.0, 0.0];
     assert_eq!((home.decision(231).action, home.planner.room()), (action::GO, Some(0)));
 }
@@ -1175,7 +1175,7 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
             let mut told = forecast(&scores, &curves);
             told.horizon_s[1] = 3600.0;
             planner.hear_forecast(&told);
-            let decision = planner.decide(now_ns, 0).unwrap().unwrap();
+            let decision = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap().unwrap();
             assert_eq!(decision.action == action::GO, works, "stay {stay}: {}", decision.reason());
             assert!(decision.to() != "room-0" && decision.covered.count_ones() as u64 == stay, "{}", decision.reason());
             let report = RobotReportV1 {
@@ -1188,7 +1188,7 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
                 decision_sequence: decision.sequence,
                 ..Default::default()
             };
-            planner.take_report(&report, now_ns + 290 * S).unwrap();
+            planner.take_report(&report, BootNs(now_ns + 290 * S)).unwrap();
         }
     }
 }
@@ -1299,7 +1299,7 @@ fn a_kept_round_of_another_map_is_left() {
     let kept = home.planner.kept("boot").unwrap();
     let mut planner = planner(PolicyName::CoverageAware, true).with_kept(kept);
     planner.hear(&RoomScoresV1 { map_fingerprint: [1; 32], ..scores(1, 150 * S, &[0.0, 0.0]) });
-    assert_eq!(planner.decide(150 * S, 0).unwrap().unwrap().covered, 0);
+    assert_eq!(planner.decide(BootNs(150 * S), UnixNs(0)).unwrap().unwrap().covered, 0);
 }
 
 /// Where the configuration says so, a room that somebody may be in is not entered, and a robot to which none is left pauses.
@@ -1331,7 +1331,7 @@ fn rooms_of_the_sets_are_not_entered() {
         let mut planner = Planner::new(&of(avoid_sets), 1);
         planner.hear(&scores);
         planner.hear_sets(sets);
-        planner.decide(S, 0).unwrap().unwrap()
+        planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap()
     };
     assert_eq!(decide(false, &sets).to(), "room-0");
     assert_eq!(decide(true, &sets).to(), "room-2");
@@ -1368,28 +1368,28 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
         // Without any sets no room is entered: that is said once.
         let first = scores(1, S, &[0.1, 0.5, 0.4]);
         planner.hear(&first);
-        assert!(planner.lacks_sets(S));
-        let without = planner.decide(S, 0).unwrap().unwrap();
+        assert!(planner.lacks_sets(BootNs(S)));
+        let without = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
         assert_eq!((without.action, without.to()), (action::PAUSE, ""));
         assert!(without.reason().contains("it is not known which rooms are in somebody's set"), "{}", without.reason());
-        assert_eq!(planner.decide(S + 1, 0).unwrap(), None);
+        assert_eq!(planner.decide(BootNs(S + 1), UnixNs(0)).unwrap(), None);
         // They come, and it goes at once.
         planner.hear_sets(&sets(&first, 0b010));
-        assert!(!planner.lacks_sets(S + 2));
-        assert_eq!(planner.decide(S + 2, 0).unwrap().unwrap().to(), "room-0");
+        assert!(!planner.lacks_sets(BootNs(S + 2)));
+        assert_eq!(planner.decide(BootNs(S + 2), UnixNs(0)).unwrap().unwrap().to(), "room-0");
         // Somebody moves, and the sets of that are still on their way.
         let second = scores(2, 12 * S, &[0.1, 0.5, 0.4]);
         planner.hear(&second);
         planner.hear_sets(&PersonForecastsV1 { published_ns: 12 * S, ..sets(&first, 0b010) });
-        assert!(planner.lacks_sets(12 * S));
-        assert_eq!(planner.decide(12 * S, 0).unwrap().unwrap().action, action::PAUSE);
+        assert!(planner.lacks_sets(BootNs(12 * S)));
+        assert_eq!(planner.decide(BootNs(12 * S), UnixNs(0)).unwrap().unwrap().action, action::PAUSE);
         planner.hear_sets(&sets(&second, 0b101));
-        assert_eq!(planner.decide(12 * S + 1, 0).unwrap().unwrap().to(), "room-1");
+        assert_eq!(planner.decide(BootNs(12 * S + 1), UnixNs(0)).unwrap().unwrap().to(), "room-1");
         // Sets that nobody has renewed are none.
         let third = RoomScoresV1 { published_ns: 23 * S, ..scores(2, 12 * S, &[0.1, 0.5, 0.4]) };
         planner.hear(&third);
-        assert!(planner.lacks_sets(23 * S));
-        if let Some(decision) = planner.decide(23 * S, 0).unwrap() {
+        assert!(planner.lacks_sets(BootNs(23 * S)));
+        if let Some(decision) = planner.decide(BootNs(23 * S), UnixNs(0)).unwrap() {
             assert_eq!(decision.action, action::PAUSE);
         }
     }
@@ -1417,12 +1417,12 @@ fn day_of_two(avoid: bool, delay_s: u64) -> (u64, u64, [usize; 2]) {
             on_the_way.retain(|(due, to, decision)| {
                 let arrives = *due <= second && *to == robot;
                 if arrives {
-                    planners[robot].take_other(decision, now_ns);
+                    planners[robot].take_other(decision, BootNs(now_ns));
                 }
                 !arrives
             });
             planners[robot].hear(&scores(second, now_ns, &[0.7, 0.1, 0.1, 0.05, 0.05]));
-            if let Some(decision) = planners[robot].decide(now_ns, 0).unwrap() {
+            if let Some(decision) = planners[robot].decide(BootNs(now_ns), UnixNs(0)).unwrap() {
                 last[robot] = Some(decision);
                 done[robot] += usize::from(decision.action == action::GO);
                 if !cut {
@@ -1466,7 +1466,7 @@ fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
         let paused = (3..60).find_map(|at_s| home.look(at_s)).unwrap();
         assert_eq!((paused.action, paused.from()), (action::PAUSE, first.to()));
         if silent {
-            let fallback = home.planner.decide(1000 * S, 0).unwrap().unwrap();
+            let fallback = home.planner.decide(BootNs(1000 * S), UnixNs(0)).unwrap().unwrap();
             fallback.check().unwrap();
             assert!(fallback.has(decision_flags::FALLBACK | decision_flags::DAEMON_SILENT));
             assert_eq!((fallback.action, fallback.to()), (action::PAUSE, ""));
@@ -1475,7 +1475,7 @@ fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
                 "{}",
                 fallback.reason()
             );
-            assert_eq!(home.planner.decide(1001 * S, 0).unwrap(), None, "said once");
+            assert_eq!(home.planner.decide(BootNs(1001 * S), UnixNs(0)).unwrap(), None, "said once");
             // What it pauses for is looked at again.
             assert_eq!(home.decision(1002).flags & decision_flags::FALLBACK, 0);
         }
@@ -1511,6 +1511,6 @@ fn a_robot_that_waits_and_goes_to_charge_has_failed_at_nothing() {
     assert!(home.planner.robot.work.is_none() && home.planner.robot.charges);
     // In the next round its first failure is one.
     home.planner.round.begin_again();
-    home.planner.round.fail(0, 300 * S);
+    home.planner.round.fail(0, BootNs(300 * S));
     assert_eq!(home.planner.round.failed().map(|(_, _, failures)| failures).collect::<Vec<_>>(), [1]);
 }

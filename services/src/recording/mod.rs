@@ -18,7 +18,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError};
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
+    Presence, RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
 };
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
@@ -28,10 +28,10 @@ use self::chunks::TooMuch;
 pub use self::tape::Received;
 use self::tape::{Form, Tape};
 use crate::config::IntakeLimits;
-use crate::daemon::{Intake, Taken, presence_word};
+use crate::daemon::{Intake, Taken};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
@@ -221,7 +221,7 @@ impl Recorded {
             Self::PersonScores(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
                 "person": message.persons().iter().map(|person| json!({
-                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
                     "since_ns": person.since_ns, "elsewhere": person.elsewhere, "flags": person.flags,
                     "label_mass": person.label_mass,
                     "rooms": message.probabilities(person).zip(person.log_score_nats).map(|((id, probability), nats)| json!({
@@ -242,7 +242,7 @@ impl Recorded {
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
                 "horizon_s": message.horizons_s(),
                 "person": message.persons().iter().map(|person| json!({
-                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
                     "flags": person.flags, "elsewhere": person.elsewhere.get(..message.horizon_count as usize),
                     "rooms": message.rooms().zip(&person.probability).map(|(id, row)| json!({
                         "id": id, "probability": row.get(..message.horizon_count as usize),
@@ -447,8 +447,8 @@ impl Recorder {
             channel_id: self.channels[message.topic()],
             // The file's field has 32 bits; the whole number is in the message.
             sequence: message.sequence() as u32,
-            log_time: received_ns,
-            publish_time: received.unix_ns,
+            log_time: received_ns.0,
+            publish_time: received.unix_ns.0,
         };
         self.tape.write(&header, data.to_string().as_bytes())
     }
@@ -462,8 +462,8 @@ impl Recorder {
         let data = serde_json::to_vec(moment).unwrap_or_default();
         let received_ns = self.tape.time_ns(received);
         self.tape.attach(&Attachment {
-            log_time: received_ns,
-            create_time: received_ns,
+            log_time: received_ns.0,
+            create_time: received_ns.0,
             name: format!("{MOMENT_FILES}{}-{}.json", moment.epoch, moment.sequence),
             media_type: "application/json".to_owned(),
             data: data.into(),
@@ -583,7 +583,7 @@ impl Recording {
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
         for (message, is_claimed) in claimed.chain(unclaimed.map(|(message, _)| (message, false))) {
             // The time of an observation is compared with what the daemon says of persons, so it is kept as it is.
-            let taken = intake.take(message, Sender::simulated(message.source), message.observed_ns);
+            let taken = intake.take(message, Sender::simulated(message.source), BootNs(message.observed_ns));
             let Taken::Accepted { observation, .. } = taken else { continue };
             let last = narration.last().map(|(person, _)| *person);
             let likely = last.or_else(|| match told.map(PersonScoresV1::persons) {
@@ -687,7 +687,7 @@ impl Recording {
             })
         };
         let is_newest =
-            |person: &PersonV1| observation.observed_ns > 0 && person.observed_ns == observation.observed_ns;
+            |person: &PersonV1| observation.observed_ns > BootNs(0) && person.observed_ns == observation.observed_ns.0;
         match observation.name.as_deref() {
             Some(name) => told(&|person| same_name(person.name(), name))
                 .or_else(|| told(&|person| !person.has(person_flags::BY_FIT) && is_newest(person)))
@@ -870,7 +870,7 @@ mod tests {
 
     /// A time when both clocks say the same.
     fn at(ns: u64) -> Received {
-        Received { unix_ns: ns, monotonic_ns: ns }
+        Received { unix_ns: UnixNs(ns), monotonic_ns: BootNs(ns) }
     }
 
     fn recorded(messages: &[(u64, Recorded)]) -> (tempfile::TempDir, PathBuf) {
@@ -1078,7 +1078,9 @@ mod tests {
         let (hour_ns, now_ns) = (3_600_000_000_000, 1_800_000_000_000_000_000);
         let wall = [hour_ns, hour_ns + 1_000, now_ns, now_ns + 1_000, now_ns - hour_ns, 0, now_ns];
         for ((unix_ns, monotonic_ns), (_, message)) in wall.into_iter().zip((500..).step_by(1_000)).zip(messages()) {
-            recorder.write(&message, Received { unix_ns, monotonic_ns }).unwrap();
+            recorder
+                .write(&message, Received { unix_ns: UnixNs(unix_ns), monotonic_ns: BootNs(monotonic_ns) })
+                .unwrap();
         }
         recorder.finish().unwrap();
         let times: Vec<u64> = read(&path).unwrap().messages.into_iter().map(|(time, _)| time - hour_ns).collect();

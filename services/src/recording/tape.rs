@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, McapError, WriteOptions, Writer};
+use roomcast_core::ids::{BootNs, UnixNs};
 
 use super::RecordingError;
 
@@ -28,9 +29,9 @@ pub(super) struct Form<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Received {
     /// By the wall clock.
-    pub unix_ns: u64,
+    pub unix_ns: UnixNs,
     /// By the monotonic clock, at the same time.
-    pub monotonic_ns: u64,
+    pub monotonic_ns: BootNs,
 }
 
 /// The file.
@@ -77,9 +78,9 @@ impl Tape {
 
     /// The time of a receipt in the file. It starts by the wall clock and goes on by the monotonic one: a wall clock that is set meanwhile, as
     /// of a robot that finds the network after its start, would tear the file apart or fold it.
-    pub(super) fn time_ns(&mut self, received: Received) -> u64 {
+    pub(super) fn time_ns(&mut self, received: Received) -> UnixNs {
         let begun = *self.begun.get_or_insert(received);
-        begun.unix_ns.saturating_add(received.monotonic_ns.saturating_sub(begun.monotonic_ns))
+        begun.unix_ns.saturating_add(received.monotonic_ns.since(begun.monotonic_ns))
     }
 
     /// Appends a message.

@@ -42,6 +42,7 @@ use crate::condition::{Condition, ConditionKeys, State, comparable};
 use crate::daemon::Zone;
 use crate::line::{Faults, Item, LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Class, Device, Keys, Saying, Whereabouts};
+use roomcast_core::ids::UnixNs;
 use roomcast_core::narration::SensorKind;
 use roomcast_core::parsing::{list_of_keyed, toml_says};
 use roomcast_core::text::{read_at_most, read_text_at_most};
@@ -547,7 +548,7 @@ impl SensorRules {
 
     /// How far the clock of the zone is ahead of a universal time. A smaller number has no known origin.
     fn ahead_s(&self, at_s: f64) -> f64 {
-        if at_s < UNIVERSAL_FROM_S { 0.0 } else { self.zone.local_s((at_s * 1e9) as u64) - at_s }
+        if at_s < UNIVERSAL_FROM_S { 0.0 } else { self.zone.local_s(UnixNs((at_s * 1e9) as u64)) - at_s }
     }
 
     /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.

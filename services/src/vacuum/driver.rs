@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
 
 use super::dialect::{Order, Sensed, Status};
@@ -43,7 +44,7 @@ pub enum Act {
 struct Work {
     decision: u64,
     room: String,
-    asked_ns: u64,
+    asked_ns: BootNs,
 }
 
 /// What the driver is about.
@@ -52,9 +53,9 @@ enum State {
     /// Nothing is under way.
     Free,
     /// An order is given, and the robot's state does not show it yet. `differed`: its state was another than ordered, then or since.
-    Ordered { order: Order, since_ns: u64, tries: u32, differed: bool },
+    Ordered { order: Order, since_ns: BootNs, tries: u32, differed: bool },
     /// The robot is at work for a decision. `left_ns`: since when it is not any more.
-    Working { since_ns: u64, left_ns: Option<u64>, paused_ns: Option<u64> },
+    Working { since_ns: BootNs, left_ns: Option<BootNs>, paused_ns: Option<BootNs> },
 }
 
 /// Follows the decisions for one robot.
@@ -98,8 +99,8 @@ pub struct Driver {
     wish: Option<Work>,
     state: State,
     /// A robot that charges in the middle of its work is not to go on by itself: how often it is told so still, and when next.
-    forgets: Option<(u32, u64)>,
-    told_ns: u64,
+    forgets: Option<(u32, BootNs)>,
+    told_ns: BootNs,
     told_battery: Option<f64>,
     /// What became of the last work.
     outcome: Option<Report>,
@@ -140,7 +141,7 @@ impl Driver {
             wish: None,
             state: State::Free,
             forgets: None,
-            told_ns: 0,
+            told_ns: BootNs(0),
             told_battery: None,
             outcome: None,
         }
@@ -185,7 +186,7 @@ impl Driver {
 
     /// Takes a checked decision.
     #[must_use]
-    pub fn decide(&mut self, decision: &DecisionV1, now_ns: u64) -> Vec<Act> {
+    pub fn decide(&mut self, decision: &DecisionV1, now_ns: BootNs) -> Vec<Act> {
         let own = (decision.epoch, decision.sequence);
         let is_order = decision.robot == self.number && !decision.has(decision_flags::ELSEWHERE);
         if !is_order || self.decided == Some(own) {
@@ -205,7 +206,7 @@ impl Driver {
         acts
     }
 
-    fn go(&mut self, decision: &DecisionV1, now_ns: u64, acts: &mut Vec<Act>) {
+    fn go(&mut self, decision: &DecisionV1, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.is_to_end = false;
         let (sequence, room) = (decision.sequence, decision.to().to_owned());
         let is_ending = self.is_ending();
@@ -231,7 +232,7 @@ impl Driver {
     }
 
     /// The work in hand ends: a person has come, or the robot is to wait.
-    fn stop_work(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn stop_work(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.wish = None;
         let is_ordered = matches!(self.state, State::Ordered { .. });
         // A robot that was told to clean may begin at any moment, whatever it has said so far, and one that is cut off goes on.
@@ -255,7 +256,7 @@ impl Driver {
         matches!(&self.state, State::Ordered { order, .. } if !matches!(order, Order::Clean { .. }))
     }
 
-    fn order(&mut self, order: Order, now_ns: u64, acts: &mut Vec<Act>) {
+    fn order(&mut self, order: Order, now_ns: BootNs, acts: &mut Vec<Act>) {
         acts.push(Act::Order(order.clone()));
         // Whoever only says what it would do waits for nothing.
         if self.obeys {
@@ -270,7 +271,7 @@ impl Driver {
     /// Takes whether the broker is connected. While it is not, nothing is known of the robot; what it does is told again with the next
     /// connection.
     #[must_use]
-    pub fn link(&mut self, is_connected: bool, now_ns: u64) -> Vec<Act> {
+    pub fn link(&mut self, is_connected: bool, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
         if self.connected == is_connected {
             return acts;
@@ -296,7 +297,7 @@ impl Driver {
 
     /// Takes what the robot says.
     #[must_use]
-    pub fn sense(&mut self, sensed: Sensed, now_ns: u64) -> Vec<Act> {
+    pub fn sense(&mut self, sensed: Sensed, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
         self.is_heard = true;
         let says_status = matches!(sensed, Sensed::Status(_));
@@ -334,7 +335,7 @@ impl Driver {
     }
 
     /// The robot has told its state, or is connected with the one that it told before.
-    fn look_at_status(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
+    fn look_at_status(&mut self, before: Option<Status>, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some(status) = self.status else { return };
         self.is_new &= status == Status::Cleaning;
         let seen = self.seen.replace(status);
@@ -349,18 +350,18 @@ impl Driver {
 
     /// Takes that time has passed.
     #[must_use]
-    pub fn tick(&mut self, now_ns: u64) -> Vec<Act> {
+    pub fn tick(&mut self, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
         self.step(now_ns, &mut acts);
         // Only of work: a robot that does nothing must not seem to be at what it was sent to do. Nor one that is away.
         let works = matches!(self.state, State::Working { .. }) && self.status.is_some();
-        if works && now_ns.saturating_sub(self.told_ns) >= TELL_NS {
+        if works && now_ns.since(self.told_ns) >= TELL_NS {
             self.tell(now_ns, &mut acts);
         }
         acts
     }
 
-    fn tell(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn tell(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         (self.told_ns, self.told_battery) = (now_ns, self.battery);
         let works = matches!(self.state, State::Working { .. });
         match (&self.wish, self.battery) {
@@ -373,7 +374,7 @@ impl Driver {
     }
 
     /// Goes on as far as the robot's state allows.
-    fn step(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn step(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.forget(now_ns, acts);
         match self.state.clone() {
             State::Free => self.start(now_ns, acts),
@@ -387,7 +388,7 @@ impl Driver {
     }
 
     /// Tells a robot at its dock that it is not to go on by itself. Of Home Assistant's nobody knows whether it has heard.
-    fn forget(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn forget(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some((left, next_ns)) = self.forgets else { return };
         let means_to = self.resumes || self.kind == RobotKind::HomeAssistant;
         // What it is sent to do next takes the place of what it has left.
@@ -400,7 +401,7 @@ impl Driver {
     }
 
     /// Begins what is wished for.
-    fn start(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn start(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some(work) = self.wish.clone() else { return };
         let is_new = self.is_new && self.obeys;
         self.is_new &= self.status.is_none();
@@ -417,7 +418,7 @@ impl Driver {
                 // What segments there are is known soon after the connection.
                 Err(_)
                     if self.segments.as_ref().is_none_or(BTreeMap::is_empty)
-                        && now_ns.saturating_sub(work.asked_ns) < self.start_ns => {}
+                        && now_ns.since(work.asked_ns) < self.start_ns => {}
                 Err(why) => self.end(Kind::Blocked, &why, acts),
             },
         }
@@ -430,7 +431,7 @@ impl Driver {
     }
 
     /// The robot has told its state. One that begins what it is to end is told again at once: it may not have heard it at its dock.
-    fn look_at_change(&mut self, before: Option<Status>, now_ns: u64, acts: &mut Vec<Act>) {
+    fn look_at_change(&mut self, before: Option<Status>, now_ns: BootNs, acts: &mut Vec<Act>) {
         let State::Ordered { order, since_ns, tries, differed } = self.state.clone() else { return };
         let begins = self.status == Some(Status::Cleaning) && before != self.status;
         let again = self.is_ending() && begins;
@@ -457,9 +458,9 @@ impl Driver {
     fn look_at_order(
         &mut self,
         order: Order,
-        (since_ns, tries): (u64, u32),
+        (since_ns, tries): (BootNs, u32),
         differed: bool,
-        now_ns: u64,
+        now_ns: BootNs,
         acts: &mut Vec<Act>,
     ) {
         let cleans = matches!(order, Order::Clean { .. });
@@ -470,7 +471,7 @@ impl Driver {
             }
             return self.start(now_ns, acts);
         }
-        let (is_so, is_late) = (self.is_as_ordered(&order), now_ns.saturating_sub(since_ns) >= self.start_ns);
+        let (is_so, is_late) = (self.is_as_ordered(&order), now_ns.since(since_ns) >= self.start_ns);
         // A state that was so before the order is no answer: a robot at its dock may be about to leave it. One that stays so is told again,
         // and then taken for one that has nothing to end.
         if is_so && (differed || is_late && tries >= TRIES) {
@@ -527,7 +528,7 @@ impl Driver {
     }
 
     /// The robot is at work.
-    fn begin(&mut self, now_ns: u64, acts: &mut Vec<Act>) {
+    fn begin(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.state = State::Working { since_ns: now_ns, left_ns: None, paused_ns: None };
         self.told_ns = now_ns;
         self.report(Kind::Started, "", acts);
@@ -535,10 +536,10 @@ impl Driver {
 
     fn look_at_work(
         &mut self,
-        since_ns: u64,
-        left_ns: Option<u64>,
-        paused_ns: Option<u64>,
-        now_ns: u64,
+        since_ns: BootNs,
+        left_ns: Option<BootNs>,
+        paused_ns: Option<BootNs>,
+        now_ns: BootNs,
         acts: &mut Vec<Act>,
     ) {
         let (mut left, mut paused) = (None, None);
@@ -549,14 +550,14 @@ impl Driver {
             Some(Status::Cleaning) | None => {}
         }
         self.state = State::Working { since_ns, left_ns: left, paused_ns: paused };
-        let for_ns = |since: Option<u64>| since.map(|since_ns| now_ns.saturating_sub(since_ns));
+        let for_ns = |since: Option<BootNs>| since.map(|since_ns| now_ns.since(since_ns));
         if for_ns(left).is_some_and(|left_ns| left_ns >= SETTLE_NS) {
             let is_empty = self.recharge_at.zip(self.battery).is_some_and(|(at, battery)| battery <= at);
             if self.resumes || is_empty {
                 self.forgets = Some((TRIES, now_ns));
                 return self.end(Kind::Failed, "the robot has to charge before it can go on", acts);
             }
-            let worked_ns = left.unwrap_or(now_ns).saturating_sub(since_ns);
+            let worked_ns = left.unwrap_or(now_ns).since(since_ns);
             if worked_ns < self.least_ns {
                 let why = format!(
                     "the robot left after {} s: somebody has called it home, or robot.least_s is too long",
@@ -569,7 +570,7 @@ impl Driver {
         if for_ns(paused).is_some_and(|paused_ns| paused_ns >= self.most_ns.min(10 * self.start_ns)) {
             return self.end(Kind::Cancelled, "somebody has paused the robot", acts);
         }
-        if now_ns.saturating_sub(since_ns) >= self.most_ns {
+        if now_ns.since(since_ns) >= self.most_ns {
             self.end(Kind::Failed, "the robot is at it for longer than it may take", acts);
             self.order(Order::Home, now_ns, acts);
         }

@@ -448,7 +448,7 @@ fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) 
     let check = "rules that fit";
     let never: Vec<_> =
         rules.about().zip(fitted).filter(|(_, fitted)| **fitted == Some(0)).map(|(rule, _)| rule).collect();
-    let hours = roomcast_ipc::clock::unix_ns() / 1_000_000_000;
+    let hours = roomcast_services::clock::unix_ns().0 / 1_000_000_000;
     let hours = hours.saturating_sub(counted.since_unix_s) as f64 / 3600.0;
     if never.is_empty() {
         return Finding::good(check, format!("every rule that was counted fitted a message, in {hours:.1} h"));

@@ -1,6 +1,6 @@
 //! From an event to its persons: the key, the name at the start of the text, or the joint filter.
 
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
@@ -382,7 +382,7 @@ impl<M: LanguageModel> Board<M> {
         let is_lying = |person| self.persons.get(person).is_some_and(|known| known.on_bed);
         let followed = (&self.followed, is_lying);
         self.tracking = Tracking::new(home, persons.into_iter(), followed, &self.sensors, of).map(Box::new);
-        self.tell_robots(at_ns.try_into().unwrap_or_default());
+        self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
     /// Weighs an event of a former run. Whom it moved is known.

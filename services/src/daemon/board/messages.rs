@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Partition;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::Presence;
 use roomcast_core::pipeline::Included;
 use roomcast_core::scorer::LanguageModel;
@@ -24,13 +24,13 @@ const SURELY_EMPTY: f64 = 0.9;
 impl<M: LanguageModel> Board<M> {
     /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
     /// a room. Without an observation every room is as likely, and a flag says so.
-    pub fn forecast(&mut self, now_ns: u64) -> &ForecastV1 {
+    pub fn forecast(&mut self, now_ns: BootNs) -> &ForecastV1 {
         self.watch();
         self.track(now_ns);
         let tracker = self.tracking.as_ref().map(|own| own.now());
         let (message, rooms) = (&mut *self.forecast, self.snapshot.rooms());
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
-        (message.computed_ns, message.published_ns) = (now_ns, now_ns);
+        (message.computed_ns, message.published_ns) = (now_ns.0, now_ns.0);
         (message.room_count, message.person) = (self.snapshot.room_count, self.snapshot.person);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.minor, message.flags) = (2, 0);
@@ -50,7 +50,7 @@ impl<M: LanguageModel> Board<M> {
             Some(own) => followed.iter().filter(|(person, _)| !own.follows(**person)).map(|(_, own)| own).collect(),
             None => Vec::new(),
         };
-        let now_s = now_ns as f64 / 1e9;
+        let now_s = now_ns.seconds();
         let others_out: f64 = untracked.iter().map(|own| own.elsewhere(now_s, 0.0)).product();
         let is_empty =
             tracker.map_or(self.persons.nobody_is_home(), |own| own.house_empty() * others_out > SURELY_EMPTY);
@@ -108,9 +108,9 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Runs the joint filter to a time and gives each forecaster its belief.
-    fn track(&mut self, now_ns: u64) {
+    fn track(&mut self, now_ns: BootNs) {
         let Some(tracking) = &mut self.tracking else { return };
-        tracking.look(i64::try_from(now_ns).unwrap_or(i64::MAX), self.local_ahead_s);
+        tracking.look(i64::try_from(now_ns.0).unwrap_or(i64::MAX), self.local_ahead_s);
         self.told.retain(|person, _| self.followed.contains_key(person));
         for (person, own) in &self.followed {
             let told = self.told.entry(*person).or_insert_with(|| own.clone());
@@ -119,18 +119,18 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Where each person will be, as [`Board::forecast`]; of at most [`MAX_PERSONS`], those that [`Board::persons`] names.
-    pub fn person_forecasts(&mut self, now_ns: u64) -> &PersonForecastsV1 {
+    pub fn person_forecasts(&mut self, now_ns: BootNs) -> &PersonForecastsV1 {
         self.watch();
         self.track(now_ns);
-        let signed_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        let signed_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         let followed = if self.tracking.is_some() { &self.told } else { &self.followed };
         let (message, scores) = (&mut *self.person_forecasts, &self.person_scores);
         (message.epoch, message.sequence) = (self.snapshot.epoch, self.snapshot.sequence);
-        (message.computed_ns, message.published_ns, message.minor) = (now_ns, now_ns, 1);
+        (message.computed_ns, message.published_ns, message.minor) = (now_ns.0, now_ns.0, 1);
         (message.room_count, message.id) = (scores.room_count, scores.id);
         (message.horizon_count, message.horizon_s) = (HORIZONS_S.len() as u32, HORIZONS_S);
         (message.persons, message.person_count) = (scores.persons, scores.person_count);
-        let (rooms, now_s) = (scores.room_count as usize, now_ns as f64 / 1e9);
+        let (rooms, now_s) = (scores.room_count as usize, now_ns.seconds());
         let mut places = message.person.iter_mut();
         for (person, place) in scores.persons().iter().map(|scores| PersonId(scores.person)).zip(&mut places) {
             let name = self.persons.name_bytes(person);
@@ -172,12 +172,12 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
-    pub fn message(&mut self, now_ns: u64, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
+    pub fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
         // What a failed scorer is behind with has a flag of its own.
         let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.is_behind();
         let behind = behind || waits;
         let message = &mut self.snapshot;
-        message.published_ns = now_ns;
+        message.published_ns = now_ns.0;
         message.flags &= !(score_flags::HEARTBEAT | score_flags::BEHIND);
         message.flags |= if heartbeat { score_flags::HEARTBEAT } else { 0 };
         message.flags |= if behind { score_flags::BEHIND } else { 0 };
@@ -186,11 +186,11 @@ impl<M: LanguageModel> Board<M> {
 
     /// Each person's scores of the last good step as a message, to be sent at `now_ns`: of at most [`MAX_PERSONS`], those who were observed
     /// last.
-    pub fn person_scores(&mut self, now_ns: u64) -> &PersonScoresV1 {
+    pub fn person_scores(&mut self, now_ns: BootNs) -> &PersonScoresV1 {
         self.watch();
         let message = &mut *self.person_scores;
-        message.published_ns = now_ns;
-        let now_ns = i64::try_from(now_ns).unwrap_or(i64::MAX);
+        message.published_ns = now_ns.0;
+        let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         for person in message.person.iter_mut().take(message.person_count as usize) {
             let id = PersonId(person.person);
             person.flags = self.persons.flags(id, now_ns);
@@ -251,7 +251,7 @@ impl<M: LanguageModel> Board<M> {
         }
         snapshot.reached = reached_value(scores.reached);
         snapshot.label_mass = grounded.label_mass;
-        snapshot.observed_ns = scores.newest_observed_ns;
+        snapshot.observed_ns = scores.newest_observed_ns.0;
         snapshot.tokenise_ns = scores.timing.tokenise_ns;
         snapshot.prefix_ns = scores.timing.prefix_ns;
         snapshot.trie_ns = scores.timing.trie_ns;
@@ -287,7 +287,7 @@ impl<M: LanguageModel> Board<M> {
                 source: included.source,
                 epoch: included.epoch,
                 sequence: included.sequence,
-                observed_ns: included.observed_ns,
+                observed_ns: included.observed_ns.0,
                 accepted: included.accepted,
             };
         }

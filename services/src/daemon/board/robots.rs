@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
 use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
@@ -24,7 +25,7 @@ struct Robot {
     to: Option<usize>,
     /// It stands: at its dock, after its work, or in a pause.
     stands: bool,
-    heard_ns: u64,
+    heard_ns: BootNs,
 }
 
 impl Robot {
@@ -38,7 +39,7 @@ impl Robot {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Robots {
     robots: BTreeMap<u64, Robot>,
-    told_ns: u64,
+    told_ns: BootNs,
 }
 
 impl Robots {
@@ -50,11 +51,9 @@ impl Robots {
     }
 
     /// The rooms in which robots may move: each robot's room, and the rooms on its way.
-    pub(super) fn rooms(&self, home: &Home, now_ns: u64) -> Vec<usize> {
+    pub(super) fn rooms(&self, home: &Home, now_ns: BootNs) -> Vec<usize> {
         let mut rooms = Vec::new();
-        for robot in
-            self.robots.values().filter(|robot| !robot.stands && now_ns.saturating_sub(robot.heard_ns) < SILENT_NS)
-        {
+        for robot in self.robots.values().filter(|robot| !robot.stands && now_ns.since(robot.heard_ns) < SILENT_NS) {
             rooms.extend(robot.room);
             let mut here = robot.room;
             for _ in 0..home.rooms() {
@@ -75,7 +74,7 @@ impl Robots {
 
 impl<M: LanguageModel> Board<M> {
     /// Takes in where a robot is.
-    pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: u64) {
+    pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: BootNs) {
         let is_bare = report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty();
         if is_bare || report.is_order() {
             return;
@@ -101,13 +100,13 @@ impl<M: LanguageModel> Board<M> {
         if robot.room == robot.to {
             robot.to = None;
         }
-        if !before.is_alike(robot) || now_ns.saturating_sub(self.robots.told_ns) > AGAIN_NS {
+        if !before.is_alike(robot) || now_ns.since(self.robots.told_ns) > AGAIN_NS {
             self.tell_robots(now_ns);
         }
     }
 
     /// Takes in where a robot goes.
-    pub(in crate::daemon) fn see_decision(&mut self, decision: &DecisionV1, now_ns: u64) {
+    pub(in crate::daemon) fn see_decision(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         let to = room_named(decision.to(), &self.map, self.pipeline.grounding());
         let Some(robot) = self.robots.get(decision.robot) else { return };
         let before = *robot;
@@ -117,16 +116,16 @@ impl<M: LanguageModel> Board<M> {
         } else {
             (robot.to, robot.stands) = (None, true);
         }
-        if !before.is_alike(robot) || now_ns.saturating_sub(self.robots.told_ns) > AGAIN_NS {
+        if !before.is_alike(robot) || now_ns.since(self.robots.told_ns) > AGAIN_NS {
             self.tell_robots(now_ns);
         }
     }
 
     /// Gives the filter the robots' rooms.
-    pub(super) fn tell_robots(&mut self, now_ns: u64) {
+    pub(super) fn tell_robots(&mut self, now_ns: BootNs) {
         self.robots.told_ns = now_ns;
         if let Some(tracking) = &mut self.tracking {
-            tracking.robots(&self.robots, i64::try_from(now_ns).unwrap_or(i64::MAX));
+            tracking.robots(&self.robots, i64::try_from(now_ns.0).unwrap_or(i64::MAX));
         }
     }
 }

@@ -37,8 +37,8 @@ fn board() -> Board<TableModel> {
 fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
     Observation {
         person,
-        observed_ns: at_ns,
-        observed_unix_ns: 1_000_000 * S + at_ns,
+        observed_ns: BootNs(at_ns),
+        observed_unix_ns: UnixNs(1_000_000 * S + at_ns),
         ..Observation::of(at_ns, Sentence::new(sentence).unwrap())
     }
 }
@@ -59,7 +59,7 @@ proptest! {
             let kind = if text.starts_with("They") { narration_kind::SENTENCE } else { narration_kind::PRESENCE };
             let event = event_of(kind, text).unwrap();
             let observation = Observation { source, person, event, ..observation(person, at_ns, "They sit.") };
-            Entry { voice, ..Entry::new(observation, at_ns) }
+            Entry { voice, ..Entry::new(observation, BootNs(at_ns)) }
         };
         let (mut with, mut without) = (home(), home());
         let (mut heard, mut heard_alone) = (Vec::new(), Vec::new());
@@ -69,8 +69,8 @@ proptest! {
             let first = entry(NAMED, own, PersonId(person), at_ns, ["They open the fridge.", "They sit on the sofa."][person as usize]);
             heard.push(first.observation.clone());
             heard_alone.push(first.observation.clone());
-            with.step([first.clone()], at_ns, 1_000_000 * S + at_ns).unwrap();
-            without.step([first], at_ns, 1_000_000 * S + at_ns).unwrap();
+            with.step([first.clone()], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
+            without.step([first], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
         }
         for (what, person, later_s, takes_number, named_says) in said {
             at_ns += S / 4;
@@ -86,16 +86,16 @@ proptest! {
             if !takes_number {
                 heard.push(strange.observation.clone());
             }
-            with.step([strange], at_ns, 1_000_000 * S + at_ns).unwrap();
-            without.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+            with.step([strange], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
+            without.step([], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
             // What a named one says of nobody by name means the same.
             let named = [(PersonId::SOMEBODY, "They grab the mug."), (PersonId::SOMEBODY, "They walk to the sofa."), (PersonId::SOMEBODY, "away"), (PersonId(1), "They sit on the sofa.")];
             if let Some((who, text)) = named.get(named_says) {
                 let own = entry(NAMED, own, *who, at_ns, text);
                 heard.push(own.observation.clone());
                 heard_alone.push(own.observation.clone());
-                with.step([own.clone()], at_ns, 1_000_000 * S + at_ns).unwrap();
-                without.step([own], at_ns, 1_000_000 * S + at_ns).unwrap();
+                with.step([own.clone()], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
+                without.step([own], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
             }
             let rooms = |board: &Board<TableModel>| board.snapshot().rooms().iter().map(|room| room.probability).collect::<Vec<_>>();
             for (with, without) in rooms(&with).iter().zip(rooms(&without)) {
@@ -103,13 +103,13 @@ proptest! {
             }
         }
         let (mut again, mut again_alone) = (home(), home());
-        again.restore(recovered(heard), at_ns, 1_000_000 * S + at_ns);
-        again_alone.restore(recovered(heard_alone), at_ns, 1_000_000 * S + at_ns);
-        again.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
-        again_alone.step([], at_ns, 1_000_000 * S + at_ns).unwrap();
+        again.restore(recovered(heard), BootNs(at_ns), UnixNs(1_000_000 * S + at_ns));
+        again_alone.restore(recovered(heard_alone), BootNs(at_ns), UnixNs(1_000_000 * S + at_ns));
+        again.step([], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
+        again_alone.step([], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
         for (with, without) in [(&mut with, &mut without), (&mut again, &mut again_alone)] {
-            let (scores, alone) = (*with.person_scores(at_ns), *without.person_scores(at_ns));
-            let (ahead, ahead_alone) = (*with.person_forecasts(at_ns), *without.person_forecasts(at_ns));
+            let (scores, alone) = (*with.person_scores(BootNs(at_ns)), *without.person_scores(BootNs(at_ns)));
+            let (ahead, ahead_alone) = (*with.person_forecasts(BootNs(at_ns)), *without.person_forecasts(BootNs(at_ns)));
             for person in 0..2 {
                 let of = |scores: &PersonScoresV1| *scores.persons().iter().find(|own| own.person == person).unwrap();
                 prop_assert_eq!(of(&scores).probability, of(&alone).probability);
@@ -137,7 +137,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     let told = |voice: Voice, source: u64, epoch: u64, at_s: u64, sentence: &str| {
         let event = event_of(narration_kind::SENTENCE, sentence).unwrap();
         let whole = Observation { source, epoch, event, ..observation(PersonId::SOMEBODY, at_s * S, "They sit.") };
-        Entry { voice, ..Entry::new(whole, at_s * S) }
+        Entry { voice, ..Entry::new(whole, BootNs(at_s * S)) }
     };
     let own = |at_s: u64, sentence: &str| told(Voice { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
     let of = |board: &Board<TableModel>| {
@@ -170,12 +170,12 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
                 for board in [&mut with, &mut without] {
                     for entry in [own(1000, "Ben sits on the sofa."), own(1010, "Ada opens the fridge.")] {
                         let at_ns = entry.received_ns;
-                        board.step([entry], at_ns, 1_000_000 * S + at_ns).unwrap();
+                        board.step([entry], at_ns, UnixNs(1_000_000 * S + at_ns.0)).unwrap();
                     }
                 }
                 let entry = told(strange_voice, source, epoch, 1020, strange);
-                with.step([entry], 1020 * S, 1_001_020 * S).unwrap();
-                without.step([], 1020 * S, 1_001_020 * S).unwrap();
+                with.step([entry], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
+                without.step([], BootNs(1020 * S), UnixNs(1_001_020 * S)).unwrap();
                 for board in [&mut with, &mut without] {
                     let entry = match said {
                         "away" => Entry {
@@ -187,7 +187,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
                         },
                         _ => own(1025, said),
                     };
-                    board.step([entry], 1025 * S, 1_001_025 * S).unwrap();
+                    board.step([entry], BootNs(1025 * S), UnixNs(1_001_025 * S)).unwrap();
                 }
                 assert_eq!(of(&with), of(&without), "{strange} by {source}, then {said}");
             }
@@ -204,10 +204,10 @@ fn a_guard_ends() {
             board().with_persons(Persons::new(config(guard_s), PersonsFile::default())).with_named([(1, May::ALL)]);
         let at_ns = 1000 * S;
         let later_ns = at_ns + later_s * S;
-        let own = Entry::new(observation(PersonId(0), at_ns, "They open the fridge."), at_ns);
+        let own = Entry::new(observation(PersonId(0), at_ns, "They open the fridge."), BootNs(at_ns));
         let strange = Observation { source: 9, ..observation(PersonId(0), later_ns, "They sit on the sofa.") };
-        let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, later_ns) };
-        board.step([own, strange], later_ns, 1_000_000 * S + later_ns).unwrap();
+        let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, BootNs(later_ns)) };
+        board.step([own, strange], BootNs(later_ns), UnixNs(1_000_000 * S + later_ns)).unwrap();
         let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
         assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
     }
@@ -234,8 +234,8 @@ fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
         ];
         let mut recovered = recovered(observations);
         recovered.expectations = expectations;
-        board.restore(recovered, 30 * S, 1_000_000 * S + 30 * S);
-        board.forecast(40 * S).probability
+        board.restore(recovered, BootNs(30 * S), UnixNs(1_000_000 * S + 30 * S));
+        board.forecast(BootNs(40 * S)).probability
     };
     let (own, of_another) = (said(PersonId(1), 0, [0.9, 0.1]), said(PersonId(1), 1, [0.2, 0.8]));
     assert_eq!(restored(vec![own.clone(), of_another]), restored(vec![own.clone()]));
@@ -295,10 +295,10 @@ fn a_changed_map_is_published_with_its_first_scores() {
     let failures = Rc::<Cell<u32>>::default();
     let mut board = failing_board(&failures);
     for (at_s, sentence) in DAY {
-        board.step([entry(PersonId(0), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        board.step([entry(PersonId(0), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
     }
-    let before = *board.message(75 * S, false, false);
-    let sofa = board.forecast(75 * S).probability[1][0];
+    let before = *board.message(BootNs(75 * S), false, false);
+    let sofa = board.forecast(BootNs(75 * S)).probability[1][0];
     assert!(sofa > 0.8, "{sofa}");
 
     let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
@@ -307,34 +307,34 @@ fn a_changed_map_is_published_with_its_first_scores() {
     for step in 0..3 {
         failures.set(1);
         let at_ns = (76 + step) * S;
-        board.step([entry(PersonId(0), at_ns, "They walk to the hall.")], at_ns, at_ns).unwrap_err();
+        board.step([entry(PersonId(0), at_ns, "They walk to the hall.")], BootNs(at_ns), UnixNs(at_ns)).unwrap_err();
         board.tidy();
-        let message = *board.message(at_ns, true, false);
+        let message = *board.message(BootNs(at_ns), true, false);
         let as_before = RoomScoresV1 { published_ns: message.published_ns, flags: message.flags, ..before };
         assert_eq!(message, as_before);
         assert_eq!(message.flags, score_flags::SCORER_FAILED | score_flags::HEARTBEAT);
-        let forecast = board.forecast(at_ns);
+        let forecast = board.forecast(BootNs(at_ns));
         assert_eq!((forecast.room_count, forecast.flags), (2, 0));
         assert!(forecast.probability[1][0] > 0.8, "{:?}", forecast.probability[1]);
         assert!(board.items().is_none());
     }
-    board.step([], 80 * S, 80 * S).unwrap();
-    let after = *board.message(80 * S, false, false);
+    board.step([], BootNs(80 * S), UnixNs(80 * S)).unwrap();
+    let after = *board.message(BootNs(80 * S), false, false);
     assert_eq!((after.room_count, after.flags), (3, 0));
     assert_ne!(after.map_fingerprint, before.map_fingerprint);
     assert!((after.rooms().iter().map(|room| room.probability).sum::<f64>() - 1.0).abs() < 1e-9);
-    let forecast = board.forecast(80 * S);
+    let forecast = board.forecast(BootNs(80 * S));
     assert_eq!((forecast.room_count, forecast.flags), (3, 0));
     assert!(forecast.probability[2][0] > 0.5, "what was observed meanwhile is known: {:?}", forecast.probability);
     assert!(board.items().is_some());
 }
 
 fn entry(person: PersonId, at_ns: u64, sentence: &str) -> Entry {
-    Entry::new(observation(person, at_ns, sentence), at_ns)
+    Entry::new(observation(person, at_ns, sentence), BootNs(at_ns))
 }
 
 fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
-    board.forecast(now_ns).probability[room][0]
+    board.forecast(BootNs(now_ns)).probability[room][0]
 }
 
 /// Narrators that said one thing each, one after the other, wait for nothing; those that say it at once wait for their places.
@@ -343,10 +343,10 @@ fn only_what_waits_is_cut() {
     let mut board = board();
     let told = |source: u64, at_ns: u64| {
         let observation = Observation { source, epoch: 1, ..observation(PersonId(0), at_ns, "They walk to the hall.") };
-        Entry::new(observation, at_ns)
+        Entry::new(observation, BootNs(at_ns))
     };
     let mut cut = |sources: std::ops::Range<u64>, at_ns: u64| {
-        board.step(sources.map(|source| told(source, at_ns)), at_ns, at_ns).unwrap();
+        board.step(sources.map(|source| told(source, at_ns)), BootNs(at_ns), UnixNs(at_ns)).unwrap();
         board.snapshot().has(score_flags::SOURCES_CUT)
     };
     let most = MAX_SOURCES as u64;
@@ -369,28 +369,34 @@ const DAY: [(u64, &str); 4] = [
 fn a_restart_remembers_where_everybody_is() {
     let mut before = board();
     for (at_s, sentence) in DAY {
-        before.step([entry(PersonId(3), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        before.step([entry(PersonId(3), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
     }
     let now_ns = 80 * S;
     let was = occupied(&mut before, 1, now_ns);
     assert!(was > 0.7, "{was}");
-    assert_eq!(before.forecast(now_ns).flags, 0);
+    assert_eq!(before.forecast(BootNs(now_ns)).flags, 0);
 
     // The same boot, and a later one, whose clock begins again and whose journal's monotonic times are dropped.
     for later_boot in [false, true] {
         let mut after = board();
         let kept = DAY.map(|(at_s, sentence)| {
             let whole = observation(PersonId(3), at_s * S, sentence);
-            if later_boot { Observation { observed_ns: 0, ..whole } } else { whole }
+            if later_boot { Observation { observed_ns: BootNs(0), ..whole } } else { whole }
         });
         let (now_ns, now_unix_ns) = (if later_boot { 2 * S } else { 80 * S }, 1_000_080 * S);
-        after.restore(recovered(kept), now_ns, now_unix_ns);
-        after.step([], now_ns, now_unix_ns).unwrap();
+        after.restore(recovered(kept), BootNs(now_ns), UnixNs(now_unix_ns));
+        after.step([], BootNs(now_ns), UnixNs(now_unix_ns)).unwrap();
         let is = occupied(&mut after, 1, now_ns);
         assert!((was - is).abs() < 0.05, "{was} before, {is} after a restart");
-        assert_eq!(after.forecast(now_ns).flags, forecast_flags::RESTORED);
-        after.step([entry(PersonId(3), now_ns + S, "They sit on the sofa.")], now_ns + S, now_unix_ns + S).unwrap();
-        assert_eq!(after.forecast(now_ns + S).flags, 0);
+        assert_eq!(after.forecast(BootNs(now_ns)).flags, forecast_flags::RESTORED);
+        after
+            .step(
+                [entry(PersonId(3), now_ns + S, "They sit on the sofa.")],
+                BootNs(now_ns + S),
+                UnixNs(now_unix_ns + S),
+            )
+            .unwrap();
+        assert_eq!(after.forecast(BootNs(now_ns + S)).flags, 0);
     }
 }
 
@@ -399,28 +405,28 @@ fn a_restart_remembers_where_everybody_is() {
 fn a_failed_step_loses_neither_gap_nor_latency() {
     let failures = Rc::<Cell<u32>>::default();
     let mut board = failing_board(&failures);
-    board.step([], S, S).unwrap();
+    board.step([], BootNs(S), UnixNs(S)).unwrap();
     failures.set(2);
     let lost = Entry { after_gap: true, ..entry(PersonId(0), 2 * S, "They grab the mug.") };
-    board.step([lost], 2 * S, 2 * S).unwrap_err();
-    board.step([entry(PersonId(0), 3 * S, "They sit on the sofa.")], 3 * S, 3 * S).unwrap_err();
-    assert_eq!(board.step([], 5 * S, 5 * S).unwrap(), Some(2 * S));
+    board.step([lost], BootNs(2 * S), UnixNs(2 * S)).unwrap_err();
+    board.step([entry(PersonId(0), 3 * S, "They sit on the sofa.")], BootNs(3 * S), UnixNs(3 * S)).unwrap_err();
+    assert_eq!(board.step([], BootNs(5 * S), UnixNs(5 * S)).unwrap(), Some(BootNs(2 * S)));
     let snapshot = board.snapshot();
     assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
     assert_eq!(snapshot.flags, score_flags::GAP);
     // Once.
-    assert_eq!(board.step([], 6 * S, 6 * S).unwrap(), None);
+    assert_eq!(board.step([], BootNs(6 * S), UnixNs(6 * S)).unwrap(), None);
     assert_eq!((board.snapshot().received_ns, board.snapshot().wait_ns, board.snapshot().flags), (2 * S, 0, 0));
 }
 
 #[test]
 fn what_is_not_known_is_flagged() {
     let mut board = board();
-    board.step([], S, S).unwrap();
-    assert_eq!(board.forecast(S).flags, forecast_flags::NOT_KNOWN);
-    assert_eq!(board.forecast(S).probability[0][0], 0.5);
-    board.step([entry(PersonId(0), 2 * S, "They stand up.")], 2 * S, 2 * S).unwrap();
-    assert_eq!(board.forecast(2 * S).flags, 0);
+    board.step([], BootNs(S), UnixNs(S)).unwrap();
+    assert_eq!(board.forecast(BootNs(S)).flags, forecast_flags::NOT_KNOWN);
+    assert_eq!(board.forecast(BootNs(S)).probability[0][0], 0.5);
+    board.step([entry(PersonId(0), 2 * S, "They stand up.")], BootNs(2 * S), UnixNs(2 * S)).unwrap();
+    assert_eq!(board.forecast(BootNs(2 * S)).flags, 0);
 }
 
 #[test]
@@ -428,9 +434,9 @@ fn of_too_many_persons_those_are_told_who_were_observed_last() {
     let mut board = board();
     for person in 0..12 {
         let at_ns = u64::from(20 - person) * S;
-        board.step([entry(PersonId(person), at_ns, "They grab the mug.")], 30 * S, 30 * S).unwrap();
+        board.step([entry(PersonId(person), at_ns, "They grab the mug.")], BootNs(30 * S), UnixNs(30 * S)).unwrap();
     }
-    let told = board.person_scores(30 * S);
+    let told = board.person_scores(BootNs(30 * S));
     told.check().unwrap();
     assert_eq!(told.persons().iter().map(|person| person.person).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
     assert_eq!(told.persons, 12);
@@ -443,15 +449,17 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     let mut both = board();
     for (number, (at_s, sentence)) in (0..).zip(DAY.into_iter().chain([(90, "They grab the mug.")])) {
         let person = number % 2;
-        both.step([entry(PersonId(person), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
-        alone[person as usize].step([entry(PersonId(person), at_s * S, sentence)], at_s * S, at_s * S).unwrap();
+        both.step([entry(PersonId(person), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
+        alone[person as usize]
+            .step([entry(PersonId(person), at_s * S, sentence)], BootNs(at_s * S), UnixNs(at_s * S))
+            .unwrap();
     }
-    let told = *both.person_scores(100 * S);
+    let told = *both.person_scores(BootNs(100 * S));
     told.check().unwrap();
     assert_eq!((told.persons().len(), told.rooms().collect::<Vec<_>>()), (2, vec!["kitchen", "living-room"]));
     for (own, person) in alone.iter_mut().zip(told.persons()) {
         // To the bit, and alone also to the bit what the snapshot says.
-        let of_own = *own.person_scores(100 * S);
+        let of_own = *own.person_scores(BootNs(100 * S));
         assert_eq!(of_own.persons(), [*person]);
         for (room, scores) in own.snapshot().rooms().iter().enumerate() {
             assert_eq!(scores.probability.to_bits(), person.probability[room].to_bits());
@@ -462,7 +470,7 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
         let nobody: f64 = told.persons().iter().map(|person| 1.0 - person.probability[room]).product();
         assert_eq!(scores.probability, 1.0 - nobody);
     }
-    let of = |board: &mut Board<TableModel>| board.forecast(100 * S).probability;
+    let of = |board: &mut Board<TableModel>| board.forecast(BootNs(100 * S)).probability;
     let [first, second] = &mut alone;
     let (first, second, both) = (of(first), of(second), of(&mut both));
     for (room, horizon) in (0..2).flat_map(|room| (0..MAX_HORIZONS).map(move |horizon| (room, horizon))) {
@@ -504,7 +512,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
         ["They walk to the fridge.", "They open the fridge.", "They close the fridge.", "They serenade the sofa."];
     for (n, sentence) in (1..).zip(round.iter().cycle().take(24)) {
         for board in [&mut board, &mut behind] {
-            board.step([entry(PersonId(1), n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+            board.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
         }
         flagged += u64::from(board.snapshot().has(score_flags::PREPARED));
         assert!(!behind.snapshot().has(score_flags::PREPARED));
@@ -519,13 +527,17 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     // Whoever says ever new sentences does not end it for the others.
     for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
         board
-            .step([entry(PersonId(2), n * S, &format!("They do it {n} times."))], n * S, 1_000_000 * S + n * S)
+            .step(
+                [entry(PersonId(2), n * S, &format!("They do it {n} times."))],
+                BootNs(n * S),
+                UnixNs(1_000_000 * S + n * S),
+            )
             .unwrap();
         ahead.look(board.now());
     }
     let used = board.prepared().used;
     for (n, sentence) in (10_000..).zip(round.iter().cycle().take(12)) {
-        board.step([entry(PersonId(1), n * S, sentence)], n * S, 1_000_000 * S + n * S).unwrap();
+        board.step([entry(PersonId(1), n * S, sentence)], BootNs(n * S), UnixNs(1_000_000 * S + n * S)).unwrap();
         work_ahead(&mut board, &mut ahead);
     }
     assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
@@ -540,7 +552,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
 #[test]
 fn another_model_has_a_say_in_what_is_guessed() {
     let mut board = board();
-    board.step([entry(PersonId(1), S, "They walk to the fridge.")], S, 1_000_000 * S).unwrap();
+    board.step([entry(PersonId(1), S, "They walk to the fridge.")], BootNs(S), UnixNs(1_000_000 * S)).unwrap();
     let mut prepared = |drafter: Option<u64>| {
         let drafter = drafter.map(|seed| Drafter::new(TableModel::new(seed), CorrectionChoice::default()));
         let mut ahead = ahead_of(&board, 8).with_drafter(drafter);
@@ -564,21 +576,21 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
     board
         .step(
             [entry(PersonId(1), S, "They walk to the fridge."), entry(PersonId(2), S, "They sit on the sofa.")],
-            S,
-            1_000_000 * S,
+            BootNs(S),
+            UnixNs(1_000_000 * S),
         )
         .unwrap();
     let both = work_ahead(&mut board, &mut ahead);
     assert!(both > 0);
     // A new snapshot, and nothing that the model was asked about.
     board.change_map(board.map().clone()).unwrap();
-    board.step([], 2 * S, 1_000_002 * S).unwrap();
+    board.step([], BootNs(2 * S), UnixNs(1_000_002 * S)).unwrap();
     assert!(!board.is_ahead_due());
     ahead.look(board.now());
     assert!(ahead.answer().unwrap().is_none(), "all are there");
     // Somebody's forgetting empties all.
     board.forget(PersonId(2), |_| false);
-    board.step([], 3 * S, 1_000_003 * S).unwrap();
+    board.step([], BootNs(3 * S), UnixNs(1_000_003 * S)).unwrap();
     assert!(work_ahead(&mut board, &mut ahead) > 0);
 }
 
@@ -593,7 +605,7 @@ fn strangers_take_no_place_of_a_guarded_person() {
         source: NAMED,
         ..observation(PersonId(0), 10 * S, "They sit on the sofa.")
     };
-    board.step([Entry::new(told, 10 * S)], 10 * S, 10 * S).unwrap();
+    board.step([Entry::new(told, BootNs(10 * S))], BootNs(10 * S), UnixNs(10 * S)).unwrap();
     let strange = |number: u64| {
         let at_ns = (11 + number) * S;
         let observation = Observation {
@@ -601,11 +613,11 @@ fn strangers_take_no_place_of_a_guarded_person() {
             sequence: number + 1,
             ..observation(PersonId(number as u32), at_ns, "They open the fridge.")
         };
-        Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(observation, at_ns) }
+        Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(observation, BootNs(at_ns)) }
     };
-    board.step((0..20).map(strange), 40 * S, 40 * S).unwrap();
-    board.message(40 * S, false, false);
-    let told = board.person_scores(40 * S);
+    board.step((0..20).map(strange), BootNs(40 * S), UnixNs(40 * S)).unwrap();
+    board.message(BootNs(40 * S), false, false);
+    let told = board.person_scores(BootNs(40 * S));
     assert_eq!(told.person_count as usize, MAX_PERSONS);
     assert!(told.persons().iter().any(|own| own.name() == "Ada"));
 }
@@ -615,18 +627,18 @@ fn strangers_take_no_place_of_a_guarded_person() {
 fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let failures = Rc::<Cell<u32>>::default();
     let mut board = failing_board(&failures);
-    board.step([entry(PersonId(0), 10 * S, "They open the fridge.")], 10 * S, 10 * S).unwrap();
+    board.step([entry(PersonId(0), 10 * S, "They open the fridge.")], BootNs(10 * S), UnixNs(10 * S)).unwrap();
     let present = Observation {
         event: event_of(narration_kind::PRESENCE, "present in the living room").unwrap(),
         ..observation(PersonId(0), 20 * S, "They wait.")
     };
-    board.step([Entry::new(present, 20 * S)], 20 * S, 20 * S).unwrap();
-    let before = board.forecast(30 * S).probability[1][0];
+    board.step([Entry::new(present, BootNs(20 * S))], BootNs(20 * S), UnixNs(20 * S)).unwrap();
+    let before = board.forecast(BootNs(30 * S)).probability[1][0];
     let room = r#"[{"change": "add-room", "room": {"id": "hall", "label": "hall", "box": {"min_m": [9, 0, 0], "max_m": [12, 3, 2.5]}}}]"#;
     let map = board.map().changed(parse_changes(room).unwrap()).unwrap();
     board.change_map(map).unwrap();
-    board.step([], 30 * S, 30 * S).unwrap();
-    let after = board.forecast(30 * S).probability[1][0];
+    board.step([], BootNs(30 * S), UnixNs(30 * S)).unwrap();
+    let after = board.forecast(BootNs(30 * S)).probability[1][0];
     assert!(before > 0.8 && after > before - 0.02, "{before} {after}");
 }
 
@@ -657,22 +669,22 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     let now_ns = TableModel::slow(7).clock();
     let step = |cycle: &mut crate::daemon::cycle::Cycle<TableModel>| {
         let before_ns = now_ns();
-        cycle.step(20 * S, 1_000_020 * S).unwrap();
+        cycle.step(BootNs(20 * S), UnixNs(1_000_020 * S)).unwrap();
         assert!(now_ns() - before_ns <= TableModel::PROMPT_NS);
         cycle.board_mut().tell_outcomes(|_| {});
-        cycle.message(20 * S, u64::MAX, false).copied()
+        cycle.message(BootNs(20 * S), u64::MAX, false).copied()
     };
     let flood = (1..=INVENTED).map(|n| heard(9, n, PersonId(10 + n as u32)));
-    flood.clone().for_each(|invented| cycle.enter(Entry::new(invented, 20 * S), 0));
+    flood.clone().for_each(|invented| cycle.enter(Entry::new(invented, BootNs(20 * S)), 0));
     let first = step(&mut cycle).unwrap();
-    assert!(cycle.step_due(20 * S) && first.has(score_flags::BEHIND) && claim(&first, 9) == 1);
-    cycle.enter(Entry::new(heard(5, 1, PersonId(1)), 20 * S), 0);
+    assert!(cycle.step_due(BootNs(20 * S)) && first.has(score_flags::BEHIND) && claim(&first, 9) == 1);
+    cycle.enter(Entry::new(heard(5, 1, PersonId(1)), BootNs(20 * S)), 0);
     assert_eq!([(); 2].map(|()| claim(&step(&mut cycle).unwrap(), 5))[1], 1);
     let mut last = first;
     for _ in 0..INVENTED {
         last = step(&mut cycle).unwrap_or(last);
     }
-    assert!(!cycle.step_due(20 * S) && !last.has(score_flags::BEHIND));
+    assert!(!cycle.step_due(BootNs(20 * S)) && !last.has(score_flags::BEHIND));
     assert_eq!((claim(&last, 9), claim(&last, 5)), (INVENTED, 1));
 
     // A changed map is told of when everybody has scores of it; until then heartbeats go out.
@@ -684,12 +696,12 @@ fn a_step_scores_few_persons_and_claims_no_others() {
         assert!(step(&mut cycle).is_none() && !cycle.board().is_scored());
     }
     assert!(step(&mut cycle).is_some_and(|message| message.map_fingerprint != first.map_fingerprint));
-    assert!(cycle.board().is_scored() && !cycle.step_due(20 * S));
+    assert!(cycle.board().is_scored() && !cycle.step_due(BootNs(20 * S)));
 
     // After a start, whoever was heard of last comes first.
     let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
     let kept = recovered(flood.chain([heard(5, 1, PersonId(1))]));
-    again.board_mut().restore(kept, 20 * S, 1_000_020 * S);
+    again.board_mut().restore(kept, BootNs(20 * S), UnixNs(1_000_020 * S));
     let told = step(&mut again).unwrap();
     assert_eq!((claim(&told, 5), claim(&told, 9), told.has(score_flags::BEHIND)), (1, 0, true));
     for _ in 0..INVENTED {
@@ -709,7 +721,7 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
     let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default()).unwrap();
     let mut board = Board::new(pipeline, map, options, 1).unwrap();
     let mut said_at = |at_s: u64, words: &str| {
-        board.step([entry(PersonId(3), at_s * S, words)], at_s * S, at_s * S).unwrap();
+        board.step([entry(PersonId(3), at_s * S, words)], BootNs(at_s * S), UnixNs(at_s * S)).unwrap();
         [0, 1].map(|room| occupied(&mut board, room, at_s * S))
     };
     let [one, other] = said_at(10, "They are in the bedroom.");
@@ -727,13 +739,20 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
 fn what_another_boot_dates_later_than_now_was_before_the_start() {
     let kept = DAY.map(|(at_s, sentence)| {
         let whole = observation(PersonId(3), at_s * S, sentence);
-        Observation { observed_ns: 0, observed_unix_ns: 9_000_000 * S, source: 7, epoch: 1, sequence: at_s, ..whole }
+        Observation {
+            observed_ns: BootNs(0),
+            observed_unix_ns: UnixNs(9_000_000 * S),
+            source: 7,
+            epoch: 1,
+            sequence: at_s,
+            ..whole
+        }
     });
     let mut recovered = recovered(kept);
     recovered.of_other_boots = DAY.map(|(at_s, _)| EventId::new(7, 1, at_s)).into();
     let mut after = board();
-    after.restore(recovered, 2 * S, 1_000_080 * S);
-    after.step([], 2 * S, 1_000_080 * S).unwrap();
+    after.restore(recovered, BootNs(2 * S), UnixNs(1_000_080 * S));
+    after.step([], BootNs(2 * S), UnixNs(1_000_080 * S)).unwrap();
     let sofa = occupied(&mut after, 1, 2 * S);
     assert!(sofa > 0.7, "{sofa}");
 }
@@ -749,16 +768,16 @@ fn what_is_refused_claims_nothing_that_waits_before_it() {
         ..observation(PersonId(0), number, "They sit.")
     };
     let claim = |cycle: &mut crate::daemon::cycle::Cycle<TableModel>| {
-        cycle.step(S, S).unwrap();
-        let message = cycle.message(S, u64::MAX, false).copied();
+        cycle.step(BootNs(S), UnixNs(S)).unwrap();
+        let message = cycle.message(BootNs(S), u64::MAX, false).copied();
         message.and_then(|message| message.included().iter().find(|own| own.source == 9).map(|own| own.sequence))
     };
-    (1..=600).for_each(|number| cycle.enter(Entry::new(heard(number), S), 0));
+    (1..=600).for_each(|number| cycle.enter(Entry::new(heard(number), BootNs(S)), 0));
     cycle.pass_over(EventId::new(9, 1, 601));
-    cycle.enter(Entry::new(heard(602), S), 0);
+    cycle.enter(Entry::new(heard(602), BootNs(S)), 0);
     cycle.pass_over(EventId::new(9, 1, 603));
     assert_eq!(claim(&mut cycle), Some(512));
-    while cycle.step_due(S) {
+    while cycle.step_due(BootNs(S)) {
         claim(&mut cycle);
     }
     assert_eq!(claim(&mut cycle), Some(603));
@@ -770,13 +789,13 @@ fn a_flood_is_taken_in_parts() {
     let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
     let heard = |number: u64| entry(PersonId(0), number * S / 1000, "They open the fridge.");
     (1..=600).for_each(|number| cycle.enter(heard(number), number));
-    cycle.step(S, S).unwrap();
-    assert_eq!((cycle.waiting(), cycle.step_due(S), cycle.scored_record()), (88, true, 512));
+    cycle.step(BootNs(S), UnixNs(S)).unwrap();
+    assert_eq!((cycle.waiting(), cycle.step_due(BootNs(S)), cycle.scored_record()), (88, true, 512));
     // Whose an observation is was written behind all of them.
     cycle.rests_on(700);
-    cycle.step(S, S).unwrap();
-    assert_eq!((cycle.waiting(), cycle.step_due(S), cycle.scored_record()), (0, false, 700));
+    cycle.step(BootNs(S), UnixNs(S)).unwrap();
+    assert_eq!((cycle.waiting(), cycle.step_due(BootNs(S)), cycle.scored_record()), (0, false, 700));
     cycle.enter(heard(601), 601);
-    cycle.step(S, S).unwrap();
+    cycle.step(BootNs(S), UnixNs(S)).unwrap();
     assert_eq!(cycle.scored_record(), 700);
 }

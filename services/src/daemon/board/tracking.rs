@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Grounding;
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, RoomName, SensorKind, SensorReport};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
@@ -317,7 +317,7 @@ impl Tracking {
     /// Takes in the rooms in which robots may move.
     pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
         self.looked_ns = None;
-        let rooms = robots.rooms(self.tracker.home(), u64::try_from(at_ns).unwrap_or_default());
+        let rooms = robots.rooms(self.tracker.home(), BootNs(u64::try_from(at_ns).unwrap_or_default()));
         self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
     }
 

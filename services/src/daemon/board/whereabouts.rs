@@ -1,6 +1,6 @@
 //! "Why is Jon in the hallway?": the belief about a person, and the observations that moved it most.
 
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::Cause;
 
@@ -15,10 +15,10 @@ const CLEAR: (f64, f64) = (0.7, 2.0);
 
 impl<M: LanguageModel> Board<M> {
     /// Where a person is believed to be at a time, and why.
-    pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: u64) -> Whereabouts {
+    pub(in crate::daemon) fn whereabouts(&mut self, person: PersonId, now_ns: BootNs) -> Whereabouts {
         self.forecast(now_ns);
         let rooms: Vec<String> = self.snapshot.rooms().iter().map(|room| room.id().to_owned()).collect();
-        let now_s = now_ns as f64 / 1e9;
+        let now_s = now_ns.seconds();
         let own = self.told.get(&person).filter(|_| self.tracking.is_some()).or_else(|| self.followed.get(&person));
         let tracking = self.tracking.as_deref();
         let mut places: Vec<PlaceLine> = Vec::new();
@@ -52,8 +52,8 @@ impl<M: LanguageModel> Board<M> {
         UnderstoodPerson { person, name: self.persons.name_of(person).map(str::to_owned) }
     }
 
-    fn why(&self, tracking: &Tracking, person: PersonId, room: Option<usize>, now_ns: u64) -> Vec<WhyLine> {
-        let now_s = seconds(i64::try_from(now_ns).unwrap_or(i64::MAX));
+    fn why(&self, tracking: &Tracking, person: PersonId, room: Option<usize>, now_ns: BootNs) -> Vec<WhyLine> {
+        let now_s = seconds(i64::try_from(now_ns.0).unwrap_or(i64::MAX));
         let line = |own: roomcast_core::tracker::Reason| {
             let sensor = match own.cause {
                 Cause::Sensor { sensor, on } => {

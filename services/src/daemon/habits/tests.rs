@@ -65,7 +65,7 @@ impl House {
         let until_ns = BEGIN_NS + at_s * S;
         while self.now_ns < until_ns {
             self.now_ns = until_ns.min(self.now_ns + 60 * S);
-            self.board.tick(self.now_ns, self.now_ns + self.unix_ns);
+            self.board.tick(BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
         }
     }
 
@@ -76,14 +76,14 @@ impl House {
             person,
             source: 7,
             epoch: 1,
-            observed_ns: self.now_ns,
-            observed_unix_ns: self.now_ns + self.unix_ns,
+            observed_ns: BootNs(self.now_ns),
+            observed_unix_ns: UnixNs(self.now_ns + self.unix_ns),
             event,
             ..Observation::of(self.journal.len() as u64 + 1, Sentence::new("They wait.").unwrap())
         };
         self.journal.push(observation.clone());
-        let entry = Entry::new(observation, self.now_ns);
-        self.board.step([entry], self.now_ns, self.now_ns + self.unix_ns).unwrap();
+        let entry = Entry::new(observation, BootNs(self.now_ns));
+        self.board.step([entry], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
         self.board.tell_outcomes(|_| {});
         self.board.tidy();
     }
@@ -116,8 +116,8 @@ impl House {
         self.board = board(Some(home));
         let mut recovered = Recovered::default();
         recovered.observations.clone_from(&self.journal);
-        self.board.restore(recovered, self.now_ns, self.now_ns + self.unix_ns);
-        self.board.step([], self.now_ns, self.now_ns + self.unix_ns).unwrap();
+        self.board.restore(recovered, BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns));
+        self.board.step([], BootNs(self.now_ns), UnixNs(self.now_ns + self.unix_ns)).unwrap();
     }
 
     fn observations(&self) -> f64 {
@@ -126,8 +126,8 @@ impl House {
 
     /// Per place (elsewhere last) the probability that a person is there at a horizon.
     fn ahead(&mut self, person: PersonId, horizon: usize) -> [f32; 3] {
-        self.board.person_scores(self.now_ns);
-        let told = *self.board.person_forecasts(self.now_ns);
+        self.board.person_scores(BootNs(self.now_ns));
+        let told = *self.board.person_forecasts(BootNs(self.now_ns));
         told.check().unwrap();
         let own = told.persons().iter().find(|own| own.person == person.0).unwrap();
         let p = [own.probability[KITCHEN][horizon], own.probability[LIVING_ROOM][horizon], own.elsewhere[horizon]];
@@ -208,7 +208,7 @@ fn nobody_stays_where_it_is_empty() {
     // Sets are of what is believed.
     let [kitchen, living_room, _] = house.ahead(PersonId(1), 0);
     assert!(living_room > 0.9 && kitchen < 0.1);
-    let told = *house.board.person_forecasts(house.now_ns);
+    let told = *house.board.person_forecasts(BootNs(house.now_ns));
     assert_eq!(told.persons()[0].set_holds(0, LIVING_ROOM), Some(true));
     house.say(PersonId(1), 7_260, "They sit on the sofa.");
     house.say(PersonId(1), 7_320, "away");
@@ -275,8 +275,8 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
 #[test]
 fn a_set_holds_what_it_promises_where_nothing_is_known() {
     let held = |house: &mut House| {
-        house.board.person_scores(house.now_ns);
-        let told = *house.board.person_forecasts(house.now_ns);
+        house.board.person_scores(BootNs(house.now_ns));
+        let told = *house.board.person_forecasts(BootNs(house.now_ns));
         let own = told.persons()[0];
         let sum = |horizon: usize| {
             let rooms = [KITCHEN, LIVING_ROOM].into_iter().filter(|room| own.set_holds(horizon, *room).unwrap());
@@ -315,7 +315,7 @@ fn who_has_just_left_a_new_home_is_out() {
 
 /// What is told of everybody and of each person, without what names the moment.
 fn told(board: &mut Board<TableModel>, now_ns: u64) -> (roomcast_ipc::ForecastV1, roomcast_ipc::PersonForecastsV1) {
-    (*board.forecast(now_ns), *board.person_forecasts(now_ns))
+    (*board.forecast(BootNs(now_ns)), *board.person_forecasts(BootNs(now_ns)))
 }
 
 /// The same daemon without habits.
@@ -323,7 +323,7 @@ fn without_habits(house: &House) -> Board<TableModel> {
     let mut plain = board(None);
     for observation in house.journal.clone() {
         let now_ns = observation.observed_ns;
-        plain.step([Entry::new(observation, now_ns)], now_ns, now_ns + house.unix_ns).unwrap();
+        plain.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0 + house.unix_ns)).unwrap();
         plain.tell_outcomes(|_| {});
         plain.tidy();
         plain.person_scores(now_ns);
@@ -358,10 +358,10 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     house.say(PersonId(3), 14 * DAY_S + 7 * H, "They sit on the sofa.");
     house.until(14 * DAY_S + 7 * H + 1_200);
     let known = house.ahead(PersonId(3), QUARTER);
-    let shipped = without_habits(&house).forecast(house.now_ns).probability[KITCHEN][QUARTER];
+    let shipped = without_habits(&house).forecast(BootNs(house.now_ns)).probability[KITCHEN][QUARTER];
     assert!(known[KITCHEN] > shipped + 0.15 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
     // One person is all of them.
-    let all = *house.board.forecast(house.now_ns);
+    let all = *house.board.forecast(BootNs(house.now_ns));
     assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
     let (sure, shares) = house.board.habits().shares(PersonId(3)).unwrap();
     assert!(sure > 0.5 && shares[QUARTER].shipped < 0.2, "{sure} {shares:?}");
@@ -390,7 +390,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
     house.say(PersonId(3), 14 * DAY_S + 7 * H, "They sit on the sofa.");
     house.until(14 * DAY_S + 7 * H + 1_200);
     house.ahead(PersonId(3), QUARTER);
-    let message = *house.board.person_forecasts(house.now_ns);
+    let message = *house.board.person_forecasts(BootNs(house.now_ns));
     message.check().unwrap();
     let own = message.persons()[0];
     assert!((own.set_coverage - 0.9).abs() < 1e-6 && message.minor == 1);
@@ -408,7 +408,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
         let least = all.iter().filter(|(held, _)| *held).map(|(_, p)| *p).fold(1.0, f32::min);
         assert!(all.iter().all(|(held, p)| *held || *p <= least), "{horizon}: {all:?}");
     }
-    let reasons = house.board.moment(house.now_ns);
+    let reasons = house.board.moment(BootNs(house.now_ns));
     let learned = reasons.habits_of(PersonId(3)).unwrap();
     assert_eq!((learned.forecast.len(), learned.coverage), (3, 0.9));
     assert!(learned.forecast.iter().all(|line| !line.set.is_empty()), "{learned}");
@@ -422,10 +422,10 @@ fn sets_and_their_grounds_are_told_of_each_person() {
     assert!((total - 1.0).abs() < 1e-6, "{total}");
 
     let mut plain = without_habits(&house);
-    let nothing = *plain.person_forecasts(house.now_ns);
+    let nothing = *plain.person_forecasts(BootNs(house.now_ns));
     let own = nothing.persons()[0];
     assert_eq!((own.set_coverage, own.observations, own.room_set), (0.0, 0.0, [0; MAX_HORIZONS]));
-    assert!(plain.moment(house.now_ns).habits.is_empty());
+    assert!(plain.moment(BootNs(house.now_ns)).habits.is_empty());
 }
 
 /// Whenever the daemon is killed, and however long before that it wrote, everything is learned once.
@@ -460,7 +460,14 @@ fn nothing_is_learned_twice() {
     let late = house.memory();
     let again = house.journal.pop().unwrap();
     house.restart(late);
-    house.board.step([Entry::new(again.clone(), house.now_ns)], house.now_ns, house.now_ns + house.unix_ns).unwrap();
+    house
+        .board
+        .step(
+            [Entry::new(again.clone(), BootNs(house.now_ns))],
+            BootNs(house.now_ns),
+            UnixNs(house.now_ns + house.unix_ns),
+        )
+        .unwrap();
     house.board.tidy();
     house.journal.push(again);
     assert_eq!(house.observations(), all);
@@ -495,7 +502,7 @@ fn time_that_nobody_watched_is_not_counted() {
     // The clock is set by half a day; a minute later a minute has passed.
     let minute = |house: &mut House| {
         house.now_ns += 60 * S;
-        house.board.tick(house.now_ns, house.now_ns + house.unix_ns);
+        house.board.tick(BootNs(house.now_ns), UnixNs(house.now_ns + house.unix_ns));
     };
     house.unix_ns += 12 * H * S;
     minute(&mut house);
@@ -521,7 +528,7 @@ fn habits_survive_a_change_of_the_map() {
     house.board.change_map(map).unwrap();
     house.say(PersonId(3), 5 * DAY_S + 7 * H + 10, "They sit on the sofa.");
     assert_eq!(house.observations(), learned + 1.0);
-    let forecast = *house.board.person_forecasts(house.now_ns);
+    let forecast = *house.board.person_forecasts(BootNs(house.now_ns));
     let own = forecast.persons()[0];
     assert!((own.probability[LIVING_ROOM][QUARTER] - before[LIVING_ROOM]).abs() < 0.2);
     assert!(own.probability[2][QUARTER] < 0.1);
@@ -575,8 +582,22 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
     for (number, text) in (1..).zip(["They open the fridge.", "They grab the coffee maker.", "They sit on the sofa."]) {
         let event = Event::Did(Sentence::new(text).unwrap());
         let (sequence, observed_unix_ns) = (number, 1_000 * S);
-        let observation = Observation { source: 9, sequence, observed_ns: 0, observed_unix_ns, event, ..last.clone() };
-        house.board.step([Entry::new(observation, house.now_ns)], house.now_ns, house.now_ns + house.unix_ns).unwrap();
+        let observation = Observation {
+            source: 9,
+            sequence,
+            observed_ns: BootNs(0),
+            observed_unix_ns: UnixNs(observed_unix_ns),
+            event,
+            ..last.clone()
+        };
+        house
+            .board
+            .step(
+                [Entry::new(observation, BootNs(house.now_ns))],
+                BootNs(house.now_ns),
+                UnixNs(house.now_ns + house.unix_ns),
+            )
+            .unwrap();
         house.board.tell_outcomes(|_| {});
     }
     let memory = house.memory();
@@ -627,9 +648,9 @@ fn an_hour_is_a_local_one() {
     let zone = Zone(tz::TimeZone::from_posix_tz("CET-1CEST,M3.5.0,M10.5.0/3").ok());
     // 2024-03-31: at 1:00 UTC it becomes 3:00.
     let night_s = 1_711_846_800;
-    assert_eq!(zone.local_s((night_s - 60) * S), (night_s - 60 + H) as f64);
-    assert_eq!(zone.local_s((night_s + 60) * S), (night_s + 60 + 2 * H) as f64);
-    assert_eq!(Zone::UTC.local_s(night_s * S), night_s as f64);
+    assert_eq!(zone.local_s(UnixNs((night_s - 60) * S)), (night_s - 60 + H) as f64);
+    assert_eq!(zone.local_s(UnixNs((night_s + 60) * S)), (night_s + 60 + 2 * H) as f64);
+    assert_eq!(Zone::UTC.local_s(UnixNs(night_s * S)), night_s as f64);
 }
 
 #[test]
@@ -725,10 +746,13 @@ fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
     let at_ns = house.now_ns + S;
     let strange = Observation {
         source: 9,
-        ..Observation { person: PersonId(4), observed_ns: at_ns, ..house.journal[0].clone() }
+        ..Observation { person: PersonId(4), observed_ns: BootNs(at_ns), ..house.journal[0].clone() }
     };
     let voice = Voice { number: OTHERS, share: 1 };
-    house.board.step([Entry { voice, ..Entry::new(strange, at_ns) }], at_ns, at_ns + house.unix_ns).unwrap();
+    house
+        .board
+        .step([Entry { voice, ..Entry::new(strange, BootNs(at_ns)) }], BootNs(at_ns), UnixNs(at_ns + house.unix_ns))
+        .unwrap();
     house.board.tell_outcomes(|_| {});
     house.board.tidy();
     assert_eq!(house.board.habits().persons(), [(PersonId(3), 1.0)]);
@@ -737,7 +761,7 @@ fn of_whom_only_strangers_tell_nothing_is_learned_where_narrators_are_named() {
 /// 06:00 UTC is 08:00 in Berlin in summer and 07:00 in winter, by name and by rule.
 #[test]
 fn the_variable_names_the_time_zone() {
-    let hour = |zone: &Zone, unix_s: u64| (zone.local_s(unix_s * 1_000_000_000) / 3_600.0).rem_euclid(24.0);
+    let hour = |zone: &Zone, unix_s: u64| (zone.local_s(UnixNs(unix_s * 1_000_000_000)) / 3_600.0).rem_euclid(24.0);
     let (summer, winter) = (1_784_008_800, 1_796_104_800);
     let of = |value: &str| Zone::of_variable(Some(OsStr::new(value)));
     let rule = of("CET-1CEST,M3.5.0,M10.5.0/3").unwrap();
@@ -765,7 +789,7 @@ fn the_variable_names_the_time_zone() {
 fn the_environment_of_a_process_sets_its_time_zone() {
     const VARIABLE: &str = "<+0317>-3:17";
     if std::env::var("TZ").is_ok_and(|value| value == VARIABLE) {
-        assert_eq!(Zone::local().local_s(0), 11_820.0);
+        assert_eq!(Zone::local().local_s(UnixNs(0)), 11_820.0);
         return;
     }
     let name = std::thread::current().name().unwrap().to_owned();

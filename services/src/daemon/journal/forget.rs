@@ -5,7 +5,7 @@ use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId};
 use roomcast_core::narration::{Event, Observation, Presence, Sentence};
 
 use super::disk::{Disk, Half};
@@ -185,9 +185,9 @@ fn encode_again(observation: &Observation, raw: &[u8]) -> Vec<u8> {
     let mut boot_id = [0; 16];
     let (at, bytes) = (HEADER_BYTES + BOOT_AT, HEADER_BYTES + FIXED_BYTES);
     boot_id.copy_from_slice(&raw[at..bytes]);
-    let own = decode(raw, &boot_id).map_or(0, |(record, _)| match record {
+    let own = decode(raw, &boot_id).map_or(BootNs(0), |(record, _)| match record {
         Record::Observation(own) | Record::Kept(own) => own.observed_ns,
-        _ => 0,
+        _ => BootNs(0),
     });
     let mut record = encode(&Observation { observed_ns: own, ..observation.clone() }, &boot_id);
     if raw.starts_with(&MAGIC_KEPT) || raw.starts_with(&MAGIC_NAMED_KEPT) {

@@ -18,7 +18,7 @@
 use std::borrow::Cow;
 
 use roomcast_core::forecast::PACES;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_ipc::{MAX_ROOMS, NAME_BYTES, Sender as Port};
 
@@ -184,8 +184,8 @@ pub fn encode(observation: &Observation, boot_id: &[u8; 16]) -> Vec<u8> {
         observation.source,
         observation.epoch,
         observation.sequence,
-        observation.observed_ns,
-        observation.observed_unix_ns,
+        observation.observed_ns.0,
+        observation.observed_unix_ns.0,
     ] {
         payload.extend_from_slice(&number.to_le_bytes());
     }
@@ -389,8 +389,8 @@ fn decode_observation(mut payload: &[u8], named: bool, boot_id: &[u8; 16]) -> Op
         source,
         epoch,
         sequence,
-        observed_ns,
-        observed_unix_ns,
+        observed_ns: BootNs(observed_ns),
+        observed_unix_ns: UnixNs(observed_unix_ns),
         count: 0,
         may_be_form: kind & IS_NO_FORM == 0,
         event,

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use roomcast_core::forecast::PACES;
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Sentence, person_number};
 
 use super::record::*;
@@ -115,8 +115,8 @@ fn observation(sequence: u64) -> Observation {
         person: PersonId(3),
         source: 7,
         epoch: 1,
-        observed_ns,
-        observed_unix_ns,
+        observed_ns: BootNs(observed_ns),
+        observed_unix_ns: UnixNs(observed_unix_ns),
         ..Observation::of(sequence, sentence)
     }
 }
@@ -728,7 +728,7 @@ fn another_boots_monotonic_time_is_dropped() {
     let mut recovered = Recovered::default();
     read_records(&encode(&observation(1), &[1; 16]), &[2; 16], &mut recovered);
     read_records(&encode(&observation(2), &[2; 16]), &[2; 16], &mut recovered);
-    assert_eq!(recovered.observations[0].observed_ns, 0);
+    assert_eq!(recovered.observations[0].observed_ns, BootNs(0));
     assert_eq!(recovered.of_other_boots, HashSet::from([EventId::new(7, 1, 1)]));
 }
 

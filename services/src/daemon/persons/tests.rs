@@ -1,5 +1,5 @@
 use roomcast_core::grounding::{Grounding, GroundingOptions};
-use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
@@ -63,8 +63,8 @@ impl House {
             name: Some(who).filter(|name| name.parse::<u32>().is_err() && *name != "somebody").map(Into::into),
             source: 7,
             epoch: 1,
-            observed_ns: self.now_ns,
-            observed_unix_ns: 1_000_000 * S + self.now_ns,
+            observed_ns: BootNs(self.now_ns),
+            observed_unix_ns: UnixNs(1_000_000 * S + self.now_ns),
             event,
             ..Observation::of(self.said, Sentence::new("They wait.").unwrap())
         }
@@ -72,12 +72,12 @@ impl House {
 
     fn enter(&mut self, observation: Observation) {
         self.journal.extend(encode(&observation, &BOOT));
-        let entry = Entry::new(observation, self.now_ns);
+        let entry = Entry::new(observation, BootNs(self.now_ns));
         self.step(Some(entry));
     }
 
     fn step(&mut self, entry: Option<Entry>) {
-        self.board.step(entry, self.now_ns, 1_000_000 * S + self.now_ns).unwrap();
+        self.board.step(entry, BootNs(self.now_ns), UnixNs(1_000_000 * S + self.now_ns)).unwrap();
         let journal = &mut self.journal;
         self.board.tell_beliefs(|believed| journal.extend(encode_believed(&believed)));
         self.board.tell_moved(|moved| journal.extend(encode_moved(moved)));
@@ -93,10 +93,10 @@ impl House {
             name: Some(who.into()),
             source,
             epoch: 1,
-            observed_ns: self.now_ns,
+            observed_ns: BootNs(self.now_ns),
             ..Observation::of(self.said, Sentence::new(text).unwrap())
         };
-        self.step(Some(Entry::new(observation, self.now_ns)));
+        self.step(Some(Entry::new(observation, BootNs(self.now_ns))));
     }
 
     /// Time passes, and then somebody says or does something.
@@ -109,16 +109,16 @@ impl House {
     /// Time passes; the loop looks once at its end whether that changes something.
     fn wait(&mut self, seconds: u64) -> bool {
         self.now_ns += seconds * S;
-        let overdue = self.board.is_overdue(self.now_ns);
+        let overdue = self.board.is_overdue(BootNs(self.now_ns));
         if overdue {
             self.step(None);
-            assert!(!self.board.is_overdue(self.now_ns), "once");
+            assert!(!self.board.is_overdue(BootNs(self.now_ns)), "once");
         }
         overdue
     }
 
     fn person(&mut self, who: &str) -> Option<PersonV1> {
-        let told = *self.board.person_scores(self.now_ns);
+        let told = *self.board.person_scores(BootNs(self.now_ns));
         told.check().unwrap();
         let number = who.parse().unwrap_or_else(|_| self.board.persons().number_of(who));
         told.persons().iter().find(|person| person.person == number.0).copied()
@@ -130,7 +130,7 @@ impl House {
 
     /// How likely somebody is in each room now, and elsewhere.
     fn now(&mut self) -> (Vec<f32>, f32) {
-        let forecast = self.board.forecast(self.now_ns);
+        let forecast = self.board.forecast(BootNs(self.now_ns));
         forecast.check().unwrap();
         (forecast.probability.iter().take(3).map(|row| row[0]).collect(), forecast.elsewhere[0])
     }
@@ -151,7 +151,7 @@ impl House {
         assert_eq!(recovered.damaged_bytes, 0);
         self.board = board;
         let unix_ns = 1_000_000 * S + self.now_ns;
-        self.board.restore(recovered.join(), self.now_ns, unix_ns);
+        self.board.restore(recovered.join(), BootNs(self.now_ns), UnixNs(unix_ns));
         self.step(None);
     }
 }
@@ -174,10 +174,10 @@ fn everybody_may_leave_and_come_back() {
     snapshot.check().unwrap();
     assert!(snapshot.has(score_flags::NOBODY_HOME) && !snapshot.has(score_flags::NO_NARRATION));
     assert!(snapshot.rooms().iter().all(|room| room.probability == 0.0));
-    let forecast = *house.board.forecast(house.now_ns);
+    let forecast = *house.board.forecast(BootNs(house.now_ns));
     assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOBODY_HOME, 1.0));
     assert!(forecast.elsewhere[15] < 1.0, "somebody comes back some time");
-    let persons = *house.board.person_forecasts(house.now_ns);
+    let persons = *house.board.person_forecasts(BootNs(house.now_ns));
     persons.check().unwrap();
     for person in persons.persons() {
         for horizon in 0..16 {
@@ -204,7 +204,7 @@ fn who_is_gone_is_forgotten() {
     house.after(60, "plumber", "gone");
     let gone = house.person("plumber").unwrap();
     assert_eq!((gone.presence, gone.elsewhere, house.known()), (presence::GONE, 1.0, 1));
-    let told = *house.board.person_forecasts(house.now_ns);
+    let told = *house.board.person_forecasts(BootNs(house.now_ns));
     told.check().unwrap();
     assert_eq!(told.persons().iter().filter(|person| person.elsewhere[3] == 1.0).count(), 1);
     house.after(1, "ada", "They stand up.");
@@ -432,9 +432,9 @@ fn a_resident_is_written_as_the_home_writes_them() {
 fn who_was_never_observed_is_missed() {
     let mut house = House::new(&["ada", "ben"]);
     house.after(1, "ada", "They sit on the sofa.");
-    assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::RESIDENT_UNKNOWN);
+    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, forecast_flags::RESIDENT_UNKNOWN);
     house.after(1, "ben", "away");
-    assert_eq!(house.board.forecast(house.now_ns).flags, 0);
+    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, 0);
 }
 
 /// Who sleeps is asleep wherever they lie, until they do something else.
@@ -494,7 +494,8 @@ fn a_room_may_be_empty() {
     assert_eq!(house.person("ada").unwrap().observed_ns, before);
     // What was seen before the last word on somebody is past.
     house.after(5, "ada", "present in the kitchen");
-    let late = Observation { observed_ns: house.now_ns - S, ..house.observation("somebody", "nobody in the kitchen") };
+    let late =
+        Observation { observed_ns: BootNs(house.now_ns - S), ..house.observation("somebody", "nobody in the kitchen") };
     house.enter(late);
     assert!(house.now().0[kitchen] > 0.9);
 }
@@ -520,7 +521,7 @@ fn a_restart_after_a_map_change_moves_nobody() {
     house.after(1, "Cleo", "present in the study");
     house.after(1, "Dan", "away");
     let told = |house: &mut House| -> Vec<(u32, Vec<f32>)> {
-        let forecasts = *house.board.person_forecasts(house.now_ns);
+        let forecasts = *house.board.person_forecasts(BootNs(house.now_ns));
         let rooms = forecasts.room_count as usize;
         let own = |own: &roomcast_ipc::PersonForecastV1| {
             (own.person, (0..rooms).flat_map(|room| [0, 6, 10].map(|at| own.probability[room][at])).collect())
@@ -596,13 +597,13 @@ fn a_home_is_not_empty_as_long_as_somebody_may_be_there() {
     house.after(1, "ada", "They open the fridge.");
     house.after(1, "ada", "away");
     assert!(!house.board.snapshot().has(score_flags::NOBODY_HOME));
-    let forecast = *house.board.forecast(house.now_ns);
+    let forecast = *house.board.forecast(BootNs(house.now_ns));
     assert_eq!((forecast.flags, forecast.elsewhere[0]), (forecast_flags::NOT_KNOWN, 0.0));
     let even = 1.0 / forecast.room_count as f32;
     assert!(forecast.probability.iter().take(forecast.room_count as usize).all(|row| row[0] == even));
     house.after(1, "ben", "away");
     assert!(house.board.snapshot().has(score_flags::NOBODY_HOME));
-    assert_eq!(house.board.forecast(house.now_ns).flags, forecast_flags::NOBODY_HOME);
+    assert_eq!(house.board.forecast(BootNs(house.now_ns)).flags, forecast_flags::NOBODY_HOME);
 }
 
 /// A home with one resident has nobody else.
@@ -620,7 +621,7 @@ fn what_arrives_late_does_not_turn_back_presence() {
     let mut house = House::new(&[]);
     house.after(1, "ada", "They open the fridge.");
     let before = house.now().0;
-    let late = Observation { observed_ns: house.now_ns - S, ..house.observation("ada", "away") };
+    let late = Observation { observed_ns: BootNs(house.now_ns - S), ..house.observation("ada", "away") };
     let likeliest = |rooms: &[f32]| (0..rooms.len()).max_by(|a, b| rooms[*a].total_cmp(&rooms[*b])).unwrap();
     house.now_ns += 5 * S;
     house.enter(late);
@@ -704,9 +705,9 @@ fn a_restart_changes_nothing() {
         for (number, (who, what)) in (0..).zip(day) {
             house.after([2, 45, 700, 4000][(number + round) % 4], who, what);
             let of = |house: &mut House| {
-                let told = *house.board.person_scores(house.now_ns);
+                let told = *house.board.person_scores(BootNs(house.now_ns));
                 let persons: Vec<_> = told.persons().iter().filter(|p| p.presence != presence::GONE).copied().collect();
-                (persons, house.board.person_forecasts(house.now_ns).person)
+                (persons, house.board.person_forecasts(BootNs(house.now_ns)).person)
             };
             for silence_s in [0, 20, 3000] {
                 house.wait(silence_s);
@@ -755,8 +756,8 @@ fn a_restart_tells_what_the_model_makes_of_what_is_left() {
         let mut recovered = Recovered::default();
         read_records(&journal, &BOOT, &mut recovered);
         let mut again = board(&house.config);
-        again.restore(recovered, house.now_ns, 1_000_000 * S + house.now_ns);
-        again.step([], house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+        again.restore(recovered, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
+        again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         again.tell_outcomes(|outcome| told.push(outcome.probability.to_vec()));
         told
     };
@@ -777,8 +778,8 @@ fn a_restart_tells_who_is_out_where_nothing_says_it() {
         let mut recovered = Recovered::default();
         read_records(journal, &BOOT, &mut recovered);
         let mut again = board(&house.config);
-        again.restore(recovered, house.now_ns, 1_000_000 * S + house.now_ns);
-        again.step([], house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+        again.restore(recovered, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
+        again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         let mut told = Vec::new();
         again.tell_outcomes(|outcome| {
             told.push((outcome.event.sequence, outcome.person, outcome.by_fit, outcome.probability.len()));
@@ -802,8 +803,8 @@ fn who_comes_back_is_known_afresh() {
             let observation = house.observation("guest", text);
             let (observed_ns, observed_unix_ns) = (observation.observed_ns, observation.observed_unix_ns);
             Observation {
-                observed_ns: observed_ns - late_s * S,
-                observed_unix_ns: observed_unix_ns - late_s * S,
+                observed_ns: observed_ns.saturating_sub(late_s * S),
+                observed_unix_ns: observed_unix_ns.saturating_sub(late_s * S),
                 ..observation
             }
         };
@@ -813,8 +814,8 @@ fn who_comes_back_is_known_afresh() {
             assert_eq!(house.presence("guest"), Some(presence::GONE));
             house.enter(sits);
         } else {
-            let entries = [goes, sits].map(|observation| Entry::new(observation, house.now_ns));
-            house.board.step(entries, house.now_ns, 1_000_000 * S + house.now_ns).unwrap();
+            let entries = [goes, sits].map(|observation| Entry::new(observation, BootNs(house.now_ns)));
+            house.board.step(entries, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         }
         house.enter(goes_again);
         assert_eq!(house.presence("guest"), Some(presence::GONE), "{is_told}");
@@ -1095,7 +1096,7 @@ fn who_was_never_known_is_not_forgotten() {
 fn a_presence_has_one_word() {
     use roomcast_core::narration::Presence;
     for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
-        assert_eq!(presence::word(presence_value(all)), all.as_str());
+        assert_eq!(roomcast_ipc::Presence::of(presence_value(all)).word(), all.as_str());
     }
 }
 

@@ -97,7 +97,7 @@ impl Flat {
         self.planner.hear(&scores);
         self.planner.hear_forecast(&whole);
         self.planner.hear_sets(&each);
-        let decision = self.planner.decide(self.at_ns, self.at_ns).unwrap();
+        let decision = self.planner.decide(BootNs(self.at_ns), UnixNs(self.at_ns)).unwrap();
         decision.iter().for_each(|decision| decision.check().unwrap());
         decision
     }
@@ -129,7 +129,7 @@ impl Flat {
         };
         change(&mut order);
         order.check().unwrap();
-        self.planner.take_report(&order, self.at_ns).unwrap();
+        self.planner.take_report(&order, BootNs(self.at_ns)).unwrap();
     }
 
     fn of_room(&mut self, kind: u32, id: &str) {
@@ -389,7 +389,7 @@ fn an_order_without_a_room_is_refused() {
         kind: report_kind::SKIP,
         ..Default::default()
     };
-    assert_eq!(flat.planner.take_report(&order, flat.at_ns), Err(ReportFault::NoRoom));
+    assert_eq!(flat.planner.take_report(&order, BootNs(flat.at_ns)), Err(ReportFault::NoRoom));
 }
 
 #[test]

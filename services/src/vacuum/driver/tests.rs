@@ -6,6 +6,7 @@ use crate::planner::Planner;
 use crate::reporter::Reporter;
 use crate::vacuum::Dialect;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
+use roomcast_core::ids::UnixNs;
 use roomcast_core::policy::PolicyName;
 use roomcast_ipc::{ForecastV1, RoomScoresV1, sequence, text};
 
@@ -83,14 +84,14 @@ impl Pair {
     }
 
     fn decide(&mut self, decision: &DecisionV1) {
-        let acts = self.driver.decide(decision, self.now_s * S);
+        let acts = self.driver.decide(decision, BootNs(self.now_s * S));
         self.carry_out(acts);
     }
 
     /// The broker goes, or is back and tells what it has kept.
     fn be_away(&mut self, away: bool) {
         self.away = away;
-        let acts = self.driver.link(!away, self.now_s * S);
+        let acts = self.driver.link(!away, BootNs(self.now_s * S));
         self.carry_out(acts);
         if !away {
             self.hear_again();
@@ -100,7 +101,7 @@ impl Pair {
     fn hear_again(&mut self) {
         for (topic, payload) in self.robot.say(true) {
             let sensed = self.dialect.hear(&topic, payload.as_bytes()).unwrap();
-            let acts = self.driver.sense(sensed, self.now_s * S);
+            let acts = self.driver.sense(sensed, BootNs(self.now_s * S));
             self.carry_out(acts);
         }
     }
@@ -119,11 +120,11 @@ impl Pair {
             let said = self.robot.say(false).into_iter().filter(|_| !self.away).collect::<Vec<_>>();
             for (topic, payload) in said {
                 if let Some(sensed) = self.dialect.hear(&topic, payload.as_bytes()) {
-                    let acts = self.driver.sense(sensed, self.now_s * S);
+                    let acts = self.driver.sense(sensed, BootNs(self.now_s * S));
                     self.carry_out(acts);
                 }
             }
-            let acts = self.driver.tick(self.now_s * S);
+            let acts = self.driver.tick(BootNs(self.now_s * S));
             self.carry_out(acts);
         }
     }
@@ -242,14 +243,14 @@ fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
         let mut driver = Driver::new(&RobotConfig { on_pause, ..config() }, 7);
         driver.know_rooms(ROOMS.into_iter());
         let say = |driver: &mut Driver, sensed: Sensed, at_s: u64| {
-            let acts = driver.sense(sensed, at_s * S);
+            let acts = driver.sense(sensed, BootNs(at_s * S));
             acts.into_iter().filter(|act| matches!(act, Act::Order(_))).collect::<Vec<_>>()
         };
         say(&mut driver, Sensed::Segments(BTreeMap::from([("2".to_owned(), "hall".to_owned())])), 1);
         say(&mut driver, Sensed::Status(Status::Docked), 1);
-        assert_eq!(driver.decide(&decision(1, action::GO, "hall-2"), 2 * S).len(), 1);
+        assert_eq!(driver.decide(&decision(1, action::GO, "hall-2"), BootNs(2 * S)).len(), 1);
         let told = [Act::Order(order)];
-        assert_eq!(driver.decide(&decision(2, action::PAUSE, ""), 3 * S), told);
+        assert_eq!(driver.decide(&decision(2, action::PAUSE, ""), BootNs(3 * S)), told);
         for status in [Status::Docked, Status::Idle] {
             assert_eq!(say(&mut driver, Sensed::Status(status), 4), []);
         }
@@ -300,7 +301,7 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
     let mut driver = Driver::new(&config(), 7);
     let mut told = Vec::new();
     let mut sense = |driver: &mut Driver, sensed: Sensed, at_s: u64| {
-        for act in driver.sense(sensed, at_s * S) {
+        for act in driver.sense(sensed, BootNs(at_s * S)) {
             let Act::Report(report) = act else { continue };
             told.extend(report.battery);
         }
@@ -316,7 +317,7 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
     let mut driver = Driver::new(&config(), 7);
     let mut told = Vec::new();
     for level in (0..=100).rev() {
-        for act in driver.sense(Sensed::Battery(f64::from(level) / 100.0), S) {
+        for act in driver.sense(Sensed::Battery(f64::from(level) / 100.0), BootNs(S)) {
             let Act::Report(report) = act else { continue };
             told.extend(report.battery.map(|battery| (100.0 * battery).round() as u32));
         }
@@ -336,23 +337,25 @@ fn a_docked_robot_that_follows_no_order_is_left_alone_for_longer_and_longer() {
     let forecaster = Forecaster::new(ROOMS.len(), ForecastOptions::default(), 0.0);
     let (mut failed_s, mut said_docked) = (Vec::<u64>::new(), 0);
     for second in 1..2 * 3600 {
-        let mut acts = driver.tick(second * S);
+        let mut acts = driver.tick(BootNs(second * S));
         if second == 1 {
             let known = segments(0.0).into_iter().map(|(segment, name, _)| (segment.to_owned(), name.to_owned()));
-            acts.extend(driver.sense(Sensed::Segments(known.collect()), S));
-            acts.extend(driver.sense(Sensed::Status(Status::Docked), S));
+            acts.extend(driver.sense(Sensed::Segments(known.collect()), BootNs(S)));
+            acts.extend(driver.sense(Sensed::Status(Status::Docked), BootNs(S)));
         }
         let (scores, forecast) = tell(&forecaster, second);
-        planner.take(&scores, second * S).unwrap();
-        planner.take_forecast(&forecast, second * S).unwrap();
-        if let Some(decision) = planner.decide(second * S, 0).unwrap() {
-            acts.extend(driver.decide(&decision, second * S));
+        planner.take(&scores, BootNs(second * S)).unwrap();
+        planner.take_forecast(&forecast, BootNs(second * S)).unwrap();
+        if let Some(decision) = planner.decide(BootNs(second * S), UnixNs(0)).unwrap() {
+            acts.extend(driver.decide(&decision, BootNs(second * S)));
         }
         for act in acts {
             let Act::Report(report) = act else { continue };
             said_docked += usize::from(report.kind == Kind::Docked);
             failed_s.extend((report.kind == Kind::Failed).then_some(second));
-            planner.take_report(&reporter.message(&report, second * S, 0).unwrap(), second * S).unwrap();
+            planner
+                .take_report(&reporter.message(&report, BootNs(second * S), UnixNs(0)).unwrap(), BootNs(second * S))
+                .unwrap();
         }
     }
     let gaps: Vec<u64> = failed_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -471,7 +474,7 @@ fn a_robot_that_has_not_spoken_is_not_taken_for_one_without_segments() {
     let plan = |driver: &Driver| driver.plan().map(|(_, segment)| segment).collect::<Vec<_>>();
     assert!(!driver.is_heard());
     assert_eq!(plan(&driver)[..2], [Err("nothing was heard of the robot yet".to_owned()), Ok("9".to_owned())]);
-    let _acts = driver.sense(Sensed::Status(Status::Docked), S);
+    let _acts = driver.sense(Sensed::Status(Status::Docked), BootNs(S));
     assert!(driver.is_heard() && !driver.knows_segments());
     assert!(plan(&driver)[0].as_ref().unwrap_err().contains("has told of no segments"));
 }
@@ -483,7 +486,7 @@ fn an_empty_list_of_segments_replaces_no_other() {
     let plan = |driver: &Driver| driver.plan().map(|(_, segment)| segment.ok()).collect::<Vec<_>>();
     let mut told = |segments: &[(&str, &str)]| {
         let segments = segments.iter().map(|(number, name)| (number.to_string(), name.to_string())).collect();
-        let _acts = driver.sense(Sensed::Segments(segments), S);
+        let _acts = driver.sense(Sensed::Segments(segments), BootNs(S));
         plan(&driver)
     };
     assert_eq!(told(&[]), [Some("2".to_owned()), None], "the number in the id");
@@ -515,12 +518,12 @@ fn a_room_to_wait_in_is_not_cleaned_and_ends_work_elsewhere() {
 fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     let mut driver = Driver::new(&RobotConfig { obey: false, ..config() }, 7);
     let segments = BTreeMap::from([("3".to_owned(), "Küche".to_owned())]);
-    assert!(driver.sense(Sensed::Segments(segments), 0).is_empty());
+    assert!(driver.sense(Sensed::Segments(segments), BootNs(0)).is_empty());
     let clean = Act::Order(Order::Clean { segment: "3".to_owned(), room: "kitchen-3".to_owned() });
-    assert_eq!(driver.decide(&decision(1, action::GO, "kitchen-3"), S), [clean]);
-    let later: Vec<_> = (2..200).flat_map(|s| driver.tick(s * S)).collect();
-    assert!(later.is_empty() && driver.sense(Sensed::Status(Status::Docked), 300 * S).is_empty(), "{later:?}");
-    assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), 301 * S).len(), 1);
+    assert_eq!(driver.decide(&decision(1, action::GO, "kitchen-3"), BootNs(S)), [clean]);
+    let later: Vec<_> = (2..200).flat_map(|s| driver.tick(BootNs(s * S))).collect();
+    assert!(later.is_empty() && driver.sense(Sensed::Status(Status::Docked), BootNs(300 * S)).is_empty(), "{later:?}");
+    assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), BootNs(301 * S)).len(), 1);
 }
 
 /// What the daemon sends, that often.
@@ -601,19 +604,19 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
                     dialect
                         .hear(&topic, payload.as_bytes())
                         .into_iter()
-                        .flat_map(|sensed| driver.sense(sensed, now_ns)),
+                        .flat_map(|sensed| driver.sense(sensed, BootNs(now_ns))),
                 );
             }
         }
-        acts.extend(driver.tick(now_ns));
+        acts.extend(driver.tick(BootNs(now_ns)));
         if second % EVERY_S == 0 {
             let (scores, forecast) = tell(&forecaster, second);
-            planner.take(&scores, now_ns).unwrap();
-            planner.take_forecast(&forecast, now_ns).unwrap();
+            planner.take(&scores, BootNs(now_ns)).unwrap();
+            planner.take_forecast(&forecast, BootNs(now_ns)).unwrap();
             driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
         }
-        if let Some(decision) = planner.decide(now_ns, 0).unwrap() {
-            acts.extend(driver.decide(&decision, now_ns));
+        if let Some(decision) = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap() {
+            acts.extend(driver.decide(&decision, BootNs(now_ns)));
         }
         for act in acts {
             match act {
@@ -624,7 +627,9 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
                 Act::Order(_) => {}
                 Act::Report(report) => {
                     failed += usize::from(report.kind == Kind::Failed);
-                    planner.take_report(&reporter.message(&report, now_ns, 0).unwrap(), now_ns).unwrap();
+                    planner
+                        .take_report(&reporter.message(&report, BootNs(now_ns), UnixNs(0)).unwrap(), BootNs(now_ns))
+                        .unwrap();
                 }
             }
         }
@@ -682,15 +687,15 @@ fn home_assistants_robot_is_driven_by_the_same_driver() {
     let mut driver = Driver::new(&config, 7);
     let dialect = Dialect::new(&RobotConfig { topic: "ha/vacuum/dusty".into(), ..config }, "roomcast", "robot");
     let sense = |driver: &mut Driver, part: &str, payload: &str, s: u64| {
-        driver.sense(dialect.hear(&format!("ha/vacuum/dusty/{part}"), payload.as_bytes()).unwrap(), s * S)
+        driver.sense(dialect.hear(&format!("ha/vacuum/dusty/{part}"), payload.as_bytes()).unwrap(), BootNs(s * S))
     };
     sense(&mut driver, "state", "docked", 1);
-    let acts = driver.decide(&decision(1, action::GO, "hall-2"), 2 * S);
+    let acts = driver.decide(&decision(1, action::GO, "hall-2"), BootNs(2 * S));
     assert_eq!(acts, [Act::Order(Order::Clean { segment: "2".into(), room: "hall-2".into() })]);
     let acts = sense(&mut driver, "state", "cleaning", 3);
     assert!(matches!(&acts[..], [Act::Report(report)] if report.kind == Kind::Started), "{acts:?}");
     sense(&mut driver, "state", "returning", 600);
-    let acts = driver.tick(604 * S);
+    let acts = driver.tick(BootNs(604 * S));
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
 }
 
@@ -816,11 +821,11 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     ];
     let mut driver = Driver::new(&config(), 7);
     driver.know_rooms(ROOMS.into_iter());
-    let mut acts = driver.decide(&decision(1, action::GO, "kitchen-3"), S);
-    said.into_iter().for_each(|sensed| acts.extend(driver.sense(sensed, S)));
-    (2..100).for_each(|s| acts.extend(driver.tick(s * S)));
+    let mut acts = driver.decide(&decision(1, action::GO, "kitchen-3"), BootNs(S));
+    said.into_iter().for_each(|sensed| acts.extend(driver.sense(sensed, BootNs(S))));
+    (2..100).for_each(|s| acts.extend(driver.tick(BootNs(s * S))));
     assert_eq!(acts, []);
-    let acts = driver.sense(Sensed::Online(true), 100 * S);
+    let acts = driver.sense(Sensed::Online(true), BootNs(100 * S));
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.battery == Some(0.4))), "{acts:?}");
 }
 
@@ -830,13 +835,13 @@ fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
     let mut driver = Driver::new(&config, 7);
     driver.know_rooms(ROOMS.into_iter());
-    let mut acts = driver.link(true, S);
-    acts.extend(driver.sense(Sensed::Status(Status::Docked), S));
-    acts.extend(driver.link(false, 2 * S));
-    acts.extend(driver.link(true, 3 * S));
+    let mut acts = driver.link(true, BootNs(S));
+    acts.extend(driver.sense(Sensed::Status(Status::Docked), BootNs(S)));
+    acts.extend(driver.link(false, BootNs(2 * S)));
+    acts.extend(driver.link(true, BootNs(3 * S)));
     assert!(!acts.iter().any(|act| matches!(act, Act::Order(_))), "{acts:?}");
-    let mut acts = driver.decide(&decision(1, action::GO, "hall-2"), 4 * S);
-    acts.extend(driver.tick(5 * S));
+    let mut acts = driver.decide(&decision(1, action::GO, "hall-2"), BootNs(4 * S));
+    acts.extend(driver.tick(BootNs(5 * S)));
     assert!(acts.iter().any(|act| matches!(act, Act::Order(Order::Clean { .. }))), "{acts:?}");
 }
 
@@ -847,12 +852,12 @@ fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room
     for (battery, kind) in [(0.12, Kind::Failed), (0.15, Kind::Failed), (0.16, Kind::Finished), (0.9, Kind::Finished)] {
         let mut driver = Driver::new(&config, 7);
         driver.know_rooms(ROOMS.into_iter());
-        let mut acts = driver.sense(Sensed::Status(Status::Docked), S);
-        acts.extend(driver.decide(&decision(1, action::GO, "hall-2"), 2 * S));
-        acts.extend(driver.sense(Sensed::Status(Status::Cleaning), 3 * S));
-        acts.extend(driver.sense(Sensed::Battery(battery), 500 * S));
-        acts.extend(driver.sense(Sensed::Status(Status::Returning), 600 * S));
-        acts.extend(driver.tick(604 * S));
+        let mut acts = driver.sense(Sensed::Status(Status::Docked), BootNs(S));
+        acts.extend(driver.decide(&decision(1, action::GO, "hall-2"), BootNs(2 * S)));
+        acts.extend(driver.sense(Sensed::Status(Status::Cleaning), BootNs(3 * S)));
+        acts.extend(driver.sense(Sensed::Battery(battery), BootNs(500 * S)));
+        acts.extend(driver.sense(Sensed::Status(Status::Returning), BootNs(600 * S)));
+        acts.extend(driver.tick(BootNs(604 * S)));
         let ended: Vec<_> = acts
             .iter()
             .filter_map(|act| if let Act::Report(report) = act { Some(report.kind) } else { None })
@@ -860,8 +865,8 @@ fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room
             .collect();
         assert_eq!(ended, [kind], "{battery}");
         // It goes on by itself where nobody tells it not to.
-        let mut docked = driver.sense(Sensed::Status(Status::Docked), 700 * S);
-        (701..1000).for_each(|s| docked.extend(driver.tick(s * S)));
+        let mut docked = driver.sense(Sensed::Status(Status::Docked), BootNs(700 * S));
+        (701..1000).for_each(|s| docked.extend(driver.tick(BootNs(s * S))));
         let stops = docked.iter().filter(|act| matches!(act, Act::Order(Order::Stop))).count();
         assert_eq!(stops, if kind == Kind::Failed { TRIES as usize } else { 0 }, "{battery}");
     }

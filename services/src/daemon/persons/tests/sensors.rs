@@ -1,6 +1,7 @@
 //! Homes with sensors: the joint filter in the daemon.
 
 use super::*;
+use roomcast_core::ids::{BootNs, UnixNs};
 
 const BED_JON: Device = ("bed", "bed-jon", "bedroom", "Jon");
 const BED_MIRA: Device = ("bed", "bed-mira", "bedroom", "Mira");
@@ -45,8 +46,8 @@ impl Flat {
     fn at(&mut self, who: &str, room: &str) -> f32 {
         let number = self.0.board.persons().number_of(who);
         let now_ns = self.0.now_ns;
-        let scores = *self.0.board.person_scores(now_ns);
-        let forecasts = *self.0.board.person_forecasts(now_ns);
+        let scores = *self.0.board.person_scores(BootNs(now_ns));
+        let forecasts = *self.0.board.person_forecasts(BootNs(now_ns));
         forecasts.check().unwrap();
         let place = scores.persons().iter().position(|own| own.person == number.0).unwrap();
         let own = &forecasts.person[place];
@@ -62,13 +63,13 @@ impl Flat {
 
     fn occupied(&mut self, room: &str) -> f32 {
         let room = self.room(room).unwrap();
-        let forecast = self.0.board.forecast(self.0.now_ns);
+        let forecast = self.0.board.forecast(BootNs(self.0.now_ns));
         forecast.check().unwrap();
         forecast.probability[room][0]
     }
 
     fn house_empty(&mut self) -> f32 {
-        self.0.board.forecast(self.0.now_ns).elsewhere[0]
+        self.0.board.forecast(BootNs(self.0.now_ns)).elsewhere[0]
     }
 }
 
@@ -138,7 +139,7 @@ fn persons_that_come_home_are_present_at_once() {
 fn events_with_a_date_of_1970_cost_no_time_and_no_belief() {
     let mut house = House::new(&["Jon", "Mira"]);
     house.board = board_of(FLAT, &house.config);
-    let old = |own: Observation| Observation { observed_ns: 0, observed_unix_ns: S, ..own };
+    let old = |own: Observation| Observation { observed_ns: BootNs(0), observed_unix_ns: UnixNs(S), ..own };
     let first = old(house.observation("somebody", r#"{"sensor":"motion","id":"m","room":"corridor","on":true}"#));
     house.enter(first);
     house.after(1, "Jon", "They open the fridge.");
@@ -152,7 +153,7 @@ fn late_unnamed_events_and_late_reports_move_nobody_and_say_why() {
     let mut flat = Flat::new();
     flat.0.after(200, "Jon", "They open the fridge.");
     flat.0.after(1, "Mira", "They sit on the sofa.");
-    let late = |own: Observation| Observation { observed_ns: own.observed_ns - 120 * S, ..own };
+    let late = |own: Observation| Observation { observed_ns: own.observed_ns.saturating_sub(120 * S), ..own };
     let text = late(flat.0.observation("somebody", "They close the fridge."));
     let sensor = late(flat.report(KITCHEN, true));
     let newer = flat.report(KITCHEN, false);

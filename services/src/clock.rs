@@ -1,0 +1,15 @@
+//! The two clocks, with types.
+
+use roomcast_core::ids::{BootNs, UnixNs};
+
+/// Now by the clock of ages ([`roomcast_ipc::clock::monotonic_ns`]).
+#[must_use]
+pub fn monotonic_ns() -> BootNs {
+    BootNs(roomcast_ipc::clock::monotonic_ns())
+}
+
+/// Now by the wall clock ([`roomcast_ipc::clock::unix_ns`]).
+#[must_use]
+pub fn unix_ns() -> UnixNs {
+    UnixNs(roomcast_ipc::clock::unix_ns())
+}
