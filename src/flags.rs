@@ -58,6 +58,7 @@ pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
             (decision_flags::ROBOT_SILENT, "robot-silent"),
             (decision_flags::OWED, "owed"),
             (decision_flags::ELSEWHERE, "elsewhere"),
+            (decision_flags::HELD, "held"),
         ],
     )
 }

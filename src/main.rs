@@ -27,6 +27,8 @@ mod metrics;
 #[cfg(feature = "publish")]
 mod publish;
 mod reasons;
+#[cfg(any(feature = "publish", feature = "top", feature = "view"))]
+mod robot_place;
 #[cfg(any(feature = "top", feature = "view"))]
 mod top;
 #[cfg(feature = "view")]

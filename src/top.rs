@@ -10,13 +10,14 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RoomScoresV1,
-    StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RobotReportV1,
+    RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
 use crate::bar::bar;
 use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
+use crate::robot_place::Places;
 use roomcast_services::daemon::flag_words;
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
@@ -39,6 +40,19 @@ const SET_SHARE: usize = 1;
 const HEADING: &str = "rooms: where somebody is next, and its course";
 /// The panel of rooms and persons keeps its frame where it has so many rows for them.
 const FRAMED_ROWS: usize = 14;
+
+/// The width of the last column: the time since a room was cleaned.
+const CLEANED_WIDTH: usize = 13;
+
+/// A time since a room was cleaned.
+#[must_use]
+pub fn ago(minutes: u16) -> String {
+    match minutes {
+        0..120 => format!("done {minutes} min"),
+        120..2880 => format!("done {} h", minutes / 60),
+        _ => format!("done {} d", minutes / 1440),
+    }
+}
 
 /// Who a message speaks of: a name where there is one.
 #[must_use]
@@ -68,6 +82,7 @@ pub struct View {
     narration: VecDeque<(String, String)>,
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
+    places: Places,
     /// The configured robot's number. Others are shown only where it says nothing.
     robot: u64,
     status: Option<StatusResponseV1>,
@@ -196,6 +211,11 @@ impl View {
         }
     }
 
+    /// Takes in what a robot reports.
+    pub fn report(&mut self, report: &RobotReportV1) {
+        self.places.take(report, self.decision.as_ref());
+    }
+
     /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
     pub fn status(&mut self, status: StatusResponseV1) {
         self.status = Some(status);
@@ -273,17 +293,26 @@ impl View {
         let frame_size = if is_framed { 2 } else { 0 };
         let inner = usize::from(area.width.saturating_sub(frame_size));
         // Name, percentage, then bar and line share what is left.
-        let rest = inner.saturating_sub(name_width + 9);
+        let is_cleaned = self.decision.is_some_and(|decision| decision.cleaned_min.iter().any(|minutes| *minutes > 0));
+        let rest = inner.saturating_sub(name_width + 9 + if is_cleaned { CLEANED_WIDTH } else { 0 });
         let bar_width = rest * 2 / 5;
         let line_width = rest.saturating_sub(bar_width + 1);
         let most = self.rooms.iter().map(|room| room.probability).fold(0.0, f64::max);
-        let lines = (self.rooms.iter()).map(|room| {
+        let lines = self.rooms.iter().enumerate().map(|(place, room)| {
+            let cleaned = self.decision.filter(|_| is_cleaned).map_or_else(String::new, |decision| {
+                let ago = decision.cleaned_min.get(place).copied().unwrap_or_default().checked_sub(1).map(ago);
+                format!("{:>CLEANED_WIDTH$}", ago.unwrap_or_default())
+            });
             let color = if room.probability >= most { Color::Yellow } else { Color::Cyan };
             Line::from(vec![
                 Span::from(format!("{:<name_width$} ", cut(&room.id, name_width))),
                 Span::from(format!("{:5.1} % ", 100.0 * room.probability)).bold(),
                 Span::styled(format!("{:<bar_width$} ", bar(room.probability, bar_width)), Style::new().fg(color)),
-                Span::styled(sparkline(&room.points, line_width), Style::new().fg(color).dim()),
+                Span::styled(
+                    format!("{:<line_width$}", sparkline(&room.points, line_width)),
+                    Style::new().fg(color).dim(),
+                ),
+                Span::from(cleaned).dim(),
             ])
         });
         let mut lines: Vec<_> = lines.chain(persons.iter().map(|line| Line::from(line.as_str()))).collect();
@@ -325,6 +354,7 @@ impl View {
             name if decision.robot != self.robot && !name.is_empty() => format!("{name}: "),
             _ => String::new(),
         };
+        let place = self.places.of(decision.robot).words(str::to_owned);
         let mut first = vec![
             Span::from(robot),
             Span::from(format!("{} ", decision.to())).bold(),
@@ -333,6 +363,7 @@ impl View {
                 100.0 * decision.probability,
                 decision.policy()
             )),
+            Span::from(format!("  [{place}]")).cyan(),
         ];
         for name in decision_flag_names(decision.flags) {
             first.push(Span::from(format!("  {}", plain(name))).yellow());
@@ -503,7 +534,7 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, text};
+    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind, text};
 
     fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 {
@@ -581,6 +612,24 @@ mod tests {
         ["dusty", "rusty"].into_iter().zip(["cellar", "attic"]).for_each(|(robot, to)| view.decision(&of(robot, to)));
         let shown = drawn(&view, 80, 24, BootNs(0));
         assert!(shown.contains("cellar (") && !shown.contains("dusty:") && !shown.contains("attic"), "{shown}");
+    }
+
+    #[test]
+    fn a_room_shows_when_it_was_cleaned_and_the_robot_shows_where_it_is() {
+        let mut view = View::of_robot("robot");
+        view.scores(&scores(1, &[("kitchen", 0.6), ("hall", 0.4)]));
+        let mut decision = DecisionV1 { robot: sequence::source_of_name("robot"), ..Default::default() };
+        decision.cleaned_min[1] = 181;
+        view.decision(&decision);
+        let shown = drawn(&view, 100, 24, BootNs(0));
+        assert!(shown.contains("done 3 h") && shown.contains("[dry run]"), "{shown}");
+        let docked = RobotReportV1 { robot: decision.robot, kind: report_kind::DOCKED, ..Default::default() };
+        view.report(&docked);
+        assert!(drawn(&view, 100, 24, BootNs(0)).contains("[on its dock]"));
+        assert_eq!(
+            [0, 119, 120, 2879, 2880].map(ago),
+            ["done 0 min", "done 119 min", "done 2 h", "done 47 h", "done 2 d"]
+        );
     }
 
     /// Numbers that pass the check of their message, and that no daemon sends.

@@ -15,8 +15,8 @@ use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RoomScoresV1, RoomV1, Subscriber, action,
-    clock, presence, question, sequence,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, RoomV1,
+    Subscriber, action, clock, presence, question, sequence,
 };
 use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
@@ -28,6 +28,7 @@ use serde_json::{Value, json};
 use crate::decided::{Decided, News};
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
 use crate::http::{HttpError, Request, Server, refusal};
+use crate::robot_place::Places;
 use crate::top::who;
 
 const PAGE: &str = include_str!("view/page.html");
@@ -104,6 +105,8 @@ pub fn run(
     let forecasts: Subscriber<PersonForecastsV1> = node.subscriber()?;
     let narration: Subscriber<NarrationV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
+    // Without a place at this service it is not known where the robot is.
+    let mut reports: Option<Subscriber<RobotReportV1>> = node.subscriber().ok();
     let moments = node.question_port(question::MOMENT)?;
     let mut reasons = Reasons::new(&node)?;
     let picture = Picture { robot: Some(sequence::source_of_name(robot)), is_configured: true, ..Picture::default() };
@@ -135,6 +138,9 @@ pub fn run(
         }
         if let Some(message) = forecasts.newest()? {
             picture.forecasts(&message, now_ns);
+        }
+        while let Some(report) = reports.as_mut().map(|reports| reports.receive()).transpose()?.flatten() {
+            picture.report(&report);
         }
         while let Some(message) = decisions.receive()? {
             picture.decision(&message, told_ns(message.decided_ns, now_ns));
@@ -498,6 +504,7 @@ struct Picture {
     /// Others are shown only where it says nothing.
     is_configured: bool,
     decided: Decided,
+    places: Places,
     /// The newest first: when it was, who was told of by whom, and what was said.
     narration: VecDeque<(u64, String, String)>,
     items: BTreeMap<String, f64>,
@@ -515,7 +522,7 @@ impl Picture {
             Recorded::Forecast(message) => self.forecast(message),
             Recorded::PersonForecasts(message) => self.forecasts(message, taken_ns),
             Recorded::Decision(message) => self.decision(message, taken_ns),
-            Recorded::RobotReport(_) => {}
+            Recorded::RobotReport(message) => self.report(message),
         }
     }
 
@@ -534,6 +541,10 @@ impl Picture {
     fn forecasts(&mut self, forecasts: &PersonForecastsV1, taken_ns: u64) {
         self.quality.take(forecasts, self.persons.as_deref(), taken_ns);
         self.forecasts = Some(Box::new(*forecasts));
+    }
+
+    fn report(&mut self, report: &RobotReportV1) {
+        self.places.take(report, self.decision.as_ref().map(|(decision, _)| decision));
     }
 
     fn decision(&mut self, decision: &DecisionV1, taken_ns: u64) {
@@ -629,7 +640,15 @@ impl Picture {
                 let rooms = scores.rooms().iter().enumerate();
                 rooms.filter(|(room, _)| decision.covered >> room & 1 == 0).map(|(_, room)| room.id()).collect::<Vec<_>>()
             });
+            let place = self.places.of(decision.robot);
+            let cleaned = of.map(|scores| {
+                let rooms = scores.rooms().iter().zip(decision.cleaned_min).filter_map(|(room, minutes)| {
+                    Some((room.id().to_owned(), f64::from(minutes.checked_sub(1)?) * 60.0 + seconds(*taken_ns)))
+                });
+                rooms.collect::<BTreeMap<_, _>>()
+            });
             json!({
+                "at": place.room(), "place": place.words(str::to_owned), "cleaned_s": cleaned,
                 "to": decision.to(), "left": left, "text": text, "reason": decision.reason(), "policy": decision.policy(), "age_s": seconds(*taken_ns),
                 "flags": decision_flag_names(decision.flags),
                 "notes": decision_flag_names(decision.flags).into_iter().map(plain).collect::<Vec<_>>(),

@@ -231,7 +231,7 @@ impl World {
         let config = directory.path().join("roomcast.toml");
         let text = format!(
             "[model]\nthreads = 1\n[daemon]\nstate = {:?}\nheartbeat_ms = 100\njournal_bytes = 67108864\n\
-             [planner]\npolicy = \"greedy-avoidance\"\nroom_time_s = 0.02\ndeadline_ms = {}\n\
+             [planner]\nknow_s = 0.0\npolicy = \"greedy-avoidance\"\nroom_time_s = 0.02\ndeadline_ms = {}\n\
              report_timeout_s = 1.0\nreports = \"always\"\n\
              [narrator]\nname = {NARRATOR:?}\nlinger_s = 0.0\n",
             directory.path().join("state"),

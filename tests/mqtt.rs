@@ -456,7 +456,7 @@ impl Drop for Fake {
 fn home_with_a_robot(world: &World) -> String {
     let config = world.directory.path().join("robot.toml");
     let text = format!(
-        "[planner]\nroom_time_s = 10.0\nreports = \"always\"\nrepeat = false\npolicy = \"uncovered-first\"\n\
+        "[planner]\nknow_s = 0.0\nroom_time_s = 10.0\nreports = \"always\"\nrepeat = false\npolicy = \"uncovered-first\"\n\
         [robot]\ntopic = \"{FAKE}\"\nstart_s = 1.0\nleast_s = 0.1\n[robot.segments]\nmain-room = \"1\"\nkitchen = \"2\"\nbathroom = \"3\"\n"
     );
     std::fs::write(&config, text).unwrap();
@@ -615,7 +615,7 @@ fn lived_home(world: &World, port: u16, policy: &str, seed: u64) -> String {
         "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\n[narrator]\nname = \"home\"\n\
          [mqtt]\nbroker = \"mqtt://127.0.0.1:{port}\"\nrules = {rules:?}\n\
          [forecast]\nobject_s = {:?}\nstay_s = {:?}\naction_s = {:?}\naway_s = {:?}\n\
-         [planner]\npolicy = {policy:?}\nseed = {seed}\nroom_time_s = {:?}\nround_s = {:?}\nreports = \"always\"\nreport_timeout_s = 10.0\n\
+         [planner]\nknow_s = 0.0\npolicy = {policy:?}\nseed = {seed}\nroom_time_s = {:?}\nround_s = {:?}\nreports = \"always\"\nreport_timeout_s = 10.0\n\
          interrupt_after_s = {:?}\n[robot]\ntopic = {FAKE:?}\nstart_s = 1.0\nleast_s = 0.1\n",
         folder.join("state"),
         real(40.0),

@@ -132,7 +132,7 @@ impl World {
         let domain = Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
         let text = format!(
             "[model]\nthreads = 1\n[daemon]\nstate = {:?}\nheartbeat_ms = 100\njournal_sync_ms = 20\n[habits]\nsave_s = 1.0\n\
-             [planner]\npolicy = \"greedy-avoidance\"\nroom_time_s = 0.02\n",
+             [planner]\nknow_s = 0.0\npolicy = \"greedy-avoidance\"\nroom_time_s = 0.02\n",
             directory.path().join("state"),
         );
         fs::write(directory.path().join("roomcast.toml"), text).unwrap();

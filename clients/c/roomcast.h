@@ -176,6 +176,9 @@
 // Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
 #define ROOMCAST_DECISION_FLAGS_ELSEWHERE (1 << 12)
 
+// A person holds the robot: it does not work until held_until_unix_ns, or until a person resumes.
+#define ROOMCAST_DECISION_FLAGS_HELD (1 << 13)
+
 // Most bytes of a report's note.
 #define ROOMCAST_NOTE_TEXT_BYTES 120
 
@@ -202,6 +205,18 @@
 
 // Somebody, or the robot itself, took the decision back; the robot is free again.
 #define ROOMCAST_REPORT_KIND_CANCELLED 7
+
+// A person's order, no report: the robot does not work until until_unix_ns, or until RESUME. note says why.
+#define ROOMCAST_REPORT_KIND_HOLD 8
+
+// A person's order: the hold ends.
+#define ROOMCAST_REPORT_KIND_RESUME 9
+
+// A person's order: clean room now.
+#define ROOMCAST_REPORT_KIND_CLEAN 10
+
+// A person's order: skip room today.
+#define ROOMCAST_REPORT_KIND_SKIP 11
 
 // position_m says where the robot is.
 #define ROOMCAST_REPORT_FLAGS_HAS_POSITION 1
@@ -692,7 +707,7 @@ typedef struct RoomcastDecisionV1 {
   // Bits of decision_flags.
   // (Offset 100.)
   uint32_t flags;
-  // Minor version of the layout: 3, which has decision_flags::ELSEWHERE; 2 has robot_name and decision_flags::OWED; 1 has
+  // Minor version of the layout: 4, which has held_until_unix_ns and cleaned_min; 3 has decision_flags::ELSEWHERE; 2 has robot_name and decision_flags::OWED; 1 has
   // action::PAUSE and cancels.
   // (Offset 104.)
   uint32_t minor;
@@ -717,9 +732,15 @@ typedef struct RoomcastDecisionV1 {
   // The robot's name, UTF-8, zero padded; empty where whoever decides does not tell it.
   // (Offset 520.)
   uint8_t robot_name[ROOMCAST_NAME_BYTES];
-  // Zero.
+  // The end of a hold in Unix nanoseconds; 0 where there is no hold, or no end.
   // (Offset 568.)
-  uint8_t reserved[200];
+  uint64_t held_until_unix_ns;
+  // Per room the whole minutes from its last cleaning to this decision, plus 1; 0 where none is known. 65535 stands for all longer times.
+  // (Offset 576.)
+  uint16_t cleaned_min[ROOMCAST_MAX_ROOMS];
+  // Zero.
+  // (Offset 704.)
+  uint8_t reserved[64];
 } RoomcastDecisionV1;
 
 // What a robot says of itself: where it is, and what became of a decision.
@@ -757,7 +778,7 @@ typedef struct RoomcastRobotReportV1 {
   // Bits of report_flags.
   // (Offset 92.)
   uint32_t flags;
-  // Minor version of the layout: 0.
+  // Minor version of the layout: 1, which has orders of persons and until_unix_ns.
   // (Offset 96.)
   uint32_t minor;
   // Zero.
@@ -772,9 +793,12 @@ typedef struct RoomcastRobotReportV1 {
   // Why, in words, UTF-8, zero padded.
   // (Offset 200.)
   uint8_t note[ROOMCAST_NOTE_TEXT_BYTES];
-  // Zero.
+  // The end of a hold in Unix nanoseconds; 0 for none.
   // (Offset 320.)
-  uint8_t reserved[192];
+  uint64_t until_unix_ns;
+  // Zero.
+  // (Offset 328.)
+  uint8_t reserved[184];
 } RoomcastRobotReportV1;
 
 // Asks the daemon how it is.
@@ -1147,7 +1171,9 @@ _Static_assert(offsetof(RoomcastDecisionV1, policy) == 208, "RoomcastDecisionV1.
 _Static_assert(offsetof(RoomcastDecisionV1, reason) == 256, "RoomcastDecisionV1.reason");
 _Static_assert(offsetof(RoomcastDecisionV1, cancels) == 512, "RoomcastDecisionV1.cancels");
 _Static_assert(offsetof(RoomcastDecisionV1, robot_name) == 520, "RoomcastDecisionV1.robot_name");
-_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 568, "RoomcastDecisionV1.reserved");
+_Static_assert(offsetof(RoomcastDecisionV1, held_until_unix_ns) == 568, "RoomcastDecisionV1.held_until_unix_ns");
+_Static_assert(offsetof(RoomcastDecisionV1, cleaned_min) == 576, "RoomcastDecisionV1.cleaned_min");
+_Static_assert(offsetof(RoomcastDecisionV1, reserved) == 704, "RoomcastDecisionV1.reserved");
 _Static_assert(sizeof(RoomcastRobotReportV1) == 512, "RoomcastRobotReportV1");
 _Static_assert(offsetof(RoomcastRobotReportV1, robot) == 0, "RoomcastRobotReportV1.robot");
 _Static_assert(offsetof(RoomcastRobotReportV1, epoch) == 8, "RoomcastRobotReportV1.epoch");
@@ -1165,7 +1191,8 @@ _Static_assert(offsetof(RoomcastRobotReportV1, reserved_a) == 100, "RoomcastRobo
 _Static_assert(offsetof(RoomcastRobotReportV1, robot_name) == 104, "RoomcastRobotReportV1.robot_name");
 _Static_assert(offsetof(RoomcastRobotReportV1, room) == 152, "RoomcastRobotReportV1.room");
 _Static_assert(offsetof(RoomcastRobotReportV1, note) == 200, "RoomcastRobotReportV1.note");
-_Static_assert(offsetof(RoomcastRobotReportV1, reserved) == 320, "RoomcastRobotReportV1.reserved");
+_Static_assert(offsetof(RoomcastRobotReportV1, until_unix_ns) == 320, "RoomcastRobotReportV1.until_unix_ns");
+_Static_assert(offsetof(RoomcastRobotReportV1, reserved) == 328, "RoomcastRobotReportV1.reserved");
 _Static_assert(sizeof(RoomcastStatusRequestV1) == 16, "RoomcastStatusRequestV1");
 _Static_assert(offsetof(RoomcastStatusRequestV1, minor) == 0, "RoomcastStatusRequestV1.minor");
 _Static_assert(offsetof(RoomcastStatusRequestV1, reserved) == 4, "RoomcastStatusRequestV1.reserved");

@@ -129,6 +129,14 @@ words! {
     Battery = BATTERY "battery",
     /// A person or the robot cancelled the decision.
     Cancelled = CANCELLED "cancelled",
+    /// An order of a person: the robot does not work.
+    Hold = HOLD "hold",
+    /// An order of a person: the hold ends.
+    Resume = RESUME "resume",
+    /// An order of a person: clean the room now.
+    Clean = CLEAN "clean",
+    /// An order of a person: skip the room today.
+    Skip = SKIP "skip",
 }
 
 #[cfg(test)]
@@ -141,7 +149,7 @@ mod tests {
             assert_eq!(Action::of(number).number(), number);
             assert_eq!(Presence::of_word(Presence::of(number).word()), Some(Presence::of(number)));
         }
-        for number in 0..8 {
+        for number in 0..12 {
             assert_eq!(ReportKind::of_word(ReportKind::of(number).word()), Some(ReportKind::of(number)));
         }
     }

@@ -36,6 +36,7 @@ mod persons;
 #[path = "../../tests/support/requirements.rs"]
 mod requirements;
 mod study;
+mod wishes;
 
 /// Reproduces the paper's tables and figures, and prints Roomcast's own.
 #[derive(Debug, Parser)]
@@ -71,6 +72,8 @@ enum Experiment {
     Guesses(guesses::GuessesArgs),
     /// How well the tracker knows who is where, in simulated homes with sensors.
     Persons(persons::PersonsArgs),
+    /// What people ask of a robot at home: days of households, by each way to control it.
+    Wishes(wishes::WishesArgs),
     /// Try a model file, for another process of this program that loads it then.
     #[command(hide = true)]
     Model {
@@ -237,6 +240,7 @@ fn run(args: &Args) -> CommandResult {
         Experiment::Habits(args) => habits::run(args),
         Experiment::Guesses(args) => guesses::run(args),
         Experiment::Persons(args) => persons::run(args),
+        Experiment::Wishes(args) => wishes::run(args),
         Experiment::Model { rehearse: Rehearse::Rehearse { file, kv_cache } } => model::rehearse(file, *kv_cache),
     }
 }

@@ -44,6 +44,10 @@ pub fn report(report: &RobotReportV1, robot: &str) -> Text {
         report_kind::DOCKED => "is at its dock",
         report_kind::BATTERY => "says how full its battery is",
         report_kind::CANCELLED => "does not follow a decision any more",
+        report_kind::HOLD => "is held by a person",
+        report_kind::RESUME => "is held no longer",
+        report_kind::CLEAN => "is asked by a person to clean a room",
+        report_kind::SKIP => "is asked by a person to skip a room today",
         _ => "says something that is not known here",
     };
     let mut data = format!("{robot} {what}");

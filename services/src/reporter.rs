@@ -31,6 +31,14 @@ pub enum Kind {
     Battery,
     /// The decision was taken back.
     Cancelled,
+    /// A person's order: the robot does not work, for some time or until it resumes.
+    Hold,
+    /// A person's order: the hold ends.
+    Resume,
+    /// A person's order: clean the room now.
+    Clean,
+    /// A person's order: skip the room today.
+    Skip,
 }
 
 impl Kind {
@@ -44,6 +52,10 @@ impl Kind {
             Self::Docked => report_kind::DOCKED,
             Self::Battery => report_kind::BATTERY,
             Self::Cancelled => report_kind::CANCELLED,
+            Self::Hold => report_kind::HOLD,
+            Self::Resume => report_kind::RESUME,
+            Self::Clean => report_kind::CLEAN,
+            Self::Skip => report_kind::SKIP,
         }
     }
 }
@@ -70,6 +82,9 @@ pub struct Report {
     /// Why, in words.
     #[serde(default)]
     pub note: Option<String>,
+    /// Seconds until a hold ends.
+    #[serde(default)]
+    pub for_s: Option<f64>,
 }
 
 /// Why a report is none.
@@ -79,7 +94,7 @@ pub enum ReporterError {
     /// No JSON, an unknown key, or a value of the wrong kind.
     #[error(
         "{reason}; expected {{\"report\": \"finished\"}}, with \"room\": text, \"battery\": 0 to 1, \"position\": [x, y, z] in metres, \
-         \"decision\": number and \"note\": text if you like"
+         \"decision\": number and \"note\": text if you like, and \"for_s\": seconds with \"hold\""
     )]
     Json {
         /// What is wrong, and at which key.
@@ -95,6 +110,12 @@ pub enum ReporterError {
         /// What to give.
         remedy: &'static str,
     },
+    /// A report of this kind has no such key.
+    #[error("a report of the kind {kind} has no `for_s`: give it with hold, 1 to 1000000000 seconds")]
+    NoHold {
+        /// The kind.
+        kind: Kind,
+    },
     /// A value that the contract refuses.
     #[error("the report is refused: {0}")]
     Message(#[from] MessageError),
@@ -104,7 +125,7 @@ impl Report {
     /// A report of a kind, with nothing more.
     #[must_use]
     pub fn new(kind: Kind) -> Self {
-        Self { kind, room: None, battery: None, position: None, decision: None, note: None }
+        Self { kind, room: None, battery: None, position: None, decision: None, note: None, for_s: None }
     }
 
     /// Reads a line of JSON.
@@ -167,6 +188,10 @@ impl Reporter {
             Kind::Position if report.position.is_none() && report.room.is_none() => {
                 return missing("position", "give [x, y, z] in the map's metres, or a room");
             }
+            Kind::Clean | Kind::Skip if report.room.is_none() => return missing("room", "give the id of a room"),
+            kind if report.for_s.is_some_and(|for_s| kind != Kind::Hold || !(1.0..=1e9).contains(&for_s)) => {
+                return Err(ReporterError::NoHold { kind });
+            }
             _ => {}
         }
         let flag = |given: bool, flag| if given { flag } else { 0 };
@@ -182,6 +207,8 @@ impl Reporter {
             kind: report.kind.number(),
             flags: flag(report.position.is_some(), report_flags::HAS_POSITION)
                 | flag(report.battery.is_some(), report_flags::HAS_BATTERY),
+            minor: 1,
+            until_unix_ns: report.for_s.map_or(0, |for_s| now_unix_ns.0.saturating_add((for_s * 1e9) as u64)),
             robot_name: self.name,
             room: text::encode("room", report.room.as_deref().unwrap_or(""))?,
             note: text::encode("note", report.note.as_deref().unwrap_or(""))?,
@@ -210,6 +237,25 @@ mod tests {
         reporter.message(&Report { battery: Some(1.5), ..nothing.clone() }, BootNs(7), UnixNs(8)).unwrap_err();
         let message = reporter.message(&nothing, BootNs(7), UnixNs(8)).unwrap();
         assert_eq!((message.sequence, message.flags, message.room()), (2, 0, ""));
+    }
+
+    #[test]
+    fn orders_of_persons_are_reports_too() {
+        let mut reporter = Reporter::new("vacuum", 9).unwrap();
+        let line = r#"{"report": "hold", "for_s": 60, "note": "meeting"}"#;
+        let hold = reporter.message(&Report::parse(line).unwrap(), BootNs(5), UnixNs(1_000_000_000)).unwrap();
+        assert_eq!((hold.kind, hold.until_unix_ns, hold.note()), (report_kind::HOLD, 61_000_000_000, "meeting"));
+        let resume = reporter.message(&Report::new(Kind::Resume), BootNs(5), UnixNs(6)).unwrap();
+        assert!(resume.is_order() && resume.until_unix_ns == 0);
+        for (line, part) in [
+            (r#"{"report": "clean"}"#, "needs `room`: give the id of a room"),
+            (r#"{"report": "skip"}"#, "needs `room`"),
+            (r#"{"report": "resume", "for_s": 60}"#, "resume has no `for_s`"),
+            (r#"{"report": "hold", "for_s": 0}"#, "1 to 1000000000 seconds"),
+        ] {
+            let error = reporter.message(&Report::parse(line).unwrap(), BootNs(1), UnixNs(1)).unwrap_err().to_string();
+            assert!(error.contains(part), "{line}: {error}");
+        }
     }
 
     #[test]

@@ -57,13 +57,20 @@ pub(crate) struct Kept<T> {
     path: PathBuf,
     /// What the file is known to hold.
     written: Option<T>,
+    /// The file outlives a loss of power.
+    for_good: bool,
     log: Limiter,
 }
 
 impl<T: PartialEq + Serialize> Kept<T> {
     /// Of nothing yet: whatever the file holds is replaced by the first value.
     pub(crate) fn new(path: PathBuf) -> Self {
-        Self { path, written: None, log: Limiter::new(COMPLAINT_NS) }
+        Self { path, written: None, for_good: false, log: Limiter::new(COMPLAINT_NS) }
+    }
+
+    /// The same; each value outlives a loss of power.
+    pub(crate) fn for_good(path: PathBuf) -> Self {
+        Self { for_good: true, ..Self::new(path) }
     }
 
     /// The file.
@@ -77,7 +84,8 @@ impl<T: PartialEq + Serialize> Kept<T> {
             return;
         }
         let bytes = serde_json::to_vec(&value).map_err(io::Error::from);
-        match bytes.and_then(|bytes| replace(&self.path, &bytes)) {
+        let write = if self.for_good { replace_for_good } else { replace };
+        match bytes.and_then(|bytes| write(&self.path, &bytes)) {
             Ok(()) => self.written = Some(value),
             Err(error) => {
                 if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {

@@ -264,6 +264,7 @@ pub fn run(
                 closed: &[],
                 room_time_s: room_time_s as f64,
                 expected_shared_s: &expected[..expected.len().min(slots * cost.rooms)],
+                weights: &[],
             };
             let scores = knowledge.scores.get(slot).map_or(&[][..], Vec::as_slice);
             room = policy.choose(&state, scores, rng)?.partition.0 as usize;

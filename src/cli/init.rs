@@ -11,9 +11,10 @@ use std::time::Duration;
 use roomcast_core::grounding::Grounding;
 use roomcast_core::semantic_map::import::{self, Home, Imported};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
-use roomcast_services::config::Config;
+use roomcast_services::config::{Config, QuietHours, WhileAsleep};
 use roomcast_services::mqtt::look::{self, LookError, Seen};
 use roomcast_services::mqtt::{Broker, MqttError};
+use strum::VariantArray;
 
 mod areas;
 mod ask;
@@ -25,6 +26,7 @@ use ask::Asker;
 use configuration::configuration;
 use join::{in_rooms_of, inside, rules_in, with_things};
 
+use super::choice::choice;
 use super::home_source::{check_rules, home_assistant, is_url};
 use super::scene::Furnish;
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
@@ -47,6 +49,8 @@ const MAP: &str = "/MapData/map-data";
 const SCENE_FILE: &str = "home.json";
 const RULES_FILE: &str = "home.rules.toml";
 const STATE_FOLDER: &str = "state";
+/// Quiet hours of a home that gives none.
+const QUIET: &str = "22:00-07:00";
 /// The folder for all of them.
 const FOLDER: &str = "home";
 /// The name that docs/home.md gives the file with the token.
@@ -95,6 +99,12 @@ pub struct Args {
     /// `none` for nobody, so that nobody counts as a visitor.
     #[arg(long, value_name = "NAME|none")]
     resident: Vec<String>,
+    /// Hours in which no robot works, such as `22:00-07:00` or `sat,sun 22:00-09:00`; once for each, or with semicolons between; `none` for none.
+    #[arg(long, value_name = "HOURS|none")]
+    quiet: Vec<String>,
+    /// Where no robot works while a person sleeps.
+    #[arg(long, value_name = "ROOMS", value_parser = choice::<WhileAsleep>())]
+    while_asleep: Option<WhileAsleep>,
     /// Which rooms get the usual furniture of their kind; ids of such things begin with "assumed". Of a home with a robot's map that is decided
     /// before Home Assistant's things are put there.
     #[arg(long, value_enum, value_name = "WHICH", default_value = "typical")]
@@ -119,6 +129,8 @@ struct Found {
     /// The file with the robot's map, `mqtt`, or `none`.
     valetudo: Option<PathBuf>,
     residents: Vec<String>,
+    quiet: Vec<QuietHours>,
+    while_asleep: WhileAsleep,
     notes: Vec<String>,
 }
 
@@ -219,7 +231,9 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
     let residents = find_residents(args, persons, asker, &mut notes)?;
-    Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, notes })
+    let quiet = find_quiet(args, asker, &mut notes)?;
+    let while_asleep = find_while_asleep(args, asker)?;
+    Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, quiet, while_asleep, notes })
 }
 
 fn is_none(path: &Path) -> bool {
@@ -530,6 +544,43 @@ fn find_residents(
     Ok(names)
 }
 
+/// The hours in which no robot works: those that are given, else the night.
+fn find_quiet(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<Vec<QuietHours>, Failure> {
+    let read = |text: &str| -> Result<Vec<QuietHours>, Failure> {
+        let parts = text.split(';').map(str::trim).filter(|part| !part.is_empty() && *part != "none");
+        parts
+            .map(|part| QuietHours::try_from(part.to_owned()).map_err(|error| Failure::new(exit_code::USAGE, error)))
+            .collect()
+    };
+    if !args.quiet.is_empty() {
+        return read(&args.quiet.join(";"));
+    }
+    let question = "Quiet hours, in which no robot works: such as 22:00-07:00; sat,sun 22:00-09:00, or none.";
+    let asked = asker.until(question, QUIET, |_, answer| read(answer))?;
+    asked.map_or_else(
+        || {
+            notes.push(format!("no robot works at {QUIET}; --quiet says otherwise"));
+            read(QUIET)
+        },
+        Ok,
+    )
+}
+
+/// Where no robot works while a person sleeps.
+fn find_while_asleep(args: &Args, asker: &mut Asker) -> Result<WhileAsleep, Failure> {
+    if let Some(given) = args.while_asleep {
+        return Ok(given);
+    }
+    let words = WhileAsleep::VARIANTS.iter().map(WhileAsleep::to_string).collect::<Vec<_>>().join(", ");
+    let question = format!(
+        "While a person sleeps, no robot works in: the sleeper's room, those beside it, the floor, the house ({words})."
+    );
+    let asked = asker.until(&question, &WhileAsleep::default().to_string(), |_, answer| {
+        answer.parse().map_err(|_| input(format!("{answer} is none of {words}")))
+    })?;
+    Ok(asked.unwrap_or_default())
+}
+
 /// The names in a text with commas between.
 fn names_in(text: &str) -> Vec<String> {
     text.split(',').map(str::trim).filter(|name| !name.is_empty()).map(str::to_owned).collect()
@@ -790,6 +841,8 @@ mod tests {
             home_assistant: None,
             robot: None,
             valetudo: None,
+            quiet: vec![QuietHours::try_from(QUIET.to_owned()).unwrap()],
+            while_asleep: WhileAsleep::default(),
             residents: Vec::new(),
             notes: Vec::new(),
         };
@@ -806,6 +859,33 @@ mod tests {
             assert_eq!([scene.path, daemon.state, mqtt.rules], [SCENE_FILE, STATE_FOLDER, RULES_FILE].map(at));
             assert_eq!(mqtt.credentials, Some("/home/ada/secret".into()));
         }
+    }
+
+    #[test]
+    fn a_home_gets_quiet_hours_sleep_and_the_segments_that_home_assistant_knows() {
+        let areas = json!({"data": {"areas": [{"id": "kitchen", "name": "Kitchen"}, {"id": "hall", "name": "Hall"}]}});
+        let options = json!({"vacuum": {"area_mapping": {"kitchen": ["16"]}}});
+        let vacuum = json!({"entity_id": "vacuum.dusty", "options": options});
+        let entities = json!({"data": {"entities": [vacuum]}}).to_string();
+        let areas = areas.to_string();
+        let registries =
+            import::Registries { areas: &areas, entities: Some(&entities), ..import::Registries::default() };
+        let home = import::home_assistant(&registries, "home").unwrap();
+        let map = home.imported.map.clone();
+        let found = Found {
+            broker: None,
+            seen: Seen::default(),
+            home_assistant: Some((PathBuf::from("/config"), home)),
+            robot: Some("homeassistant/vacuum/dusty".to_owned()),
+            valetudo: None,
+            residents: Vec::new(),
+            quiet: vec![QuietHours::try_from("sat,sun 22:00-09:00".to_owned()).unwrap()],
+            while_asleep: WhileAsleep::House,
+            notes: Vec::new(),
+        };
+        let config: Config = toml::from_str(&configuration(&map, false, &found)).unwrap();
+        assert_eq!((&config.planner.quiet, config.planner.while_asleep), (&found.quiet, WhileAsleep::House));
+        assert_eq!(config.robot.segments, [("kitchen".to_owned(), "16".to_owned())].into());
     }
 
     /// What `init` does not know no program may take for known: the rules that it leaves name rooms by their ids alone.

@@ -30,6 +30,9 @@ pub struct Args {
     /// Seconds from the begin of a round to its deadline, in place of the configuration's; a round takes one stay at least.
     #[arg(long, value_name = "SECONDS", value_parser = ranges::positive)]
     round: Option<f64>,
+    /// Seconds to wait at most until each resident was observed, in place of the configuration's; 0 does not wait.
+    #[arg(long, value_name = "SECONDS", value_parser = ranges::time_s)]
+    know: Option<f64>,
     /// What to do where the deadline leaves no later time for a room that somebody is in, in place of the configuration's.
     #[arg(long, value_name = "HOW", value_parser = choice::<Forced>())]
     forced: Option<Forced>,
@@ -64,6 +67,7 @@ impl Args {
         planned.seed = self.seed.unwrap_or(planned.seed);
         planned.room_time_s = self.room_time.unwrap_or(planned.room_time_s);
         planned.round_s = self.round.or(planned.round_s);
+        planned.know_s = self.know.unwrap_or(planned.know_s);
         planned.forced = self.forced.unwrap_or(planned.forced);
         planned.avoid_sets = self.avoid_sets.unwrap_or(planned.avoid_sets);
         planned.interrupt = self.interrupt.unwrap_or(planned.interrupt);

@@ -1,4 +1,4 @@
-//! `roomcast report`: what a robot says of itself, to its planner.
+//! `roomcast report`: what a robot says of itself, and what a person orders, to the robot's planner.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -35,7 +35,7 @@ const LINES: usize = 8;
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// What the robot reports; `-` reads JSON lines from standard input, such as {"report": "finished", "room": "kitchen"}.
+    /// What the robot reports, or a person orders; `-` reads JSON lines from standard input, such as {"report": "finished", "room": "kitchen"}.
     #[arg(value_name = "KIND", value_parser = what())]
     what: What,
     /// The robot's name, in place of the configuration's planner.robot.
@@ -56,6 +56,9 @@ pub struct Args {
     /// Why, in words.
     #[arg(long, value_name = "TEXT")]
     note: Option<String>,
+    /// Seconds until a hold ends; without it, a resume ends it.
+    #[arg(long = "for", value_name = "SECONDS", value_parser = ranges::positive)]
+    for_s: Option<f64>,
     /// Seconds to wait for the robot's planner.
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0, value_parser = ranges::time_s)]
     wait: f64,
@@ -106,6 +109,7 @@ pub fn run(args: &Args) -> CommandResult {
         ("--position", args.position.is_some()),
         ("--decision", args.decision.is_some()),
         ("--note", args.note.is_some()),
+        ("--for", args.for_s.is_some()),
     ];
     if let (What::Lines, Some((option, _))) = (args.what, of_one.iter().find(|(_, given)| *given)) {
         return Err(usage(format!("{option} is for one report; with `-`, give it in the line")));
@@ -121,6 +125,7 @@ pub fn run(args: &Args) -> CommandResult {
                 position: args.position,
                 decision: args.decision,
                 note: args.note.clone(),
+                for_s: args.for_s,
             };
             let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
             Some(message.map_err(|error| Failure::new(exit_code::INPUT, error))?)
@@ -248,7 +253,8 @@ fn send_lines(
 fn is_work(kind: Kind) -> bool {
     match kind {
         Kind::Started | Kind::Finished | Kind::Failed | Kind::Blocked | Kind::Cancelled => true,
-        Kind::Position | Kind::Docked | Kind::Battery => false,
+        Kind::Clean | Kind::Skip => true,
+        Kind::Position | Kind::Docked | Kind::Battery | Kind::Hold | Kind::Resume => false,
     }
 }
 

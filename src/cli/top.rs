@@ -7,7 +7,7 @@ use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
     Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, Presence, RoomScoresV1, Subscriber, narration_kind, sequence,
+    PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, Subscriber, narration_kind, sequence,
 };
 use roomcast_services::clock;
 use serde_json::{Value, json};
@@ -94,6 +94,8 @@ fn screen(
     let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
+    // Without a place at this service it is not known where the robot is.
+    let mut reports = node.subscriber::<RobotReportV1>().ok();
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
     let mut reasons = Reasons::new(&node).map_err(ipc)?;
@@ -127,6 +129,11 @@ fn screen(
             }
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
+            }
+            while let Some(report) =
+                reports.as_mut().map(|reports| reports.receive()).transpose().map_err(ipc)?.flatten()
+            {
+                view.report(&report);
             }
             while let Some(message) = decisions.receive().map_err(ipc)? {
                 view.decision(&message);

@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::names::{PERSON, ahead, in_s, of_room};
+use super::orders;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::slug::slug;
 
@@ -106,6 +107,10 @@ impl<'a> Discovery<'a> {
         });
         if let (Value::Object(more), Some(message)) = (more, message.as_object_mut()) {
             message.extend(more);
+            if component == "button" {
+                // A button has no state.
+                message.retain(|key, _| key != "state_topic" && key != "value_template");
+            }
         }
         let topic = format!("{}/{component}/{node}/{object}/config", self.config.discovery);
         self.messages.push((topic, message.to_string()));
@@ -135,8 +140,9 @@ impl<'a> Discovery<'a> {
         }
     }
 
-    /// A room: how likely somebody is there now and later, and whether somebody is expected soon.
-    pub(super) fn room(&mut self, id: &str, shown: &str) {
+    /// A room: how likely somebody is there now and later, whether somebody is expected soon, whether it is a good time to clean it, and, where
+    /// that is known, when it was last cleaned.
+    pub(super) fn room(&mut self, id: &str, shown: &str, is_cleaned: bool) {
         let room = of_room(id);
         let topic = format!("rooms/{room}");
         let measured = |icon: &str| json!({ "unit_of_measurement": "%", "state_class": "measurement", "icon": icon });
@@ -162,6 +168,18 @@ impl<'a> Discovery<'a> {
         let soon = json!({ "device_class": "occupancy" });
         let (object, name) = (format!("{room}_soon"), format!("{shown} soon"));
         self.add(entity("binary_sensor", object, name, on_off("soon"), soon), true);
+        let attributes = json!({
+            "icon": "mdi:broom", "json_attributes_topic": format!("{}/{topic}", self.config.topic),
+            "json_attributes_template": "{{ {'reason': value_json.reason} | tojson }}",
+        });
+        let (object, name) = (format!("{room}_good"), format!("{shown} good time to clean"));
+        self.add(entity("binary_sensor", object, name, on_off("good"), attributes), true);
+        if is_cleaned {
+            let timestamp = json!({ "device_class": "timestamp" });
+            let template = "{{ value_json.cleaned_unix_s | int | as_datetime }}".to_owned();
+            let (object, name) = (format!("{room}_cleaned"), format!("{shown} last cleaned"));
+            self.add(entity("sensor", object, name, template, timestamp), false);
+        }
     }
 
     /// A person: the likely room, also later, and whether they are at home.
@@ -191,6 +209,35 @@ impl<'a> Discovery<'a> {
         self.add(entity("binary_sensor", object, format!("{name} home"), home, presence), true);
     }
 
+    /// The orders to a robot: a switch that holds it, and for each room, by id and name, a button to clean and one to skip it.
+    pub(super) fn orders(&mut self, Named { part: robot, name }: &Named, rooms: &[(String, String)]) {
+        let base = self.config.topic.clone();
+        let topic = format!("robots/{robot}");
+        let entity = |component, object: String, name, template: &str, more| Entity {
+            component,
+            object,
+            name,
+            topic: topic.clone(),
+            template: template.to_owned(),
+            more,
+        };
+        let hold = json!({ "command_topic": orders::topic(&base, robot, "hold"), "icon": "mdi:hand-back-right" });
+        let is_held = "{{ 'ON' if 'held' in value_json.flags else 'OFF' }}";
+        self.add(entity("switch", format!("robot_{robot}_hold"), format!("{name} hold"), is_held, hold), false);
+        for (id, shown) in rooms {
+            for (level, words, icon) in
+                [("clean", "clean now:", "mdi:broom"), ("skip", "skip today:", "mdi:debug-step-over")]
+            {
+                let press = json!({
+                    "command_topic": orders::topic(&base, robot, level), "payload_press": id, "icon": icon,
+                });
+                let (object, name) =
+                    (format!("robot_{robot}_{level}_{}", of_room(id)), format!("{name} {words} {shown}"));
+                self.add(entity("button", object, name, "", press), true);
+            }
+        }
+    }
+
     /// A robot: what it is to do, where and why.
     pub(super) fn robot(&mut self, Named { part: robot, name }: &Named) {
         let topic = format!("robots/{robot}");
@@ -212,6 +259,7 @@ impl<'a> Discovery<'a> {
         let all = [
             entity("decision", "{{ value_json.action }}".to_owned(), options),
             entity("room", text("value_json.room_name"), plain("mdi:floor-plan")),
+            entity("place", text("value_json.place"), plain("mdi:map-marker")),
             entity("reason", reason, plain("mdi:comment-question")),
         ];
         // What the robot was told holds on while the daemon is away.

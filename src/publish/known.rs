@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use roomcast_core::ids::BootNs;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1,
-    decision_flags, forecast_flags, person_flags, presence, sequence,
+    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RobotReportV1, RoomScoresV1,
+    StatusResponseV1, decision_flags, forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
@@ -13,8 +13,10 @@ use super::discovery::{Discovery, Named};
 use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
+use crate::robot_place::{Place, Places};
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
+use roomcast_services::planner::Planner;
 
 /// Robots that are told of, the configured one and as many as `roomcast-zenoh` follows; of more, the one that decided longest ago gives way.
 pub(super) const ROBOTS_MAX: usize = 16;
@@ -41,9 +43,64 @@ pub(super) struct Known {
     soon: BTreeMap<String, bool>,
     /// A robot has decided for the first time.
     new_robot: bool,
+    places: Places,
+    /// Says which rooms may well be cleaned now, by the rules of the house.
+    advisor: Option<Planner>,
+    /// Of each room the reason why not, if it is no good time.
+    advice: BTreeMap<String, Option<String>>,
 }
 
 impl Known {
+    /// With a planner that decides nothing, and knows the rules of the house.
+    pub(super) fn with_advisor(mut self, advisor: Planner) -> Self {
+        self.advisor = Some(advisor);
+        self
+    }
+
+    /// Asks the advisor about this moment.
+    pub(super) fn advise(&mut self, now_ns: BootNs, unix_ns: UnixNs, own: &str) {
+        let Some(advisor) = &mut self.advisor else { return };
+        if let (Some(scores), Some(forecast), Some(persons)) = (&self.scores, &self.forecast, &self.persons) {
+            // What is dated ahead is of another boot, and the advice stays away.
+            let taken = [
+                advisor.take(scores, now_ns).is_ok(),
+                advisor.take_forecast(forecast, now_ns).is_ok(),
+                advisor.take_persons(persons, now_ns).is_ok(),
+            ];
+            self.advice = if taken == [true; 3] { advisor.advise(now_ns, unix_ns) } else { BTreeMap::new() };
+        }
+        let held =
+            self.decisions.get(&sequence::source_of_name(own)).filter(|decision| decision.has(decision_flags::HELD));
+        if held.is_some() {
+            self.advice.values_mut().for_each(|reason| *reason = Some("On hold.".to_owned()));
+        }
+    }
+
+    /// The robots, as topics and people name them; the configured one, `own`, is among them.
+    pub(super) fn robots(&self, own: &str) -> Vec<Named> {
+        let number = sequence::source_of_name(own);
+        let others =
+            self.decisions.values().filter(|decision| decision.robot != number && !decision.robot_name().is_empty());
+        let named = |name: &str| Named { part: of_robot(0, Some(name)), name: name.to_owned() };
+        others.map(|decision| named(decision.robot_name())).chain([named(own)]).collect()
+    }
+
+    /// The ids of the rooms.
+    pub(super) fn rooms(&self) -> Vec<String> {
+        self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id().to_owned()).collect()
+    }
+
+    /// When a room was last cleaned by any robot, in Unix seconds.
+    fn cleaned_unix_s(&self, id: &str) -> Option<u64> {
+        let room = self.scores.as_ref()?.rooms().iter().position(|room| room.id() == id)?;
+        self.decisions.values().filter_map(|decision| decision.cleaned_unix_s(room)).max()
+    }
+
+    /// Takes what a robot reports.
+    pub(super) fn take_report(&mut self, report: &RobotReportV1) {
+        self.places.take(report, self.decisions.get(&report.robot));
+    }
+
     pub(super) fn take_scores(&mut self, scores: &RoomScoresV1) {
         if scores.observed_ns > 0 {
             let before_ns = scores.computed_ns.saturating_sub(scores.observed_ns);
@@ -117,8 +174,7 @@ impl Known {
         if let Some(seconds) = self.narrated_unix_s {
             put("narrated".to_owned(), &seconds.into());
         }
-        let rooms: Vec<String> =
-            self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id().to_owned()).collect();
+        let rooms = self.rooms();
         self.soon.retain(|room, _| rooms.contains(room));
         if self.is_complete() {
             put("home".to_owned(), &self.home());
@@ -143,7 +199,8 @@ impl Known {
         let mut robots: Vec<Named> =
             self.decisions.values().map(|decision| named(decision.robot, decision.robot_name())).collect();
         for (decision, Named { part, name }) in self.decisions.values().zip(&robots) {
-            put(format!("robots/{part}"), &decision_message(decision, name, &rooms));
+            let place = self.places.of(decision.robot);
+            put(format!("robots/{part}"), &decision_message(decision, name, &rooms, &place));
         }
         // It has its place before it decides, and keeps it while its planner is away.
         if !self.decisions.contains_key(&own) {
@@ -154,7 +211,10 @@ impl Known {
         if !config.discovery.is_empty() {
             let mut discovery = Discovery::new(config, self.map());
             discovery.home(self.narrated_unix_s.is_some());
-            rooms.iter().for_each(|room| discovery.room(room, &name_in(&rooms, room)));
+            let is_cleaned = |room: &str| self.cleaned_unix_s(room).is_some();
+            rooms.iter().for_each(|room| discovery.room(room, &name_in(&rooms, room), is_cleaned(room)));
+            let shown: Vec<(String, String)> = rooms.iter().map(|room| (room.clone(), name_in(&rooms, room))).collect();
+            discovery.orders(&named(own, robot), &shown);
             persons.iter().for_each(|person| discovery.person(person));
             robots.iter().for_each(|robot| discovery.robot(robot));
             picture.extend(discovery.messages());
@@ -225,7 +285,11 @@ impl Known {
         self.soon.insert(id.to_owned(), soon.unwrap_or(false));
         let rooms = self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id());
         let name = room_name(id, rooms);
-        json!({ "room": id, "name": name, "next": next, "now": at(0.0).map(f64::from).map(share), "at": ahead, "soon": soon })
+        let advice = self.advice.get(id);
+        json!({
+            "room": id, "name": name, "next": next, "now": at(0.0).map(f64::from).map(share), "at": ahead, "soon": soon,
+            "good": advice.map(Option::is_none), "reason": advice.cloned().flatten(), "cleaned_unix_s": self.cleaned_unix_s(id),
+        })
     }
 }
 
@@ -300,7 +364,7 @@ fn name_in(rooms: &[String], id: &str) -> String {
     room_name(id, rooms.iter().map(String::as_str))
 }
 
-fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Value {
+fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String], at: &Place) -> Value {
     let action = Action::of(decision.action).word();
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
@@ -310,7 +374,10 @@ fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Val
         "room": place(decision.to()),
         "room_name": place(decision.to()).map(|id| name_in(rooms, &id)),
         "from": place(decision.from()),
+        "at": at.room(),
+        "place": at.words(|id| name_in(rooms, id)),
         "reason": decision.reason(),
+        "held_until_unix_s": (decision.held_until_unix_ns > 0).then_some(decision.held_until_unix_ns / 1_000_000_000),
         "probability": share(decision.probability),
         "policy": decision.policy(),
         "flags": flags,

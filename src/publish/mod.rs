@@ -7,13 +7,17 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, RoomScoresV1, Subscriber, sequence};
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber,
+    sequence,
+};
 use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
 use roomcast_services::mqtt::link::{Heard, Link, Will};
 use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::notify::{Watchdog, notify};
+use roomcast_services::planner::Planner;
 use roomcast_services::receive::receive;
 use roomcast_services::stop::Stop;
 use sd_notify::NotifyState;
@@ -21,9 +25,11 @@ use sd_notify::NotifyState;
 mod discovery;
 mod known;
 mod names;
+mod orders;
 mod outbox;
 
 use known::{Known, OFFLINE};
+use orders::Orders;
 use outbox::{FOUND_MAX, Outbox, Picture, list_topic, listed};
 
 /// How often connections are renewed at least.
@@ -92,6 +98,8 @@ struct Ears {
     kept: BTreeSet<String>,
     /// Everything that the broker keeps was heard.
     all: bool,
+    /// Knows the topics of orders.
+    orders: Orders,
 }
 
 /// Whether a topic is one that messages can be published to, and that a filter asks for.
@@ -107,6 +115,7 @@ impl Ears {
         Self {
             discovery: config.bridge.discovery.clone(),
             marker: format!("{base}/bridge/connected"),
+            orders: Orders::new(&base),
             nonce: format!("{:016x}", sequence::random_epoch()),
             base,
             node,
@@ -129,7 +138,11 @@ impl Ears {
     }
 
     fn filters(&self) -> Vec<String> {
-        self.told().chain(self.entities()).chain([list_topic(&self.base), self.marker.clone()]).collect()
+        self.told()
+            .chain(self.entities())
+            .chain(self.orders.filters())
+            .chain([list_topic(&self.base), self.marker.clone()])
+            .collect()
     }
 
     /// A new connection: the marker comes back behind all that the broker keeps.
@@ -173,15 +186,17 @@ struct Ports {
     forecasts: Subscriber<ForecastV1>,
     persons: Subscriber<PersonForecastsV1>,
     decisions: Subscriber<DecisionV1>,
+    /// None where all places of this service are taken: robots' places are not known then.
+    reports: Option<Subscriber<RobotReportV1>>,
     log: Limiter,
-    message: Box<(RoomScoresV1, ForecastV1, PersonForecastsV1, DecisionV1)>,
+    message: Box<(RoomScoresV1, ForecastV1, PersonForecastsV1, DecisionV1, RobotReportV1)>,
 }
 
 impl Ports {
     /// Takes whatever has come.
     fn take(&mut self, known: &mut Known, own: &str) -> Result<(), IpcError> {
-        let Self { scores, forecasts, persons, decisions, log, message } = self;
-        let (of_rooms, forecast, of_persons, decision) = &mut **message;
+        let Self { scores, forecasts, persons, decisions, reports, log, message } = self;
+        let (of_rooms, forecast, of_persons, decision, report) = &mut **message;
         while receive(scores, of_rooms, log)? {
             known.take_scores(of_rooms);
         }
@@ -193,6 +208,11 @@ impl Ports {
         }
         while receive(decisions, decision, log)? {
             known.take_decision(decision, own);
+        }
+        if let Some(reports) = reports {
+            while receive(reports, report, log)? {
+                known.take_report(report);
+            }
         }
         Ok(())
     }
@@ -210,6 +230,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         forecasts: node.subscriber()?,
         persons: node.subscriber()?,
         decisions: node.subscriber()?,
+        reports: node.subscriber().ok(),
         log: Limiter::new(QUIET_NS),
         message: Box::default(),
     };
@@ -220,7 +241,10 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         Way::Print { .. } => None,
     };
     notify(&[NotifyState::Ready]);
-    let mut known = Known::default();
+    let advisor = Planner::for_advice(config);
+    let mut known = Known::default().with_advisor(advisor);
+    let mut orders = Orders::new(&config.bridge.topic);
+    let mut reports: Option<Publisher<RobotReportV1>> = None;
     // What is printed stands nowhere.
     let mut outbox = match &link {
         Some(_) => Outbox::with_list(&ears.base, &ears.node),
@@ -249,7 +273,25 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             }
         }
         if let Some(link) = &link {
-            let now = listen(link, connection, &mut ears, &mut outbox);
+            let (now, ordered) = listen(link, connection, &mut ears, &mut outbox);
+            for order in ordered {
+                let times = (clock::monotonic_ns(), clock::unix_ns());
+                let (robots, rooms) = (known.robots(&config.planner.robot), known.rooms());
+                match orders.read(&order.topic, &order.payload, &robots, &rooms, times) {
+                    Ok(order) => {
+                        if reports.is_none() {
+                            reports = Some(node.publisher()?);
+                        }
+                        reports.as_ref().map(|reports| reports.send(&order)).transpose()?;
+                    }
+                    Err(error) => {
+                        let topic = order.topic;
+                        tracing::warn!(error, topic, "an order over MQTT is not taken");
+                    }
+                }
+            }
+            // A planner that joins gets the last orders.
+            reports.as_ref().map(Publisher::tick).transpose()?;
             connected = if connection == now { connected } else { Instant::now() };
             connection = now;
         }
@@ -260,6 +302,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
             drawn = Some(Instant::now());
             let complete = known.is_complete() && (ears.all || link.is_none());
+            known.advise(clock::monotonic_ns(), clock::unix_ns(), &config.planner.robot);
             outbox.want(known.picture(&config.bridge, &config.planner.robot, alive), complete);
         }
         match (&mut way, &link) {
@@ -302,7 +345,7 @@ pub fn remove(config: &Config, broker: &Broker, stop: &Stop) -> Result<(), Bridg
     let (mut outbox, mut connection, start) = (Outbox::with_list(&ears.base, &ears.node), 0, Instant::now());
     while !stop.requested() {
         std::thread::sleep(TICK);
-        connection = listen(&link, connection, &mut ears, &mut outbox);
+        (connection, _) = listen(&link, connection, &mut ears, &mut outbox);
         outbox.want(Picture::new(), ears.all);
         send(&link, &mut outbox);
         if connection > 0 && ears.all && outbox.is_done() && link.unconfirmed() == 0 {
@@ -321,8 +364,8 @@ fn open(config: &Config, broker: &Broker, ears: &Ears) -> Result<Link, MqttError
     Link::start(broker, ears.filters(), Some(will))
 }
 
-/// Takes what the broker says; gives the number of the connection.
-fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> u64 {
+/// Takes what the broker says; gives the number of the connection, and the orders of persons. An order that the broker has kept is an old one.
+fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> (u64, Vec<Heard>) {
     let mut connection = link.connection();
     if connection != before {
         outbox.lose();
@@ -330,8 +373,9 @@ fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> u64
             connection = 0;
         }
     }
-    link.heard().into_iter().for_each(|heard| ears.hear(heard, outbox));
-    connection
+    let (orders, others): (Vec<_>, Vec<_>) = link.heard().into_iter().partition(|heard| ears.orders.has(&heard.topic));
+    others.into_iter().for_each(|heard| ears.hear(heard, outbox));
+    (connection, orders.into_iter().filter(|heard| !heard.retained).collect())
 }
 
 /// Says what is new, as much as may be under way.

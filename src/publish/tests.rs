@@ -1,7 +1,8 @@
 use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
-use roomcast_ipc::{StatusResponseV1, action, forecast_flags, presence, text};
+use roomcast_core::ids::{BootNs, UnixNs};
+use roomcast_ipc::{StatusResponseV1, action, decision_flags, forecast_flags, presence, text};
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use serde_json::{Value, json};
@@ -68,7 +69,10 @@ fn rooms_are_told_now_and_later() {
     let picture = draw(&mut known);
     assert_eq!(
         message(&picture, "roomcast/rooms/hall"),
-        json!({ "room": "hall", "name": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false })
+        json!({
+            "room": "hall", "name": "hall", "next": 0.5, "now": 0.0, "at": { "60": 0.1, "600": 0.3 }, "soon": false,
+            "good": null, "reason": null, "cleaned_unix_s": null,
+        })
     );
     assert_eq!(message(&picture, "roomcast/rooms/kitchen")["soon"], true);
     assert_eq!(message(&picture, "roomcast/home"), json!({ "somebody": true, "persons": 0 }));
@@ -120,13 +124,14 @@ fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
     let picture = draw(&mut known);
     assert_eq!(message(&picture, topic), 1_789_999_998);
     assert_eq!(message(&picture, entity)["state_topic"], topic);
-    for (topic, payload) in picture.iter().filter(|(topic, _)| topic.ends_with("/config")) {
+    let has_state = |topic: &str| topic.ends_with("/config") && !topic.contains("/button/");
+    for (topic, payload) in picture.iter().filter(|(topic, _)| has_state(topic)) {
         let config: Value = serde_json::from_str(payload).unwrap();
         let template = config["value_template"].as_str().unwrap();
         // Numbers and binary sensors take `None` for unknown.
         let takes_none = topic.contains("/binary_sensor/") || config.get("unit_of_measurement").is_some();
         assert_eq!(template.contains("None"), takes_none, "{topic}: {template}");
-        let is_never_none = ["narrated", "_decision", "_reason"].iter().any(|part| topic.contains(part));
+        let is_never_none = ["narrated", "_decision", "_reason", "_hold"].iter().any(|part| topic.contains(part));
         assert!(takes_none || is_never_none || template.contains("or 'unknown'"), "{topic}: {template}");
     }
 }
@@ -216,7 +221,7 @@ fn robots_have_their_planners_names_and_go_with_them() {
     assert!(shown[2].starts_with(&far) && shown[3] == roomcast_services::slug::slug("Staubi Ä"), "{shown:?}");
     // Of those that are here nothing counts that a bridge says.
     for robot in ["robot", "mop2"] {
-        let flags = roomcast_ipc::decision_flags::ELSEWHERE;
+        let flags = decision_flags::ELSEWHERE;
         known.take_decision(&DecisionV1 { flags, sequence: 9, ..decision(robot) }, "robot");
         assert_eq!(message(&draw(&mut known), &format!("roomcast/robots/{robot}"))["decision"], 0);
     }
@@ -275,13 +280,16 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     let mut known = known(&ids, &[[0.1; 3]; 6], &[ODD, "Ada Lovelace"]);
     let picture = draw(&mut known);
     let configs: Vec<_> = picture.iter().filter(|(topic, _)| topic.ends_with("/config")).collect();
-    // Two of the home, four of each room, four of each person, three of the robot.
-    assert_eq!(configs.len(), 2 + 6 * 4 + 2 * 4 + 3);
+    // Two of the home, five of each room, four of each person, five of the robot, and two of its buttons for each room.
+    assert_eq!(configs.len(), 2 + 6 * 5 + 2 * 4 + 5 + 6 * 2);
     let mut unique = std::collections::HashSet::new();
     for (topic, payload) in configs {
         let levels: Vec<_> = topic.split('/').collect();
         assert!(
-            matches!(levels[..], ["homeassistant", "sensor" | "binary_sensor", "roomcast", _, "config"]),
+            matches!(
+                levels[..],
+                ["homeassistant", "sensor" | "binary_sensor" | "switch" | "button", "roomcast", _, "config"]
+            ),
             "{topic}"
         );
         let safe = |text: &str| text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
@@ -291,10 +299,15 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
         assert_eq!(config["device"]["identifiers"], json!(["roomcast"]));
         assert_eq!(config["origin"]["name"], "roomcast");
         assert_eq!(config["availability"][0]["topic"], "roomcast/status");
+        assert!(discovery::is_own(payload.as_bytes(), "roomcast") && !discovery::is_own(payload.as_bytes(), "other"));
+        if levels[1] == "button" {
+            assert!(config["command_topic"].as_str().unwrap().starts_with("roomcast/robots/robot/"), "{payload}");
+            assert!(config.get("state_topic").is_none() && config.get("value_template").is_none(), "{payload}");
+            continue;
+        }
         let state = config["state_topic"].as_str().unwrap();
         assert!(state == "roomcast/robots/robot" || picture.contains_key(state), "{state}");
         assert!(!config["value_template"].as_str().unwrap().contains("<b>"), "no name is part of a template");
-        assert!(discovery::is_own(payload.as_bytes(), "roomcast") && !discovery::is_own(payload.as_bytes(), "other"));
     }
     assert!(picture.keys().all(|topic| !topic.contains(['+', '#', '\0', ' '])), "{:?}", picture.keys());
     assert!(!discovery::is_own(b"{\"name\": \"lamp\"}", "roomcast") && !discovery::is_own(b"\xff", "roomcast"));
@@ -368,8 +381,11 @@ proptest::proptest! {
             .map(|(_, payload)| serde_json::from_str(payload).unwrap())
             .collect();
         let (each, all_robots) = (2 + horizons_s.len(), robots.len() + unknown as usize);
-        let expected = 2 + each * (rooms.len() + people.len()) + 3 * (all_robots + 1);
-        let of = |key: &str| entities.iter().map(|entity| entity[key].to_string()).collect::<BTreeSet<_>>();
+        let own = 1 + 2 * rooms.len();
+        let expected = 2 + each * (rooms.len() + people.len()) + rooms.len() + 4 * (all_robots + 1) + own;
+        let of = |key: &str| {
+            entities.iter().filter_map(|entity| Some(entity.get(key)?.to_string())).collect::<BTreeSet<_>>()
+        };
         prop_assert_eq!(entities.len(), expected, "topics of {:?} {:?} {:?}", rooms, people, robots);
         prop_assert_eq!(of("unique_id").len(), expected, "ids of {:?} {:?} {:?}", rooms, people, robots);
         // Those of the home and of how the daemon is, and one for each.
@@ -399,4 +415,35 @@ fn counters_without_measure_are_told_as_the_most_there_is() {
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
     known.take_status(Some(StatusResponseV1 { malformed: u64::MAX, limited: 1, ..Default::default() }));
     assert_eq!(message(&draw(&mut known), "roomcast/health")["refused"], json!(u64::MAX));
+}
+
+#[test]
+fn a_room_says_whether_it_is_a_good_time_to_clean_it_and_when_that_was_done() {
+    let text = "[planner]\nquiet = [\"00:00-00:00 in kitchen\"]\nknow_s = 0.0";
+    let config = toml::from_str(text).unwrap();
+    let mut known = known(&["kitchen", "hall"], &[[0.0; 3]; 2], &[]).with_advisor(Planner::for_advice(&config));
+    let told = |known: &mut Known, room: &str| -> Value {
+        known.advise(BootNs(6), UnixNs(6), "robot");
+        serde_json::from_str(&draw(known)[&format!("roomcast/rooms/{room}")]).unwrap()
+    };
+    let kitchen = told(&mut known, "kitchen");
+    let reason = kitchen["reason"].as_str().unwrap();
+    assert!(kitchen["good"] == false && reason.starts_with("Quiet hours in the kitchen until "), "{kitchen}");
+    let hall = told(&mut known, "hall");
+    assert_eq!([&hall["good"], &hall["reason"], &hall["cleaned_unix_s"]], [&json!(true), &Value::Null, &Value::Null]);
+    assert!(!draw(&mut known).contains_key("homeassistant/sensor/roomcast/hall_cleaned/config"));
+    let mut decision = DecisionV1 {
+        robot: sequence::source_of_name("robot"),
+        decided_unix_ns: 10_000_000_000_000,
+        flags: decision_flags::HELD,
+        ..Default::default()
+    };
+    decision.cleaned_min[1] = 61;
+    known.take_decision(&decision, "robot");
+    let hall = told(&mut known, "hall");
+    assert_eq!(
+        [&hall["good"], &hall["reason"], &hall["cleaned_unix_s"]],
+        [&json!(false), &json!("On hold."), &json!(6_400)]
+    );
+    assert!(draw(&mut known).contains_key("homeassistant/sensor/roomcast/hall_cleaned/config"));
 }

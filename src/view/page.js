@@ -140,7 +140,7 @@ const drawPlan = () => {
     const value = made("text", { "font-weight": "bold" });
     const who = made("text", { class: "person" });
     const robot = made("circle", { class: "robot", visibility: "hidden" });
-    robot.append(made("title", {}, "The robot is or goes here"));
+    robot.append(made("title", {}, "The robot is here"));
     names.append(name, value, who, robot);
     const write = (text, size) => {
       text.setAttribute("font-size", size);
@@ -201,7 +201,7 @@ const show = () => {
   const daemon = element("daemon");
   daemon.className = state.daemon.alarm ? "alarm" : "";
   daemon.textContent = state.daemon.text;
-  const to = state.decision ? state.decision.to : null;
+  const at = state.decision ? state.decision.at : null;
   const body = element("rooms").tBodies[0];
   const rows = state.rooms.map((room, place) => {
     const p = roomValue(room);
@@ -212,7 +212,7 @@ const show = () => {
       shape.value.textContent = percent(p);
       shape.who.textContent = there.join(", ");
       shape.title.textContent = `${room.name}: ${percent(p)} ${whenText()}`;
-      shape.robot.setAttribute("visibility", to === room.id ? "visible" : "hidden");
+      shape.robot.setAttribute("visibility", at === room.id ? "visible" : "hidden");
     }
     const row = html("tr");
     const head = html("th", room.name);
@@ -255,7 +255,10 @@ const show = () => {
   if (state.decision) {
     robot.append(html("strong", state.decision.text));
     line(robot, state.decision.reason);
+    line(robot, { "dry run": "Dry run: no robot has reported.", "on its dock": "It is on its dock.", "unknown": "It does not say where it is." }[state.decision.place] || `It is in ${state.decision.place}.`);
     const left = state.decision.left && state.rooms.filter((room) => state.decision.left.includes(room.id)).map((room) => room.name);
+    const cleaned = state.rooms.filter((room) => state.decision.cleaned_s && room.id in state.decision.cleaned_s).map((room) => `${room.name} ${ago(state.decision.cleaned_s[room.id])}`);
+    if (cleaned.length) line(robot, `Last cleaned: ${cleaned.join(", ")}.`, "dim");
     if (left) line(robot, left.length ? `Still to do: ${left.join(", ")}.` : "Every room is done.");
     line(robot, `by ${state.decision.policy}, ${ago(state.decision.age_s)}` + (state.decision.notes.length ? ` · ${state.decision.notes.join(", ")}` : ""), "dim");
   } else {

@@ -138,7 +138,7 @@ impl House {
             "[scene]\npath = {scene:?}\n[daemon]\nstate = {:?}\njournal_bytes = 8192\n[history]\ngap_s = {}\n\
              [persons]\nresidents = [\"ada\", \"ben\"]\nvisitor_s = {}\nasleep_s = {}\n\
              [forecast]\nobject_s = {}\nstay_s = {}\naction_s = {}\naway_s = {}\n\
-             [planner]\nrobot = {ROBOT:?}\nroom_time_s = {}\nround_s = {}\nreport_timeout_s = {}\ninterrupt_after_s = {}\n",
+             [planner]\nrobot = {ROBOT:?}\nknow_s = 0.0\nroom_time_s = {}\nround_s = {}\nreport_timeout_s = {}\ninterrupt_after_s = {}\n",
             directory.path().join("state"),
             seconds(3600.0).ceil(),
             seconds(3.0 * 3600.0),

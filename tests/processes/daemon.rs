@@ -21,8 +21,8 @@ fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_ot
 
     let node = world.domain.open("test").unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
-    world.start(&["planner", "--robot", "one", "--policy", "greedy-avoidance"]);
-    world.start(&["planner", "--robot", "two", "--policy", "naive", "--seed", "3"]);
+    world.start(&["planner", "--robot", "one", "--know", "0", "--know", "0", "--policy", "greedy-avoidance"]);
+    world.start(&["planner", "--robot", "two", "--know", "0", "--know", "0", "--policy", "naive", "--seed", "3"]);
     let mut first = std::collections::BTreeMap::new();
     eventually("both robots decide", || {
         while let Some(decision) = decisions.receive().unwrap() {
@@ -138,7 +138,7 @@ fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
 #[test]
 fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
     let mut world = World::new("idle");
-    let both = [world.start_daemon(), world.start(&["planner"])];
+    let both = [world.start_daemon(), world.start(&["planner", "--know", "0"])];
     let node = world.domain.open("test").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
@@ -232,7 +232,7 @@ fn another_version_of_a_message_is_one_clear_error() {
     let mut world = World::new("version");
     let node = world.domain.open("later-daemon").unwrap();
     let _running = node.publisher::<RoomScoresV2>().unwrap();
-    let planner = world.start(&["planner"]);
+    let planner = world.start(&["planner", "--know", "0"]);
     let (status, log) = world.wait(planner);
     assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
     assert!(log.contains("roomcast.RoomScoresV2") && log.contains("roomcast.RoomScoresV1"), "{log}");
@@ -286,7 +286,7 @@ fn a_stopped_daemon_makes_the_planner_stay() {
     let daemon = world.start_daemon();
     let node = world.domain.open("test").unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
-    world.start(&["planner", "--room-time", "0.05"]);
+    world.start(&["planner", "--know", "0", "--room-time", "0.05"]);
     let flagged = |wanted: bool| {
         eventually("a decision", || {
             let decision = decisions.receive().unwrap()?;

@@ -23,7 +23,7 @@ fn metric(text: &str, name: &str) -> Option<f64> {
 fn metrics_of_a_running_daemon_are_scraped() {
     let mut world = World::new("metrics");
     let daemon = world.start_daemon();
-    world.start(&["planner", "--robot", "one"]);
+    world.start(&["planner", "--robot", "one", "--know", "0"]);
     let serving = world.start(&["metrics", "--listen", "127.0.0.1:0"]);
     let log = world.children[serving].log.clone();
     let address = eventually("the address is printed", || {

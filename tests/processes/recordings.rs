@@ -233,7 +233,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     let (own, theirs) = (path("own.mcap"), path("theirs.mcap"));
     let recorders = [world.start(&["record", &own]), world.start(&["record", "--profile", "ros2", &theirs])];
     recorders_listen(&node, 2);
-    let planner = world.start(&["planner", "--room-time", "0.2"]);
+    let planner = world.start(&["planner", "--know", "0", "--room-time", "0.2"]);
     let lines = [
         r#"{"person": "Ada", "text": "They walk to the kitchen."}"#,
         r#"{"person": "Ada", "text": "[Grab] <mug> (1)"}"#,

@@ -14,10 +14,10 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     world.start_daemon();
     let node = world.domain.open("test").unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
-    let first = world.start(&["planner", "--robot", "one", "--room-time", "0"]);
+    let first = world.start(&["planner", "--robot", "one", "--know", "0", "--room-time", "0"]);
     eventually("a decision", || decisions.newest().unwrap());
-    let other = world.start(&["planner", "--robot", "zwei Küchen", "--room-time", "0"]);
-    let second = world.start(&["planner", "--robot", "one"]);
+    let other = world.start(&["planner", "--robot", "zwei Küchen", "--know", "0", "--room-time", "0"]);
+    let second = world.start(&["planner", "--robot", "one", "--know", "0"]);
     let (status, log) = world.wait(second);
     assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
     let number = sequence::source_of_name("one");
@@ -26,7 +26,7 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     // A planner that was killed is in nobody's way.
     world.signal(first, Signal::KILL);
     world.wait(first);
-    let third = world.start(&["planner", "--robot", "one", "--room-time", "0"]);
+    let third = world.start(&["planner", "--robot", "one", "--know", "0", "--room-time", "0"]);
     let process = world.children[third].child.id();
     eventually("the third planner decides", || {
         assert!(world.children[third].child.try_wait().unwrap().is_none(), "process {process} ended");
@@ -50,7 +50,7 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     let mut world = World::new("robot");
     let config = world.directory.path().join("roomcast.toml");
     let text = format!(
-        "[scene]\npath = \"apartment-e0\"\n[daemon]\nstate = {:?}\n[planner]\nrobot = \"vacuum\"\ninterrupt = false\n",
+        "[scene]\npath = \"apartment-e0\"\n[daemon]\nstate = {:?}\n[planner]\nrobot = \"vacuum\"\nknow_s = 0.0\ninterrupt = false\n",
         world.state()
     );
     std::fs::write(&config, text).unwrap();
@@ -107,7 +107,7 @@ fn a_robot_may_have_any_name() {
     let node = world.domain.open("test").unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
     let config = world.directory.path().join("roomcast.toml");
-    std::fs::write(&config, "[planner]\nrobot = \"Staubi Ä\"\n").unwrap();
+    std::fs::write(&config, "[planner]\nrobot = \"Staubi Ä\"\nknow_s = 0.0\n").unwrap();
     let config = config.to_str().unwrap();
     world.start(&["planner", "--config", config]);
     // Without a daemon it says that it has no scores.
@@ -136,7 +136,7 @@ fn a_report_that_nobody_can_hear_or_understand_says_so() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.contains("no planner of the robot `robot`"), "{said}");
     // A planner of another robot hears nothing of this one.
-    world.start(&["planner", "--robot", "vacuum"]);
+    world.start(&["planner", "--robot", "vacuum", "--know", "0"]);
     eventually("the planner listens", || (reports_port.subscribers() > 1).then_some(()));
     let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");
     assert_eq!(code, i32::from(exit_code::IPC), "{said}");

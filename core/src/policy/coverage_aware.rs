@@ -102,9 +102,11 @@ impl Policy for CoverageAware {
         let slots = state.expected_shared_s.chunks(scores.len());
         let shared_s: Vec<f64> = slots.flat_map(|slot| open.iter().map(|p| slot[*p])).collect();
         let covered: Vec<bool> = open.iter().map(|p| state.covered[*p]).collect();
+        let weights_s: Vec<f64> =
+            open.iter().map(|p| weight_s * state.weights.get(*p).copied().unwrap_or(1.0)).collect();
         let later_share = if self.weight_s.is_none() { LATER_SHARE } else { 1.0 };
         let free = Free { tie_s: self.free_share * state.room_time_s, empty_s: self.empty_s(state), later_share };
-        let Some(plan) = plan_free(&shared_s, &covered, weight_s, free) else {
+        let Some(plan) = plan_free(&shared_s, &covered, &weights_s, free) else {
             return UncoveredFirst.choose(state, scores, rng);
         };
         let first = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;
@@ -173,7 +175,7 @@ pub struct Plan {
 /// over staying in the slot's cheapest room is placed first. `None` when there is no slot or no partition.
 #[must_use]
 pub fn plan(shared_s: &[f64], covered: &[bool], weight_s: f64, tie_s: f64) -> Option<Plan> {
-    plan_free(shared_s, covered, weight_s, Free { tie_s, empty_s: 0.0, later_share: 1.0 })
+    plan_free(shared_s, covered, &vec![weight_s; covered.len()], Free { tie_s, empty_s: 0.0, later_share: 1.0 })
 }
 
 /// What work in the first slot counts as free.
@@ -188,7 +190,7 @@ struct Free {
 }
 
 /// As [`plan`], where a room to do that counts as empty in the first slot is done rather than waited for.
-fn plan_free(shared_s: &[f64], covered: &[bool], weight_s: f64, free: Free) -> Option<Plan> {
+fn plan_free(shared_s: &[f64], covered: &[bool], weights_s: &[f64], free: Free) -> Option<Plan> {
     let partitions = covered.len();
     let slots = shared_s.len().checked_div(partitions)?;
     if slots == 0 {
@@ -201,12 +203,13 @@ fn plan_free(shared_s: &[f64], covered: &[bool], weight_s: f64, free: Free) -> O
         })
         .collect();
     let to_do: Vec<usize> = (0..partitions).filter(|p| !covered[*p]).collect();
+    let weights_s: Vec<f64> = weights_s.iter().map(|weight_s| weight_s.min(WEIGHT_MAX_S)).collect();
     let task = Task {
         shared_s,
         partitions,
         cheapest: &cheapest,
         to_do: &to_do,
-        weight_s: weight_s.min(WEIGHT_MAX_S),
+        weights_s: &weights_s,
         tie_s: free.tie_s.max(TIE_S),
         empty_s: free.empty_s,
         later_share: if slots > to_do.len() { free.later_share } else { 1.0 },
@@ -227,7 +230,8 @@ struct Task<'a> {
     /// The partition of least cost, per slot.
     cheapest: &'a [usize],
     to_do: &'a [usize],
-    weight_s: f64,
+    /// The price of each partition that is left undone.
+    weights_s: &'a [f64],
     tie_s: f64,
     empty_s: f64,
     later_share: f64,
@@ -252,7 +256,11 @@ impl Task<'_> {
         let slots = self.cheapest.len();
         let sets = 1usize << self.to_do.len();
         // Value of the best continuation per set of rooms still to do, after the slot in hand; backwards from the end.
-        let mut after: Vec<f64> = (0..sets).map(|set| f64::from(set.count_ones()) * self.weight_s).collect();
+        let price_s = |set: usize| {
+            let left = self.to_do.iter().enumerate().filter(|(bit, _)| set & (1 << bit) != 0);
+            left.map(|(_, p)| self.weights_s[*p]).sum()
+        };
+        let mut after: Vec<f64> = (0..sets).map(price_s).collect();
         let mut choices = vec![0u32; slots * sets];
         for slot in (1..slots).rev() {
             let mut before = vec![0.0; sets];
@@ -311,18 +319,19 @@ impl Task<'_> {
             let slot =
                 (0..slots).filter(|s| free[*s]).min_by(|a, b| self.extra(*a, p).total_cmp(&self.extra(*b, p)))?;
             let extra = self.extra(slot, p);
-            (extra <= self.weight_s).then_some((extra, slot, p))
+            (extra <= self.weights_s[p]).then_some((extra, slot, p))
         };
         let mut left: Vec<_> = self.to_do.iter().filter_map(|p| best(*p, &free)).collect();
-        // Of more rooms than slots the dearest stay undone.
-        left.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Of more rooms than slots those stay undone where that saves most.
+        let gain_s = |(extra_s, _, p): &(f64, usize, usize)| self.weights_s[*p] - extra_s;
+        left.sort_by(|a, b| gain_s(b).total_cmp(&gain_s(a)).then(a.0.total_cmp(&b.0)));
         left.truncate(slots);
         while let Some((_, slot, p)) = left.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0)) {
             (slot_of[p], free[slot]) = (Some(slot), false);
             left = left.iter().filter(|other| other.2 != p).filter_map(|other| best(other.2, &free)).collect();
         }
         if free.first() == Some(&true) {
-            let more = |p: usize| self.extra(0, p) - slot_of[p].map_or(self.weight_s, |slot| self.extra(slot, p));
+            let more = |p: usize| self.extra(0, p) - slot_of[p].map_or(self.weights_s[p], |slot| self.extra(slot, p));
             let as_good = self.to_do.iter().copied().filter(|p| more(*p) <= self.tie_s || self.is_empty(*p));
             if let Some(now) = as_good.min_by(|a, b| self.cost(0, *a).total_cmp(&self.cost(0, *b))) {
                 // It may have had a later slot.
@@ -344,11 +353,11 @@ impl Task<'_> {
     /// that room's slot, or one that is free, or stays undone.
     fn swap_first(&self, first: usize, slot_of: &mut [Option<usize>], free: &[bool]) {
         let now_s = |p: usize| self.extra(0, p);
-        let later_s = |p: usize, slot: Option<usize>| slot.map_or(self.weight_s, |slot| self.extra(slot, p));
+        let later_s = |p: usize, slot: Option<usize>| slot.map_or(self.weights_s[p], |slot| self.extra(slot, p));
         let swapped = |p: usize| {
             let slots = (0..free.len()).filter(|slot| free[*slot] || slot_of[p] == Some(*slot));
             let slot = slots.min_by(|a, b| self.extra(*a, first).total_cmp(&self.extra(*b, first)));
-            let slot = slot.filter(|slot| self.extra(*slot, first) <= self.weight_s);
+            let slot = slot.filter(|slot| self.extra(*slot, first) <= self.weights_s[first]);
             // Against the plan as it is, in which the first room is in the first slot.
             let more_s = later_s(first, slot) - later_s(p, slot_of[p]);
             (now_s(p) - now_s(first) + self.later_share * more_s, p, slot)
@@ -407,6 +416,27 @@ mod tests {
         })
     }
 
+    /// With one slot for two rooms that are as likely taken, the dearer one is done; where neither is worth its price, none is.
+    #[test]
+    fn of_rooms_that_are_alike_the_overdue_one_is_done() {
+        let shared_s = [20.0, 20.0, 5.0];
+        let chosen = |weights: &[f64], shared_s: &[f64]| {
+            let state = RobotState {
+                covered: &[false, false, true],
+                room_time_s: 100.0,
+                expected_shared_s: shared_s,
+                weights,
+                ..RobotState::default()
+            };
+            let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut ChaCha8Rng::seed_from_u64(1)).unwrap();
+            choice.partition.0
+        };
+        assert_eq!([chosen(&[1.0, 3.0, 1.0], &shared_s), chosen(&[3.0, 1.0, 1.0], &shared_s)], [1, 0]);
+        // At the usual price of 42 s the robot waits; a room that is overdue is worth the meeting.
+        let busy_s = [60.0, 60.0, 5.0];
+        assert_eq!([chosen(&[], &busy_s), chosen(&[1.0, 2.0, 1.0], &busy_s)], [2, 1]);
+    }
+
     proptest! {
         #[test]
         fn the_dynamic_program_finds_the_least_of_all_plans(
@@ -461,8 +491,8 @@ mod tests {
             (covered, shared_s) in home(1..5, 1..6), weight_s in 0.0..30.0f64,
         ) {
             let free = |later_share| Free { tie_s: 0.0, empty_s: 0.0, later_share };
-            let least = plan_free(&shared_s, &covered, weight_s, free(1.0)).unwrap();
-            let emptier = plan_free(&shared_s, &covered, weight_s, free(LATER_SHARE)).unwrap();
+            let least = plan_free(&shared_s, &covered, &vec![weight_s; covered.len()], free(1.0)).unwrap();
+            let emptier = plan_free(&shared_s, &covered, &vec![weight_s; covered.len()], free(LATER_SHARE)).unwrap();
             let spared_s = shared_s[least.partitions[0]] - shared_s[emptier.partitions[0]];
             let more_s = value(&emptier, weight_s) - value(&least, weight_s);
             prop_assert!((-1e-4..=spared_s + 1e-4).contains(&more_s), "{more_s} s more, {spared_s} s spared");
@@ -477,7 +507,7 @@ mod tests {
             let cheapest: Vec<usize> = shared_s.chunks(6)
                 .map(|c| (0..6).min_by(|a, b| c[*a].total_cmp(&c[*b])).unwrap()).collect();
             let task = Task {
-                shared_s: &shared_s, partitions: 6, cheapest: &cheapest, to_do: &[0, 1, 2, 3, 4, 5], weight_s: 1e9, tie_s: TIE_S,
+                shared_s: &shared_s, partitions: 6, cheapest: &cheapest, to_do: &[0, 1, 2, 3, 4, 5], weights_s: &[1e9; 6], tie_s: TIE_S,
                 empty_s: 0.0, later_share: 1.0,
             };
             let rooms = task.by_regret();
@@ -600,7 +630,13 @@ mod tests {
     fn a_closed_room_is_planned_around_and_keeps_its_people_in_the_price() {
         // Somebody is in room 0. Room 1 costs 120 s: less than the 240 s that the time of one person is worth.
         let (covered, closed, shared_s) = ([false, false, true], [true, false, false], [480.0, 120.0, 0.0]);
-        let state = RobotState { covered: &covered, closed: &closed, room_time_s: 600.0, expected_shared_s: &shared_s };
+        let state = RobotState {
+            covered: &covered,
+            closed: &closed,
+            room_time_s: 600.0,
+            expected_shared_s: &shared_s,
+            ..RobotState::default()
+        };
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let choice = CoverageAware::new(None).choose(&state, &[0.5; 3], &mut rng).unwrap();
         assert_eq!(

@@ -35,6 +35,8 @@ pub struct RobotState<'a> {
     /// How long robot and person are expected to share each partition in each of the slots left, in seconds: slots times
     /// partitions, slot by slot. Empty without a forecast or a horizon.
     pub expected_shared_s: &'a [f64],
+    /// Per partition: how many times as dear it is as usual to leave it undone. Empty where all are alike.
+    pub weights: &'a [f64],
 }
 
 /// A decision and why it was taken.
@@ -282,7 +284,7 @@ mod tests {
             let mut closed: Vec<bool> = scores.iter().map(|_| rng.random()).collect();
             closed[0] &= closed.contains(&false) && scores.len() > 1;
             let state = RobotState {
-                covered: &covered, closed: &closed, room_time_s: 60.0, expected_shared_s: &expected,
+                covered: &covered, closed: &closed, room_time_s: 60.0, expected_shared_s: &expected, ..RobotState::default()
             };
             for name in PolicyName::ALL {
                 prop_assert_eq!(name.as_str().parse::<PolicyName>(), Ok(name));

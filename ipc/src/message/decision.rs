@@ -1,6 +1,6 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use super::{Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
+use super::{MAX_ROOMS, Message, NAME_BYTES, ServiceQuality, at_most, in_range, layout};
 use crate::{MessageError, sequence, text};
 
 /// Most bytes of a decision's reason.
@@ -44,6 +44,8 @@ pub mod decision_flags {
     pub const OWED: u32 = 1 << 11;
     /// Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
     pub const ELSEWHERE: u32 = 1 << 12;
+    /// A person holds the robot: it does not work until `held_until_unix_ns`, or until a person resumes.
+    pub const HELD: u32 = 1 << 13;
 }
 
 layout! {
@@ -79,7 +81,7 @@ layout! {
         96 => action: u32,
         /// Bits of [`decision_flags`].
         100 => flags: u32,
-        /// Minor version of the layout: 3, which has [`decision_flags::ELSEWHERE`]; 2 has `robot_name` and [`decision_flags::OWED`]; 1 has
+        /// Minor version of the layout: 4, which has `held_until_unix_ns` and `cleaned_min`; 3 has [`decision_flags::ELSEWHERE`]; 2 has `robot_name` and [`decision_flags::OWED`]; 1 has
         /// [`action::PAUSE`] and `cancels`.
         104 => minor: u32,
         /// Zero.
@@ -96,8 +98,12 @@ layout! {
         512 => cancels: u64,
         /// The robot's name, UTF-8, zero padded; empty where whoever decides does not tell it.
         520 => robot_name: [u8; NAME_BYTES],
+        /// The end of a hold in Unix nanoseconds; 0 where there is no hold, or no end.
+        568 => held_until_unix_ns: u64,
+        /// Per room the whole minutes from its last cleaning to this decision, plus 1; 0 where none is known. 65535 stands for all longer times.
+        576 => cleaned_min: [u16; MAX_ROOMS],
         /// Zero.
-        568 => reserved: [u8; 200],
+        704 => reserved: [u8; 64],
     }
 }
 
@@ -131,6 +137,13 @@ impl DecisionV1 {
     #[must_use]
     pub fn reason(&self) -> &str {
         text::checked(&self.reason)
+    }
+
+    /// When a room was last cleaned before this decision, in Unix seconds, by its place in the map; none where that is not known.
+    #[must_use]
+    pub fn cleaned_unix_s(&self, room: usize) -> Option<u64> {
+        let minutes = self.cleaned_min.get(room)?.checked_sub(1)?;
+        Some((self.decided_unix_ns / 1_000_000_000).saturating_sub(u64::from(minutes) * 60))
     }
 
     /// Whether a bit of [`decision_flags`] is set.
@@ -178,6 +191,14 @@ mod tests {
         ] {
             assert_eq!(without.check().unwrap_err().to_string(), format!("{field}: 0, allowed is not 0"));
         }
+    }
+
+    #[test]
+    fn the_last_cleaning_of_a_room_is_known_to_the_minute() {
+        let mut decision = DecisionV1 { decided_unix_ns: 10_000 * 1_000_000_000, ..Default::default() };
+        assert_eq!(decision.cleaned_unix_s(1), None);
+        decision.cleaned_min[1] = 61;
+        assert_eq!([1, 64].map(|room| decision.cleaned_unix_s(room)), [Some(6_400), None]);
     }
 
     /// Whoever decides for one robot cannot take another one's name.

@@ -117,7 +117,7 @@ macro_rules! zero {
         }
     })* };
 }
-zero!(u8 = 0, u32 = 0, u64 = 0, f32 = 0.0, f64 = 0.0);
+zero!(u8 = 0, u16 = 0, u32 = 0, u64 = 0, f32 = 0.0, f64 = 0.0);
 
 impl<T: Zero + Copy, const N: usize> Zero for [T; N] {
     const ZERO: Self = [T::ZERO; N];

@@ -24,6 +24,14 @@ pub mod report_kind {
     pub const BATTERY: u32 = 6;
     /// Somebody, or the robot itself, took the decision back; the robot is free again.
     pub const CANCELLED: u32 = 7;
+    /// A person's order, no report: the robot does not work until `until_unix_ns`, or until [`RESUME`]. `note` says why.
+    pub const HOLD: u32 = 8;
+    /// A person's order: the hold ends.
+    pub const RESUME: u32 = 9;
+    /// A person's order: clean `room` now.
+    pub const CLEAN: u32 = 10;
+    /// A person's order: skip `room` today.
+    pub const SKIP: u32 = 11;
 }
 
 /// Bits of [`RobotReportV1::flags`].
@@ -60,7 +68,7 @@ layout! {
         88 => kind: u32,
         /// Bits of [`report_flags`].
         92 => flags: u32,
-        /// Minor version of the layout: 0.
+        /// Minor version of the layout: 1, which has orders of persons and `until_unix_ns`.
         96 => minor: u32,
         /// Zero.
         100 => reserved_a: [u8; 4],
@@ -70,8 +78,10 @@ layout! {
         152 => room: [u8; NAME_BYTES],
         /// Why, in words, UTF-8, zero padded.
         200 => note: [u8; NOTE_TEXT_BYTES],
+        /// The end of a hold in Unix nanoseconds; 0 for none.
+        320 => until_unix_ns: u64,
         /// Zero.
-        320 => reserved: [u8; 192],
+        328 => reserved: [u8; 184],
     }
 }
 
@@ -92,6 +102,12 @@ impl RobotReportV1 {
     #[must_use]
     pub fn note(&self) -> &str {
         text::checked(&self.note)
+    }
+
+    /// Whether it is a person's order to the planner, and says nothing of the robot.
+    #[must_use]
+    pub fn is_order(&self) -> bool {
+        (report_kind::HOLD..=report_kind::SKIP).contains(&self.kind)
     }
 
     /// Where the robot is, if the report says so.
@@ -117,7 +133,7 @@ impl Message for RobotReportV1 {
                 return Err(MessageError::OutOfRange { field, value: 0.0, allowed: "not 0" });
             }
         }
-        at_most("kind", self.kind, report_kind::CANCELLED as usize, "0 to 7")?;
+        at_most("kind", self.kind, report_kind::SKIP as usize, "0 to 11")?;
         for metres in self.position_m().unwrap_or_default() {
             in_range("position_m", metres, f64::MIN, f64::MAX, "finite")?;
         }
@@ -138,7 +154,7 @@ mod tests {
     fn hostile_reports_are_refused() {
         let report = RobotReportV1 { robot: 1, epoch: 2, sequence: 3, ..Default::default() };
         report.check().unwrap();
-        RobotReportV1 { kind: 8, ..report }.check().unwrap_err();
+        RobotReportV1 { kind: 12, ..report }.check().unwrap_err();
         RobotReportV1 { robot: 0, ..report }.check().unwrap_err();
         // What no flag claims is not read.
         let hostile = RobotReportV1 { battery: f64::NAN, position_m: [f64::NAN; 3], ..report };

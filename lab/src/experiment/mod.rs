@@ -20,6 +20,7 @@ pub mod report;
 mod resampling;
 pub mod setups;
 pub mod tables;
+pub mod wishes;
 
 /// An error of an experiment.
 #[derive(Debug, thiserror::Error)]

@@ -26,8 +26,10 @@ use roomcast_llama::{CacheType, LlamaOptions, SEQUENCES_MAX, THREADS_MAX};
 
 use crate::embedded;
 
+mod house;
 mod sections;
 
+pub use house::{OnlyWhen, QUIET_MAX, QuietHours, RoomNeeds, WhileAsleep, clock_time};
 pub use sections::{
     BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, May, MetricsConfig, MqttConfig,
     NarratorConfig, OnPause, PersonsConfig, PlannerConfig, Reports, RobotConfig, RobotKind,
@@ -513,6 +515,15 @@ impl Config {
         let plain = format!("1 to {NAME_BYTES} bytes of text without control characters");
         let means = 1e-3..=SECONDS_MAX;
         let (low, ready) = (planner.battery_low, planner.battery_ready);
+        let list = |values: Vec<Option<f64>>| format!("{:?}", values.into_iter().flatten().collect::<Vec<_>>());
+        let needs = format!("{:?}", planner.room.iter().map(|room| &room.id).collect::<Vec<_>>());
+        let each_room_once = (1..)
+            .zip(&planner.room)
+            .all(|(next, one)| is_name(&one.id) && planner.room[next..].iter().all(|other| one.id != other.id));
+        let of_needs = |holds: &dyn Fn(&RoomNeeds) -> bool| planner.room.iter().all(holds);
+        let every = list(planner.room.iter().map(|room| room.every_s).collect());
+        let time = list(planner.room.iter().map(|room| room.time_s).collect());
+        let priority = list(planner.room.iter().map(|room| Some(room.priority)).collect());
         let (resume, interrupt) = (planner.resume_at, planner.interrupt_at);
         #[rustfmt::skip]
         let limits = vec![
@@ -560,6 +571,15 @@ impl Config {
             row("planner.robot", &robot, is_name(&planner.robot), &format!("give {plain}")),
             row("narrator.name", &name, is_name(&narrator.name), &format!("give {plain}")),
             within("planner.room_time_s", planner.room_time_s, seconds.clone()),
+            within("planner.know_s", planner.know_s, 0.0..=86_400.0),
+            row("planner.quiet", &planner.quiet.len(), planner.quiet.len() <= QUIET_MAX, &format!("give at most {QUIET_MAX} entries")),
+            within("planner.min_absence_s", planner.min_absence_s, 0.0..=86_400.0),
+            row("planner.min_absence_s", &planner.min_absence_s, planner.min_absence_s == 0.0 || planner.only_when.is_some(), "give planner.only_when too: it says what is to be empty for so long"),
+            within("planner.min_absence_at", planner.min_absence_at, 0.0..=1.0),
+            row("planner.room.id", &needs, planner.room.len() <= roomcast_ipc::MAX_ROOMS && each_room_once, &format!("give at most {} rooms, each once, with ids of {plain}", roomcast_ipc::MAX_ROOMS)),
+            row("planner.room.every_s", &every, of_needs(&|room| room.every_s.is_none_or(|every_s| (1.0..=SECONDS_MAX).contains(&every_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
+            row("planner.room.priority", &priority, of_needs(&|room| (0.01..=100.0).contains(&room.priority)), "give 0.01 to 100"),
+            row("planner.room.time_s", &time, of_needs(&|room| room.time_s.is_none_or(|time_s| (1.0..=SECONDS_MAX).contains(&time_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
             row("planner.round_s", &round_s, planner.round_s.is_none_or(|round_s| (planner.room_time_s.max(f64::MIN_POSITIVE)..=SECONDS_MAX).contains(&round_s)), &format!("give planner.room_time_s to {SECONDS_MAX}, or leave the key out")),
             row("planner.deadline_ms", &planner.deadline_ms, planner.deadline_ms > daemon.heartbeat_ms, "give more than daemon.heartbeat_ms, or every score is stale before it is confirmed"),
             row("planner.interrupt_at", &interrupt, interrupt > 0.0 && interrupt <= 1.0, "give more than 0, at most 1"),
@@ -612,6 +632,33 @@ mod tests {
     #[test]
     fn the_manual_states_the_defaults() {
         assert_eq!(toml::from_str::<Config>(DEFAULT_TOML).unwrap(), Config::default());
+    }
+
+    #[test]
+    fn the_home_on_the_page_of_wishes_is_a_configuration() {
+        let page = include_str!("../../../docs/wishes.md");
+        let (_, rest) = page.split_once("```toml\n").unwrap();
+        let (text, _) = rest.split_once("```").unwrap();
+        let config: Config = toml::from_str(text).unwrap();
+        config.check().unwrap();
+        assert_eq!((config.planner.quiet.len(), config.planner.room.len()), (2, 2));
+    }
+
+    #[test]
+    fn rules_of_the_house_out_of_their_limits_are_refused() {
+        for (toml, part) in [
+            ("[planner]\nmin_absence_s = 60.0", "give planner.only_when too"),
+            ("[planner]\nknow_s = -1.0", "planner.know_s is -1"),
+            ("[[planner.room]]\nid = \"a\"\n[[planner.room]]\nid = \"a\"", "planner.room.id is [\"a\", \"a\"]"),
+            ("[[planner.room]]\nid = \"a\"\nevery_s = 0.0", "planner.room.every_s is [0.0]"),
+            ("[[planner.room]]\nid = \"a\"\npriority = 0.0", "planner.room.priority is [0.0]"),
+            ("[[planner.room]]\nid = \"a\"\ntime_s = nan", "planner.room.time_s is [NaN]"),
+        ] {
+            let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
+            assert!(error.contains(part), "{toml}: {error}");
+        }
+        let error = toml::from_str::<Config>("[planner]\nquiet = [\"10pm-7am\"]").unwrap_err().to_string();
+        assert!(error.contains("quiet hours are \"10pm-7am\", expected such as"), "{error}");
     }
 
     /// What the manual says that a key may be is what the check says.

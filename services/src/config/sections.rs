@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};
 use roomcast_core::habits::{HabitsOptions, SetOptions};
 use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
@@ -301,6 +302,21 @@ pub struct PlannerConfig {
     pub avoid_sets: bool,
     /// Whether rooms that other robots are in or on their way to are not entered.
     pub avoid_robots: bool,
+    /// Seconds that the planner waits at most, after a start of it or the daemon, until each resident was observed.
+    pub know_s: f64,
+    /// Hours in which the robot does not work.
+    pub quiet: Vec<QuietHours>,
+    /// The rooms in which the robot does not work while a person sleeps.
+    pub while_asleep: WhileAsleep,
+    /// What must be empty before the robot works; without it, the policy weighs alone.
+    pub only_when: Option<OnlyWhen>,
+    /// Seconds for which it must stay empty.
+    pub min_absence_s: f64,
+    /// ... with this probability.
+    pub min_absence_at: f64,
+    /// What rooms need.
+    #[serde(deserialize_with = "list_of_keyed")]
+    pub room: Vec<RoomNeeds>,
     /// A person who comes into the robot's room ends its work there.
     pub interrupt: bool,
     /// How likely somebody must be in a room, 0 to 1, to interrupt the robot; and to keep it out under `forced = "skip"`.
@@ -321,6 +337,14 @@ pub struct PlannerConfig {
     pub charge_timeout_s: f64,
 }
 
+impl PlannerConfig {
+    /// What a room needs; none for a room without an entry.
+    #[must_use]
+    pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
+        self.room.iter().find(|room| room.id == id)
+    }
+}
+
 impl Default for PlannerConfig {
     fn default() -> Self {
         Self {
@@ -334,6 +358,13 @@ impl Default for PlannerConfig {
             forced: Forced::default(),
             avoid_sets: false,
             avoid_robots: false,
+            know_s: 3600.0,
+            quiet: Vec::new(),
+            while_asleep: WhileAsleep::default(),
+            only_when: None,
+            min_absence_s: 0.0,
+            min_absence_at: 0.8,
+            room: Vec::new(),
             interrupt: true,
             interrupt_at: 0.6,
             interrupt_after_s: 2.0,

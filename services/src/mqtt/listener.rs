@@ -61,7 +61,12 @@ pub(super) struct Waiting {
     pub(super) line: String,
     since: Instant,
     quiet: Duration,
+    /// It waits for its state to last, and for no silence: the rule, and the place and value of the state.
+    lasting: Option<Lasting>,
 }
+
+/// A rule's number, and the place and value of a state.
+type Lasting = (usize, Fingerprint, Fingerprint);
 
 /// Decides which messages are said. Pure: time comes in.
 #[derive(Debug)]
@@ -119,6 +124,7 @@ impl Listener {
         let mut outcomes = Vec::with_capacity(readings.len());
         // A sensor that turns off does not break a silence.
         let mut is_silence_over = false;
+        let mut lasts: HashMap<usize, Lasting> = HashMap::new();
         for Said { number, rule, line, value, held } in readings {
             let field = rule.field.as_deref();
             // Rules that read one field read one value there.
@@ -134,6 +140,12 @@ impl Listener {
                 }
                 known
             });
+            if rule.lasting.is_some() {
+                let is_over = |(other, at, value): Lasting| other == number && at == place && value != own;
+                self.waiting.retain(|waiting| !waiting.lasting.is_some_and(is_over));
+            }
+            let is_on = held.is_none_or(|held| held.is_on);
+            let lasting = rule.lasting.filter(|_| is_on).map(|time| (time, (number, place, own)));
             let unknown = self.first_connection || known.is_none();
             let quiet = rule.saying.quiet();
             let what = match line {
@@ -143,9 +155,13 @@ impl Listener {
                 Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
                 Some(_) if retained && !rule.retained && unknown => What::State,
                 Some(Err(reason)) => What::Unfit(reason),
-                Some(Ok(line)) => match quiet {
-                    None => What::Said(line),
-                    Some(quiet) => What::Waits(line, quiet),
+                Some(Ok(line)) => match (quiet, lasting) {
+                    (None, None) => What::Said(line),
+                    (_, Some((time, state))) => {
+                        lasts.insert(number, state);
+                        What::Waits(line, time)
+                    }
+                    (Some(quiet), None) => What::Waits(line, quiet),
                 },
             };
             is_silence_over |= matches!(what, What::Said(_)) && held.is_none_or(|held| held.is_on);
@@ -154,12 +170,15 @@ impl Listener {
         let said = outcomes.iter().filter(|outcome| matches!(outcome.what, What::Said(_))).count();
         self.heard.said += said as u64;
         if is_silence_over {
-            self.waiting.clear();
+            self.waiting.retain(|waiting| waiting.lasting.is_some());
         }
         for outcome in &outcomes {
             match &outcome.what {
-                What::Waits(line, quiet) if !self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet }) => {
-                    self.refuse(topic, outcome.number, "too much waits for silence");
+                What::Waits(line, quiet) => {
+                    let lasting = lasts.get(&outcome.number).copied();
+                    if !self.wait(Waiting { line: line.clone(), since: now, quiet: *quiet, lasting }) {
+                        self.refuse(topic, outcome.number, "too much waits for silence");
+                    }
                 }
                 What::Unfit(reason) => self.refuse(topic, outcome.number, reason),
                 _ => {}

@@ -4,6 +4,7 @@ use std::cell::{Cell, OnceCell};
 use std::collections::HashMap;
 use std::path::Path;
 use std::rc::Rc;
+use std::time::Duration;
 
 use roomcast_core::narration::{SENSOR_ID_BYTES_MAX, SensorKind};
 use roomcast_core::parsing::{list_of_keyed, toml_says};
@@ -16,6 +17,9 @@ use crate::condition::{Condition, ConditionKeys, comparable};
 use crate::line::{LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Class, Device, Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
+
+/// Longest time for which a state must last, in seconds: a day.
+const LASTING_S_MAX: f64 = 86_400.0;
 
 /// The rules by which messages become narration.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,11 +39,15 @@ struct RulesFile {
 struct RuleKeys {
     topic: String,
     field: Option<String>,
+    #[serde(alias = "equals")]
     when: Option<String>,
     #[serde(default)]
     unless: Vec<String>,
     above: Option<f64>,
     below: Option<f64>,
+    for_s: Option<f64>,
+    #[serde(default, deserialize_with = "list_of_keyed")]
+    all: Vec<AlsoKeys>,
     #[serde(default)]
     retained: bool,
     #[serde(default)]
@@ -57,6 +65,71 @@ struct RuleKeys {
     false_alarms_per_day: Option<f64>,
     #[serde(default)]
     only_on: bool,
+}
+
+/// A further condition of a rule, as it stands in the file.
+#[derive(Debug, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AlsoKeys {
+    field: String,
+    #[serde(alias = "equals")]
+    when: Option<String>,
+    #[serde(default)]
+    unless: Vec<String>,
+    above: Option<f64>,
+    below: Option<f64>,
+}
+
+/// A further condition: a rule reads no message that does not meet it.
+#[derive(Debug, Clone, PartialEq)]
+struct Also {
+    field: String,
+    condition: Condition,
+}
+
+impl Also {
+    fn new(keys: &AlsoKeys) -> Result<Self, String> {
+        let AlsoKeys { field, when, unless, above, below } = keys;
+        if !field.starts_with('/') {
+            return Err("all: field is a JSON pointer and begins with a slash, as in \"/after/label\"".to_owned());
+        }
+        let keys = ConditionKeys { when: when.as_deref(), unless, above: *above, below: *below };
+        let condition = Condition::new(keys).map_err(|fault| format!("all: {fault}"))?;
+        Ok(Self { field: field.clone(), condition })
+    }
+
+    fn holds(&self, reading: &Reading<'_>) -> bool {
+        reading.value(Some(&self.field)).is_some_and(|value| self.condition.holds(&value.compared))
+    }
+}
+
+/// A level of a topic with a name in braces, as in `{room}_motion`.
+#[derive(Debug, Clone, PartialEq)]
+struct NamedLevel {
+    before: String,
+    name: String,
+    after: String,
+}
+
+impl NamedLevel {
+    /// None for a level without braces.
+    fn new(level: &str) -> Result<Option<Self>, String> {
+        let Some((before, rest)) = level.split_once('{') else { return Ok(None) };
+        let (name, after) = rest.split_once('}').ok_or("a brace in the topic is not closed")?;
+        let is_name = !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
+        if !is_name || name == "value" || after.contains(['{', '}']) {
+            return Err(format!(
+                "{{{name}}} is no name for a part of the topic: give one of a-z and _, one for each level, as in {{room}}_motion"
+            ));
+        }
+        Ok(Some(Self { before: before.to_owned(), name: name.to_owned(), after: after.to_owned() }))
+    }
+
+    /// The part of a level that the name stands for.
+    fn part<'a>(&self, level: &'a str) -> Option<&'a str> {
+        let part = level.strip_prefix(self.before.as_str())?.strip_suffix(self.after.as_str())?;
+        Some(part).filter(|part| !part.is_empty())
+    }
 }
 
 /// What a rule is about.
@@ -80,7 +153,14 @@ pub struct RuleAbout<'a> {
 
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rule {
+    /// The filter that the broker gets.
     topic: String,
+    /// For each `+` of the filter the named level that it stands for.
+    named: Vec<Option<NamedLevel>>,
+    /// Messages that do not meet them are not read.
+    all: Vec<Also>,
+    /// The state is said when it has held for so long.
+    pub(super) lasting: Option<Duration>,
     pub(super) field: Option<String>,
     when: Option<String>,
     condition: Condition,
@@ -236,7 +316,7 @@ impl Rules {
     /// "is no JSON". None where a rule can, or where none listens.
     #[must_use]
     pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
-        let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| matches(&rule.topic, topic).is_some())?;
+        let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| rule.places(topic).is_some())?;
         let readings = self.readings(topic, payload);
         let is_read = readings.iter().any(|said| !said.rule.condition.lacks_number(&said.value.compared));
         (!is_read).then(|| (number, rule.lack(&Reading::new(payload))))
@@ -245,7 +325,7 @@ impl Rules {
     /// Whether a topic is one that this rule, by its number, listens to.
     #[must_use]
     pub fn fits(&self, number: usize, topic: &str) -> bool {
-        self.rule(number).is_some_and(|rule| matches(&rule.topic, topic).is_some())
+        self.rule(number).is_some_and(|rule| rule.places(topic).is_some())
     }
 
     /// Whether a rule, by its number, leaves a value out by its `unless`.
@@ -282,7 +362,10 @@ impl Rules {
         let reading = Reading::new(payload);
         let mut values: HashMap<Option<&str>, Option<Rc<Value>>> = HashMap::new();
         let readings = (1..).zip(&self.0).filter_map(|(number, rule)| {
-            let places = matches(&rule.topic, topic)?;
+            let places = rule.places(topic)?;
+            if !rule.all.iter().all(|also| also.holds(&reading)) {
+                return None;
+            }
             let field = rule.field.as_deref();
             let value = values.entry(field).or_insert_with(|| reading.value(field)).clone();
             let null = || reading.null(field).filter(|_| matches!(rule.saying.class, Class::Sensor(_)));
@@ -296,6 +379,17 @@ impl Rule {
     fn new(keys: RuleKeys) -> Result<Self, String> {
         let RuleKeys { topic, field, when, unless, above, below, retained, repeats, say, presence, sensor, .. } = keys;
         let condition = Condition::new(ConditionKeys { when: when.as_deref(), unless: &unless, above, below })?;
+        let mut captures = Vec::new();
+        let mut filter = Vec::new();
+        for level in topic.split('/') {
+            let own = NamedLevel::new(level)?;
+            if level == "+" || own.is_some() {
+                captures.push(own.clone());
+            }
+            filter.push(if own.is_some() { "+" } else { level });
+        }
+        let (topic, names_a_room) =
+            (filter.join("/"), captures.iter().flatten().any(|named: &NamedLevel| named.name == "room"));
         let levels: Vec<_> = topic.split('/').collect();
         let wild = |level: &&str| level.contains(['+', '#']) && level.len() > 1;
         if levels.first() == Some(&"$share") {
@@ -310,14 +404,19 @@ impl Rule {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
         let places = levels.iter().filter(|level| **level == "+").count();
-        let (say, room, person) = (say.as_deref(), keys.room.as_deref(), keys.person.as_ref());
+        // The room in the topic is that of the event, if no other is given.
+        let is_placed = sensor.is_some() || presence.is_some();
+        let room = keys.room.as_deref().or((names_a_room && is_placed).then_some("{room}"));
+        let (say, person) = (say.as_deref(), keys.person.as_ref());
         let (id, beyond) = (keys.id.as_deref(), keys.beyond.as_deref());
         let named = person.map(|person| person.json().as_str().unwrap_or_default().to_owned());
         let count = keys.count.as_ref().and_then(serde_json::Value::as_str);
         let texts = [say, room, named.as_deref(), id, beyond, count];
         let pointers: Vec<_> = texts.into_iter().flatten().flat_map(pointers).map(str::to_owned).collect();
         let places = (1..=places).map(|n| n.to_string());
-        let names: Vec<_> = std::iter::once("value".to_owned()).chain(places).chain(pointers.iter().cloned()).collect();
+        let parts = captures.iter().flatten().map(|named| named.name.clone());
+        let names: Vec<_> =
+            std::iter::once("value".to_owned()).chain(places).chain(parts).chain(pointers.iter().cloned()).collect();
         let RuleKeys { hold_s, false_alarms_per_day, only_on, quiet_s, .. } = keys;
         let device = Device { id, beyond, hold_s, false_alarms_per_day, only_on };
         let count = keys.count.as_ref();
@@ -325,6 +424,24 @@ impl Rule {
         let mut condition_key: String = unless.iter().map(|value| format!("\n{}", comparable(value))).collect();
         for (name, limit) in [("above", above), ("below", below)] {
             condition_key.extend(limit.map(|limit| format!("\n{name} {limit}")));
+        }
+        for also in &keys.all {
+            condition_key.push_str(&format!(
+                "\n{} {:?} {:?} {:?} {:?}",
+                also.field, also.when, also.unless, also.above, also.below
+            ));
+        }
+        let all = keys.all.iter().map(Also::new).collect::<Result<_, _>>()?;
+        let lasting = keys.for_s.map(|for_s| {
+            let allowed = for_s > 0.0 && for_s <= LASTING_S_MAX;
+            let lasting = Duration::try_from_secs_f64(for_s).ok().filter(|_| allowed);
+            lasting.ok_or_else(|| format!("for_s is {for_s}; give seconds above 0, at most {LASTING_S_MAX}"))
+        });
+        let lasting = lasting.transpose()?;
+        if lasting.is_some() && (quiet_s.is_some() || repeats) {
+            return Err(
+                "for_s excludes quiet_s and repeats: a rule waits for its value to last, or for silence".to_owned()
+            );
         }
         if sensor.is_some() && is_literal(&topic, id) {
             let id = default_id(&topic, field.as_deref());
@@ -337,7 +454,35 @@ impl Rule {
         }
         // A device without "off" reports again, and a state is not over because the narrator starts.
         let (retained, repeats) = (retained || sensor.is_some() && !only_on, repeats || only_on);
-        Ok(Self { topic, field, when, condition, condition_key, retained, repeats, pointers, saying })
+        Ok(Self {
+            topic,
+            named: captures,
+            all,
+            lasting,
+            field,
+            when,
+            condition,
+            condition_key,
+            retained,
+            repeats,
+            pointers,
+            saying,
+        })
+    }
+
+    /// The place of a name among the levels of the topic.
+    fn place_of(&self, name: &str) -> Option<usize> {
+        self.named.iter().position(|named| named.as_ref().is_some_and(|named| named.name == name))
+    }
+
+    /// What the `+` and the names of the rule's topic stand for in a topic; none when it does not fit.
+    fn places<'a>(&self, topic: &'a str) -> Option<Vec<&'a str>> {
+        let places = matches(&self.topic, topic)?;
+        let part = |(level, named): (&'a str, &Option<NamedLevel>)| match named {
+            Some(named) => named.part(level),
+            None => Some(level),
+        };
+        places.into_iter().zip(&self.named).map(part).collect()
     }
 
     fn say(
@@ -380,6 +525,10 @@ impl Rule {
         let value_of = |name: &str| match name.parse::<usize>() {
             Ok(number) => places.get(number.wrapping_sub(1)).map(|place| place.replace('_', " ")).unwrap_or_default(),
             Err(_) if name.starts_with('/') => of_payload(at(name).unwrap_or_default()),
+            Err(_) if self.place_of(name).is_some() => {
+                let place = self.place_of(name).and_then(|place| places.get(place));
+                place.map(|place| place.replace('_', " ")).unwrap_or_default()
+            }
             Err(_) => of_payload(text.clone()),
         };
         let line = match state {

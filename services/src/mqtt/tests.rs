@@ -1691,5 +1691,138 @@ fn every_example_of_the_manual_is_a_rules_file() {
     const MANUAL: &str = include_str!("../../../docs/mqtt.md");
     let blocks = MANUAL.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next());
     let numbers: Vec<usize> = blocks.map(|block| Rules::parse(block).unwrap().about().count()).collect();
-    assert_eq!(numbers, [8, 1]);
+    assert_eq!(numbers, [8, 3, 1]);
+}
+
+#[test]
+fn one_rule_covers_many_sensors_and_takes_the_room_from_the_topic() {
+    let rules = "[[rule]]\ntopic = \"zigbee2mqtt/{room}_motion\"\nfield = \"/occupancy\"\nsensor = \"motion\"\n\
+        [[rule]]\ntopic = \"{floor}/{room}/lamp\"\nwhen = \"on\"\nsay = \"They turn on the lamp in the {room}.\"\n";
+    let rules = Rules::parse(rules).unwrap();
+    assert_eq!(rules.filters(), ["+/+/lamp", "zigbee2mqtt/+"]);
+    assert!(rules.fits(1, "zigbee2mqtt/hall_motion") && !rules.fits(1, "zigbee2mqtt/hall_door"));
+    assert_eq!(rules.unreadable("zigbee2mqtt/bridge", b"{}"), None, "no rule speaks of it");
+    let mut listener = Listener::new(rules);
+    let on = hear(&mut listener, "zigbee2mqtt/living_room_motion", r#"{"occupancy": true}"#, false).unwrap();
+    let line: serde_json::Value = serde_json::from_str(&on).unwrap();
+    assert_eq!((&line["room"], &line["sensor"], &line["on"]), (&"living room".into(), &"motion".into(), &true.into()));
+    let off = hear(&mut listener, "zigbee2mqtt/living_room_motion", r#"{"occupancy": false}"#, false).unwrap();
+    assert!(off.contains("living room") && off.contains("false"), "one rule is enough for on and off: {off}");
+    assert_eq!(hear(&mut listener, "zigbee2mqtt/_motion", r#"{"occupancy": true}"#, false), None);
+    let lamp = hear(&mut listener, "upstairs/bath/lamp", "on", false).unwrap();
+    assert!(lamp.contains("They turn on the lamp in the bath."), "{lamp}");
+    for (topic, fault) in [
+        ("a/{room", "not closed"),
+        ("a/{Room}", "no name for a part of the topic"),
+        ("a/{value}", "no name for a part of the topic"),
+        ("a/{room}_{kind}", "one for each level"),
+    ] {
+        let error = Rules::parse(&format!("[[rule]]\ntopic = \"{topic}\"\nsay = \"x\"")).unwrap_err();
+        assert!(error.contains(fault), "{error}");
+    }
+}
+
+#[test]
+fn an_event_counts_only_if_all_conditions_hold() {
+    let rules = "[[rule]]\ntopic = \"frigate/events\"\nfield = \"/type\"\nequals = \"new\"\nrepeats = true\n\
+        all = [{ field = \"/after/label\", equals = \"person\" }, { field = \"/after/score\", above = 0.7 }]\n\
+        presence = \"present\"\nroom = \"{/after/camera}\"\n\
+        [[rule]]\ntopic = \"owntracks/ada/phone/event\"\nfield = \"/event\"\nequals = \"enter\"\n\
+        all = [{ field = \"/desc\", equals = \"Home\" }]\npresence = \"present\"\nperson = \"ada\"\n";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let event = |label: &str, score: f64| {
+        format!(r#"{{"type": "new", "after": {{"label": "{label}", "score": {score}, "camera": "hall"}}}}"#)
+    };
+    assert_eq!(hear(&mut listener, "frigate/events", &event("cat", 0.9), false), None);
+    assert_eq!(hear(&mut listener, "frigate/events", &event("person", 0.5), false), None);
+    assert!(hear(&mut listener, "frigate/events", &event("person", 0.9), false).unwrap().contains("hall"));
+    let enters = |region: &str| format!(r#"{{"_type": "transition", "event": "enter", "desc": "{region}"}}"#);
+    assert_eq!(hear(&mut listener, "owntracks/ada/phone/event", &enters("Work"), false), None);
+    assert!(hear(&mut listener, "owntracks/ada/phone/event", &enters("home"), false).unwrap().contains("ada"));
+    let error = Rules::parse("[[rule]]\ntopic = \"a\"\nsay = \"x\"\nall = [{ field = \"label\" }]").unwrap_err();
+    assert!(error.contains("rule 1: all: field is a JSON pointer"), "{error}");
+}
+
+#[test]
+fn a_state_is_said_when_it_has_lasted() {
+    let rules = "[[rule]]\ntopic = \"plug/washer\"\nfield = \"/power\"\nabove = 5.0\nfor_s = 30.0\nsensor = \"appliance\"\nroom = \"bath\"\n";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    let start = Instant::now();
+    let mut power = |watts: f64, at_s: u64| {
+        let at = start + Duration::from_secs(at_s);
+        let said = listener.hear(b"plug/washer", format!("{{\"power\": {watts}}}").as_bytes(), false, at);
+        (said, listener.due(at))
+    };
+    // A peak of ten seconds is no use of the machine.
+    assert_eq!(power(900.0, 0), (vec![], vec![]));
+    assert!(power(0.2, 10).0.len() <= 1);
+    assert_eq!(power(0.2, 50).1, [""; 0]);
+    assert_eq!(power(900.0, 100), (vec![], vec![]));
+    assert_eq!(power(850.0, 120), (vec![], vec![]), "it lasts, and does not begin again");
+    let (said, due) = power(910.0, 131);
+    assert!(said.is_empty() && due.len() == 1 && due[0].contains("appliance") && due[0].contains("true"), "{due:?}");
+    let (off, _) = power(0.3, 200);
+    assert!(off.len() == 1 && off[0].contains("false"), "{off:?}");
+    let error =
+        |keys: &str| Rules::parse(&format!("[[rule]]\ntopic = \"a\"\npresence = \"present\"\n{keys}")).unwrap_err();
+    assert!(error("for_s = 0.0").contains("for_s is 0; give seconds above 0, at most 86400"));
+    assert!(error("for_s = 5.0\nquiet_s = 5.0").contains("for_s excludes quiet_s"));
+}
+
+/// Fourteen devices of a home, in at most sixty lines.
+#[test]
+fn a_home_of_fourteen_devices_is_a_short_file() {
+    let rules = r#"
+[[rule]]                                   # five motion sensors
+topic = "zigbee2mqtt/{room}_motion"
+field = "/occupancy"
+sensor = "motion"
+
+[[rule]]                                   # three presence sensors
+topic = "zigbee2mqtt/{room}_presence"
+field = "/presence"
+sensor = "presence"
+
+[[rule]]                                   # the front door
+topic = "zigbee2mqtt/front_door"
+field = "/contact"
+sensor = "door"
+room = "hall"
+
+[[rule]]                                   # a bed
+topic = "zigbee2mqtt/{room}_bed"
+field = "/occupancy"
+sensor = "bed"
+
+[[rule]]                                   # two plugs: washer and kettle
+topic = "zigbee2mqtt/{room}_plug"
+field = "/power"
+above = 5.0
+for_s = 30.0
+sensor = "appliance"
+
+[[rule]]                                   # a camera
+topic = "frigate/events"
+field = "/type"
+equals = "new"
+all = [{ field = "/after/label", equals = "person" }]
+repeats = true
+presence = "present"
+room = "{/after/camera}"
+
+[[rule]]                                   # a phone
+topic = "owntracks/ada/phone/event"
+field = "/event"
+equals = "enter"
+all = [{ field = "/desc", equals = "home" }]
+presence = "present"
+person = "ada"
+"#;
+    assert!(rules.lines().count() <= 60, "{}", rules.lines().count());
+    let rules = Rules::parse(rules).unwrap();
+    for topic in ["hall_motion", "kitchen_presence", "front_door", "bedroom_bed", "bath_plug"] {
+        let payload = br#"{"occupancy": true, "presence": true, "contact": false, "power": 80}"#;
+        let readings = rules.reads(&format!("zigbee2mqtt/{topic}"), payload);
+        assert!(matches!(readings[..], [(_, true)]), "{topic}: {readings:?}");
+    }
 }

@@ -1,7 +1,7 @@
 //! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
 //!
 //! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
-//! the robot is**, or to go on pausing: it is the one choice that brings it nearer to nobody by its own doing. Such a decision is flagged, is
+//! the robot is**, or to go on pausing: no other choice brings the robot nearer to no person. Such a decision is flagged, is
 //! published once, and the next one follows as soon as there are fresh scores again.
 //!
 //! Work goes in rounds. A round has a deadline, so that the stays that are left become fewer with time and no plan can put a room off
@@ -9,9 +9,9 @@
 //! that is done early goes on to its deadline, and the robot keeps where the person is not; otherwise the next one begins at once.
 //!
 //! A robot that reports ends its stays itself: a room is done when it says so, and is tried again after the others when it could not do
-//! it. One that says nothing ends them by the clock. A person who comes into the robot's room ends its work there.
+//! it. One that says nothing ends them by the clock. The robot's work ends when a person enters its room.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use rand::SeedableRng;
@@ -21,48 +21,61 @@ use roomcast_ipc::{
     text,
 };
 
-use crate::config::{Forced, PlannerConfig};
+use crate::config::{Config, Forced, PlannerConfig};
+use crate::daemon::Zone;
+use crate::setup;
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::{Choice, Policy, PolicyError, PolicyName, RobotState};
 use roomcast_core::semantic_map::SemanticMap;
 
+mod facts;
 mod interruption;
+mod orders;
 mod others;
 mod outlook;
 mod places;
 mod reports;
 mod robot;
 mod round;
+pub mod rules;
 mod run;
 mod state;
 
+pub use orders::Orders;
 pub use reports::ReportFault;
 pub use run::run;
 pub use state::KeptRound;
 
+use facts::{Known, Near, People};
 use interruption::Interruption;
 use others::Others;
 use outlook::{Forecast, Outlook};
 use places::Places;
 use robot::{Robot, Work};
-use round::Round;
+use round::{Round, nanoseconds};
+use rules::{Facts, Now, Reason, allowed, holds};
 
-/// How often connections are renewed at least. Whoever joins by this contract's crate wakes the planner by itself.
+/// How often connections are renewed at least. A participant of this crate wakes the planner when it joins.
 /// Longer than the daemon's usual heartbeat, so that an idle planner wakes for scores, and not once more just before them.
 const TICK: Duration = Duration::from_millis(300);
 /// A robot that waits or pauses may be given work at any new score, and so often without one: time alone changes forecasts.
 const LOOK_AGAIN_NS: u64 = 5_000_000_000;
 /// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
 const WORTH_MOVING: f64 = 0.005;
-/// What is dated further ahead of now than this was not sent on this boot's clock.
+/// A message with a time further ahead is not of this boot's clock.
 const AHEAD_NS: u64 = 1_000_000_000;
-/// Decisions whose rooms stay known, for reports that come late.
+/// A robot that pauses is given a new reason at most so often.
+const SAY_AGAIN_NS: u64 = 300_000_000_000;
+/// A room that is overdue is at most so often as dear to leave undone.
+const WEIGHT_MAX: f64 = 100.0;
+/// The number of past decisions that late reports can answer.
 const DECISIONS: usize = 32;
 
-/// The robot as the planner knows it, and what it decides. Pure: time comes in as a number.
+/// The planner's state. Pure: time comes in as a number.
 #[derive(Debug)]
 pub struct Planner {
+    config: PlannerConfig,
     policy: Box<dyn Policy>,
     rng: ChaCha8Rng,
     number: u64,
@@ -70,38 +83,52 @@ pub struct Planner {
     epoch: u64,
     sequence: u64,
     deadline_ns: u64,
-    repeat: bool,
-    forced: Forced,
-    /// From which probability on somebody counts as in a room, and up to which it counts as empty.
-    occupied: (f64, f64),
+    zone: Zone,
+    /// The residents' names, if the planner waits for each.
+    residents: Vec<String>,
+    /// Each person's forecast is to come, and the planner waits for the first.
+    follows_persons: bool,
     scores: Option<RoomScoresV1>,
     forecast: Option<ForecastV1>,
-    /// Each person's forecast, where rooms of their sets are not entered.
-    avoid_sets: bool,
-    sets: Option<Box<PersonForecastsV1>>,
+    persons: Option<Box<PersonForecastsV1>>,
+    /// The daemon's epoch, and when its first scores came.
+    daemon: Option<(u64, BootNs)>,
     /// The other robots, where their rooms are not entered.
     others: Option<Others>,
     places: Option<Places>,
+    /// By room of the scores; empty without their map.
+    near: Vec<Near>,
     round: Round,
     robot: Robot,
     interruption: Interruption,
+    orders: Orders,
+    /// The monotonic clock and the wall clock at one moment, in nanoseconds.
+    clock: (BootNs, UnixNs),
     /// What a planner before this one has kept, until scores say which rooms there are.
     kept: Option<KeptRound>,
-    /// Work that a planner before this one has asked for is to be asked for again, so that the robot hears it from this one.
-    asks_again: bool,
     /// The last decisions' rooms.
     decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
-    /// The robot has said that it stays because every room is covered.
-    finished: bool,
     /// Epoch and sequence of the scores last decided upon, and when that was.
     decided: Option<(u64, u64)>,
     decided_ns: BootNs,
     /// What the next decision has to say of the work before it.
     notice: Notice,
-    /// The fallback has been published and holds until scores are fresh.
-    falling_back: bool,
-    /// The robot has been told to pause, and why.
-    pausing: Option<Pause>,
+    standing: Standing,
+}
+
+/// What the planner said last to a robot without work.
+#[derive(Debug, Clone, PartialEq)]
+enum Standing {
+    /// Nothing that stands.
+    Free,
+    /// An earlier planner ordered the work in hand. This planner repeats the order, so that the robot knows its number.
+    Resumes,
+    /// To pause: why, in which words, and when that was said.
+    Pauses(Pause, String, BootNs),
+    /// The fallback, which holds until scores are fresh.
+    FellBack,
+    /// To stay, because every room is covered.
+    Finished,
 }
 
 /// Why a robot pauses.
@@ -117,6 +144,8 @@ enum Pause {
     NoRoom,
     /// Rooms of persons' sets are not entered, and the sets that belong to the scores have not come.
     NoSets,
+    /// A rule of the house, by its kind.
+    Rule(std::mem::Discriminant<Reason>),
 }
 
 /// A message that says that it was sent after now, as one of another boot does. It would never be too old, and the daemon's own would be
@@ -143,7 +172,28 @@ struct Notice {
     why: String,
 }
 
-/// What is to be done next.
+/// What the rules say of a room.
+struct Verdict {
+    /// Why the robot does not work there.
+    reason: Option<Reason>,
+    /// The likely person there.
+    by: Option<Reason>,
+    /// A person asked for it.
+    is_asked: bool,
+}
+
+/// Each sentence once.
+fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
+    let mut said = Vec::new();
+    for sentence in reasons.map(Reason::to_string) {
+        if !said.contains(&sentence) {
+            said.push(sentence);
+        }
+    }
+    said
+}
+
+/// The next step.
 enum Next {
     Go { room: usize, reason: String, flags: u32 },
     Pause { why: Pause, reason: String },
@@ -154,6 +204,7 @@ impl Planner {
     #[must_use]
     pub fn new(config: &PlannerConfig, epoch: u64) -> Self {
         Self {
+            config: config.clone(),
             policy: config.policy.policy(),
             rng: ChaCha8Rng::seed_from_u64(config.seed),
             number: sequence::source_of_name(&config.robot),
@@ -161,33 +212,53 @@ impl Planner {
             epoch,
             sequence: 0,
             deadline_ns: config.deadline_ms.saturating_mul(1_000_000),
-            repeat: config.repeat,
-            forced: config.forced,
-            occupied: (config.interrupt_at, config.resume_at),
+            zone: Zone::UTC,
+            residents: Vec::new(),
+            follows_persons: false,
             scores: None,
             forecast: None,
-            avoid_sets: config.avoid_sets,
-            sets: None,
+            persons: None,
+            daemon: None,
             others: config.avoid_robots.then(|| Others::new(sequence::source_of_name(&config.robot))),
             places: None,
+            near: Vec::new(),
             round: Round::new(config),
             robot: Robot::new(config),
             interruption: Interruption::new(config),
+            orders: Orders::default(),
+            clock: (BootNs(0), UnixNs(0)),
             kept: None,
-            asks_again: false,
             decisions: VecDeque::new(),
-            finished: false,
             decided: None,
             decided_ns: BootNs(0),
             notice: Notice::default(),
-            falling_back: false,
-            pausing: None,
+            standing: Standing::Free,
         }
+    }
+
+    /// With the residents of the home and its time zone. The planner then expects persons' forecasts.
+    #[must_use]
+    pub fn with_home(mut self, residents: &[String], zone: Zone) -> Self {
+        (self.residents, self.zone, self.follows_persons) = (residents.to_vec(), zone, true);
+        self
+    }
+
+    /// With the orders that an earlier planner kept.
+    #[must_use]
+    pub fn with_orders(mut self, orders: Orders) -> Self {
+        self.orders = orders;
+        self
+    }
+
+    /// The orders, to be kept.
+    #[must_use]
+    pub fn orders(&self) -> &Orders {
+        &self.orders
     }
 
     /// With the map that reports' positions and names of rooms mean; the daemon's scores are of the partitions at `level`.
     #[must_use]
-    pub(crate) fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
+    pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
         self.places = Some(Places::new(map, level));
         self
     }
@@ -228,8 +299,14 @@ impl Planner {
         }
         if let Some(places) = &mut self.places {
             places.see(scores);
+            if !same_map || self.near.is_empty() {
+                self.near = if places.fits(scores) { places.near(scores) } else { Vec::new() };
+            }
         }
         self.scores = Some(*scores);
+        if self.daemon.is_none_or(|(epoch, _)| epoch != scores.epoch) {
+            self.daemon = Some((scores.epoch, now_ns));
+        }
         if let Some(kept) = self.kept.take() {
             self.restore(&kept);
         }
@@ -249,7 +326,7 @@ impl Planner {
         }
     }
 
-    /// Takes a checked forecast; it is used as long as it is of the same rooms as the scores.
+    /// Takes a checked forecast. It is used while its rooms are those of the scores.
     ///
     /// # Errors
     ///
@@ -271,32 +348,39 @@ impl Planner {
         })
     }
 
-    /// Takes each person's checked forecast: rooms of their sets are not entered, where the configuration says so.
+    /// Takes each person's checked forecast.
     ///
     /// # Errors
     ///
     /// As [`Planner::take`].
-    pub(crate) fn take_sets(&mut self, forecasts: &PersonForecastsV1, now_ns: BootNs) -> Result<(), DatedAhead> {
+    pub fn take_persons(&mut self, forecasts: &PersonForecastsV1, now_ns: BootNs) -> Result<(), DatedAhead> {
         DatedAhead::refuse(BootNs(forecasts.published_ns.max(forecasts.computed_ns)), now_ns)?;
-        if self.avoid_sets {
-            self.sets = Some(Box::new(*forecasts));
-        }
+        self.persons = Some(Box::new(*forecasts));
         Ok(())
     }
 
-    /// Rooms that are not to be entered because somebody may be there, no room where sets are not looked at; none where that is not known.
+    /// The rooms in a person's room set, if the configuration avoids them. `None` if the sets are not known.
     fn avoided(&self, now_ns: BootNs) -> Option<Vec<bool>> {
-        let Some(scores) = self.scores.as_ref().filter(|_| self.avoid_sets) else { return Some(Vec::new()) };
-        outlook::in_sets(self.sets.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
+        let Some(scores) = self.scores.as_ref().filter(|_| self.config.avoid_sets) else { return Some(Vec::new()) };
+        outlook::in_sets(self.persons.as_deref(), scores, (now_ns, self.deadline_ns), self.stay_s())
     }
 
-    /// Whether sets are to be looked at, and those that belong to the newest scores have not come.
+    /// Whether the configuration avoids room sets and the sets of the newest scores are missing.
     #[must_use]
     pub(crate) fn lacks_sets(&self, now_ns: BootNs) -> bool {
         self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
-    /// Takes note of what another robot is told, where rooms of others are not entered.
+    /// Whether the persons' forecasts of a daemon that was just heard are still on their way.
+    #[must_use]
+    pub(crate) fn expects_persons(&self, now_ns: BootNs) -> bool {
+        let (Some(scores), Some((_, since_ns))) = (&self.scores, self.daemon) else { return false };
+        let is_new = self.persons.as_ref().is_none_or(|persons| persons.epoch != scores.epoch);
+        let waits = self.follows_persons && self.config.know_s > 0.0;
+        waits && is_new && scores.sequence > 0 && now_ns < since_ns.saturating_add(self.deadline_ns)
+    }
+
+    /// Takes another robot's decision, if the configuration avoids rooms of robots.
     pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
@@ -314,12 +398,18 @@ impl Planner {
     ///
     /// [`PolicyError`] when the policy cannot use the scores; the robot stays.
     pub fn decide(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<Option<DecisionV1>, PolicyError> {
+        self.clock = (now_ns, now_unix_ns);
         self.look_at_work(now_ns);
+        self.look_at_orders();
+        self.wait_through_quiet_hours(now_ns);
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
             self.interruption.look_away();
             return Ok(self.fall_back(stale, now_ns, now_unix_ns));
         };
+        if self.expects_persons(now_ns) {
+            return Ok(None);
+        }
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
         let known = outlook::what_is_known(&scores, forecast);
         let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
@@ -335,31 +425,19 @@ impl Planner {
     ) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_for_persons(scores, now_ns);
         self.look_for_robots(scores, now_ns);
-        if std::mem::take(&mut self.asks_again)
-            && let Some(work) = self.robot.work.clone()
-        {
-            // Where its time is over it owes a report, which it may have sent while nobody listened.
-            let left_ns = work.ends_ns.since(now_ns);
-            let reason = match left_ns {
-                0 => "asks what became of what it was sent to do before the planner's restart",
-                _ => "goes on with what it was sent to do before the planner's restart",
-            };
-            let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
-            let outlook = Outlook::new(scores, forecast, self.stay_s(), 0);
-            let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
-            let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
-            let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
-            let owed = if left_ns == 0 { decision_flags::OWED } else { 0 };
-            let decision = DecisionV1 { probability: likely, flags: decision.flags | owed, ..decision };
-            if let Some(work) = &mut self.robot.work {
-                work.asked_by(decision.epoch, decision.sequence);
+        self.look_at_rules(scores, now_ns);
+        if self.standing == Standing::Resumes {
+            self.standing = Standing::Free;
+            if let Some(work) = self.robot.work.clone() {
+                return Ok(Some(self.ask_again(&work, scores, now_ns, now_unix_ns)));
             }
-            return Ok(Some(decision));
         }
         if !self.is_to_decide(scores, now_ns) {
             return Ok(None);
         }
-        (self.finished, self.falling_back) = (false, false);
+        if matches!(self.standing, Standing::FellBack | Standing::Finished) {
+            self.standing = Standing::Free;
+        }
         (self.decided, self.decided_ns) = (Some((scores.epoch, scores.sequence)), now_ns);
         if let Some(reason) = self.robot.why_it_charges() {
             return Ok(self.pause(Pause::Battery, &reason, now_ns, now_unix_ns));
@@ -375,10 +453,10 @@ impl Planner {
         let (rooms, undone) = (self.round.covered().len(), self.round.undone());
         if undone == 0 {
             flags = decision_flags::COVERED;
-            if !self.repeat {
-                self.finished = true;
+            if !self.config.repeat {
+                self.standing = Standing::Finished;
                 self.round.end();
-                // A robot that was interrupted does not wait where somebody is.
+                // An interrupted robot does not wait in a person's room.
                 let (action, to) = match self.notice.flags & decision_flags::INTERRUPTED {
                     0 => (action::STAY, self.robot.room),
                     _ => (action::PAUSE, None),
@@ -388,12 +466,14 @@ impl Planner {
             }
             if !self.round.goes_on(now_ns) {
                 self.round.begin_again();
+                self.look_at_needs();
             }
         } else if self.round.slots_left(now_ns) == Some(0) {
-            let next = if self.repeat { "a round of all rooms begins" } else { "another round for them begins" };
+            let next = if self.config.repeat { "a round of all rooms begins" } else { "another round for them begins" };
             ended = format!("the round's deadline came with {undone} of {rooms} rooms undone, {next}: ");
-            if self.repeat {
+            if self.config.repeat {
                 self.round.begin_again();
+                self.look_at_needs();
             } else {
                 self.round.end();
             }
@@ -404,12 +484,16 @@ impl Planner {
         let here = forecast.map(|forecast| forecast.now());
         match self.next(&outlook, here.as_deref(), now_ns)? {
             Next::Pause { .. } if waiting.is_some() => Ok(None),
-            Next::Pause { why, reason } => Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns)),
+            Next::Pause { why, reason } => {
+                // Rounds pass while a rule lets no room be done.
+                let ended = if matches!(why, Pause::Rule(_)) { "" } else { &ended };
+                Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns))
+            }
             Next::Go { room, reason, flags: forced } => {
                 let idle = self.is_idle_in(room);
                 let room = self.better_stay(idle, room, &outlook, now_ns).unwrap_or(room);
                 if let Some(waiting) = waiting {
-                    // It changes its place without work for who comes there, if at all.
+                    // A robot without work changes its room only for a person.
                     if idle && (room == waiting.room || !self.is_met(&waiting, scores, now_ns)) {
                         return Ok(None);
                     }
@@ -417,12 +501,13 @@ impl Planner {
                 }
                 let likely = outlook.over_stay(room, self.stay_s()).filter(|_| self.plans());
                 let likely = likely.or_else(|| outlook.likely.get(room).copied());
-                let decision = self.go(room, self.round.stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
+                let stay_ns = self.stay_in_ns(room);
+                let decision = self.go(room, stay_ns, &format!("{ended}{reason}"), now_ns, now_unix_ns);
                 let likely_now = here.as_ref().and_then(|here| here.get(room).copied());
                 self.send_to(room, idle, likely_now, now_ns, decision.sequence);
                 Ok(Some(DecisionV1 {
                     probability: likely.unwrap_or_default().clamp(0.0, 1.0),
-                    // Where nothing is to be done, only the place is said.
+                    // Without work the decision is a place only.
                     action: if idle { action::STAY } else { action::GO },
                     flags: decision.flags | flags | forced,
                     ..decision
@@ -431,16 +516,175 @@ impl Planner {
         }
     }
 
-    /// Ends the work whose time is over: by the clock it is done, and a robot that owes a report has given it up.
+    /// Asks again for work that a planner before this one asked for.
+    fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
+        // After its time the robot owes a report. It may have sent it while no planner listened.
+        let left_ns = work.ends_ns.since(now_ns);
+        let reason = match left_ns {
+            0 => "asks what became of what it was sent to do before the planner's restart",
+            _ => "goes on with what it was sent to do before the planner's restart",
+        };
+        let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+        let outlook = Outlook::new(scores, forecast, self.stay_s(), 0);
+        let likely = outlook.over_stay(work.room, self.stay_s()).filter(|_| self.plans());
+        let likely = likely.or_else(|| outlook.likely.get(work.room).copied()).unwrap_or_default().clamp(0.0, 1.0);
+        let decision = self.go(work.room, left_ns, reason, now_ns, now_unix_ns);
+        let owed = if left_ns == 0 { decision_flags::OWED } else { 0 };
+        let decision = DecisionV1 { probability: likely, flags: decision.flags | owed, ..decision };
+        if let Some(work) = &mut self.robot.work {
+            work.asked_by(decision.epoch, decision.sequence);
+        }
+        decision
+    }
+
+    /// Drops expired orders, and notes the rooms that need work now.
+    fn look_at_orders(&mut self) {
+        let unix_s = self.clock.1.0 / 1_000_000_000;
+        if self.orders.expire(unix_s) {
+            self.ordered();
+        }
+        self.look_at_needs();
+    }
+
+    /// A person's order has come, or its time is over: the next look decides again, and says so.
+    fn ordered(&mut self) {
+        self.decided = None;
+        if self.standing != Standing::Resumes {
+            self.standing = Standing::Free;
+        }
+    }
+
+    /// Notes the rooms that need work now: rooms that are due need it in any round, excluded and skipped rooms never.
+    fn look_at_needs(&mut self) {
+        let Some(scores) = &self.scores else { return };
+        let (config, orders) = (&self.config, &self.orders);
+        if config.room.is_empty() && orders.skipped.is_empty() && orders.asked.is_empty() {
+            return;
+        }
+        let unix_s = self.clock.1.0 / 1_000_000_000;
+        for (room, id) in scores.rooms().iter().map(|room| room.id()).enumerate() {
+            let needs = config.needs_of(id);
+            if orders.asked.contains_key(id) {
+                self.round.set_done(room, false);
+            } else if orders.skipped.contains_key(id) || needs.is_some_and(|needs| needs.exclude) {
+                self.round.set_done(room, true);
+            } else if let Some(every_s) = needs.and_then(|needs| needs.every_s) {
+                let last_s = orders.cleaned.get(id).copied();
+                self.round.set_done(room, last_s.is_some_and(|last_s| (last_s as f64 + every_s) > unix_s as f64));
+            }
+        }
+    }
+
+    /// A room was cleaned.
+    fn cover(&mut self, room: usize, at_ns: BootNs) {
+        self.round.cover(room);
+        let (now_ns, unix_ns) = self.clock;
+        let unix_ns = unix_ns.0.saturating_sub(now_ns.since(at_ns));
+        let id = self.id_of(room).to_owned();
+        self.orders.clean(&id, unix_ns / 1_000_000_000);
+    }
+
+    /// How much more it costs to leave each room undone than usual: by its priority, and by how long it is overdue.
+    fn weights(&self) -> Vec<f64> {
+        let Some(scores) = self.scores.as_ref().filter(|_| !self.config.room.is_empty()) else { return Vec::new() };
+        let unix_s = self.clock.1.0 as f64 / 1e9;
+        let weight = |id: &str| {
+            let Some(needs) = self.config.needs_of(id) else { return 1.0 };
+            let last_s = self.orders.cleaned.get(id).map(|last_s| *last_s as f64);
+            let overdue =
+                needs.every_s.zip(last_s).map_or(0.0, |(every_s, last_s)| (unix_s - last_s - every_s) / every_s);
+            (needs.priority * (1.0 + overdue.max(0.0))).min(WEIGHT_MAX)
+        };
+        scores.rooms().iter().map(|room| weight(room.id())).collect()
+    }
+
+    /// Local time in seconds since 1970.
+    fn local_s(&self) -> f64 {
+        self.zone.local_s(self.clock.1)
+    }
+
+    /// What the rules look at.
+    fn facts<'a>(&'a self, scores: &'a RoomScoresV1, now_ns: BootNs) -> Facts<'a> {
+        let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
+        let persons = People::usable(self.persons.as_deref(), scores, (now_ns, self.deadline_ns));
+        let stays_s = (0..scores.rooms().len()).map(|room| self.stay_in_s(room)).collect();
+        let known = Known { config: &self.config, scores, forecast, persons, near: &self.near, stays_s };
+        let ids = || scores.rooms().iter().map(|room| room.id());
+        let until = |hold: &rules::Hold| {
+            hold.until_unix_s.map(|until_s| self.zone.local_s(UnixNs(until_s.saturating_mul(1_000_000_000))))
+        };
+        Facts {
+            hold: self.orders.hold.as_ref().map(|hold| (hold, until(hold))),
+            asked: orders::set_of(&self.orders.asked, ids()),
+            skipped: orders::set_of(&self.orders.skipped, ids()),
+            unobserved: self.unobserved(scores, forecast, persons, now_ns),
+            ..known.facts()
+        }
+    }
+
+    /// The wait for residents does not pass in quiet hours: they sleep then, and no sensor observes them.
+    fn wait_through_quiet_hours(&mut self, now_ns: BootNs) {
+        let local_s = self.local_s();
+        let is_quiet =
+            self.config.quiet.iter().any(|hours| hours.rooms().is_empty() && hours.meets(local_s, 0.0).is_some());
+        let know_ns = nanoseconds(self.config.know_s);
+        if let Some((_, since_ns)) = &mut self.daemon
+            && is_quiet
+            && now_ns < since_ns.saturating_add(know_ns)
+        {
+            *since_ns = now_ns;
+        }
+    }
+
+    /// The residents that the planner waits for, and the local time until which it waits at most.
+    fn unobserved(
+        &self,
+        scores: &RoomScoresV1,
+        forecast: Option<Forecast<'_>>,
+        persons: Option<People<'_>>,
+        now_ns: BootNs,
+    ) -> Option<(Vec<String>, f64)> {
+        let (_, since_ns) = self.daemon?;
+        let left_ns = since_ns.saturating_add(nanoseconds(self.config.know_s)).since(now_ns);
+        let is_unsure = outlook::what_is_known(scores, forecast) == decision_flags::NOT_KNOWN
+            || forecast.is_some_and(|forecast| forecast.misses_resident());
+        let lacks_persons = self.follows_persons && persons.is_none();
+        if left_ns == 0 || !(is_unsure || lacks_persons) {
+            return None;
+        }
+        let names = persons.map_or_else(|| self.residents.clone(), |persons| persons.lacking(&self.residents));
+        let names = if names.is_empty() { vec!["a resident".to_owned()] } else { names };
+        Some((names, self.local_s() + left_ns as f64 / 1e9))
+    }
+
+    /// Ends work that a rule does not allow any more. A robot that a person started works on.
+    fn look_at_rules(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
+        let Some(work) = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty()) else { return };
+        let now = Now { local_s: self.local_s(), stay_s: 0.0 };
+        let ended = allowed(work.room, now, &self.facts(scores, now_ns)).err();
+        // A waiting robot makes no noise. A hold is confirmed all the same.
+        let Some(reason) = ended.filter(|reason| !work.waits || matches!(reason, Reason::Held { .. })) else { return };
+        let (id, cancels) = (self.id_of(work.room), self.own_decision(work));
+        let why = if work.waits { String::new() } else { format!("The work in the {id} stops. {reason} ") };
+        self.notice = Notice { cancels, flags: 0, why };
+        self.robot.work = None;
+        self.interruption.new_stay(None);
+        self.ordered();
+    }
+
+    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has given it up.
     fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
-            let why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
-            (self.notice.why, self.pausing) = (why, None);
+            self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
+            self.standing = Standing::Free;
         }
         let Some(work) = &self.robot.work else { return };
         if self.is_over(work, now_ns) {
-            if !self.robot.is_believed() {
-                self.round.cover(work.room);
+            let (room, waits) = (work.room, work.waits);
+            match self.robot.is_believed() {
+                true => {}
+                false if waits => self.round.cover(room),
+                false => self.cover(room, now_ns),
             }
             self.robot.work = None;
         } else if self.robot.is_overdue(now_ns) {
@@ -498,7 +742,8 @@ impl Planner {
 
     /// Whether the robot is free and something may have changed since the last decision.
     fn is_to_decide(&self, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
-        let sets_came = self.pausing == Some(Pause::NoSets) && !self.lacks_sets(now_ns);
+        let pauses = matches!(self.standing, Standing::Pauses(..));
+        let sets_came = matches!(self.standing, Standing::Pauses(Pause::NoSets, ..)) && !self.lacks_sets(now_ns);
         let news = sets_came || self.decided != Some((scores.epoch, scores.sequence));
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {
@@ -507,14 +752,12 @@ impl Planner {
             None if self.is_finished() => !self.notice.why.is_empty(),
             // A robot that is always free decides once per score, not as often as it looks.
             None if self.round.stay_ns == 0 => news,
-            None if self.robot.charges || self.robot.rests(now_ns) => {
-                self.pausing.is_none() || !self.notice.why.is_empty()
-            }
-            None => self.pausing.is_none() || again,
+            None if self.robot.charges || self.robot.rests(now_ns) => !pauses || !self.notice.why.is_empty(),
+            None => !pauses || again,
         }
     }
 
-    /// Rooms that other robots work in, or also wait in; none where they are not looked at.
+    /// Rooms in which other robots work, or also wait, if the configuration avoids them.
     fn taken(&self, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let known = self.scores.as_ref().zip(self.others.as_ref());
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
@@ -527,7 +770,7 @@ impl Planner {
 
     /// The policy's choice, among the rooms that the robot may go to.
     fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: BootNs) -> Result<Next, PolicyError> {
-        let (occupied, empty) = self.occupied;
+        let (occupied, empty) = (self.config.interrupt_at, self.config.resume_at);
         let Some(avoided) = self.avoided(now_ns) else {
             let reason = "it is not known which rooms are in somebody's set: no room is entered until it is".to_owned();
             return Ok(Next::Pause { why: Pause::NoSets, reason });
@@ -539,36 +782,58 @@ impl Planner {
         closed.resize(closed.len().max(taken.len()), false);
         closed.iter_mut().zip(&taken).for_each(|(closed, taken)| *closed |= taken);
         let shared = self.taken(true, now_ns);
+        let rules = self.verdicts(now_ns);
+        if let Some((why, reason)) = self.why_none(&rules) {
+            return Ok(Next::Pause { why, reason });
+        }
+        let is_open = |room: usize| taken.get(room) != Some(&true) && !self.round.rests(room, now_ns);
+        let asked = rules.iter().position(|verdict| verdict.is_asked && verdict.reason.is_none());
+        if let Some(room) = asked.filter(|room| is_open(*room)) {
+            return Ok(Next::Go { room, reason: "A person asked for this room.".to_owned(), flags: 0 });
+        }
+        closed.resize(closed.len().max(rules.len()), false);
+        closed.iter_mut().zip(&rules).for_each(|(closed, verdict)| *closed |= verdict.reason.is_some());
         let mut left = Vec::new();
-        // What is scarce is time only if every stay that is left is needed.
+        // Time is scarce only if every remaining stay is needed.
         let scarce = self.plans()
             && !outlook.has(decision_flags::NOT_KNOWN)
             && self.round.slots_left(now_ns).is_some_and(|slots| slots <= self.round.undone());
         loop {
             let Some(Choice { partition, reason }) = self.choose(&closed, outlook, now_ns)? else {
-                let reason = self.why_nowhere(&left, avoided.contains(&true));
+                let waits = self.why_waiting(&rules);
+                let reason = if waits.is_empty() { self.why_nowhere(&left, avoided.contains(&true)) } else { waits };
                 return Ok(Next::Pause { why: Pause::NoRoom, reason });
             };
             let room = partition.0 as usize;
-            // Where it has nothing to do it waits in no room of another robot's.
+            // Without work it waits in no room of another robot.
             if self.is_idle_in(room) && shared.get(room) == Some(&true) && closed.get(room) == Some(&false) {
                 closed[room] = true;
                 continue;
             }
             let likely = outlook.over_stay(room, self.stay_s()).filter(|_| scarce && !self.round.is_done(room));
-            if likely.is_some_and(|likely| likely >= occupied) && self.forced == Forced::Skip {
+            if likely.is_some_and(|likely| likely >= occupied) && self.config.forced == Forced::Skip {
                 left.push(room);
                 if let Some(closed) = closed.get_mut(room) {
                     *closed = true;
                 }
                 continue;
             }
-            // Nobody is led from one person to another.
-            let interrupted =
-                self.notice.flags & decision_flags::INTERRUPTED != 0 || self.pausing == Some(Pause::Persons);
+            // A robot that made way for a person is not sent to another person.
+            let interrupted = self.notice.flags & decision_flags::INTERRUPTED != 0
+                || matches!(self.standing, Standing::Pauses(Pause::Persons, ..));
             if interrupted && here.and_then(|here| here.get(room)).is_some_and(|likely| *likely >= occupied) {
-                let reason = "somebody is likely in every other room too".to_owned();
+                let waits = self.why_waiting(&rules);
+                let reason =
+                    if waits.is_empty() { "somebody is likely in every other room too".to_owned() } else { waits };
                 return Ok(Next::Pause { why: Pause::Persons, reason });
+            }
+            // Where rules leave no other room to wait in, the robot is not sent to the person instead.
+            let by_rules = rules.iter().any(|verdict| verdict.reason.is_some());
+            let is_taken = rules.get(room).is_some_and(|verdict| verdict.by.is_some());
+            let waits_elsewhere =
+                (0..rules.len()).any(|other| self.is_idle_in(other) && closed.get(other) != Some(&true));
+            if by_rules && is_taken && !waits_elsewhere && self.config.forced == Forced::Skip {
+                return Ok(Next::Pause { why: Pause::Persons, reason: self.why_waiting(&rules) });
             }
             let known = match outlook.flags {
                 decision_flags::NOT_KNOWN => "nothing is known of anybody, so every room counts alike: ",
@@ -577,6 +842,8 @@ impl Planner {
                 _ => "",
             };
             let left = self.why_left(&left);
+            let waits = if self.is_idle_in(room) { self.why_waiting(&rules) } else { String::new() };
+            let waits = if waits.is_empty() { waits } else { format!("{waits} ") };
             let (forced, flags) = match likely.filter(|likely| *likely > empty) {
                 Some(likely) => {
                     let percent = 100.0 * likely;
@@ -585,7 +852,7 @@ impl Planner {
                 }
                 None => (String::new(), 0),
             };
-            return Ok(Next::Go { room, reason: format!("{known}{left}{forced}{reason}"), flags });
+            return Ok(Next::Go { room, reason: format!("{waits}{known}{left}{forced}{reason}"), flags });
         }
     }
 
@@ -605,22 +872,94 @@ impl Planner {
         if !closed.is_empty() && !closed.contains(&false) {
             return Ok(None);
         }
+        let (weights, rooms) = (self.weights(), outlook.likely.len().max(1));
+        let share = |place: usize| self.stay_in_s(place % rooms) / self.stay_s();
+        let own_s = || outlook.shared_s.iter().enumerate().map(|(place, shared_s)| shared_s * share(place)).collect();
+        let own_s: Vec<f64> = if weights.is_empty() { Vec::new() } else { own_s() };
         let state = RobotState {
             covered: self.round.covered(),
             closed,
             room_time_s: self.stay_s(),
-            expected_shared_s: &outlook.shared_s,
+            expected_shared_s: if weights.is_empty() { &outlook.shared_s } else { &own_s },
+            weights: &weights,
         };
         self.policy.choose(&state, &outlook.likely, &mut self.rng).map(Some)
     }
 
-    /// The room that the robot is in, where it has nothing to do and nothing is gained by another.
+    /// The robot's room, if the robot has no work and gains nothing in another room.
     fn better_stay(&self, idle: bool, chosen: usize, outlook: &Outlook, now_ns: BootNs) -> Option<usize> {
         let here = self.robot.room.filter(|here| idle && self.round.is_done(*here) && *here != chosen)?;
         let closed = |rooms: &[bool]| rooms.get(here).copied().unwrap_or(false);
         let open = !closed(self.interruption.held()) && !closed(&self.taken(true, now_ns));
         let (own, other) = (outlook.over_stay(here, self.stay_s())?, outlook.over_stay(chosen, self.stay_s())?);
         (open && own <= other + WORTH_MOVING).then_some(here)
+    }
+
+    /// What the rules say of each room.
+    fn verdicts(&self, now_ns: BootNs) -> Vec<Verdict> {
+        let Some(scores) = &self.scores else { return Vec::new() };
+        let facts = self.facts(scores, now_ns);
+        let verdict = |room: usize| {
+            let now = Now { local_s: self.local_s(), stay_s: self.stay_in_s(room).max(1.0) };
+            let by = facts.staying.get(room).cloned().flatten();
+            let id = self.id_of(room).to_owned();
+            Verdict {
+                reason: allowed(room, now, &facts).err(),
+                by: by.map(|by| Reason::Occupied { by: Some(by), room: id }),
+                is_asked: holds(facts.asked, room),
+            }
+        };
+        (0..scores.rooms().len()).map(verdict).collect()
+    }
+
+    /// A planner that advises by the rules of the house, and decides nothing.
+    #[must_use]
+    pub fn for_advice(config: &Config) -> Self {
+        let planner = Self::new(&config.planner, 1).with_home(&config.persons.residents, Zone::local());
+        match setup::load_map(config.scene.path.as_deref()) {
+            Ok(map) => planner.with_map(map, config.grounding.level),
+            // The planner logs the fault.
+            Err(_) => planner,
+        }
+    }
+
+    /// For each room, by its id, the reason against cleaning it now; `None` for a good time. Empty while scores are stale.
+    pub fn advise(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> BTreeMap<String, Option<String>> {
+        self.clock = (now_ns, now_unix_ns);
+        let Some(scores) = self.scores.filter(|_| self.stale(now_ns) == 0) else { return BTreeMap::new() };
+        let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
+        let is_taken = |room: usize| {
+            let free = |at_s: f64| forecast.map_or(1.0, |forecast| 1.0 - forecast.likely(room, at_s));
+            let least = forecast.map_or(1.0, |forecast| forecast.least(self.stay_in_s(room), free));
+            least < 1.0 - self.config.interrupt_at
+        };
+        let reason = |(room, verdict): (usize, Verdict)| {
+            let later = || is_taken(room).then(|| Reason::Occupied { by: None, room: self.id_of(room).to_owned() });
+            (self.id_of(room).to_owned(), verdict.reason.or(verdict.by).or_else(later).map(|reason| reason.to_string()))
+        };
+        self.verdicts(now_ns).into_iter().enumerate().map(reason).collect()
+    }
+
+    /// Why no room can be done by the rules, if none can.
+    fn why_none(&self, rules: &[Verdict]) -> Option<(Pause, String)> {
+        let is_done = |room: usize| self.plans_coverage() && self.round.is_done(room);
+        let mut to_do =
+            rules.iter().enumerate().filter(|(room, _)| !is_done(*room)).map(|(_, verdict)| verdict).peekable();
+        let is_none = to_do.peek().is_some() && to_do.all(|verdict| verdict.reason.is_some());
+        let is_shut = !rules.is_empty() && rules.iter().all(|verdict| verdict.reason.is_some());
+        if !is_none && !is_shut {
+            return None;
+        }
+        let first = rules.iter().enumerate().find(|(room, _)| is_shut || !is_done(*room))?.1.reason.as_ref()?;
+        let reasons = rules.iter().enumerate().filter(|(room, _)| is_shut || !is_done(*room));
+        let said = sentences(reasons.filter_map(|(_, verdict)| verdict.reason.as_ref()));
+        Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
+    }
+
+    /// The reasons of the rooms that wait: rules and persons.
+    fn why_waiting(&self, rules: &[Verdict]) -> String {
+        let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
+        sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))).join(" ")
     }
 
     /// Why no room is open.
@@ -647,15 +986,14 @@ impl Planner {
 
     /// The robot stays, since the scores may not be acted upon.
     fn fall_back(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
-        if self.robot.work.is_some() || self.is_finished() || self.falling_back {
+        if self.robot.work.is_some() || self.is_finished() || self.standing == Standing::FellBack {
             return None;
         }
-        // A robot that was sent away from somebody is not told to wait beside them.
-        let (action, to, does) = match self.pausing.take() {
-            Some(_) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
-            None => (action::STAY, self.robot.room, "staying is safe"),
+        // A robot that made way for a person does not stay next to that person.
+        let (action, to, does) = match std::mem::replace(&mut self.standing, Standing::FellBack) {
+            Standing::Pauses(..) => (action::PAUSE, None, "the robot had paused, and goes on pausing"),
+            _ => (action::STAY, self.robot.room, "staying is safe"),
         };
-        (self.finished, self.falling_back) = (false, true);
         self.decided = None;
         let why = match stale {
             decision_flags::NO_SCORES => "no scores have arrived",
@@ -668,9 +1006,20 @@ impl Planner {
 
     /// The robot pauses; said once.
     fn pause(&mut self, why: Pause, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
-        if self.pausing.replace(why).is_some() && self.notice.why.is_empty() {
-            return None;
+        let said = Standing::Pauses(why, reason.to_owned(), now_ns);
+        if let Standing::Pauses(before, words, said_ns) = &self.standing {
+            let is_other = *before != why && [*before, why].iter().any(|why| matches!(why, Pause::Rule(_)));
+            let is_timed = matches!(why, Pause::Rule(_) | Pause::Persons);
+            let is_old = is_timed && words != reason && now_ns >= said_ns.saturating_add(SAY_AGAIN_NS);
+            if !is_other && !is_old && self.notice.why.is_empty() {
+                let (words, said_ns) = (words.clone(), *said_ns);
+                self.standing = Standing::Pauses(why, words, said_ns);
+                return None;
+            }
         }
+        self.standing = said;
+        // The end of the work before it may say the same.
+        let reason = if self.notice.why.contains(reason) { "The robot waits." } else { reason };
         let decision = self.decision(now_ns, now_unix_ns, None, reason);
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
@@ -682,13 +1031,13 @@ impl Planner {
             self.decisions.pop_front();
         }
         self.decisions.push_back((decision.sequence, decision.to));
-        self.pausing = None;
+        self.standing = Standing::Free;
         DecisionV1 { action: action::GO, stay_ns, ..decision }
     }
 
     /// The robot's new work, in a room that somebody is in with this probability, if that is known.
     fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: BootNs, sequence: u64) {
-        let ends_ns = now_ns.saturating_add(self.round.stay_ns).max(BootNs(1));
+        let ends_ns = now_ns.saturating_add(self.stay_in_ns(room)).max(BootNs(1));
         let decisions = vec![(self.epoch, sequence)];
         self.robot.work = Some(Work { room, decisions, began_ns: now_ns, ends_ns, waits, started: false });
         self.robot.be(Some(room), now_ns);
@@ -701,6 +1050,8 @@ impl Planner {
         let covered = self.round.covered().iter().take(64).enumerate();
         let reported = if self.robot.is_believed() { decision_flags::REPORTED } else { 0 };
         let silent = if self.robot.silent { decision_flags::ROBOT_SILENT } else { 0 };
+        let hold = self.orders.hold.as_ref();
+        let held = if hold.is_some() { decision_flags::HELD } else { 0 };
         let mut decision = DecisionV1 {
             robot: self.number,
             epoch: self.epoch,
@@ -709,8 +1060,12 @@ impl Planner {
             decided_unix_ns: now_unix_ns.0,
             covered: covered.fold(0, |bits, (room, covered)| bits | u64::from(*covered) << room),
             action: action::STAY,
-            flags: flags | reported | silent,
-            minor: 2,
+            flags: flags | reported | silent | held,
+            minor: 4,
+            held_until_unix_ns: hold
+                .and_then(|hold| hold.until_unix_s)
+                .unwrap_or_default()
+                .saturating_mul(1_000_000_000),
             cancels,
             policy: text::encode_cut(self.policy.name().as_str()),
             robot_name: self.name,
@@ -722,6 +1077,12 @@ impl Planner {
             decision.scores_sequence = scores.sequence;
             decision.scores_age_ns = scores.age_ns(now_ns.0);
             decision.observed_ns = scores.observed_ns;
+            for (minutes, room) in decision.cleaned_min.iter_mut().zip(scores.rooms()) {
+                let cleaned_s = self.orders.cleaned.get(room.id());
+                let past =
+                    cleaned_s.map(|cleaned_s| (now_unix_ns.0 / 1_000_000_000).saturating_sub(*cleaned_s) / 60 + 1);
+                *minutes = past.map_or(0, |past| u16::try_from(past).unwrap_or(u16::MAX));
+            }
             let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));
             decision.from = room(self.robot.room).map_or([0; NAME_BYTES], |room| room.id);
             decision.to = room(to).map_or([0; NAME_BYTES], |room| room.id);
@@ -730,9 +1091,9 @@ impl Planner {
         decision
     }
 
-    /// Nothing is left to do or to say, until a map has a room that is not covered.
+    /// Every room is covered and the planner said so. A new room on the map changes that.
     fn is_finished(&self) -> bool {
-        self.finished && self.round.undone() == 0
+        self.standing == Standing::Finished && self.round.undone() == 0
     }
 
     /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
@@ -743,7 +1104,7 @@ impl Planner {
             Some(scores) if scores.silence_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE | decision_flags::DAEMON_SILENT
             }
-            // The daemon lives, but these scores do not contain what has happened since.
+            // The daemon lives, but these scores lack the newest events.
             Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE
             }
@@ -751,7 +1112,7 @@ impl Planner {
         }
     }
 
-    /// Whether the clock has ended the work: not that of a robot whose own word is taken, unless there is nothing to be done in it.
+    /// Whether the clock has ended the work. It ends no work of a robot that reports, except waiting.
     fn is_over(&self, work: &Work, now_ns: BootNs) -> bool {
         now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
     }
@@ -790,6 +1151,16 @@ impl Planner {
     /// The policy goes to a room that is done only to wait.
     fn plans_coverage(&self) -> bool {
         matches!(self.policy.name(), PolicyName::CoverageAware | PolicyName::UncoveredFirst)
+    }
+
+    /// How long the robot works in a room.
+    fn stay_in_ns(&self, room: usize) -> u64 {
+        let own = self.config.needs_of(self.id_of(room)).and_then(|needs| needs.time_s);
+        own.filter(|_| self.round.stay_ns > 0).map_or(self.round.stay_ns, nanoseconds)
+    }
+
+    fn stay_in_s(&self, room: usize) -> f64 {
+        self.stay_in_ns(room) as f64 / 1e9
     }
 
     fn stay_s(&self) -> f64 {

@@ -32,8 +32,26 @@ impl<'a> Forecast<'a> {
         self.message.has(forecast_flags::NOT_KNOWN)
     }
 
+    /// A resident was never observed.
+    pub(super) fn misses_resident(&self) -> bool {
+        self.message.has(forecast_flags::RESIDENT_UNKNOWN)
+    }
+
+    /// How likely the house is empty so many seconds from now.
+    pub(super) fn nobody_home(&self, ahead_s: f64) -> f64 {
+        interpolate(&self.message.horizon_s, &self.message.elsewhere, self.age_s + ahead_s)
+    }
+
+    /// The least value of a curve from now on for so many seconds, at the forecast's horizons and at the end.
+    pub(super) fn least(&self, for_s: f64, of: impl Fn(f64) -> f64) -> f64 {
+        let horizons = self.message.horizon_s.iter().take(self.message.horizon_count as usize);
+        let within = horizons.map(|horizon_s| f64::from(*horizon_s) - self.age_s);
+        let within = within.filter(|at_s| (0.0..for_s).contains(at_s)).chain([0.0, for_s]);
+        within.map(of).fold(1.0, f64::min)
+    }
+
     /// How likely somebody is in a room so many seconds from now.
-    fn likely(&self, room: usize, ahead_s: f64) -> f64 {
+    pub(super) fn likely(&self, room: usize, ahead_s: f64) -> f64 {
         let curve = self.message.room(room);
         curve.map_or(0.0, |(_, row)| interpolate(&self.message.horizon_s, row, self.age_s + ahead_s))
     }
@@ -116,7 +134,7 @@ impl Outlook {
             let places = (0..slots).flat_map(|slot| (0..rooms).map(move |room| (slot, room)));
             places.map(|(slot, room)| stay_s * forecast.likely(room, (slot as f64 + 0.5) * stay_s)).collect()
         });
-        let misses_resident = forecast.is_some_and(|forecast| forecast.message.has(forecast_flags::RESIDENT_UNKNOWN));
+        let misses_resident = forecast.is_some_and(|forecast| forecast.misses_resident());
         Self { likely, shared_s: shared_s.unwrap_or_default(), flags, misses_resident }
     }
 
@@ -131,7 +149,7 @@ impl Outlook {
 }
 
 /// The value at `at` of a curve through points with rising `grid`; constant beyond both ends.
-fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
+pub(super) fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
     let points = || grid.iter().zip(values).map(|(x, y)| (f64::from(*x), f64::from(*y)));
     let mut before: Option<(f64, f64)> = None;
     for (x, y) in points() {

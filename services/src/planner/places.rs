@@ -1,8 +1,10 @@
 //! Which room a report speaks of: by its id, by its name in the map, or by the robot's position on the map.
 
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
-use roomcast_core::semantic_map::SemanticMap;
+use roomcast_core::semantic_map::{Door, SemanticMap, Storeys};
 use roomcast_ipc::{RoomScoresV1, RoomV1};
+
+use super::facts::Near;
 
 /// The planner's own copy of the map.
 #[derive(Debug)]
@@ -38,6 +40,28 @@ impl Places {
             own.is_some_and(|partition| partition.spaces.iter().any(|bounds| bounds.contains(&position_m)))
         };
         scores.rooms().iter().position(holds)
+    }
+
+    /// For each of the scores' rooms the ones beside it and on its floor.
+    pub(super) fn near(&self, scores: &RoomScoresV1) -> Vec<Near> {
+        let storeys = Storeys::of(&self.map);
+        let own = |room: &RoomV1| self.partitions.iter().find(|partition| partition.id == room.id());
+        let own: Vec<Option<&Partition>> = scores.rooms().iter().map(own).collect();
+        let is_beside = |a: &Partition, b: &Partition| {
+            let joins = |door: &Door| {
+                door.rooms.iter().any(|room| a.rooms.contains(room))
+                    && door.rooms.iter().any(|room| b.rooms.contains(room))
+            };
+            a.rooms.iter().any(|room| b.rooms.contains(room)) || self.map.doors().iter().any(joins)
+        };
+        let floor = |partition: &Partition| partition.spaces.first().map(|space| storeys.of_space(space));
+        let of = |room: usize, is_near: &dyn Fn(&Partition, &Partition) -> bool| {
+            // A room that this map does not have may be near every other.
+            let near = |other: &usize| *other == room || own[room].zip(own[*other]).is_none_or(|(a, b)| is_near(a, b));
+            (0..own.len().min(64)).filter(near).fold(0, |set, other| set | 1 << other)
+        };
+        let near = |room| Near { beside: of(room, &is_beside), floor: of(room, &|a, b| floor(a) == floor(b)) };
+        (0..own.len()).map(near).collect()
     }
 
     /// The scores' room that a name means on this map: of several in one room, none.

@@ -1,10 +1,15 @@
 //! What becomes of the robot's reports.
 
-use roomcast_core::ids::BootNs;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{RobotReportV1, report_kind};
 
-use super::Planner;
-use super::robot::Work;
+use super::robot::{Work, note_newest};
+use super::rules::Hold;
+use super::{Notice, Planner};
+
+const DAY_S: f64 = 86_400.0;
+/// A room that a person asks for late in the evening is asked for at least for so long.
+const ASKED_S: u64 = 2 * 3_600;
 
 /// Why a report, or a part of it, is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -24,6 +29,9 @@ pub enum ReportFault {
          give the planner the same scene.path, or name the room in the report"
     )]
     OtherMap,
+    /// An order to clean or skip a room names none.
+    #[error("the order to clean or skip a room names no room; give the id of a room")]
+    NoRoom,
     /// The planner asked for nothing under this number.
     #[error(
         "the robot answers decision {decision}, which is none that this planner knows of the work in hand or before it, and names no room: \
@@ -42,17 +50,21 @@ fn is_of_work(kind: u32) -> bool {
 }
 
 impl Planner {
-    /// Takes a checked report of the planner's robot, whoever sent it; reports of other robots, and those that were taken before, are
+    /// Takes a checked report of the planner's robot, from any sender. Reports of other robots and repeated reports are
     /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
     ///
     /// # Errors
     /// [`ReportFault`] when it names a room or answers a decision that is none, or a position cannot be placed; the rest of it is used, but for
     /// work in a room that is none.
     pub fn take_report(&mut self, report: &RobotReportV1, now_ns: BootNs) -> Result<(), ReportFault> {
-        if report.robot != self.number || !self.robot.listens() || !self.robot.is_new(report.epoch, report.sequence) {
+        let is_meant = report.robot == self.number && (self.robot.listens() || report.is_order());
+        if !is_meant || !self.robot.is_new(report.epoch, report.sequence) {
             return Ok(());
         }
         let at_ns = BootNs(report.reported_ns).min(now_ns);
+        if report.is_order() {
+            return self.take_order(report);
+        }
         self.robot.hear(at_ns);
         if is_of_work(report.kind) || report.kind == report_kind::DOCKED {
             self.robot.note_told(report.epoch, report.sequence);
@@ -101,7 +113,7 @@ impl Planner {
                 self.robot.leave_dock();
                 self.robot.be(placed.unwrap_or(room), at_ns);
                 if let Some(room) = in_round {
-                    self.round.cover(room);
+                    self.cover(room, at_ns);
                 }
                 if of_work {
                     self.robot.work = None;
@@ -141,6 +153,46 @@ impl Planner {
         named_fault.or(placed_fault).or(unknown_fault).map_or(Ok(()), Err)
     }
 
+    /// Ends work that this planner ordered, for the order of a person.
+    fn end_work(&mut self, is_ended: impl Fn(&Work) -> bool, why: String) {
+        if let Some(work) = self.robot.work.take_if(|work| is_ended(work) && !work.decisions.is_empty()) {
+            self.notice = Notice { cancels: self.own_decision(&work), flags: 0, why };
+            self.interruption.new_stay(None);
+        }
+    }
+
+    /// Takes a person's order. A room is asked for, or skipped, until the end of the local day.
+    fn take_order(&mut self, report: &RobotReportV1) -> Result<(), ReportFault> {
+        let key = (report.epoch, report.sequence);
+        if !note_newest(&mut self.orders.taken, key.0, key.1) {
+            return Ok(());
+        }
+        let unix_s = report.reported_unix_ns / 1_000_000_000;
+        let room = self.named_room(report)?;
+        let local_s = self.zone.local_s(UnixNs(report.reported_unix_ns));
+        let day_ends_s = unix_s.saturating_add((DAY_S - local_s.rem_euclid(DAY_S)).ceil() as u64);
+        match (report.kind, room) {
+            (report_kind::HOLD, _) => {
+                let until_unix_s = (report.until_unix_ns > 0).then_some(report.until_unix_ns / 1_000_000_000);
+                self.orders.hold = Some(Hold { why: report.note().to_owned(), until_unix_s });
+            }
+            (report_kind::RESUME, _) => self.orders.hold = None,
+            (report_kind::CLEAN, Some(room)) => {
+                let id = self.id_of(room).to_owned();
+                self.orders.ask(&id, day_ends_s.max(unix_s.saturating_add(ASKED_S)));
+                self.end_work(|work| work.room != room, String::new());
+            }
+            (report_kind::SKIP, Some(room)) => {
+                let id = self.id_of(room).to_owned();
+                self.orders.skip(&id, day_ends_s);
+                self.end_work(|work| work.room == room, format!("The {id} is skipped today. "));
+            }
+            _ => return Err(ReportFault::NoRoom),
+        }
+        self.ordered();
+        Ok(())
+    }
+
     /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.
     fn start(
         &mut self,
@@ -151,7 +203,7 @@ impl Planner {
         now_ns: BootNs,
     ) {
         let Some(room) = room else { return };
-        let ends_ns = at_ns.saturating_add(self.round.stay_ns);
+        let ends_ns = at_ns.saturating_add(self.stay_in_ns(room));
         let may_still_work = self.robot.may_still_work(ends_ns, now_ns);
         match &mut self.robot.work {
             Some(work) if of_work => (work.started, work.ends_ns) = (true, ends_ns),

@@ -236,7 +236,7 @@ impl Robot {
 }
 
 /// Notes the highest number of a reporter, which becomes the newest of them; whether the number is higher than those before.
-fn note_newest(reporters: &mut Vec<(u64, u64)>, epoch: u64, sequence: u64) -> bool {
+pub(super) fn note_newest(reporters: &mut Vec<(u64, u64)>, epoch: u64, sequence: u64) -> bool {
     let known = reporters.iter().position(|(known, _)| *known == epoch);
     let before = known.map(|place| reporters.remove(place));
     if reporters.len() == REPORTERS {

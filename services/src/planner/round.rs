@@ -64,6 +64,11 @@ impl Round {
         }
     }
 
+    /// The room is to be done again in this round, or needs no work in it.
+    pub(super) fn set_done(&mut self, room: usize, is_done: bool) {
+        self.covered.get_mut(room).into_iter().for_each(|covered| *covered = is_done);
+    }
+
     /// The robot could not do the room.
     pub(super) fn fail(&mut self, room: usize, now_ns: BootNs) {
         if let (Some(failed_ns), Some(failures)) = (self.failed_ns.get_mut(room), self.failures.get_mut(room)) {

@@ -10,11 +10,13 @@ use roomcast_ipc::{
 };
 use sd_notify::NotifyState;
 
+use super::orders::OrdersFile;
 use super::state::RoundFile;
 use super::{DatedAhead, Planner};
 use crate::awake::Awake;
 use crate::clock;
 use crate::config::Config;
+use crate::daemon::Zone;
 use crate::logging::Limiter;
 use crate::notify::notify;
 use crate::participant::{PLANNER, join};
@@ -40,13 +42,13 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let node = join(domain, &PLANNER.name(&config.planner.robot))?.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
-    // The daemon makes them for whoever follows them.
-    let sets = config.planner.avoid_sets.then(|| node.subscriber::<PersonForecastsV1>()).transpose()?;
+    let persons = node.subscriber::<PersonForecastsV1>()?;
     // Of robots of this domain, and of others through `roomcast-zenoh`.
     let others = config.planner.avoid_robots.then(|| node.subscriber::<DecisionV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
     let mut planner = Planner::new(&config.planner, sequence::random_epoch());
+    planner = planner.with_home(&config.persons.residents, Zone::local());
     match setup::load_map(config.scene.path.as_deref()) {
         Ok(map) => planner = planner.with_map(map, config.grounding.level),
         Err(error) => tracing::warn!(%error, "without the scene, a robot's reports have to name rooms by their ids"),
@@ -54,6 +56,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let mut file = config.daemon.state_directory().map(|directory| RoundFile::new(&directory, number));
     if let Some(kept) = file.as_ref().and_then(RoundFile::load) {
         planner = planner.with_kept(kept);
+    }
+    let mut orders = config.daemon.state_directory().map(|directory| OrdersFile::new(&directory, number));
+    if let Some(orders) = &orders {
+        planner = planner.with_orders(orders.load());
     }
     let mut log = Limiter::new(QUIET_NS);
     // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
@@ -66,9 +72,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
     // A robot that pauses for want of sets goes on when they come.
-    awaited.extend(sets.iter().map(|sets| sets as &dyn Awaited));
-    let mut behind_scores: Vec<&dyn Awaited> = vec![&forecasts];
-    behind_scores.extend(sets.iter().map(|sets| sets as &dyn Awaited));
+    if config.planner.avoid_sets {
+        awaited.push(&persons);
+    }
+    let behind_scores: Vec<&dyn Awaited> = vec![&forecasts, &persons];
     if others.is_some() {
         // Else the first decision may be for a room that is taken.
         std::thread::sleep(HISTORY_PATIENCE);
@@ -88,13 +95,12 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
             while receive(&forecasts, &mut forecast, &mut log)? {
                 is_taken::<ForecastV1>(planner.take_forecast(&forecast, clock::monotonic_ns()), &mut log);
             }
-            if let Some(sets) = &sets {
-                while receive(sets, &mut each, &mut log)? {
-                    is_taken::<PersonForecastsV1>(planner.take_sets(&each, clock::monotonic_ns()), &mut log);
-                }
+            while receive(&persons, &mut each, &mut log)? {
+                is_taken::<PersonForecastsV1>(planner.take_persons(&each, clock::monotonic_ns()), &mut log);
             }
             let left = waits_until.saturating_duration_since(Instant::now());
-            let lacks = planner.lacks_forecast() || planner.lacks_sets(clock::monotonic_ns());
+            let now_ns = clock::monotonic_ns();
+            let lacks = planner.lacks_forecast() || planner.lacks_sets(now_ns) || planner.expects_persons(now_ns);
             if !(has_scores
                 && lacks
                 && !left.is_zero()
@@ -137,6 +143,9 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         decisions.tick()?;
         if let Some(file) = &mut file {
             file.keep(&planner);
+        }
+        if let Some(orders) = &mut orders {
+            orders.keep(planner.orders());
         }
         notify(&[NotifyState::Watchdog]);
     }

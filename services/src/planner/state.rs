@@ -9,8 +9,8 @@ use std::path::Path;
 use roomcast_core::ids::BootNs;
 use serde::{Deserialize, Serialize};
 
-use super::Planner;
 use super::robot::{REST_NS, Work};
+use super::{Planner, Standing};
 use crate::clock;
 use crate::state_file::{self, Kept};
 
@@ -142,7 +142,9 @@ impl Planner {
             // Whoever came while nobody looked is noticed too.
             self.interruption.go_on(work.room, kept.alone);
         }
-        self.asks_again = robot.work.is_some();
+        if robot.work.is_some() {
+            self.standing = Standing::Resumes;
+        }
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);
         robot.restore_trouble(kept.trouble);

@@ -6,6 +6,8 @@ use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_
 use super::*;
 use crate::config::Reports;
 
+mod house;
+
 const S: u64 = 1_000_000_000;
 
 fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
@@ -35,7 +37,7 @@ impl Planner {
     }
 
     fn hear_sets(&mut self, sets: &PersonForecastsV1) {
-        self.take_sets(sets, BootNs(sets.published_ns)).unwrap();
+        self.take_persons(sets, BootNs(sets.published_ns)).unwrap();
     }
 }
 
@@ -303,8 +305,8 @@ fn what_is_dated_ahead_is_refused_and_the_daemon_is_heard() {
     assert!(message.starts_with("dated 863999 s ahead"), "{message}");
     assert!(planner.take_forecast(&forecast(&ahead, &[[0.0, 0.0]; 2]), BootNs(S)).is_err());
     let sets = PersonForecastsV1 { published_ns: ahead.published_ns, ..Default::default() };
-    assert!(planner.take_sets(&sets, BootNs(S)).is_err());
-    assert!(planner.forecast.is_none() && planner.sets.is_none());
+    assert!(planner.take_persons(&sets, BootNs(S)).is_err());
+    assert!(planner.forecast.is_none() && planner.persons.is_none());
     // What two clocks may differ by is no reason to refuse anything.
     planner.take(&scores(1, 2 * S, &[0.9, 0.1]), BootNs(S)).unwrap();
     assert_eq!(planner.stale(BootNs(2 * S)), 0);
@@ -426,7 +428,7 @@ impl Home {
 fn without_reports_the_clock_says_what_is_done_and_with_them_the_robot() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let first = home.decision(1);
-    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 2));
+    assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 4));
     assert_eq!(first.robot_name(), PlannerConfig::default().robot);
     assert!(!first.has(decision_flags::OWED));
     // By the clock.
@@ -827,7 +829,8 @@ fn nobody_is_interrupted_by_a_person_who_was_there_before_or_by_a_stale_forecast
 
 #[test]
 fn a_home_without_knowledge_is_equally_free_everywhere() {
-    let mut home = Home::new(3, &PlannerConfig::default());
+    let config = PlannerConfig { know_s: 0.0, room_time_s: 10.0, ..Default::default() };
+    let mut home = Home::new(3, &config);
     // What the model says about an unknown past is about nobody.
     (home.likely, home.flags) = (vec![0.7, 0.2, 0.1], forecast_flags::NOT_KNOWN);
     let decision = home.decision(1);
@@ -837,7 +840,7 @@ fn a_home_without_knowledge_is_equally_free_everywhere() {
     assert_eq!(decision.to(), "room-0", "the likeliest room of the model's is as good as any");
     // Without a forecast, the scores say it.
     for policy in PolicyName::ALL {
-        let mut planner = planner(policy, true);
+        let mut planner = Planner::new(&PlannerConfig { policy, ..config.clone() }, 1);
         let unknown = RoomScoresV1 { flags: score_flags::NO_NARRATION, ..scores(1, S, &[0.7, 0.2, 0.1]) };
         planner.hear(&unknown);
         let decision = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
@@ -1192,7 +1195,7 @@ fn rooms_that_are_likely_empty_are_done_without_waiting() {
 
 #[test]
 fn a_resident_who_was_never_observed_is_in_the_reason() {
-    let mut home = Home::new(2, &PlannerConfig::default());
+    let mut home = Home::new(2, &PlannerConfig { know_s: 0.0, ..Default::default() });
     home.flags = forecast_flags::RESIDENT_UNKNOWN;
     let decision = home.decision(1);
     let said = "somebody who lives here was not observed yet: ";
@@ -1227,7 +1230,7 @@ fn every_decision_upon_scores_says_whether_anybody_is_known_and_home() {
         (forecast_flags::NOT_KNOWN, decision_flags::NOT_KNOWN),
         (0, 0),
     ] {
-        let config = PlannerConfig { repeat: false, ..Default::default() };
+        let config = PlannerConfig { repeat: false, know_s: 0.0, ..Default::default() };
         let mut home = Home::new(1, &config);
         home.flags = said;
         let go = home.decision(1);

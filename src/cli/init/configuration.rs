@@ -61,10 +61,17 @@ pub(super) fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -
             }
         };
     }
+    let quiet: Vec<String> = found.quiet.iter().map(|hours| quoted(&hours.to_string())).collect();
+    let _ = write!(
+        text,
+        "\n[planner]\n# No robot works in these hours, nor there while a person sleeps (docs/wishes.md).\nquiet = [{}]\nwhile_asleep = {}\n",
+        quiet.join(", "),
+        quoted(&found.while_asleep.to_string())
+    );
     if let Some(robot) = &found.robot {
         let _ = write!(
             text,
-            "\n[planner]\n# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\
+            "# A room is done when the robot says so, and never by the clock.\nreports = \"always\"\n\
              # Every room once a day, from the planner's start on.\nround_s = 86400.0\n\n[robot]\n{}topic = {}\n\
              # Only what it would be told is printed, until this is true.\nobey = false\n",
             if is_of_home_assistant(robot) { "kind = \"home-assistant\"\n" } else { "" },
@@ -78,11 +85,17 @@ pub(super) fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -
                 quoted(&format!("homeassistant/sensor/{vacuum}_battery/state"))
             );
             text.push_str(
-                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n\
-                 # [robot.segments]\n",
+                "\n# What the vacuum itself calls each room; without it, Home Assistant's automation gets the room's id (docs/robot.md).\n",
             );
+            let known =
+                found.home_assistant.as_ref().and_then(|(_, home)| home.segments.get(&format!("vacuum.{vacuum}")));
+            let is_known = map.rooms().iter().any(|room| known.is_some_and(|known| known.contains_key(&room.id)));
+            text.push_str(if is_known { "[robot.segments]\n" } else { "# [robot.segments]\n" });
             for room in map.rooms() {
-                let _ = writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id));
+                let _ = match known.and_then(|known| known.get(&room.id)) {
+                    Some(segment) => writeln!(text, "{} = {}", quoted(&room.id), quoted(segment)),
+                    None => writeln!(text, "# {} = \"NUMBER\"", quoted(&room.id)),
+                };
             }
         }
     }

@@ -462,7 +462,9 @@ class DecisionV1(Message):
         ("reason", ctypes.c_uint8 * REASON_BYTES),
         ("cancels", ctypes.c_uint64),
         ("robot_name", _Name),
-        ("reserved", ctypes.c_uint8 * 200),
+        ("held_until_unix_ns", ctypes.c_uint64),
+        ("cleaned_min", ctypes.c_uint16 * MAX_ROOMS),
+        ("reserved", ctypes.c_uint8 * 64),
     ]
 
     def check(self) -> None:
@@ -495,13 +497,14 @@ class RobotReportV1(Message):
         ("robot_name", _Name),
         ("room", _Name),
         ("note", ctypes.c_uint8 * NOTE_BYTES),
-        ("reserved", ctypes.c_uint8 * 192),
+        ("until_unix_ns", ctypes.c_uint64),
+        ("reserved", ctypes.c_uint8 * 184),
     ]
 
     def check(self) -> None:
         for field in ("robot", "epoch", "sequence"):
             _not_zero(field, getattr(self, field))
-        _in_range("kind", self.kind, 0, 7, "0 to 7")
+        _in_range("kind", self.kind, 0, 11, "0 to 11")
         if self.flags & HAS_POSITION:
             for metres in self.position_m:
                 _in_range("position_m", metres, -sys.float_info.max, sys.float_info.max, "finite")

@@ -154,6 +154,8 @@ class DecisionFlags(enum.IntFlag):
     OWED = 2048
     #: Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
     ELSEWHERE = 4096
+    #: A person holds the robot: it does not work until the hold ends, or a person resumes.
+    HELD = 8192
 
 
 class ReportKind(Word):
@@ -175,6 +177,14 @@ class ReportKind(Word):
     BATTERY = 6
     #: Somebody, or the robot itself, took the decision back; the robot is free again.
     CANCELLED = 7
+    #: A person's order, no report: the robot does not work.
+    HOLD = 8
+    #: A person's order: the hold ends.
+    RESUME = 9
+    #: A person's order: clean the room now.
+    CLEAN = 10
+    #: A person's order: skip the room today.
+    SKIP = 11
 
 
 @dataclass(frozen=True)

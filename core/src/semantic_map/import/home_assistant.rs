@@ -4,7 +4,7 @@
 //! In three steps: `registry` parses, `thing` and `plan` normalise, `rules` and this file build. The registries know no geometry, so rooms are
 //! boxes of one size side by side, floor above floor, and things stand in rows in them.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::{Ids, ImportError, Imported};
 use crate::names::{Names, plain_words};
@@ -56,6 +56,8 @@ pub struct Home {
     pub rules: Option<String>,
     /// The names of its persons.
     pub persons: Vec<String>,
+    /// For each vacuum, by its entity's id, the segments of its rooms.
+    pub segments: BTreeMap<String, BTreeMap<String, String>>,
 }
 
 /// A text for a comment: on one line.
@@ -136,9 +138,16 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
         aliases: plan.aliases,
         items,
     };
+    let rooms: HashSet<&str> = areas.iter().map(|area| &*area.id).collect();
+    let mut segments: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
+    for entity in entities.iter().filter(|entity| entity.entity_id.starts_with("vacuum.")) {
+        for (area, segment) in entity.segments().filter(|(area, _)| rooms.contains(area)) {
+            segments.entry(entity.entity_id.clone()).or_default().insert(area.to_owned(), comment(segment));
+        }
+    }
     let persons = people.into_iter().map(|(_, name)| name).collect();
     let imported = Imported { map: SemanticMap::check(file)?, notes, boxed: Vec::new() };
-    Ok(Home { imported, rules: rules.into_text(), persons })
+    Ok(Home { imported, rules: rules.into_text(), persons, segments })
 }
 
 /// The areas that become rooms, and the ids of the areas that do not.

@@ -157,6 +157,7 @@ impl Cleaning {
                 closed,
                 room_time_s: STAY_S,
                 expected_shared_s: &expected_shared_s,
+                weights: &[],
             };
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             // Where every room is closed the robot is nowhere.

@@ -75,7 +75,8 @@ impl Robots {
 impl<M: LanguageModel> Board<M> {
     /// Takes in where a robot is.
     pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: BootNs) {
-        if report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty() {
+        let is_bare = report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty();
+        if is_bare || report.is_order() {
             return;
         }
         let grounding = self.pipeline.grounding();

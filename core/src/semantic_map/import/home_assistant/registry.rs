@@ -127,9 +127,20 @@ pub(super) struct Entity {
     entity_category: Value,
     #[serde(default)]
     pub(super) unique_id: Value,
+    #[serde(default)]
+    options: Value,
 }
 
 impl Entity {
+    /// The segments of a vacuum by area, as Home Assistant 2026.3 and later know them. An area of several segments has the first one.
+    pub(super) fn segments(&self) -> impl Iterator<Item = (&str, &str)> {
+        let areas = self.options.pointer("/vacuum/area_mapping").and_then(Value::as_object);
+        areas.into_iter().flatten().filter_map(|(area, segments)| {
+            let segment = segments.as_array().map_or(Some(segments), |segments| segments.first())?.as_str()?;
+            Some((area.as_str(), segment))
+        })
+    }
+
     pub(super) fn class(&self) -> &str {
         self.device_class.as_deref().or(self.original_device_class.as_deref()).unwrap_or_default()
     }

@@ -313,6 +313,27 @@ fn read(
     home_assistant(&registries, "home")
 }
 
+#[test]
+fn a_vacuums_segments_are_those_of_its_area_mapping() {
+    let areas = r#"{"data": {"areas": [{"id": "kitchen", "name": "Kitchen"}, {"id": "hall", "name": "Hall"}]}}"#;
+    let of = |options: &str| {
+        let entities = format!(
+            r#"{{"data": {{"entities": [{{"entity_id": "vacuum.dusty", "unique_id": "1", "options": {options}}},
+                {{"entity_id": "vacuum.old", "unique_id": "2"}}]}}}}"#
+        );
+        let registries = Registries { areas, entities: Some(&entities), ..Registries::default() };
+        home_assistant(&registries, "home").unwrap().segments
+    };
+    let mapped = of(r#"{"vacuum": {"area_mapping": {"kitchen": ["16", "17"], "hall": [], "attic": ["3"]}}}"#);
+    let kitchen = [("kitchen".to_owned(), "16".to_owned())].into();
+    assert_eq!(mapped, [("vacuum.dusty".to_owned(), kitchen)].into());
+    for odd in
+        ["{}", "null", "3", r#"{"vacuum": {"area_mapping": [1]}}"#, r#"{"vacuum": {"area_mapping": {"hall": 3}}}"#]
+    {
+        assert!(of(odd).is_empty(), "{odd}");
+    }
+}
+
 /// What the rules of an object say when it is on or open.
 fn says(home: &Home, object: &str) -> Vec<String> {
     let rules: toml::Table = home.rules.as_deref().unwrap_or_default().parse().unwrap();

@@ -1,0 +1,148 @@
+//! The state that outlives a reboot: orders of persons, and the last cleaning of each room.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::rules::{Hold, RoomSet};
+use crate::state_file::{self, Kept};
+
+/// Most bytes of the file that are read.
+const FILE_BYTES_MAX: u64 = 1 << 18;
+/// Most rooms of each list: those of several maps.
+const ROOMS_MAX: usize = 256;
+
+/// Orders and cleanings. Rooms are ids, times are seconds since 1970.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Orders {
+    /// The robot does not work.
+    pub hold: Option<Hold>,
+    /// Rooms that a person asked for, and until when the order stands.
+    pub asked: BTreeMap<String, u64>,
+    /// Rooms that a person skips, and until when.
+    pub skipped: BTreeMap<String, u64>,
+    /// When each room was last cleaned.
+    pub cleaned: BTreeMap<String, u64>,
+    /// Reporters by their epoch, and the newest order of each: a port repeats its last reports for a planner that joins.
+    pub taken: Vec<(u64, u64)>,
+}
+
+impl Orders {
+    /// Drops expired orders, and says whether there were any.
+    pub(super) fn expire(&mut self, unix_s: u64) -> bool {
+        let before = (self.hold.is_some(), self.asked.len(), self.skipped.len());
+        self.hold.take_if(|hold| hold.until_unix_s.is_some_and(|until_s| until_s <= unix_s));
+        for rooms in [&mut self.asked, &mut self.skipped] {
+            rooms.retain(|_, until_s| *until_s > unix_s);
+        }
+        before != (self.hold.is_some(), self.asked.len(), self.skipped.len())
+    }
+
+    /// A room was cleaned.
+    pub(super) fn clean(&mut self, room: &str, unix_s: u64) {
+        self.asked.remove(room);
+        if room.is_empty() || self.cleaned.len() >= ROOMS_MAX && !self.cleaned.contains_key(room) {
+            return;
+        }
+        let last_s = self.cleaned.entry(room.to_owned()).or_default();
+        *last_s = unix_s.max(*last_s);
+    }
+
+    /// A person asks for a room, until a time.
+    pub(super) fn ask(&mut self, room: &str, until_unix_s: u64) {
+        self.skipped.remove(room);
+        self.asked.insert(room.to_owned(), until_unix_s);
+    }
+
+    /// A person skips a room, until a time.
+    pub(super) fn skip(&mut self, room: &str, until_unix_s: u64) {
+        self.asked.remove(room);
+        self.skipped.insert(room.to_owned(), until_unix_s);
+    }
+}
+
+/// The rooms of a list, by their places among `ids`.
+pub(super) fn set_of<'a>(rooms: &BTreeMap<String, u64>, ids: impl Iterator<Item = &'a str>) -> RoomSet {
+    let set = ids.take(64).enumerate().filter(|(_, id)| rooms.contains_key(*id));
+    set.fold(0, |set, (room, _)| set | 1 << room)
+}
+
+/// The file of the orders. It outlives a loss of power: a hold does.
+#[derive(Debug)]
+pub(super) struct OrdersFile(Kept<Orders>);
+
+impl OrdersFile {
+    /// In the state directory, one for each robot.
+    pub(super) fn new(directory: &Path, robot: u64) -> Self {
+        Self(Kept::for_good(directory.join(format!("planner-{robot:016x}-orders.json"))))
+    }
+
+    /// Loads the kept orders. If the file cannot be read, the log says why, and there are no orders.
+    pub(super) fn load(&self) -> Orders {
+        let path = self.0.path().display();
+        let _removed = state_file::remove_unfinished(self.0.path());
+        let read = match state_file::read(self.0.path(), FILE_BYTES_MAX) {
+            Ok(text) => text.map(|text| serde_json::from_str(&text)).transpose().map_err(|error| error.to_string()),
+            Err(error) => Err(error.to_string()),
+        };
+        read.map(Option::unwrap_or_default).unwrap_or_else(|error| {
+            tracing::warn!(error, %path, "the orders to the planner cannot be read: a hold is forgotten, and no room was ever cleaned");
+            Orders::default()
+        })
+    }
+
+    pub(super) fn keep(&mut self, orders: &Orders) {
+        self.0.keep(orders.clone(), "orders to the planner are lost with a restart; check the directory");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn orders() -> Orders {
+        let mut orders =
+            Orders { hold: Some(Hold { why: "meeting".to_owned(), until_unix_s: Some(100) }), ..Orders::default() };
+        orders.ask("kitchen", 200);
+        orders.skip("hall", 300);
+        orders.clean("office", 50);
+        orders
+    }
+
+    #[test]
+    fn orders_end_at_their_times() {
+        let mut orders = orders();
+        assert!(!orders.expire(99) && orders.hold.is_some());
+        assert!(orders.expire(100) && orders.hold.is_none());
+        assert!(orders.expire(200) && orders.asked.is_empty() && !orders.skipped.is_empty());
+        assert!(orders.expire(300) && orders.skipped.is_empty());
+        orders.hold = Some(Hold { why: String::new(), until_unix_s: None });
+        assert!(!orders.expire(u64::MAX), "a hold without an end ends by a person");
+    }
+
+    #[test]
+    fn a_cleaned_room_is_not_asked_for_any_more() {
+        let mut orders = orders();
+        orders.clean("kitchen", 60);
+        orders.clean("kitchen", 40);
+        assert!(orders.asked.is_empty() && orders.cleaned["kitchen"] == 60);
+        orders.ask("hall", 200);
+        assert!(orders.skipped.is_empty(), "the newest order counts");
+        (0..1000).for_each(|room| orders.clean(&format!("room-{room}"), 1));
+        assert_eq!(orders.cleaned.len(), ROOMS_MAX);
+    }
+
+    #[test]
+    fn orders_outlive_a_reboot_and_a_damaged_file_is_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut file = OrdersFile::new(directory.path(), 7);
+        assert_eq!(file.load(), Orders::default());
+        file.keep(&orders());
+        assert_eq!(OrdersFile::new(directory.path(), 7).load(), orders());
+        assert_eq!(OrdersFile::new(directory.path(), 8).load(), Orders::default(), "another robot");
+        std::fs::write(file.0.path(), "{").unwrap();
+        assert_eq!(file.load(), Orders::default());
+    }
+}
