@@ -24,6 +24,7 @@ use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::{Action, Program};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -199,20 +200,20 @@ impl Ours {
         let now_ns = clock::monotonic_ns();
         let message = NarrationV1 { source: 1, epoch: 1, sequence: self.sequence, observed_ns: now_ns, ..message };
         let start = Instant::now();
-        let taken = self.intake.receive(Ok(&message), Sender::simulated(1), now_ns);
+        let taken = self.intake.receive(Ok(&message), Sender::simulated(1), BootNs(now_ns));
         if let Taken::Accepted { observation, .. } = taken {
-            self.cycle.enter(Entry::new(observation, now_ns), 0);
+            self.cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
         }
         let intake = nanoseconds(start);
-        self.cycle.step(now_ns, now_ns).expect("the model scores");
+        self.cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
         let forecasting = Instant::now();
-        let forecast = self.cycle.board_mut().forecast(now_ns);
+        let forecast = self.cycle.board_mut().forecast(BootNs(now_ns));
         let forecast_ns = nanoseconds(forecasting);
         let publishing = Instant::now();
         self.forecasts.send(forecast).expect("the forecast is sent");
         let publish_forecast = nanoseconds(publishing);
         let publishing = Instant::now();
-        let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
+        let scores = self.cycle.message(BootNs(now_ns), u64::MAX, false).expect("there are new scores");
         self.scores.send(scores).expect("the scores are sent");
         let publish_scores = nanoseconds(publishing);
         let total = nanoseconds(start);
@@ -243,7 +244,7 @@ impl Ours {
     /// The tokens that the model has read and keeps, after the idle work.
     fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
         let pipeline = self.cycle.board().pipeline();
-        let history = pipeline.histories().get(PersonId(0)).expect("there is one person");
+        let history = pipeline.inside().histories().get(PersonId(0)).expect("there is one person");
         if history.left() == before {
             return prompt.to_vec();
         }
@@ -251,7 +252,7 @@ impl Ours {
     }
 
     fn left(&self) -> u64 {
-        self.cycle.board().pipeline().histories().get(PersonId(0)).map_or(0, |history| history.left())
+        self.cycle.board().pipeline().inside().histories().get(PersonId(0)).map_or(0, |history| history.left())
     }
 }
 
@@ -294,7 +295,7 @@ fn tell(
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
         let mut ranking = Ours::new(load(), map, Effort::Ranking, &domains[1]);
-        let prepared = exact.cycle.board().pipeline().prepared().clone();
+        let prepared = exact.cycle.board().pipeline().inside().prepared().clone();
         let tree = TokenTree::of_inner_nodes(prepared.trie());
         assert!(tree.path_count() <= options.sequences, "the whole trie fits into one call");
         let mut bare_exact = Bare::new(&weights, options, tree.path_count());
@@ -304,7 +305,7 @@ fn tell(
         let mut prompt_text = String::new();
         for (number, sentence) in program.iter().cycle().take(program.len() * rounds).enumerate() {
             let pipeline = exact.cycle.board().pipeline();
-            let history = pipeline.histories().get(PersonId(0));
+            let history = pipeline.inside().histories().get(PersonId(0));
             let sentences = history.into_iter().flat_map(|history| history.sentences()).chain([sentence.as_str()]);
             write_prompt(sentences, prepared.binding(), false, &mut prompt_text);
             let prompt = tokens(&weights, &prompt_text);

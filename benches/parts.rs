@@ -138,12 +138,12 @@ impl Told {
         self.next += 1;
         let observation = Observation::of(self.next, self.sentences[place].clone());
         self.pipeline.step([observation]).expect("the model scores");
-        while self.pipeline.tidy() {}
+        while self.pipeline.ahead().tidy() {}
     }
 }
 
 fn options_window(pipeline: &Pipeline<LlamaModel>) -> usize {
-    pipeline.options().history.observations
+    pipeline.inside().options().history.observations
 }
 
 fn event(criterion: &mut Criterion) {

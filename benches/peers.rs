@@ -55,9 +55,9 @@ fn main() {
         .collect();
     let mut narration =
         (0..).zip(sentences.iter().cycle()).map(|(sequence, sentence)| Observation::of(sequence, sentence.clone()));
-    pipeline.observe(narration.by_ref().take(observations));
+    pipeline.intake().observe(narration.by_ref().take(observations));
     let mut output = std::io::stdout().lock();
-    let labels = pipeline.prepared();
+    let labels = pipeline.inside().prepared();
     writeln!(output, "{}", json!({"labels": labels.labels(), "tokens": labels.tokens()})).expect("a reader");
     for line in std::io::stdin().lock().lines() {
         line.expect("a line");
@@ -66,17 +66,17 @@ fn main() {
         pipeline.step([observation]).expect("scores");
         let event_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
         let mut prompt = String::new();
-        for (_, sentence) in pipeline.read_sentences() {
+        for (_, sentence) in pipeline.inside().read_sentences() {
             prompt.push_str(sentence);
             prompt.push(' ');
         }
-        prompt.push_str(pipeline.options().binding.stem());
+        prompt.push_str(pipeline.inside().options().binding.stem());
         let scores = pipeline.scores();
         let answer = json!({
             "ns": event_ns, "prompt": prompt, "prompt_tokens": scores.prompt_tokens,
             "log_prob_nats": scores.label_log_prob_nats,
         });
-        while pipeline.tidy() {}
+        while pipeline.ahead().tidy() {}
         writeln!(output, "{answer}").expect("a reader");
     }
 }

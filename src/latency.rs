@@ -258,8 +258,8 @@ fn wait_for<M: roomcast_ipc::Message>(
     let end = Instant::now() + PATIENCE;
     let mut message = M::default();
     loop {
-        while let Some(checked) = port.receive_into(&mut message)? {
-            if checked.is_ok() && is_it(&message) {
+        while port.receive_into(&mut message)? {
+            if is_it(&message) {
                 return Ok(message);
             }
         }

@@ -26,6 +26,7 @@ mod latency;
 mod metrics;
 #[cfg(feature = "publish")]
 mod publish;
+mod reasons;
 #[cfg(any(feature = "top", feature = "view"))]
 mod top;
 #[cfg(feature = "view")]

@@ -25,7 +25,7 @@ use roomcast_services::clock;
 
 use crate::decided::{Decided, News};
 use crate::http::{HttpError, Server, refusal};
-use roomcast_core::ids::{BootNs, PersonId};
+use roomcast_core::ids::BootNs;
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::stop::Stop;
@@ -442,18 +442,13 @@ pub fn run(
     while !stop.requested() {
         scores.wait(TICK)?;
         let mut metrics = metrics.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(received) = scores.receive()? {
-            match received {
-                Ok(scores) => metrics.take(&scores),
-                Err(_) => {
-                    metrics.malformed_scores.inc();
-                }
-            }
+        while let Some(scores) = scores.receive()? {
+            metrics.take(&scores);
         }
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received {
-                metrics.decide(&decision);
-            }
+        let new = scores.malformed() - metrics.malformed_scores.get();
+        metrics.malformed_scores.inc_by(new);
+        while let Some(decision) = decisions.receive()? {
+            metrics.decide(&decision);
         }
         drop(metrics);
         server.look_after()?;
@@ -518,6 +513,7 @@ mod tests {
     use rand::seq::IndexedRandom;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use roomcast_core::ids::PersonId;
     use roomcast_ipc::text;
     use roomcast_services::habits_reason::HorizonLine;
     use std::io::{Read, Write};

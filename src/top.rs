@@ -1,7 +1,7 @@
 //! What `roomcast top` shows: the state gathered from the services, and its drawing. No port, no clock, no terminal: a test feeds it
 //! messages and looks at the text.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -10,14 +10,14 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
+    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RoomScoresV1,
     StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
 };
 
 use crate::bar::bar;
 use crate::columns::wrapped;
 use crate::flags::{decision_flag_names, forecast_flag_names, plain, score_flag_names};
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
 
@@ -61,6 +61,8 @@ pub struct View {
     rooms: Vec<Room>,
     /// Each person's line, where it says more than the rooms do.
     persons: Vec<String>,
+    /// By person: the observation that moved the belief most.
+    reasons: BTreeMap<u32, String>,
     forecasts: Option<Box<PersonForecastsV1>>,
     forecast_flags: u32,
     narration: VecDeque<(String, String)>,
@@ -148,7 +150,7 @@ impl View {
         for person in scores.persons() {
             let own = forecasts.and_then(|told| told.persons().iter().find(|own| own.person == person.person));
             let mut line =
-                format!("{}: {}", who(PersonId(person.person), person.name()), presence_word(person.presence));
+                format!("{}: {}", who(PersonId(person.person), person.name()), Presence::of(person.presence));
             if let (Some(told), Some(own)) = (forecasts, own) {
                 line.push_str(&forecast_words(told, own));
             }
@@ -161,6 +163,7 @@ impl View {
                 line.push_str(crate::flags::plain(word));
             }
             self.persons.push(line);
+            self.persons.extend(self.reasons.get(&person.person).map(|reason| format!("  {reason}")));
             // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
             let has_learned = self.status.as_ref().is_none_or(|status| status.learned > 0);
             self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own, has_learned)));
@@ -169,6 +172,11 @@ impl View {
         if left_out > 0 {
             self.persons.push(format!("and {left_out} more"));
         }
+    }
+
+    /// Takes in why persons are believed to be where they are, which the next scores are shown with.
+    pub fn reasons(&mut self, reasons: &BTreeMap<u32, String>) {
+        self.reasons.clone_from(reasons);
     }
 
     /// Takes in each person's forecast, which the next scores are shown with.
@@ -193,9 +201,9 @@ impl View {
         self.status = Some(status);
     }
 
-    /// Counts a message that was malformed.
-    pub fn malformed(&mut self) {
-        self.malformed += 1;
+    /// Shows so many malformed messages.
+    pub fn malformed(&mut self, messages: u64) {
+        self.malformed = messages;
     }
 
     /// Adds a point to every room's line; to be called every [`POINT_NS`].

@@ -8,16 +8,17 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::reasons::Reasons;
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue};
 use hyper::{Response, StatusCode};
 use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
 use roomcast_ipc::{
     DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RoomScoresV1, RoomV1, Subscriber, action, clock,
-    presence, question, sequence,
+    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RoomScoresV1, RoomV1, Subscriber, action,
+    clock, presence, question, sequence,
 };
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
 use roomcast_services::moment::{Moment, MomentError};
 use roomcast_services::recording::{Recorded, Recording};
@@ -104,6 +105,7 @@ pub fn run(
     let narration: Subscriber<NarrationV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
     let moments = node.question_port(question::MOMENT)?;
+    let mut reasons = Reasons::new(&node)?;
     let picture = Picture { robot: Some(sequence::source_of_name(robot)), is_configured: true, ..Picture::default() };
     let shared = Arc::new(Mutex::new(Live { picture, ..Live::default() }));
     let (answered, key) = (Arc::clone(&shared), place.key.clone());
@@ -119,8 +121,8 @@ pub fn run(
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
         let picture = &mut live.picture;
         // What is malformed is passed over; `roomcast top` and the metrics count it.
-        while let Some(received) = narration.receive()? {
-            received.iter().for_each(|message| picture.narration(message, told_ns(message.observed_ns, now_ns)));
+        while let Some(message) = narration.receive()? {
+            picture.narration(&message, told_ns(message.observed_ns, now_ns));
         }
         if let Some(message) = scores.newest()? {
             picture.scores(&message, now_ns);
@@ -134,8 +136,8 @@ pub fn run(
         if let Some(message) = forecasts.newest()? {
             picture.forecasts(&message, now_ns);
         }
-        while let Some(received) = decisions.receive()? {
-            received.iter().for_each(|message| picture.decision(message, told_ns(message.decided_ns, now_ns)));
+        while let Some(message) = decisions.receive()? {
+            picture.decision(&message, told_ns(message.decided_ns, now_ns));
         }
         if let Some(message) = things.news()? {
             live.picture.items(&message);
@@ -143,8 +145,15 @@ pub fn run(
         let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
         let is_new = live.picture.scores.is_some() && live.fitting_plan().is_none();
         // What takes a while keeps no reader waiting.
+        let persons = live.picture.persons.as_ref().filter(|_| is_looked_at);
+        let persons: Vec<u32> =
+            persons.map_or_else(Vec::new, |all| all.persons().iter().map(|person| person.person).collect());
         drop(live);
         things.follow(&node, is_looked_at);
+        if !persons.is_empty() {
+            let told = reasons.refresh(persons.into_iter());
+            shared.lock().unwrap_or_else(PoisonError::into_inner).picture.reasons.clone_from(told);
+        }
         if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {
             asked = Some(Instant::now());
             // A daemon that is busy is asked again; the rooms are listed meanwhile.
@@ -493,6 +502,8 @@ struct Picture {
     narration: VecDeque<(u64, String, String)>,
     items: BTreeMap<String, f64>,
     quality: Quality,
+    /// By person: the observation that moved the belief most.
+    reasons: BTreeMap<u32, String>,
 }
 
 impl Picture {
@@ -643,9 +654,10 @@ impl Picture {
             let own =
                 forecasts.and_then(|told| Some((told, told.persons().iter().find(|own| own.person == person.person)?)));
             let mut card = json!({
-                "name": who(PersonId(person.person), person.name()), "presence": presence_word(person.presence),
+                "name": who(PersonId(person.person), person.name()), "presence": Presence::of(person.presence).word(),
                 "flags": flag_words(person.flags).collect::<Vec<_>>(),
                 "notes": flag_words(person.flags).map(plain).collect::<Vec<_>>(),
+                "why": self.reasons.get(&person.person),
             });
             if let Some((told, own)) = own {
                 let horizons = told.horizons_s().len();

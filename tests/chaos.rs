@@ -391,11 +391,12 @@ impl World {
         // Decisions first: the scores that they rest on were sent before them, and are here then.
         let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
         let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
+        assert_eq!((observer.decisions.malformed(), observer.scores.malformed()), (0, 0));
         for scores in scores {
-            self.look_at_scores(&scores.unwrap());
+            self.look_at_scores(&scores);
         }
         for decision in decisions {
-            self.look_at_decision(&decision.unwrap());
+            self.look_at_decision(&decision);
         }
     }
 
@@ -649,7 +650,7 @@ impl World {
             if !numbers.contains(&number) && !self.rng.random_bool(0.2) {
                 continue;
             }
-            hostile.pipeline.forget_person(PersonId(0));
+            hostile.pipeline.intake().forget_person(PersonId(0));
             let sentences = alone.narration.iter().map(|read| Sentence::new(&read.text).unwrap());
             let observations: Vec<_> =
                 (1..).zip(sentences).map(|(number, said)| Observation::of(number, said)).collect();
@@ -797,7 +798,7 @@ impl Drop for World {
 
 /// How far the scores are from those of the `window` narrations up to `end`, in nats.
 fn difference(pipeline: &mut Pipeline<LlamaModel>, history: &[Observation], end: usize, seen: &Seen) -> f64 {
-    pipeline.forget_person(PersonId(0));
+    pipeline.intake().forget_person(PersonId(0));
     // Who has left has no window, and is in no room.
     let has_left = history[..end].last().is_some_and(|last| last.sentence().is_none());
     let start = end.saturating_sub(seen.window.max(usize::from(has_left)));

@@ -337,7 +337,7 @@ fn works(when: &str, home: &HomeAssistant, token: &str, heard: &Subscriber<Narra
         std::thread::sleep(Duration::from_millis(800));
         let mut said = Vec::new();
         while let Some(narration) = heard.receive().unwrap() {
-            said.push(narration.unwrap().text().to_owned());
+            said.push(narration.text().to_owned());
         }
         said.iter().any(|text| text == "They open the fridge.").then_some(())
     });

@@ -76,7 +76,7 @@ impl Home {
         self.sequence += 1;
         let (source, share) = (who as u64 + 1, 1);
         let said = Observation { source, ..Observation::of(self.sequence, Sentence::new(sentence).unwrap()) };
-        self.pipeline.hear([(Voice { number: source, share }, said)]);
+        self.pipeline.intake().hear([(Voice { number: source, share }, said)]);
     }
 
     fn rooms(&mut self) -> Vec<f64> {
@@ -85,7 +85,7 @@ impl Home {
 
     /// Places that the honest one has in the window.
     fn places(&self) -> usize {
-        let window = self.pipeline.histories().get(PersonId(0)).unwrap();
+        let window = self.pipeline.inside().histories().get(PersonId(0)).unwrap();
         window.observations().filter(|o| o.source == Who::Honest as u64 + 1).count()
     }
 }
@@ -115,7 +115,7 @@ fn one_narrator_alone_keeps_to_its_places() {
         let from = rng.random_range(AFTER..=said.len() - AFTER);
         let other = sentences.choose(&mut rng).unwrap().choose(&mut rng).unwrap().clone();
         let told = |home: &mut Home| {
-            home.pipeline.forget_person(PersonId(0));
+            home.pipeline.intake().forget_person(PersonId(0));
             said[..from].iter().for_each(|sentence| home.hear(Who::Honest, sentence));
         };
 

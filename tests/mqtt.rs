@@ -485,7 +485,7 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
     let mut told = Vec::new();
     let listen = |told: &mut Vec<DecisionV1>| {
         while let Some(decision) = decisions.receive().unwrap() {
-            told.push(decision.unwrap());
+            told.push(decision);
         }
     };
     // In the middle of its first room the broker goes and has forgotten everything when it is back.
@@ -706,7 +706,6 @@ fn live(policy: &str, seed: u64) -> Lived {
         }
         std::thread::sleep(Duration::from_millis(20));
         while let Some(decision) = decisions.receive().unwrap() {
-            let decision = decision.unwrap();
             lived.decided.push(format!("{hour:.2} {} {}: {}", decision.action, decision.to(), decision.reason()));
             lived.most_covered = lived.most_covered.max(decision.covered.count_ones());
             let cleaned: BTreeSet<String> = fake.look(|robot| robot.cleaned.iter().cloned().collect());
@@ -720,7 +719,6 @@ fn live(policy: &str, seed: u64) -> Lived {
             }
         }
         while let Some(narration) = narrations.receive().unwrap() {
-            let narration = narration.unwrap();
             // The narrator sends again what is not confirmed at once.
             lived.lit.extend(narration.text().starts_with(LIT).then_some(narration.sequence));
         }

@@ -172,8 +172,6 @@ impl LanguageModel for WholePrompt {
         self.table.token_text(token)
     }
 
-    fn forget(&mut self) {}
-
     fn decode(
         &mut self,
         prompt: &[Token],
@@ -189,8 +187,6 @@ impl LanguageModel for WholePrompt {
         let seed = prompt.iter().fold(0xcbf2_9ce4_8422_2325, mix);
         TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
     }
-
-    fn tidy(&mut self, _keep: usize) {}
 
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         Ok(Some(Self { table: self.table.clone(), failures: Rc::default() }))
@@ -1018,7 +1014,7 @@ impl World {
                 Ok(()) => {
                     self.tally.prepared += daemon.cycle.board().pipeline().scores().prepared as u64;
                     daemon.scored = contained;
-                    let read = daemon.cycle.board().pipeline().read_sentences();
+                    let read = daemon.cycle.board().pipeline().inside().read_sentences();
                     daemon.read = read.map(|(person, sentence)| (person, sentence.to_owned())).collect();
                     daemon.scored_map = daemon.map;
                     self.tally.scored += 1;
@@ -1117,7 +1113,7 @@ impl World {
         }
         // Every accepted narration that was entered is in the histories, as far as their windows reach.
         let entered = &self.accepted[..daemon.entered];
-        for (person, history) in daemon.cycle.board().pipeline().histories().iter() {
+        for (person, history) in daemon.cycle.board().pipeline().inside().histories().iter() {
             let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
             let said: Vec<_> = entered.iter().filter(is_theirs).map(Observation::id).collect();
             let held: Vec<_> = history.observations().map(Observation::id).collect();
@@ -1302,7 +1298,12 @@ impl World {
         let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
         // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
         // was whose is not known any more.
-        let same_windows = ghost.board.pipeline().read_sentences().eq(daemon.cycle.board().pipeline().read_sentences());
+        let same_windows = ghost.board.pipeline().inside().read_sentences().eq(daemon
+            .cycle
+            .board()
+            .pipeline()
+            .inside()
+            .read_sentences());
         // A visitor of whom something is told late was gone meanwhile, or not, depending on who looked.
         let stays = |own: &&PersonForecastV1| own.presence != presence::GONE && own.flags & person_flags::VISITOR == 0;
         for own in before.persons().iter().filter(stays) {
@@ -1493,7 +1494,7 @@ impl World {
         let said = self.lessons.len();
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
         let (queue, records) = Default::default();
-        let preparer = cycle.board().pipeline().preparer(Arc::new(|| false)).unwrap().unwrap();
+        let preparer = cycle.board().pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
         self.daemon = Some(Daemon {
             intake,
             cycle,

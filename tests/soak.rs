@@ -85,7 +85,7 @@ fn memory_and_descriptors_stay_flat() {
         while let Some(received) = narration_in.receive().unwrap() {
             let now_ns = clock::monotonic_ns();
             let Taken::Accepted { observation, missed: 0, .. } =
-                intake.take(&received.unwrap(), Sender::simulated(1), BootNs(now_ns))
+                intake.take(&received, Sender::simulated(1), BootNs(now_ns))
             else {
                 panic!("{event}")
             };

@@ -1,5 +1,24 @@
 //! The method of Roomcast: from what a person just did to the rooms they will be in, and to where the robot goes meanwhile.
 //!
+//! A map, a sentence, and the probability of each room to be the next one:
+//!
+//! ```
+//! # use roomcast_core::narration::{Observation, Sentence};
+//! # use roomcast_core::pipeline::Pipeline;
+//! # use roomcast_core::scorer::table::TableModel;
+//! # use roomcast_core::semantic_map::SemanticMap;
+//! let map = SemanticMap::from_json(include_str!("../example.json"))?;
+//! let mut pipeline = Pipeline::of(&map, TableModel::new(7))?;
+//! let scores = pipeline.step([Observation::of(1, Sentence::new("They walk to the mug.")?)])?;
+//! for (room, probability) in map.rooms().iter().zip(&scores.grounded.partition_probability) {
+//!     println!("{}: {probability:.2}", room.label);
+//! }
+//! # assert!((scores.grounded.partition_probability.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! The table has a language model's place here. `roomcast-llama` has a language model, on llama.cpp.
+//!
 //! One direction of flow; the modules stand in its order and nothing flows back:
 //!
 //! ```text
@@ -15,7 +34,7 @@
 //! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
 //! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
 //!
-//! A scorer of the reader's own, over a scene: this model finds letters likely that it has read before.
+//! A model of your own has four methods. This model finds letters likely that it has read before:
 //!
 //! ```
 //! use roomcast_core::grounding::{Grounding, GroundingOptions};
@@ -50,8 +69,6 @@
 //!     fn token_text(&self, token: Token) -> String {
 //!         char::from(token.0 as u8).into()
 //!     }
-//!     fn forget(&mut self) {}
-//!     fn tidy(&mut self, _keep: usize) {}
 //! }
 //!
 //! let map = SemanticMap::from_json(include_str!("../example.json"))?;

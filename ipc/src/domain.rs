@@ -26,6 +26,7 @@ use rustix::process::{Pid, Resource, geteuid, getrlimit, test_kill_process};
 use serde::Deserialize;
 use serde::de::value::{Error as ValueError, SeqDeserializer};
 
+use crate::error::Cause;
 use crate::unused::Unused;
 use crate::{IpcError, clock, limits, sequence};
 
@@ -98,21 +99,25 @@ impl Domain {
     pub const DEFAULT_NAME: &str = "roomcast";
 
     /// A domain at `root` (at most 40 bytes, absolute) named `name` (of `a-z`, `0-9`, `-`: 15 for every user, up to 22 where
-    /// the user's number is short).
+    /// the user's number is short). The first participant makes the folder `root`; the folder that it lies in must exist.
     ///
     /// # Errors
     ///
-    /// [`IpcError::BadRoot`] and [`IpcError::BadDomainName`].
+    /// [`IpcError::BadRoot`], also if the folder of `root` does not exist, and [`IpcError::BadDomainName`].
     pub fn new(root: impl Into<PathBuf>, name: &str) -> Result<Self, IpcError> {
         let root = root.into();
         if !root.is_absolute() || root.as_os_str().len() > ROOT_LIMIT {
             let problem =
                 format!("give an absolute path of at most {ROOT_LIMIT} bytes (a Unix socket's address must hold it)");
-            return Err(IpcError::BadRoot { path: root, problem });
+            return Err(bad_root(&root, problem));
         }
         let plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
         if name.is_empty() || name.len() > name_limit() || !name.bytes().all(plain) {
             return Err(IpcError::BadDomainName { name: name.to_owned(), limit: name_limit() });
+        }
+        let parent = root.parent().unwrap_or(&root);
+        if !parent.is_dir() {
+            return Err(missing(&root, parent));
         }
         Ok(Self { root, name: name.to_owned() })
     }
@@ -179,19 +184,20 @@ impl Domain {
         self.remove_unmade_memory();
         // iceoryx2 logs to standard error; what matters comes back as an error.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
-        let join = |cause: String| IpcError::Join { root: self.root.clone(), cause: cause.into() };
+        let join = |cause: Cause| IpcError::Join { root: self.root.clone(), cause };
         let config = self.config()?;
         // iceoryx2's names are ASCII; people's are not.
         let shown: String =
             participant.chars().map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
-        let name = NodeName::new(&shown).map_err(|error| join(format!("participant {participant:?}: {error:?}")))?;
-        let guardian = Guardian::start(self).map_err(|error| join(format!("no thread can be started: {error}")))?;
+        let name =
+            NodeName::new(&shown).map_err(|error| join(format!("participant {participant:?}: {error:?}").into()))?;
+        let guardian = Guardian::start(self).map_err(|error| join(error.into()))?;
         let node = NodeBuilder::new()
             .name(&name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Flavour>()
-            .map_err(|error| join(format!("{error:?}")))?;
+            .map_err(|error| join(error.into()))?;
         self.close_to_others();
         Ok(Node {
             node,
@@ -222,7 +228,7 @@ impl Domain {
         }
         self.remove_shared_memory()
             .and_then(|()| self.remove_files())
-            .map_err(|error| self.bad_root(format!("cannot remove what is left there: {error}")))?;
+            .map_err(|error| self.bad_root_by("cannot remove what is left there", error))?;
         Ok(true)
     }
 
@@ -488,7 +494,12 @@ impl Domain {
     }
 
     fn bad_root(&self, problem: String) -> IpcError {
-        IpcError::BadRoot { path: self.root.clone(), problem }
+        bad_root(&self.root, problem)
+    }
+
+    fn bad_root_by(&self, problem: &str, error: io::Error) -> IpcError {
+        let problem = format!("{problem}: {error}; give another folder");
+        IpcError::BadRoot { path: self.root.clone(), problem, cause: Some(error.into()) }
     }
 
     /// Makes the root, or refuses one that others could put files into.
@@ -498,14 +509,11 @@ impl Domain {
         let made = fs::DirBuilder::new().mode(0o700).create(&self.root);
         made.or_else(|error| match error.kind() {
             io::ErrorKind::AlreadyExists => Ok(()),
-            io::ErrorKind::NotFound => {
-                let parent = self.root.parent().unwrap_or(&self.root).display();
-                Err(self.bad_root(format!("it does not exist, and neither does {parent}: give the root of the running daemon, or make {parent}")))
-            }
-            _ => Err(self.bad_root(format!("cannot make it: {error}; give another folder"))),
+            io::ErrorKind::NotFound => Err(missing(&self.root, self.root.parent().unwrap_or(&self.root))),
+            _ => Err(self.bad_root_by("cannot make it", error)),
         })?;
         let metadata =
-            fs::symlink_metadata(&self.root).map_err(|error| self.bad_root(format!("cannot look at it: {error}")))?;
+            fs::symlink_metadata(&self.root).map_err(|error| self.bad_root_by("cannot look at it", error))?;
         if !metadata.is_dir() {
             return Err(self.bad_root("not a directory (a symbolic link does not count as one)".to_owned()));
         }
@@ -999,6 +1007,18 @@ pub(crate) enum OpenFailure {
     Passing(IpcError),
 }
 
+fn bad_root(root: &Path, problem: String) -> IpcError {
+    IpcError::BadRoot { path: root.to_owned(), problem, cause: None }
+}
+
+fn missing(root: &Path, parent: &Path) -> IpcError {
+    let parent = parent.display();
+    bad_root(
+        root,
+        format!("it does not exist, and neither does {parent}: give the root of the running daemon, or make {parent}"),
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::Barrier;
@@ -1015,10 +1035,10 @@ mod tests {
         let (root, name, base) = ("ROOMCAST_ROOT", "ROOMCAST_DOMAIN", "XDG_RUNTIME_DIR");
         let own = format!("/tmp/roomcast-{}", geteuid().as_raw());
         for (set, at, called) in [
-            (&[(root, "/run/rc"), (name, "kitchen"), (base, "/run/user/1")][..], "/run/rc", "kitchen"),
-            (&[(root, "/run/rc")], "/run/rc", "roomcast"),
-            (&[(name, "kitchen"), (base, "/run/user/1")], "/run/user/1/roomcast", "kitchen"),
-            (&[(root, ""), (base, "/run/user/1")], "/run/user/1/roomcast", "roomcast"),
+            (&[(root, "/tmp/rc"), (name, "kitchen"), (base, "/run")][..], "/tmp/rc", "kitchen"),
+            (&[(root, "/tmp/rc")], "/tmp/rc", "roomcast"),
+            (&[(name, "kitchen"), (base, "/run")], "/run/roomcast", "kitchen"),
+            (&[(root, ""), (base, "/run")], "/run/roomcast", "roomcast"),
             (&[(base, "relative")], &own, "roomcast"),
             (&[(base, "/a/base/that/no/address/of/a/socket/holds")], &own, "roomcast"),
             (&[], &own, "roomcast"),
@@ -1127,18 +1147,30 @@ mod tests {
     #[test]
     fn a_root_in_a_folder_that_does_not_exist_is_refused_with_the_folders_name() {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
-        let domain = Domain::new(directory.path().join("typo/d"), "nowhere").unwrap();
-        let error = domain.open("test").unwrap_err().to_string();
-        assert!(error.contains("does not exist") && error.contains("typo: "), "{error}");
+        let is_told = |error: IpcError| {
+            let error = error.to_string();
+            assert!(error.contains("does not exist") && error.contains("typo: "), "{error}");
+        };
+        let folder = directory.path().join("typo");
+        is_told(Domain::new(folder.join("d"), "nowhere").unwrap_err());
+        fs::create_dir(&folder).unwrap();
+        let domain = Domain::new(folder.join("d"), "nowhere").unwrap();
+        fs::remove_dir(&folder).unwrap();
+        is_told(domain.open("test").unwrap_err());
         Domain::new(directory.path().join("d"), "here").unwrap().open("test").unwrap();
     }
 
     #[test]
-    fn an_error_of_iceoryx2s_is_the_source_of_the_error() {
+    fn errors_of_iceoryx2_and_of_the_system_are_the_source_of_the_error() {
         use std::error::Error;
 
         let error = IpcError::Port { service: "s", operation: "send", cause: "no memory".into() };
         assert_eq!(error.source().map(ToString::to_string).as_deref(), Some("no memory"));
+        let file = tempfile::Builder::new().prefix("rc-").tempfile_in("/tmp").unwrap();
+        let domain = Domain { root: file.path().join("d"), name: "in-a-file".to_owned() };
+        let error = domain.open("test").unwrap_err();
+        let cause = error.source().and_then(|cause| cause.downcast_ref::<io::Error>());
+        assert_eq!(cause.map(io::Error::kind), Some(io::ErrorKind::NotADirectory), "{error}");
     }
 
     #[test]

@@ -86,6 +86,9 @@ pub enum IpcError {
         path: PathBuf,
         /// What is wrong, and the remedy.
         problem: String,
+        /// The system's error, if one is the reason.
+        #[source]
+        cause: Option<Cause>,
     },
     /// Another user has made a file of the domain's name in shared memory.
     #[error(

@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use crate::raw::{DecisionV1, ForecastV1, Message, RoomScoresV1, decision_flags, forecast_flags, score_flags};
+use crate::raw::{
+    DecisionV1, ForecastV1, Message, RoomScoresV1, decision_flags, forecast_flags, probability_at, score_flags,
+};
 use crate::{Action, Domain, IpcError, Node, Reached, Subscriber, clock};
 
 /// How long one sleep lasts at most.
@@ -13,25 +15,20 @@ const SLEEP: Duration = Duration::from_millis(250);
 pub(crate) struct Follow<M: Message> {
     subscriber: Subscriber<M>,
     newest: (u64, u64),
-    malformed: u64,
 }
 
 impl<M: Message> Follow<M> {
     pub(crate) fn open(node: &Node) -> Result<Self, IpcError> {
-        Ok(Self { subscriber: node.subscriber()?, newest: (0, 0), malformed: 0 })
+        Ok(Self { subscriber: node.subscriber()?, newest: (0, 0) })
     }
 
     pub(crate) fn malformed(&self) -> u64 {
-        self.malformed
+        self.subscriber.malformed()
     }
 
     /// The next message that is there already. `key` is its epoch and its sequence: a message with the key of the one before repeats it.
     pub(crate) fn take(&mut self, key: impl Fn(&M) -> (u64, u64)) -> Result<Option<Box<M>>, IpcError> {
-        while let Some(received) = self.subscriber.receive()? {
-            let Ok(message) = received else {
-                self.malformed += 1;
-                continue;
-            };
+        while let Some(message) = self.subscriber.receive()? {
             if std::mem::replace(&mut self.newest, key(&message)) != key(&message) {
                 return Ok(Some(Box::new(message)));
             }
@@ -162,15 +159,14 @@ pub struct Forecast(pub(crate) Box<ForecastV1>);
 impl Forecast {
     /// The rooms' ids, in the map's order.
     pub fn rooms(&self) -> impl Iterator<Item = &str> {
-        (0..self.0.room_count as usize).filter_map(|index| Some(self.0.room(index)?.0))
+        self.0.rooms().map(|(room, _)| room)
     }
 
     /// The probability that people are in `room` after the time `ahead` from now; `None` if the map has no such room. The forecast's age
     /// counts. Between two horizons the probability is interpolated. After the last horizon it stays the same.
     #[must_use]
     pub fn occupied(&self, room: &str, ahead: Duration) -> Option<f64> {
-        let (_, row) =
-            (0..self.0.room_count as usize).filter_map(|index| self.0.room(index)).find(|(id, _)| *id == room)?;
+        let (_, row) = self.0.rooms().find(|(id, _)| *id == room)?;
         Some(self.at(row, self.age() + ahead))
     }
 
@@ -194,17 +190,7 @@ impl Forecast {
 
     /// A row of probabilities at a time since the forecast was computed.
     fn at(&self, row: &[f32], since: Duration) -> f64 {
-        let horizons = self.0.horizon_s.iter().zip(row).take(self.0.horizon_count as usize);
-        let mut before: Option<(f64, f64)> = None;
-        for (horizon_s, probability) in horizons.map(|(at, p)| (f64::from(*at), f64::from(*p))) {
-            if horizon_s >= since.as_secs_f64() {
-                let Some((from_s, from)) = before else { return probability };
-                let share = (since.as_secs_f64() - from_s) / (horizon_s - from_s).max(f64::MIN_POSITIVE);
-                return from + share * (probability - from);
-            }
-            before = Some((horizon_s, probability));
-        }
-        before.map_or(0.0, |(_, last)| last)
+        probability_at(self.0.horizons_s(), row, since.as_secs_f64())
     }
 }
 

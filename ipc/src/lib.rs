@@ -109,6 +109,7 @@ mod planner;
 mod port;
 pub mod question;
 mod robot;
+mod sensor;
 pub mod sequence;
 pub mod text;
 mod unused;
@@ -126,11 +127,14 @@ pub mod raw {
         NARRATION_TEXT_BYTES, NO_PARTITION, NOTE_TEXT_BYTES, NarrationV1, PersonForecastV1, PersonForecastsV1,
         PersonScoresV1, PersonV1, REASON_TEXT_BYTES, RobotReportV1, RoomScoresV1, RoomV1, ServiceQuality,
         StatusRequestV1, StatusResponseV1, action, decision_flags, forecast_flags, narration_kind, person_flags,
-        presence, reached, report_flags, report_kind, score_flags,
+        presence, probability_at, reached, report_flags, report_kind, score_flags,
     };
 }
 
-pub use ask::{ChangedMap, KnownPerson, LearnedHabits, Moment, PersonHabits, Understood, UnderstoodPerson};
+pub use ask::{
+    ChangedMap, IncludedEvent, KnownPerson, LabelScore, LearnedHabits, MapBox, MapChange, Moment, PersonHabits,
+    PersonLabels, ReadSentence, TokenScore, Understood, UnderstoodPerson,
+};
 pub use error::IpcError as Error;
 pub use follow::{Decision, Decisions, Forecast, Forecasts, RoomScores, Scores};
 pub use narrator::{Narrator, Said, UNDER_WAY_MAX};
@@ -143,6 +147,7 @@ pub use question::{AnswerPort, QuestionPort};
 #[doc(hidden)]
 pub use raw::*;
 pub use robot::{Report, Robot};
+pub use sensor::{SENSOR_ID_BYTES_MAX, Sensor, SensorKind};
 pub use who::Who;
 pub use words::{Action, NarrationKind, Presence, Reached, ReportKind};
 

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use crate::ask::{self, Understood};
 use crate::raw::{Message, NarrationV1, RoomScoresV1, narration_kind};
-use crate::{Domain, IpcError, Node, Publisher, Subscriber, Who, clock, question, sequence, text};
+use crate::{Domain, IpcError, Node, Publisher, Sensor, Subscriber, Who, clock, question, sequence, text};
 
 /// Events that may be under way to the daemon: as many as the service keeps for a daemon that restarts.
 pub const UNDER_WAY_MAX: u64 = NarrationV1::SERVICE.history as u64;
@@ -207,6 +207,15 @@ impl Narrator {
         self.send(narration_kind::PRESENCE, &text, &Who::Somebody, 0)
     }
 
+    /// The state of a sensor. `owner` is the owner of a bed or a phone, [`Who::Somebody`] for other sensors.
+    ///
+    /// # Errors
+    ///
+    /// As [`Narrator::did`].
+    pub fn sensor(&mut self, owner: impl Into<Who>, sensor: &Sensor<'_>) -> Result<Said<'_>, IpcError> {
+        self.send(narration_kind::PRESENCE, &sensor.text()?, &owner.into(), 0)
+    }
+
     fn room(room: &str) -> Result<&str, IpcError> {
         let room = room.trim();
         match room.chars().any(char::is_alphanumeric) {
@@ -237,7 +246,7 @@ impl Narrator {
             source_name: text::encode_cut(&self.name),
             ..message
         };
-        let receivers = self.publisher.deliver(&message)?;
+        let receivers = self.publisher.send(&message)?;
         self.sequence += 1;
         Ok(Said { narrator: self, receivers })
     }
@@ -261,7 +270,7 @@ impl Narrator {
     ///
     /// [`IpcError::NoAnswer`] without a daemon, [`IpcError::Answer`] for an answer of another version, [`IpcError::Port`].
     pub fn understood(&self, first: u64, timeout: Duration) -> Result<Vec<Understood>, IpcError> {
-        let asked = serde_json::json!({"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first});
+        let asked = ask::PersonQuestion::Understood { source: self.source, epoch: self.epoch, from: first };
         let answer: ask::PersonAnswer = ask::ask(&self.node, question::PERSON, &asked, timeout)?;
         Ok(answer.understood)
     }
@@ -305,8 +314,7 @@ impl Narrator {
 
     /// Takes note of what the newest scores contain.
     fn look(&mut self) -> Result<(), IpcError> {
-        while let Some(received) = self.scores.receive()? {
-            let Ok(scores) = received else { continue };
+        while let Some(scores) = self.scores.receive()? {
             let own =
                 |included: &&crate::raw::IncludedV1| (included.source, included.epoch) == (self.source, self.epoch);
             if let Some(included) = scores.included().iter().find(own) {

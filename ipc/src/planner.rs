@@ -177,7 +177,7 @@ impl Planner {
             reason: text::encode_cut(order.reason),
             ..DecisionV1::default()
         };
-        let receivers = self.publisher.deliver(&message)?;
+        let receivers = self.publisher.send(&message)?;
         self.sequence += 1;
         order.room.clone_into(&mut self.room);
         self.paused = action == Action::Pause;

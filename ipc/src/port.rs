@@ -133,23 +133,14 @@ impl<M: Message> Publisher<M> {
         Ok(Self { publisher, factory, notifier, known: Cell::new(0), connections })
     }
 
-    /// Sends a copy and wakes the subscribers.
+    /// Sends a copy and wakes the subscribers. Returns the number of subscribers that received the message: 0 if no process listens.
     ///
     /// # Errors
     ///
     /// [`IpcError::Refused`] when the message is malformed; [`IpcError::Port`] when iceoryx2 cannot deliver.
-    pub fn send(&self, message: &M) -> Result<(), IpcError> {
-        self.deliver(message).map(|_receivers| ())
-    }
-
-    /// As [`Publisher::send`]. Returns the number of subscribers that received the message: 0 if no process listens.
-    ///
-    /// # Errors
-    ///
-    /// As [`Publisher::send`].
-    pub fn deliver(&self, message: &M) -> Result<usize, IpcError> {
+    pub fn send(&self, message: &M) -> Result<usize, IpcError> {
         message.check().map_err(|source| IpcError::Refused { service: M::SERVICE.name, source })?;
-        self.put(message)
+        self.send_unchecked(message)
     }
 
     /// As [`Publisher::send`] without the check: for tests of what receivers do with malformed messages.
@@ -157,11 +148,7 @@ impl<M: Message> Publisher<M> {
     /// # Errors
     ///
     /// [`IpcError::Port`].
-    pub fn send_unchecked(&self, message: &M) -> Result<(), IpcError> {
-        self.put(message).map(|_receivers| ())
-    }
-
-    fn put(&self, message: &M) -> Result<usize, IpcError> {
+    pub fn send_unchecked(&self, message: &M) -> Result<usize, IpcError> {
         let sample = self.publisher.loan_uninit().map_err(|error| port(M::SERVICE.name, "send", &error))?;
         let receivers = sample.write_payload(*message).send().map_err(|error| port(M::SERVICE.name, "send", &error))?;
         self.wake();
@@ -233,12 +220,10 @@ pub struct Subscriber<M: Message> {
     woken: Cell<bool>,
     /// How much of what was said before it gets.
     history: usize,
+    malformed: Cell<u64>,
 }
 
-/// What a [`Subscriber`] took: a good message, or why it was dropped.
-pub type Received<M> = Result<M, MessageError>;
-
-/// Whether a message that was copied is good, or why it was dropped, and the port that it came by.
+/// Whether a message that was copied is good, or why it is malformed, and the port that it came by.
 pub type Judged = (Result<(), MessageError>, Sender);
 
 /// The port that a message came by: another one for every publisher that was ever opened in a domain, and so for every process. It tells
@@ -294,7 +279,8 @@ impl<M: Message> Subscriber<M> {
         })?;
         wake(waker(node, quality.name).as_ref());
         let (subscriber, former) = (RefCell::new(subscriber), RefCell::new(None));
-        Ok(Self { subscriber, former, connections, factory, listener, woken: Cell::new(false), history })
+        let (woken, malformed) = (Cell::new(false), Cell::new(0));
+        Ok(Self { subscriber, former, connections, factory, listener, woken, history, malformed })
     }
 
     /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
@@ -325,7 +311,8 @@ impl<M: Message> Subscriber<M> {
         self.subscriber.borrow().has_samples().map_err(|error| port(M::SERVICE.name, "wait", &error))
     }
 
-    /// Takes the oldest message that waits, if any: a good one, or why it was dropped.
+    /// Takes the oldest message that waits, `None` if no message waits. Malformed messages are dropped and counted:
+    /// [`Subscriber::malformed`].
     ///
     /// # Errors
     ///
@@ -334,7 +321,7 @@ impl<M: Message> Subscriber<M> {
     /// ```
     /// # let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp")?;
     /// # let domain = roomcast_ipc::Domain::new(root.path(), &format!("doc-{}", std::process::id()))?;
-    /// use roomcast_ipc::{NarrationV1, narration_kind};
+    /// use roomcast_ipc::raw::{NarrationV1, narration_kind};
     ///
     /// let node = domain.open("both-ends")?;
     /// let subscriber = node.subscriber::<NarrationV1>()?;
@@ -345,22 +332,35 @@ impl<M: Message> Subscriber<M> {
     /// # domain.clean_up()?;
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    pub fn receive(&self) -> Result<Option<Received<M>>, IpcError> {
+    pub fn receive(&self) -> Result<Option<M>, IpcError> {
         let mut message = M::default();
-        Ok(self.receive_into(&mut message)?.map(|checked| checked.map(|()| message)))
+        Ok(self.receive_into(&mut message)?.then_some(message))
     }
 
-    /// As [`Subscriber::receive`], into memory of the caller's: a loop that uses the same for every message spares copies of some
-    /// thousand bytes. Of a message that was dropped nothing may be believed.
+    /// As [`Subscriber::receive`], into memory of the caller: a loop that uses the same memory for every message spares copies of some
+    /// thousand bytes. Returns whether there was a message. If not, the memory may hold a malformed message.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
-    pub fn receive_into(&self, message: &mut M) -> Result<Option<Result<(), MessageError>>, IpcError> {
-        Ok(self.receive_from(message)?.map(|(checked, _)| checked))
+    pub fn receive_into(&self, message: &mut M) -> Result<bool, IpcError> {
+        while let Some((checked, _)) = self.receive_from(message)? {
+            if checked.is_ok() {
+                return Ok(true);
+            }
+            self.malformed.set(self.malformed.get() + 1);
+        }
+        Ok(false)
     }
 
-    /// As [`Subscriber::receive_into`], with the port that the message came by.
+    /// Malformed messages that [`Subscriber::receive`], [`Subscriber::receive_into`] and [`Subscriber::newest`] have dropped.
+    #[must_use]
+    pub fn malformed(&self) -> u64 {
+        self.malformed.get()
+    }
+
+    /// Takes the oldest message that waits, malformed or not, with the port that it came by. No field of a malformed message may be
+    /// believed.
     ///
     /// # Errors
     ///
@@ -412,7 +412,7 @@ impl<M: Message> Subscriber<M> {
     pub fn newest(&self) -> Result<Option<M>, IpcError> {
         let mut newest = None;
         while let Some(received) = self.receive()? {
-            newest = received.ok().or(newest);
+            newest = Some(received);
         }
         Ok(newest)
     }
@@ -1136,7 +1136,7 @@ mod tests {
         publisher.send(&report(most + 1)).unwrap();
         let mut heard = Vec::new();
         while let Some(received) = subscriber.receive().unwrap() {
-            let sequence = received.unwrap().sequence;
+            let sequence = received.sequence;
             if !heard.contains(&sequence) {
                 heard.push(sequence);
             }

@@ -194,7 +194,7 @@ impl Robot {
             note: text::encode_cut(report.note),
             ..RobotReportV1::default()
         };
-        let receivers = self.publisher.deliver(&message)?;
+        let receivers = self.publisher.send(&message)?;
         self.sequence += 1;
         Ok(receivers)
     }

@@ -48,7 +48,7 @@ fn confirm(node: &Node, stop: &AtomicBool) -> Vec<NarrationV1> {
     let start = Instant::now();
     while !stop.load(Ordering::Relaxed) && start.elapsed() < PATIENCE {
         heard.wait(Duration::from_millis(20)).unwrap();
-        while let Some(Ok(narration)) = heard.receive().unwrap() {
+        while let Some(narration) = heard.receive().unwrap() {
             all.push(narration);
             let mut message =
                 RoomScoresV1 { epoch: 9, sequence: all.len() as u64, room_count: 1, ..Default::default() };
@@ -115,7 +115,7 @@ fn a_planners_decision_reaches_its_robot_and_the_report_names_the_decision() {
     let mut robot = private.domain.robot("robot").unwrap();
     let mut other = private.domain.robot("other-robot").unwrap();
 
-    assert_eq!(forecasts.deliver(&forecast(1, 0.75)).unwrap(), 1);
+    assert_eq!(forecasts.send(&forecast(1, 0.75)).unwrap(), 1);
     let seen = planner.next_forecast(PATIENCE).unwrap().unwrap();
     assert_eq!(seen.occupied("kitchen", Duration::ZERO), Some(0.75));
     let unknown = planner.decide("cellar", "it is quiet").unwrap_err();
@@ -129,7 +129,7 @@ fn a_planners_decision_reaches_its_robot_and_the_report_names_the_decision() {
 
     robot.started().unwrap();
     robot.failed("the door is closed").unwrap();
-    let (_, failed) = (reports.receive().unwrap().unwrap().unwrap(), reports.receive().unwrap().unwrap().unwrap());
+    let (_, failed) = (reports.receive().unwrap().unwrap(), reports.receive().unwrap().unwrap());
     assert_eq!((failed.kind, failed.room(), failed.note()), (report_kind::FAILED, "hall", "the door is closed"));
     assert_eq!((failed.decision_sequence, failed.sequence), (1, 2));
 

@@ -80,7 +80,7 @@ fn a_narration_arrives_and_wakes() {
         subscriber.wait(Duration::from_secs(5)).unwrap();
         subscriber.receive().unwrap()
     });
-    assert_eq!(message.unwrap().text(), "They grab the mug.");
+    assert_eq!(message.text(), "They grab the mug.");
     read.send(()).unwrap();
     thread.join().unwrap();
 }
@@ -103,7 +103,7 @@ fn of_many_messages_each_wakes_whoever_waits_for_it() {
         while next <= MESSAGES + 1 {
             assert!(heard.wait(Duration::MAX).unwrap(), "nothing ends a wait without an end");
             while let Some(message) = heard.receive().unwrap() {
-                assert_eq!(message.unwrap().sequence, next);
+                assert_eq!(message.sequence, next);
                 answer.send(&scores(next)).unwrap();
                 next += 1;
             }
@@ -147,9 +147,8 @@ fn whoever_listens_from_now_gets_no_history() {
         (others.subscriber::<NarrationV1>().unwrap(), others.subscriber_from_now::<NarrationV1>().unwrap());
     publisher.tick().unwrap();
     publisher.send(&narration(2, "after")).unwrap();
-    let sequence = |subscriber: &roomcast_ipc::Subscriber<NarrationV1>| {
-        eventually(|| subscriber.receive().unwrap()).unwrap().sequence
-    };
+    let sequence =
+        |subscriber: &roomcast_ipc::Subscriber<NarrationV1>| eventually(|| subscriber.receive().unwrap()).sequence;
     assert_eq!([sequence(&late), sequence(&late), sequence(&from_now)], [1, 2, 2]);
     assert!(from_now.receive().unwrap().is_none());
 }
@@ -177,9 +176,25 @@ fn a_hostile_message_is_reported_and_the_next_one_is_good() {
     publisher.send_unchecked(&hostile).unwrap();
     publisher.send_unchecked(&NarrationV1 { text_bytes: u32::MAX, ..narration(2, "x") }).unwrap();
     publisher.send(&narration(3, "They sit on the sofa.")).unwrap();
-    assert!(matches!(subscriber.receive().unwrap(), Some(Err(MessageError::NotUtf8 { at: 0, .. }))));
-    assert!(matches!(subscriber.receive().unwrap(), Some(Err(MessageError::OutOfRange { .. }))));
-    assert_eq!(subscriber.receive().unwrap().unwrap().unwrap().sequence, 3);
+    let mut message = NarrationV1::default();
+    let mut judged = || subscriber.receive_from(&mut message).unwrap().unwrap().0;
+    assert!(matches!(judged(), Err(MessageError::NotUtf8 { at: 0, .. })));
+    assert!(matches!(judged(), Err(MessageError::OutOfRange { .. })));
+    assert_eq!((judged(), message.sequence), (Ok(()), 3));
+}
+
+#[test]
+fn receive_drops_malformed_messages_and_counts_them() {
+    let private = Private::new("drops");
+    let node = private.domain.open("both").unwrap();
+    let subscriber = node.subscriber::<NarrationV1>().unwrap();
+    let publisher = node.publisher::<NarrationV1>().unwrap();
+    publisher.send_unchecked(&NarrationV1 { text_bytes: u32::MAX, ..narration(1, "x") }).unwrap();
+    publisher.send(&narration(2, "They sit on the sofa.")).unwrap();
+    publisher.send_unchecked(&NarrationV1 { text: [0xff; 1024], text_bytes: 1024, ..narration(3, "x") }).unwrap();
+    assert_eq!(subscriber.receive().unwrap().map(|message| message.sequence), Some(2));
+    assert_eq!(subscriber.receive().unwrap(), None);
+    assert_eq!(subscriber.malformed(), 2);
 }
 
 #[test]

@@ -8,9 +8,10 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::ids::BootNs;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, fmt};
 
 /// The environment variable with the filter, for instance `roomcast=debug`.
 const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
@@ -33,11 +34,11 @@ pub struct Log {
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
     let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
-    let (given, refused) = match wanted.map(EnvFilter::try_new).transpose() {
+    let (given, refused) = match wanted.map(|wanted| wanted.parse::<Targets>()).transpose() {
         Ok(given) => (given, None),
         Err(error) => (None, Some(error)),
     };
-    let filter = given.unwrap_or_else(|| EnvFilter::new(FILTER_DEFAULT));
+    let filter = given.or_else(|| FILTER_DEFAULT.parse().ok()).unwrap_or_default();
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
     // An error says that somebody else has set up logging already, a test for instance.
@@ -172,6 +173,16 @@ impl Limiter {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_default_filter_is_read_and_a_misspelt_level_is_refused() {
+        let default: Targets = FILTER_DEFAULT.parse().unwrap();
+        assert!(default.would_enable("roomcast_services::daemon", &tracing::Level::INFO));
+        assert!(!default.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
+        assert!(!default.would_enable("llama-cpp-2", &tracing::Level::INFO));
+        assert!(!default.would_enable("rumqttc::state", &tracing::Level::WARN));
+        assert!("info,roomcast=loud".parse::<Targets>().is_err());
+    }
 
     #[test]
     fn the_writer_ends_when_its_lines_are_written_and_later_lines_are_lost_without_a_wait() {

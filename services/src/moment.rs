@@ -202,14 +202,15 @@ impl Moment {
         let texts = pipeline.grounding().label_texts();
         let log_probs_nats = &pipeline.scores().label_log_prob_nats;
         let labels = texts.iter().zip(log_probs_nats).enumerate().map(|(index, (text, &log_prob_nats))| {
-            let pieces = pipeline.prepared().tokens()[index].iter().map(|&token| pipeline.token_text(token));
-            let own = pipeline.token_log_prob_nats(index).unwrap_or_default();
+            let pieces =
+                pipeline.inside().prepared().tokens()[index].iter().map(|&token| pipeline.inside().token_text(token));
+            let own = pipeline.inside().token_log_prob_nats(index).unwrap_or_default();
             let tokens = pieces.zip(own).map(|(piece, log_prob_nats)| TokenReason { piece, log_prob_nats });
             LabelScore {
                 label: (*text).to_owned(),
                 log_prob_nats: log_prob_nats.is_finite().then_some(log_prob_nats),
                 tokens: tokens.collect(),
-                prior_nats: pipeline.prior_nats(index),
+                prior_nats: pipeline.inside().prior_nats(index),
             }
         });
         let own_labels = |own: PersonScores<'_>| PersonLabels {
@@ -219,27 +220,27 @@ impl Moment {
                     label: (*text).to_owned(),
                     log_prob_nats: log_prob_nats.is_finite().then_some(log_prob_nats),
                     tokens: Vec::new(),
-                    prior_nats: pipeline.prior_nats_of_person(own.person, index),
+                    prior_nats: pipeline.inside().prior_nats_of_person(own.person, index),
                 })
                 .collect(),
         };
         let at_home = || pipeline.persons().filter(|own| own.at_home);
         let several = at_home().count() > 1;
         let persons = at_home().filter(|_| several).map(own_labels).collect();
-        let narration = pipeline.read_sentences();
+        let narration = pipeline.inside().read_sentences();
         Self {
             version: VERSION,
             epoch: snapshot.map_or_else(String::new, |snapshot| format!("{:016x}", snapshot.epoch)),
             sequence: snapshot.map_or(0, |snapshot| snapshot.sequence),
             computed_unix_ns: snapshot.map_or(UnixNs(0), |snapshot| UnixNs(snapshot.computed_unix_ns)),
-            model: pipeline.model().name.clone(),
-            model_fingerprint: hex::encode(pipeline.model().fingerprint),
+            model: pipeline.inside().model().name.clone(),
+            model_fingerprint: hex::encode(pipeline.inside().model().fingerprint),
             map_fingerprint: hex::encode(map.fingerprint()),
             grounding: *grounding,
-            binding_name: pipeline.options().binding.name().to_owned(),
-            binding: pipeline.options().binding.text().to_owned(),
-            tokenisation: pipeline.prepared().tokenisation(),
-            correction: pipeline.prepared().correction(),
+            binding_name: pipeline.inside().options().binding.name().to_owned(),
+            binding: pipeline.inside().options().binding.text().to_owned(),
+            tokenisation: pipeline.inside().prepared().tokenisation(),
+            correction: pipeline.inside().prepared().correction(),
             narration: narration.map(|(person, text)| ReadSentence { person, text: text.to_owned() }).collect(),
             included: (pipeline.scores().included.iter())
                 .map(|included| IncludedSource {

@@ -28,7 +28,7 @@ use crate::participant::join;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
-use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::narration::Program;
 use roomcast_core::text::odd_name;
 
@@ -376,7 +376,8 @@ impl Narrator {
         let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
         let message = message.map_err(|source| IpcError::Refused { service: NarrationV1::SERVICE.name, source })?;
         self.throttle.sent();
-        self.narration.send(&message)
+        self.narration.send(&message)?;
+        Ok(())
     }
 
     /// Sleeps up to `timeout` for a confirmation.
@@ -384,10 +385,8 @@ impl Narrator {
         self.narration.tick()?;
         notify(&[NotifyState::Watchdog]);
         self.scores.wait(timeout.min(TICK))?;
-        while let Some(received) = self.scores.receive()? {
-            if let Ok(scores) = received {
-                self.account.confirm(&scores);
-            }
+        while let Some(scores) = self.scores.receive()? {
+            self.account.confirm(&scores);
         }
         self.settle();
         Ok(())
@@ -565,6 +564,7 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::ids::PersonId;
     use roomcast_ipc::Sender;
 
     use super::*;
@@ -707,7 +707,6 @@ mod tests {
         while newest.is_none_or(|newest| newest.sequence < UNDER_WAY + 8) {
             heard.wait(TICK).unwrap();
             while let Some(narration) = heard.receive().unwrap() {
-                let narration = narration.unwrap();
                 assert!(narration.observed_ns > 0 && narration.sequence > newest.map_or(0, |newest| newest.sequence));
                 let wall_ns =
                     clock::unix_ns().saturating_sub(clock::monotonic_ns().since(BootNs(narration.observed_ns)));

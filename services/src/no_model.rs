@@ -59,10 +59,6 @@ impl LanguageModel for NoModel {
         "(word)".into()
     }
 
-    fn forget(&mut self) {}
-
-    fn tidy(&mut self, _keep: usize) {}
-
     fn decode(
         &mut self,
         _prompt: &[Token],

@@ -1,6 +1,5 @@
 //! Messages from a port, one after the other; what is malformed is logged.
 
-use roomcast_core::ids::BootNs;
 use roomcast_ipc::{IpcError, Message, Subscriber};
 
 use crate::clock;
@@ -11,7 +10,7 @@ use crate::logging::Limiter;
 /// # Errors
 /// [`IpcError::Port`] when the port fails.
 pub fn receive<M: Message>(port: &Subscriber<M>, message: &mut M, log: &mut Limiter) -> Result<bool, IpcError> {
-    while let Some(checked) = port.receive_into(message)? {
+    while let Some((checked, _)) = port.receive_from(message)? {
         let Err(error) = checked else { return Ok(true) };
         if let Some(not_told) = log.pass(clock::monotonic_ns()) {
             tracing::warn!(%error, not_told, service = M::SERVICE.name, "malformed message");

@@ -331,8 +331,7 @@ impl<'a> Show<'a> {
 
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {
         self.scores.wait(timeout)?;
-        while let Some(received) = self.scores.receive()? {
-            let Ok(scores) = received else { continue };
+        while let Some(scores) = self.scores.receive()? {
             // The items' scores follow their rooms' within moments.
             let start = Instant::now();
             while !scores.has(score_flags::HEARTBEAT) && start.elapsed() < ITEMS_WITHIN {
@@ -356,22 +355,19 @@ impl<'a> Show<'a> {
 
     /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
     fn hear(&mut self) -> Result<(), IpcError> {
-        while let Some(received) = self.reports.receive()? {
-            let Ok(report) = received else { continue };
+        while let Some(report) = self.reports.receive()? {
             if report.kind == report_kind::FINISHED {
                 self.finished.push_back((report.decision_sequence, report.reported_ns));
             }
         }
-        while let Some(received) = self.decisions.receive()? {
-            let Ok(decision) = received else { continue };
+        while let Some(decision) = self.decisions.receive()? {
             self.begin_ns.get_or_insert(BootNs(decision.decided_ns));
             // What comes behind the person's time is no part of the show.
             if self.at_s(BootNs(decision.decided_ns)) < self.timeline.len() {
                 self.untold.push_back(decision);
             }
         }
-        while let Some(received) = self.narration.receive()? {
-            let Ok(narration) = received else { continue };
+        while let Some(narration) = self.narration.receive()? {
             self.sentences.push_back((narration.observed_ns, narration.text().to_owned()));
         }
         Ok(())

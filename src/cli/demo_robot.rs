@@ -64,8 +64,7 @@ fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), S
     while stopped.try_recv() == Err(TryRecvError::Empty) {
         let left = work.map(|(_, ends_ns)| Duration::from_nanos(ends_ns.since(clock::monotonic_ns())));
         decisions.wait(left.map_or(TICK, |left| left.min(TICK))).map_err(ipc)?;
-        while let Some(received) = decisions.receive().map_err(ipc)? {
-            let Ok(decision) = received else { continue };
+        while let Some(decision) = decisions.receive().map_err(ipc)? {
             work = (decision.action == action::GO)
                 .then(|| (decision.sequence, BootNs(decision.decided_ns).saturating_add(stay_ns)));
             if work.is_some() {
@@ -83,5 +82,6 @@ fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), S
 fn say(reporter: &mut Reporter, reports: &Publisher<RobotReportV1>, kind: Kind, decision: u64) -> Result<(), String> {
     let report = Report { decision: Some(decision), ..Report::new(kind) };
     let message = reporter.message(&report, clock::monotonic_ns(), clock::unix_ns());
-    reports.send(&message.map_err(|error| error.to_string())?).map_err(|error| error.to_string())
+    reports.send(&message.map_err(|error| error.to_string())?).map_err(|error| error.to_string())?;
+    Ok(())
 }

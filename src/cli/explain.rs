@@ -9,6 +9,7 @@ use roomcast_ipc::question;
 
 use super::{CommandResult, Failure, count, draw, ranges, record, score, service};
 use crate::exit_code;
+use crate::reasons::{called, why_text};
 use roomcast_core::explanation::{Explanation, PartitionReason};
 use roomcast_core::grounding::Grounding;
 use roomcast_core::ids::{BootNs, PersonId};
@@ -18,7 +19,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UnderstoodPerson, Whereabouts};
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, Whereabouts};
 use roomcast_services::moment::{Explained, Moment};
 use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
@@ -200,19 +201,12 @@ fn whereabouts(args: &Args, who: &str) -> CommandResult {
 
 /// A belief about a person in words.
 fn told(found: &Whereabouts) -> String {
-    let called = |person: &UnderstoodPerson| person.name.clone().unwrap_or_else(|| format!("person {}", person.person));
     let name = called(&found.person);
     let mut text = String::new();
     for place in &found.places {
         let _ = writeln!(text, "{name} {}: {:.0} %", place.place, 100.0 * place.probability);
         for why in &place.why {
-            let what = why.sensor.as_deref().unwrap_or(&why.what);
-            let whose = match &why.or {
-                Some(other) => format!(", could be {name} or {}", called(other)),
-                None => String::new(),
-            };
-            let side = if why.log_odds < 0.0 { "against" } else { "for" };
-            let _ = writeln!(text, "    {what}, {:.0} s ago{whose}: {} {side}", why.ago_s, why.weight);
+            let _ = writeln!(text, "    {}", why_text(&name, why));
         }
     }
     let _ = writeln!(text, "house empty: {:.0} %", 100.0 * found.house_empty);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
-use roomcast_core::ids::{BootNs, UnixNs};
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, Subscriber, limits, question, score_flags,
@@ -272,7 +272,6 @@ pub fn run(args: &Args) -> CommandResult {
     let (mut map, mut log) = (MapAsked::default(), Limiter::new(COMPLAINT_NS));
     let mut known = Known::default();
     let (started, mut flushed) = (Instant::now(), Instant::now());
-    let mut malformed = 0;
     let mut is_silent = true;
     let interrupted = loop {
         // What came before the end is still recorded.
@@ -280,13 +279,13 @@ pub fn run(args: &Args) -> CommandResult {
         let ends = stop.requested() || is_over == Some(true);
         // In the order of the flow: what scores contain stands before them.
         let mut news = Vec::new();
-        take(&narration, &mut news, &mut malformed, |message| Recorded::Narration(Box::new(message)))?;
-        take(&scores, &mut news, &mut malformed, |message| Recorded::RoomScores(Box::new(message)))?;
-        take(&persons, &mut news, &mut malformed, |message| Recorded::PersonScores(Box::new(message)))?;
-        take(&forecast, &mut news, &mut malformed, |message| Recorded::Forecast(Box::new(message)))?;
-        take(&forecasts, &mut news, &mut malformed, |message| Recorded::PersonForecasts(Box::new(message)))?;
-        take(&decisions, &mut news, &mut malformed, |message| Recorded::Decision(Box::new(message)))?;
-        take(&reports, &mut news, &mut malformed, |message| Recorded::RobotReport(Box::new(message)))?;
+        take(&narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
+        take(&scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
+        take(&persons, &mut news, |message| Recorded::PersonScores(Box::new(message)))?;
+        take(&forecast, &mut news, |message| Recorded::Forecast(Box::new(message)))?;
+        take(&forecasts, &mut news, |message| Recorded::PersonForecasts(Box::new(message)))?;
+        take(&decisions, &mut news, |message| Recorded::Decision(Box::new(message)))?;
+        take(&reports, &mut news, |message| Recorded::RobotReport(Box::new(message)))?;
         let received = Received { unix_ns: clock::unix_ns(), monotonic_ns: clock::monotonic_ns() };
         is_silent &= !news.iter().any(|message| matches!(message, Recorded::RoomScores(_)));
         if is_silent && started.elapsed() >= SILENCE {
@@ -334,6 +333,16 @@ pub fn run(args: &Args) -> CommandResult {
         }
     };
     let written = recorder.finish().map_err(output)?;
+    let malformed = [
+        narration.malformed(),
+        scores.malformed(),
+        persons.malformed(),
+        forecast.malformed(),
+        forecasts.malformed(),
+        decisions.malformed(),
+        reports.malformed(),
+    ];
+    let malformed: u64 = malformed.iter().sum();
     let told = format!("{written} messages in {}; {malformed} malformed ones left out", args.file.display());
     if interrupted {
         return Err(service::interrupted(&told));
@@ -345,14 +354,10 @@ pub fn run(args: &Args) -> CommandResult {
 fn take<M: Message>(
     subscriber: &Subscriber<M>,
     news: &mut Vec<Recorded>,
-    malformed: &mut u64,
     wrap: impl Fn(M) -> Recorded,
 ) -> CommandResult {
-    while let Some(received) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
-        match received {
-            Ok(message) => news.push(wrap(message)),
-            Err(_) => *malformed += 1,
-        }
+    while let Some(message) = subscriber.receive().map_err(|error| Failure::new(exit_code::IPC, error))? {
+        news.push(wrap(message));
     }
     Ok(())
 }

@@ -74,7 +74,7 @@ impl Publishers {
 
     /// Sends a message if it is among those to be replayed.
     fn send(&self, message: &Recorded) -> Result<bool, IpcError> {
-        match (message, &self.others) {
+        let _receivers = match (message, &self.others) {
             (Recorded::Narration(message), _) => self.narration.send(message)?,
             (Recorded::RoomScores(message), Some(others)) => others.scores.send(message)?,
             (Recorded::PersonScores(message), Some(others)) => others.persons.send(message)?,
@@ -83,7 +83,7 @@ impl Publishers {
             (Recorded::Decision(message), Some(others)) => others.decisions.send(message)?,
             (Recorded::RobotReport(message), Some(others)) => others.reports.send(message)?,
             _ => return Ok(false),
-        }
+        };
         Ok(true)
     }
 

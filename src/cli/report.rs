@@ -386,11 +386,8 @@ fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
     // The planner has to notice that somebody listens before it gives what it decided last.
     let until = Instant::now() + NOTICED_WITHIN;
     loop {
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received
-                && PLANNER.robot_of(planner) == Some(decision.robot)
-                && !decision.robot_name().is_empty()
-            {
+        while let Some(decision) = decisions.receive()? {
+            if PLANNER.robot_of(planner) == Some(decision.robot) && !decision.robot_name().is_empty() {
                 return Ok(Some(decision.robot_name().to_owned()));
             }
         }

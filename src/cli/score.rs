@@ -195,14 +195,14 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
 
 /// Everything that the scores consist of; other programs rely on these keys.
 pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap) -> serde_json::Value {
-    let (scores, grounding, prepared) = (pipeline.scores(), pipeline.grounding(), pipeline.prepared());
+    let (scores, grounding, prepared) = (pipeline.scores(), pipeline.grounding(), pipeline.inside().prepared());
     let partition_id = |p: Option<PartitionId>| p.map(|p| grounding.partitions()[p.0 as usize].id.as_str());
     let labels: Vec<_> = (grounding.scored_labels().iter().zip(&scores.label_log_prob_nats).zip(prepared.tokens()))
         .map(|((label, log_prob_nats), tokens)| {
             json!({
                 "label": label.text, "items": label.items.len(), "rooms": label.rooms.len(), "count": label.count,
                 "log_prob_nats": log_prob_nats, "tokens": tokens,
-                "pieces": tokens.iter().map(|&t| pipeline.token_text(t)).collect::<Vec<_>>(),
+                "pieces": tokens.iter().map(|&t| pipeline.inside().token_text(t)).collect::<Vec<_>>(),
             })
         })
         .collect();
@@ -225,17 +225,17 @@ pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap
         })
         .collect();
     json!({
-        "model": pipeline.model(),
+        "model": pipeline.inside().model(),
         "scene": {
             "name": map.name(), "fingerprint": hex::encode(map.fingerprint()),
             "items": map.items().len(), "labels": map.labels().len(), "rooms": map.rooms().len(),
             "unassigned": grounding.unassigned().iter().map(|(item, _)| &map.items()[item.0 as usize].id).collect::<Vec<_>>(),
         },
-        "method": pipeline.options().method,
-        "effort": {"asked": pipeline.options().effort, "reached": scores.reached},
-        "tokenisation": pipeline.options().tokenisation,
+        "method": pipeline.inside().options().method,
+        "effort": {"asked": pipeline.inside().options().effort, "reached": scores.reached},
+        "tokenisation": pipeline.inside().options().tokenisation,
         "correction": prepared.correction(),
-        "binding": pipeline.options().binding.text(),
+        "binding": pipeline.inside().options().binding.text(),
         "prompt_tokens": scores.prompt_tokens,
         "labels": labels,
         "items": items,
@@ -271,8 +271,10 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
     order.sort_by(|&a, &b| scores.label_log_prob_nats[b].total_cmp(&scores.label_log_prob_nats[a]));
     for &index in order.iter().take(top) {
         let label = &grounding.scored_labels()[index];
-        let pieces: Vec<_> =
-            pipeline.prepared().tokens()[index].iter().map(|&t| format!("{:?}", pipeline.token_text(t))).collect();
+        let pieces: Vec<_> = pipeline.inside().prepared().tokens()[index]
+            .iter()
+            .map(|&t| format!("{:?}", pipeline.inside().token_text(t)))
+            .collect();
         table.add_row([
             label.text.clone(),
             format!("{:5.2} %", 100.0 * scores.label_log_prob_nats[index].exp()),
@@ -288,13 +290,13 @@ fn tables<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap, top: usiz
         count(grounding.scored_labels().len(), "label"),
         count(map.items().len(), "item"),
         map.name(),
-        pipeline.model().name,
+        pipeline.inside().model().name,
         100.0 * grounded.label_mass,
-        match pipeline.prepared().correction().continuation {
+        match pipeline.inside().prepared().correction().continuation {
             Continuation::Free => "is a label",
             Continuation::Labels => "begins as a label does",
         },
-        pipeline.prepared().correction(),
+        pipeline.inside().prepared().correction(),
     );
     let times = format!(
         "{}; {:.2} ms: tokenise {:.2}, prefix {:.2}, trie {:.2}, ground {:.3}.",

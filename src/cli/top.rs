@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, RoomScoresV1, Subscriber, narration_kind, sequence,
+    Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
+    PersonScoresV1, PersonV1, Presence, RoomScoresV1, Subscriber, narration_kind, sequence,
 };
 use roomcast_services::clock;
 use serde_json::{Value, json};
@@ -16,9 +16,9 @@ use super::{CommandResult, Failure, ranges, service};
 use crate::decided::{Decided, News};
 use crate::exit_code;
 use crate::flags::{decision_flag_names, forecast_flag_names, score_flag_names};
+use crate::reasons::Reasons;
 use crate::top::{POINT_NS, View, set_places};
-use roomcast_ipc::action::word as action_word;
-use roomcast_services::daemon::{flag_words, presence_word};
+use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
 
 /// Arguments of `roomcast top`.
@@ -96,6 +96,7 @@ fn screen(
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
+    let mut reasons = Reasons::new(&node).map_err(ipc)?;
     let mut view = View::of_robot(robot);
     let (mut point_ns, mut status_ns) = (BootNs(0), BootNs(0));
     let mut taken = None;
@@ -104,23 +105,15 @@ fn screen(
     while !stop.requested() {
         let now_ns = clock::monotonic_ns();
         if !view.paused {
-            while let Some(received) = narration.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.narration(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = narration.receive().map_err(ipc)? {
+                view.narration(&message);
             }
-            while let Some(received) = scores.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => {
-                        view.scores(&message);
-                        heard = Instant::now();
-                        let name = Some((message.epoch, message.sequence));
-                        count += u64::from(taken != name);
-                        taken = name;
-                    }
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = scores.receive().map_err(ipc)? {
+                view.scores(&message);
+                heard = Instant::now();
+                let name = Some((message.epoch, message.sequence));
+                count += u64::from(taken != name);
+                taken = name;
             }
             if let Some(message) = forecasts.newest().map_err(ipc)? {
                 view.forecasts(&message);
@@ -129,17 +122,16 @@ fn screen(
                 view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
+                view.reasons(reasons.refresh(message.persons().iter().map(|person| person.person)));
                 view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {
                 view.items(&message);
             }
-            while let Some(received) = decisions.receive().map_err(ipc)? {
-                match received {
-                    Ok(message) => view.decision(&message),
-                    Err(_) => view.malformed(),
-                }
+            while let Some(message) = decisions.receive().map_err(ipc)? {
+                view.decision(&message);
             }
+            view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
             if now_ns.since(status_ns) >= STATUS_NS {
                 // A daemon that is busy or gone does not hold up the view: its last answer stays.
                 if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
@@ -294,11 +286,13 @@ impl Others {
         self.persons = persons.newest()?.or(self.persons);
         self.forecast = forecast.newest()?.or(self.forecast);
         self.forecasts = forecasts.newest()?.or(self.forecasts);
-        while let Some(received) = narration.receive()? {
-            self.narration.extend(received.iter().map(narration_json));
+        while let Some(message) = narration.receive()? {
+            self.narration.push(narration_json(&message));
         }
-        while let Some(received) = decisions.receive()? {
-            self.decisions.extend(received.iter().filter(|told| self.decided.take(told) != News::None));
+        while let Some(message) = decisions.receive()? {
+            if self.decided.take(&message) != News::None {
+                self.decisions.push(message);
+            }
         }
         Ok(())
     }
@@ -344,7 +338,7 @@ fn persons_json(told: &PersonScoresV1) -> Value {
     let person = |person: &PersonV1| {
         let rooms = told.probabilities(person).map(|(id, p)| json!({"id": id, "probability": p}));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "since_ns": person.since_ns, "observed_ns": person.observed_ns, "elsewhere": person.elsewhere,
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "rooms": rooms.collect::<Vec<_>>(),
         })
@@ -369,7 +363,7 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
         let rooms = rooms.map(|(id, row)| json!({"id": id, "probability": row.get(..horizons)}));
         let sets = (0..horizons).map_while(|horizon| set_places(told, person, horizon));
         json!({
-            "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+            "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
             "flags": flag_words(person.flags).collect::<Vec<_>>(), "elsewhere": person.elsewhere.get(..horizons),
             "rooms": rooms.collect::<Vec<_>>(),
             "set_coverage": person.set_coverage, "sets": sets.collect::<Vec<_>>(),
@@ -422,7 +416,7 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
         rooms.filter(|(room, _)| told.covered >> room & 1 == 1).map(|(_, room)| room.id()).collect::<Vec<_>>()
     });
     json!({
-        "robot_name": name, "action_name": action_word(told.action), "covered": covered,
+        "robot_name": name, "action_name": Action::of(told.action).word(), "covered": covered,
         "robot": format!("{:016x}", told.robot), "sequence": told.sequence, "action": told.action, "from": given(told.from()),
         "to": given(told.to()), "probability": told.probability, "policy": told.policy(), "reason": told.reason(),
         "cancels": Some(told.cancels).filter(|cancelled| *cancelled > 0), "flags": decision_flag_names(told.flags), "decided_ns": told.decided_ns,

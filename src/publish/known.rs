@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags,
-    forecast_flags, person_flags, presence, sequence,
+    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1,
+    decision_flags, forecast_flags, person_flags, presence, sequence,
 };
 use serde_json::{Value, json};
 
@@ -13,7 +13,6 @@ use super::discovery::{Discovery, Named};
 use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};
-use roomcast_ipc::action::word as action_word;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 
@@ -286,7 +285,7 @@ fn person_message(all: &PersonForecastsV1, person: &PersonForecastV1, config: &B
     let flag = |flag: u32| person.flags & flag != 0;
     let mut told = json!({
         "person": name_of(person),
-        "presence": presence::word(person.presence),
+        "presence": Presence::of(person.presence).word(),
         "asleep": flag(person_flags::ASLEEP),
         "visitor": flag(person_flags::VISITOR),
         "at": ahead,
@@ -302,7 +301,7 @@ fn name_in(rooms: &[String], id: &str) -> String {
 }
 
 fn decision_message(decision: &DecisionV1, robot: &str, rooms: &[String]) -> Value {
-    let action = action_word(decision.action);
+    let action = Action::of(decision.action).word();
     let flags = decision_flag_names(decision.flags);
     let place = |id: &str| (!id.is_empty()).then(|| id.to_owned());
     json!({

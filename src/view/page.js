@@ -240,6 +240,7 @@ const show = () => {
       if (out >= 0.005) shown.push(`out of the house ${percent(out)}`);
       line(card, `${when === 0 ? "now" : whenText()}: ${shown.join(", ") || "not known"}`);
     }
+    if (person.why) line(card, person.why, "dim");
     if (person.sets) {
       // The promise is of a time ahead.
       const at = Math.max(0, when - 1);

@@ -233,7 +233,6 @@ impl Robot {
 
     fn act(&mut self, minute: u32) {
         while let Some(decision) = self.decisions.receive().unwrap() {
-            let decision = decision.unwrap();
             self.decided.push((minute, decision));
             self.report.decision_epoch = decision.epoch;
             self.report.decision_sequence = decision.sequence;

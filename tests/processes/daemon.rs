@@ -26,7 +26,6 @@ fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_ot
     let mut first = std::collections::BTreeMap::new();
     eventually("both robots decide", || {
         while let Some(decision) = decisions.receive().unwrap() {
-            let decision = decision.unwrap();
             first.entry(decision.robot).or_insert(decision);
         }
         (first.len() == 2).then_some(())
@@ -290,7 +289,7 @@ fn a_stopped_daemon_makes_the_planner_stay() {
     world.start(&["planner", "--room-time", "0.05"]);
     let flagged = |wanted: bool| {
         eventually("a decision", || {
-            let decision = decisions.receive().unwrap()?.unwrap();
+            let decision = decisions.receive().unwrap()?;
             (decision.has(decision_flags::FALLBACK) == wanted).then_some(decision)
         })
     };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use roomcast_ipc::Error;
+use roomcast_ipc::{Error, MapChange, Sensor, SensorKind, Who};
 
 use super::World;
 
@@ -25,9 +25,12 @@ fn a_narrators_event_is_confirmed_and_the_daemon_answers_typed_questions() {
     assert!(
         domain.rename_person("nobody-here", "Bo", PATIENCE).is_err_and(|error| matches!(error, Error::NotGiven { .. }))
     );
-    assert!(domain.moment(PATIENCE).unwrap().scene.is_object());
+    let moment = domain.moment(PATIENCE).unwrap();
+    assert!(moment.narration.iter().any(|sentence| sentence.text.contains("fridge")), "{moment:?}");
+    assert!(moment.labels.iter().all(|label| label.log_prob_nats.is_some_and(|nats| nats < 0.0)), "{moment:?}");
+    assert!(moment.scene.is_object() && moment.version == 1);
     domain.habits(PATIENCE).unwrap();
-    let refused = domain.change_map(&[serde_json::json!({"change": "remove-item", "id": "no-such-item"})], PATIENCE);
+    let refused = domain.change_map(&[MapChange::RemoveItem { id: "no-such-item".to_owned() }], PATIENCE);
     assert!(refused.is_err_and(|error| error.to_string().contains("no-such-item")));
     domain.status(PATIENCE).unwrap();
 
@@ -40,5 +43,8 @@ fn a_narrators_event_is_confirmed_and_the_daemon_answers_typed_questions() {
         "{:?}",
         forecast.occupied(&kitchen, Duration::ZERO)
     );
+    let motion = Sensor { room: Some("hall"), on: Some(true), ..Sensor::new(SensorKind::Motion, "hall-motion") };
+    camera.sensor(Who::Somebody, &motion).unwrap();
+    camera.wait_until_included(PATIENCE).unwrap();
     camera.close().unwrap();
 }

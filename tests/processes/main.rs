@@ -195,7 +195,7 @@ fn recorder_listens(node: &Node) {
 /// The next decision that satisfies a condition.
 fn decision_with(decisions: &Subscriber<DecisionV1>, what: &str, holds: impl Fn(&DecisionV1) -> bool) -> DecisionV1 {
     eventually(what, || {
-        let next = decisions.receive().unwrap()?.unwrap();
+        let next = decisions.receive().unwrap()?;
         holds(&next).then_some(next)
     })
 }

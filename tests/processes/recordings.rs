@@ -219,7 +219,7 @@ fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64,
 /// Two recorders hear the same: what ROS 2 reads in the one file is what the other, which is replayed, has.
 #[test]
 fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
-    use roomcast_ros2::content::{of_all, of_one};
+    use roomcast_ros2::content::{of_person, of_rooms};
     use roomcast_ros2::types::{Classification, Header, MarkerArray, Text, decode};
     use roomcast_ros2::words;
     use roomcast_services::recording::Recorded;
@@ -265,9 +265,13 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
             ("/roomcast/decision", text),
             ("/roomcast/markers", "visualization_msgs/msg/MarkerArray"),
             ("/roomcast/narration", text),
-            ("/roomcast/person/p_ada", rooms),
+            ("/roomcast/person/ada", rooms),
+            ("/roomcast/person/ada/in_600s", rooms),
+            ("/roomcast/person/ada/in_60s", rooms),
             ("/roomcast/report", text),
             ("/roomcast/rooms", rooms),
+            ("/roomcast/rooms/in_600s", rooms),
+            ("/roomcast/rooms/in_60s", rooms),
         ]
     );
     let texts = |topic: &str| -> Vec<String> {
@@ -295,19 +299,26 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
             })
             .collect()
     };
-    let scored = own.messages.iter().filter_map(|(_, message)| match message {
-        Recorded::RoomScores(scores) => Some(of_all(scores, Header::of_unix_ns(scores.computed_unix_ns, "map"))),
-        _ => None,
-    });
-    assert_eq!(classified("/roomcast/rooms"), scored.collect::<Vec<_>>());
-    let of_persons = own.messages.iter().filter_map(|(_, message)| match message {
-        Recorded::PersonScores(scores) => Some(scores),
-        _ => None,
-    });
-    let of_persons = of_persons
-        .flat_map(|scores| scores.persons().iter().map(|person| of_one(scores, person, Header::default()).results));
-    let ada: Vec<_> = classified("/roomcast/person/p_ada").into_iter().map(|told| told.results).collect();
-    assert_eq!(ada, of_persons.collect::<Vec<_>>());
+    // Each recorder leaves out repeated forecasts by its own clock.
+    for (end, ahead_s) in [("", 0.0), ("/in_60s", 60.0), ("/in_600s", 600.0)] {
+        let forecasts = own.messages.iter().filter_map(|(_, message)| match message {
+            Recorded::Forecast(forecast) => Some(of_rooms(forecast, ahead_s, Header::default()).results),
+            _ => None,
+        });
+        let forecasts: Vec<_> = forecasts.collect();
+        let told = classified(&format!("/roomcast/rooms{end}"));
+        assert!(told.iter().all(|told| forecasts.contains(&told.results)), "{end}: {told:?}");
+        let of_persons = own.messages.iter().filter_map(|(_, message)| match message {
+            Recorded::PersonForecasts(message) => Some(message),
+            _ => None,
+        });
+        let of_persons = of_persons.flat_map(|message| {
+            message.persons().iter().map(move |person| of_person(message, person, ahead_s, Header::default()).results)
+        });
+        let of_persons: Vec<_> = of_persons.collect();
+        let told = classified(&format!("/roomcast/person/ada{end}"));
+        assert!(told.iter().all(|told| of_persons.contains(&told.results)), "{end}: {told:?}");
+    }
     let rooms = classified("/roomcast/rooms");
     for (_, made, bytes) in &topics["/roomcast/markers"] {
         let drawn: MarkerArray = decode(bytes).unwrap();

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::parsing::{keyed, list_of_keyed, toml_says};
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use roomcast_ros2::content::HORIZONS_S;
 use serde::Deserialize;
 
 /// The manual.
@@ -267,6 +268,8 @@ pub struct Ros2 {
     pub map: Option<PathBuf>,
     /// The height of the floor that it is of, where the scene has several storeys.
     pub floor_m: Option<f64>,
+    /// Seconds ahead that rooms and persons have topics for, beside now.
+    pub horizons_s: Vec<f64>,
     /// A mask has the likeliest moment within so long.
     pub horizon_s: f64,
     /// A mask is sent at most so often.
@@ -285,6 +288,7 @@ impl Default for Ros2 {
             level: PartitionLevel::Room,
             map: None,
             floor_m: None,
+            horizons_s: HORIZONS_S.to_vec(),
             horizon_s: 300.0,
             mask_s: 5.0,
         }
@@ -325,6 +329,11 @@ impl Ros2 {
             if !(0.1..=86_400.0).contains(&seconds) {
                 return refuse(key, seconds, "0.1 to 86400");
             }
+        }
+        let rises = self.horizons_s.windows(2).all(|pair| pair[0] < pair[1]);
+        if self.horizons_s.len() > 8 || !rises || !self.horizons_s.iter().all(|at| (1.0..=86_400.0).contains(at)) {
+            let allowed = "at most 8 times of 1 to 86400 s, rising";
+            return refuse("ros2.horizons_s", format!("{:?}", self.horizons_s), allowed);
         }
         if let Some(floor_m) = self.floor_m.filter(|floor_m| !floor_m.is_finite()) {
             return refuse("ros2.floor_m", floor_m, "a height in metres");

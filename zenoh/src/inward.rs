@@ -129,16 +129,14 @@ pub fn run(
                 narrator.send(clock::monotonic_ns())?;
             }
         }
-        while let Some(checked) = scores.receive_into(&mut message)? {
-            if checked.is_ok() {
-                alive_ns = alive_ns.max(message.published_ns);
-                for Narrator { name, relay, log, .. } in &mut narrators {
-                    let dropped = relay.confirm(&message, clock::monotonic_ns());
-                    if dropped > 0
-                        && let Some(not_told) = log.pass(DROPPED, clock::monotonic_ns())
-                    {
-                        tracing::error!(narrator = name, dropped, not_told, "{DROPPED}");
-                    }
+        while scores.receive_into(&mut message)? {
+            alive_ns = alive_ns.max(message.published_ns);
+            for Narrator { name, relay, log, .. } in &mut narrators {
+                let dropped = relay.confirm(&message, clock::monotonic_ns());
+                if dropped > 0
+                    && let Some(not_told) = log.pass(DROPPED, clock::monotonic_ns())
+                {
+                    tracing::error!(narrator = name, dropped, not_told, "{DROPPED}");
                 }
             }
         }

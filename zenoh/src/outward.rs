@@ -114,7 +114,7 @@ impl<M: Message> Topic<M> {
     /// Takes all that waits; whether `message` is now another good one that `wanted` accepts.
     fn take(&mut self, log: &mut Limiter, mut wanted: impl FnMut(&M) -> bool) -> Result<bool, IpcError> {
         let mut found = None;
-        while let Some(checked) = self.port.receive_into(&mut self.message)? {
+        while let Some((checked, _)) = self.port.receive_from(&mut self.message)? {
             match checked {
                 Ok(()) if wanted(&self.message) => found = Some(*self.message),
                 Ok(()) => {}

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
+    Action, DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
 };
 use serde::Deserialize;
 use zenoh::query::Reply;
@@ -257,7 +257,7 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
         // A later version may have more actions. This robot's planner then keeps clear of the room that the other robot is sent to.
-        action: action::of_word(&decision.action).unwrap_or(action::STAY),
+        action: Action::of_word(&decision.action).unwrap_or(Action::Stay).number(),
         flags: decision.flags | decision_flags::ELSEWHERE,
         probability: decision.probability,
         minor: 3,
@@ -307,7 +307,9 @@ pub fn run(
         }
         for heard in first.into_iter().chain(heard.try_iter()) {
             match peers.hear(&heard) {
-                Ok(Some(decision)) => decisions.send(&decision)?,
+                Ok(Some(decision)) => {
+                    decisions.send(&decision)?;
+                }
                 Ok(None) => {}
                 Err(fault) => {
                     if let Some(not_told) = log.pass(heard.robot.clone(), clock::monotonic_ns()) {
@@ -329,7 +331,9 @@ pub fn run(
         }
         // Whoever has heard them takes them for no news, and who comes as others go has not.
         if decisions.tick()? {
-            peers.standing().try_for_each(|decision| decisions.send(&decision))?;
+            for decision in peers.standing() {
+                decisions.send(&decision)?;
+            }
         }
     }
     Ok(())
@@ -410,7 +414,6 @@ mod tests {
                 let mut rooms = std::collections::BTreeSet::new();
                 while rooms.len() < 3 {
                     while let Some(decision) = planner.receive().unwrap() {
-                        let decision = decision.unwrap();
                         assert_eq!(decision.has(decision_flags::ELSEWHERE), decision.robot != robot_5);
                         if decision.robot != robot_5 {
                             rooms.insert(decision.to().to_owned());

@@ -7,7 +7,8 @@ use std::io::Write;
 
 use roomcast_core::habits::{PART_HOURS, PARTS};
 use roomcast_ipc::{
-    DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, action, clock, decision_flags, presence,
+    Action, DecisionV1, ForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1, action, clock,
+    decision_flags, presence,
 };
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -142,7 +143,7 @@ pub fn persons(message: &PersonForecastsV1) -> Told {
                 })
                 .collect();
             json!({
-                "person": person.person, "name": person.name(), "presence": presence::word(person.presence),
+                "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
                 "flags": person.flags, "rooms": rooms, "coverage": rounded(person.set_coverage), "sets": sets,
                 "elsewhere": person.elsewhere.iter().take(horizons).copied().map(rounded).collect::<Vec<_>>(),
             })
@@ -181,7 +182,7 @@ pub fn decision(decision: &DecisionV1) -> Told {
     let content = Decided {
         epoch: Hex(decision.epoch),
         sequence: decision.sequence,
-        action: action::word(decision.action),
+        action: Action::of(decision.action).word(),
         from: decision.from(),
         to: decision.to(),
         policy: decision.policy(),

@@ -134,7 +134,6 @@ impl Body {
     /// Does at once what its own planner says.
     fn act(&mut self, name: &str, minute: f64) {
         while let Some(decision) = self.decisions.receive().unwrap() {
-            let decision = decision.unwrap();
             if decision.robot != sequence::source_of_name(name) {
                 continue;
             }

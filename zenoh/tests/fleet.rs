@@ -151,9 +151,9 @@ impl Witness {
                 // Decisions are taken first and read last: the scores that they rest on were sent before them, and are here then.
                 let made: Vec<_> = std::iter::from_fn(|| decisions.receive().unwrap()).collect();
                 while let Some(scores) = scores.receive().unwrap() {
-                    decided.take_scores(&scores.unwrap());
+                    decided.take_scores(&scores);
                 }
-                for decision in made.into_iter().map(Result::unwrap).filter(|decision| decision.robot == robot) {
+                for decision in made.into_iter().filter(|decision| decision.robot == robot) {
                     decided.take(decision);
                 }
             }

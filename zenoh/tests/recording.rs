@@ -70,7 +70,7 @@ fn two_other_implementations_read_a_recording_as_it_was_made() {
     let counts: Value = serde_json::from_slice(&output.stdout).unwrap();
     println!("messages by topic: {counts}");
     assert_eq!(counts["/roomcast/narration"], 3);
-    for topic in ["/roomcast/rooms", "/roomcast/person/p_ada", "/roomcast/markers", "/roomcast/decision"] {
+    for topic in ["/roomcast/rooms", "/roomcast/person/ada", "/roomcast/markers", "/roomcast/decision"] {
         assert!(counts[topic].as_u64().is_some_and(|count| count > 0), "{topic}: {counts}");
     }
 }

@@ -23,7 +23,9 @@ DEFINITIONS = {
 }
 TOPICS = {
     "/roomcast/rooms": "vision_msgs/msg/Classification",
-    "/roomcast/person/p_ada": "vision_msgs/msg/Classification",
+    "/roomcast/rooms/in_60s": "vision_msgs/msg/Classification",
+    "/roomcast/person/ada": "vision_msgs/msg/Classification",
+    "/roomcast/person/ada/in_600s": "vision_msgs/msg/Classification",
     "/roomcast/keepout_mask": "nav_msgs/msg/OccupancyGrid",
     "/roomcast/keepout_info": "nav2_msgs/msg/CostmapFilterInfo",
     "/roomcast/markers": "visualization_msgs/msg/MarkerArray",

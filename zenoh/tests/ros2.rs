@@ -31,7 +31,9 @@ fn another_implementation_hears_every_topic_and_narrates() {
     let heard = &said["heard"];
     for topic in [
         "/roomcast/rooms",
-        "/roomcast/person/p_ada",
+        "/roomcast/rooms/in_60s",
+        "/roomcast/person/ada",
+        "/roomcast/person/ada/in_600s",
         "/roomcast/keepout_mask",
         "/roomcast/keepout_info",
         "/roomcast/markers",
@@ -51,7 +53,7 @@ fn another_implementation_hears_every_topic_and_narrates() {
         let results = heard[topic]["results"].as_array().unwrap();
         results.iter().map(|result| result["score"].as_f64().unwrap()).sum()
     };
-    assert!((score("/roomcast/person/p_ada") - 1.0).abs() < 1e-6, "a person is somewhere: {heard}");
+    assert!((score("/roomcast/person/ada") - 1.0).abs() < 1e-6, "a person is somewhere: {heard}");
     assert_eq!(heard["/roomcast/rooms"]["header"]["frame_id"], "map");
     let mask = &heard["/roomcast/keepout_mask"];
     let cells: Vec<i64> = mask["data"].as_array().unwrap().iter().map(|cell| cell.as_i64().unwrap()).collect();

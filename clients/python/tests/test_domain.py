@@ -27,10 +27,10 @@ OWN = f"/tmp/roomcast-{os.geteuid()}"
 @pytest.mark.parametrize(
     ("given", "root", "name"),
     [
-        ({ROOT: "/run/rc", NAME: "kitchen", BASE: "/run/user/1"}, "/run/rc", "kitchen"),
-        ({ROOT: "/run/rc"}, "/run/rc", "roomcast"),
-        ({NAME: "kitchen", BASE: "/run/user/1"}, "/run/user/1/roomcast", "kitchen"),
-        ({ROOT: "", BASE: "/run/user/1"}, "/run/user/1/roomcast", "roomcast"),
+        ({ROOT: "/tmp/rc", NAME: "kitchen", BASE: "/run"}, "/tmp/rc", "kitchen"),
+        ({ROOT: "/tmp/rc"}, "/tmp/rc", "roomcast"),
+        ({NAME: "kitchen", BASE: "/run"}, "/run/roomcast", "kitchen"),
+        ({ROOT: "", BASE: "/run"}, "/run/roomcast", "roomcast"),
         ({BASE: "relative"}, OWN, "roomcast"),
         ({BASE: "/a/base/that/no/address/of/a/socket/holds"}, OWN, "roomcast"),
         ({}, OWN, "roomcast"),
@@ -79,6 +79,8 @@ def test_a_root_may_be_a_path_of_any_type(folder: pathlib.Path) -> None:
 
 def test_the_characters_of_a_root_are_those_that_iceoryx2_takes() -> None:
     for character in map(chr, [*range(0x180), 0x20AC, 0x1F600, 0xDCFF]):
+        if character == "/":
+            continue
         root = f"/tmp/a{character}b"
         try:
             iox2.Path.new(root)
@@ -131,10 +133,19 @@ def test_a_root_of_another_user_is_refused(folder: pathlib.Path) -> None:
 
 def test_a_root_that_is_missing_is_made_for_this_user_alone(folder: pathlib.Path) -> None:
     with private_domain() as inside:
-        domain = Domain(f"{inside.root}/a/b", inside.name)
+        domain = Domain(f"{inside.root}/a", inside.name)
         domain.open("test")
-        for made in ("a", "a/b"):
-            assert (pathlib.Path(inside.root) / made).stat().st_mode & 0o777 == 0o700
+        assert (pathlib.Path(inside.root) / "a").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_root_in_a_folder_that_does_not_exist_is_refused_with_the_folders_name(folder: pathlib.Path) -> None:
+    with pytest.raises(RoomcastError, match=f"does not exist, and neither does {folder}/typo: "):
+        Domain(folder / "typo/d")
+    (folder / "typo").mkdir()
+    domain = Domain(folder / "typo/d")
+    (folder / "typo").rmdir()
+    with pytest.raises(RoomcastError, match=f"neither does {folder}/typo: "):
+        domain.open("test")
 
 
 def test_what_another_user_put_in_shared_memory_is_refused() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import samples
-from roomcast import Decisions, Forecast, Forecasts, Narrator, Planner, Scores, layouts, ports
+from roomcast import Action, Decisions, Forecast, Forecasts, Narrator, Planner, Presence, ReportKind, Robot, Scores, layouts, ports
 
 
 def forecast_of(age_s: float) -> Forecast:
@@ -83,3 +83,24 @@ def test_scores_leave_out_heartbeats() -> None:
             publisher.send(samples.scores())
             assert scores.next(timeout_s=5) is not None
             assert scores.next(timeout_s=0.05) is None
+
+
+def test_an_unknown_number_keeps_its_value_and_an_unknown_word_is_none() -> None:
+    unknown = Action(99)
+    assert (unknown, unknown.word, unknown in list(Action)) == (99, "unknown", False)
+    assert (Action.of_word("dance"), Action.of_word("unknown")) == (None, None)
+    for kind in (Action, Presence, ReportKind):
+        assert [kind.of_word(meaning.word) for meaning in kind] == list(kind)
+    with pytest.raises(ValueError):
+        Action(-1)
+
+
+def test_senders_return_the_number_of_receivers() -> None:
+    with samples.private_domain() as domain:
+        narrator, planner, robot = Narrator("camera", domain), Planner("robot", domain), Robot("robot", domain)
+        assert (narrator.say("They sit down."), robot.docked()) == (0, 0)
+        heard: ports.Subscriber[Any] = ports.Subscriber(domain.open("daemon"), ports.NARRATION, lambda message: message)
+        assert (narrator.present("ada"), planner.decide("hall", "it is quiet")) == (1, 1)
+        assert heard.receive() is not None
+        for port in (narrator, planner, robot):
+            port.close()

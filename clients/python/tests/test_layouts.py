@@ -97,7 +97,7 @@ def test_the_limits_are_those_of_the_c_header() -> None:
         ("ACTION", roomcast.Action),
         ("DECISION_FLAGS", roomcast.DecisionFlags),
         ("FORECAST_FLAGS", roomcast.ForecastFlags),
-        ("NARRATION_KIND", {"SENTENCE": roomcast.SENTENCE, "ACTION": roomcast.ACTION, "DEVICE": roomcast.DEVICE, "PRESENCE": roomcast.PRESENCE}),
+        ("NARRATION_KIND", roomcast.NarrationKind),
         ("PERSON_FLAGS", roomcast.PersonFlags),
         ("PRESENCE", roomcast.Presence),
         ("REACHED", roomcast.Reached),

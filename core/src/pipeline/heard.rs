@@ -51,12 +51,12 @@ impl Sources {
         self.turns
     }
 
-    /// See [`super::Pipeline::pass_over`].
+    /// See [`super::Intake::pass_over`].
     pub(super) fn pass_over(&mut self, event: EventId) {
         self.note(event.source, event.epoch, |included| included.sequence = included.sequence.max(event.sequence));
     }
 
-    /// See [`super::Pipeline::include`].
+    /// See [`super::Intake::include`].
     pub(super) fn include(&mut self, observation: &Observation, voice: Voice) {
         let settled = self.settled_of(observation.source, observation.epoch);
         let observed_ns = observation.observed_ns;
@@ -71,12 +71,12 @@ impl Sources {
         });
     }
 
-    /// See [`super::Pipeline::settle`].
+    /// See [`super::Intake::settle`].
     pub(super) fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
         self.settled = settled;
     }
 
-    /// See [`super::Pipeline::forget_source`].
+    /// See [`super::Intake::forget_source`].
     pub(super) fn forget(&mut self, source: u64, epoch: u64) {
         self.starts.retain(|heard| !heard.is_of(source, epoch));
     }

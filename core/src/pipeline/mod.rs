@@ -17,30 +17,33 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::grounding::{GroundedScores, Grounding, GroundingError, GroundingOptions, Regrouped};
-use crate::ids::{EventId, PersonId};
-use crate::narration::history::{Histories, History, HistoryLimits, Voice};
+use crate::ids::PersonId;
+use crate::narration::history::{Histories, HistoryLimits, Voice};
 use crate::narration::{Observation, Presence};
-use crate::prepared::{Answer, Outlook, PersonOutlook, PreparedAnswers, Preparer};
+use crate::prepared::PreparedAnswers;
 use crate::prompt::BindingSequence;
 use crate::scorer::certified::{Certified, Effort};
 use crate::scorer::correction::{Correction, CorrectionChoice};
-use crate::scorer::{
-    DecodeStats, IsStopped, LanguageModel, Method, ModelError, ModelInfo, PreparedLabels, Progress, ScoreError, Scorer,
-    TextStart, TokenCounter, Tokenisation,
-};
+use crate::scorer::{DecodeStats, LanguageModel, Method, PreparedLabels, ScoreError, Scorer, TextStart, Tokenisation};
 use crate::semantic_map::SemanticMap;
 
 use heard::Sources;
 use person::{Due, Person, Unscored};
 use scores::together;
 
+mod ahead;
 mod heard;
+mod inside;
+mod intake;
 mod person;
 mod scores;
 #[cfg(test)]
 mod tests;
 
+pub use ahead::Ahead;
 pub use heard::SOURCES_MAX;
+pub use inside::Inside;
+pub use intake::Intake;
 pub use scores::{Included, PersonScores, Scores, Timing};
 
 /// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
@@ -137,6 +140,14 @@ pub struct Pipeline<M> {
 }
 
 impl<M: LanguageModel> Pipeline<M> {
+    /// A pipeline for a map, with the usual options.
+    ///
+    /// # Errors
+    /// As [`Pipeline::new`], and when the map cannot be grounded.
+    pub fn of(map: &SemanticMap, model: M) -> Result<Self, PipelineError> {
+        Self::new(model, Grounding::new(map, &GroundingOptions::default())?, PipelineOptions::default())
+    }
+
     /// Cuts the map's labels into tokens, builds their trie and learns the prior, once.
     ///
     /// # Errors
@@ -168,29 +179,24 @@ impl<M: LanguageModel> Pipeline<M> {
         })
     }
 
-    /// What the model says of itself.
-    pub fn model(&self) -> &ModelInfo {
-        self.scorer.info()
-    }
-
     /// The map's labels and partitions.
     pub fn grounding(&self) -> &Grounding {
         &self.grounding
     }
 
-    /// The labels' tokens and trie.
-    pub fn prepared(&self) -> &PreparedLabels {
-        &self.prepared
+    /// Enters observations without scoring, and forgets them.
+    pub fn intake(&mut self) -> Intake<'_, M> {
+        Intake(self)
     }
 
-    /// The same, for whoever works ahead.
-    pub fn labels(&self) -> Arc<PreparedLabels> {
-        Arc::clone(&self.prepared)
+    /// Prepares answers, and does the work that can wait until no event does.
+    pub fn ahead(&mut self) -> Ahead<'_, M> {
+        Ahead(self)
     }
 
-    /// How this pipeline scores.
-    pub fn options(&self) -> &PipelineOptions {
-        &self.options
+    /// The parts of the pipeline, to be read.
+    pub fn inside(&self) -> Inside<'_, M> {
+        Inside(self)
     }
 
     /// Takes a changed map. The model is prepared again if the map brings a label that the model was not prepared for. It is prepared again, too,
@@ -235,16 +241,6 @@ impl<M: LanguageModel> Pipeline<M> {
         Ok(prepared)
     }
 
-    /// The sentences that the model read for the newest scores, with their person, oldest first.
-    pub fn read_sentences(&self) -> impl Iterator<Item = (PersonId, &str)> {
-        self.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
-    }
-
-    /// The histories of all persons.
-    pub fn histories(&self) -> &Histories {
-        &self.histories
-    }
-
     /// The scores of the last step.
     pub fn scores(&self) -> &Scores {
         &self.scores
@@ -255,116 +251,15 @@ impl<M: LanguageModel> Pipeline<M> {
         self.persons.iter().filter(|person| person.is_scored()).map(PersonScores::of)
     }
 
-    /// One person's own scores, if they have any.
-    #[must_use]
-    pub fn person(&self, person: PersonId) -> Option<PersonScores<'_>> {
-        self.persons().find(|scores| scores.person == person)
-    }
-
-    /// Whether the model has to be asked about a person: their scores are of what they did before, or there are none yet.
-    #[must_use]
-    pub fn waits(&self, person: PersonId) -> bool {
-        self.persons.iter().any(|own| own.id == person && own.waits())
-    }
-
-    /// Whether the model has to be asked about anybody.
-    #[must_use]
-    pub fn is_behind(&self) -> bool {
-        self.persons.iter().any(Person::waits)
-    }
-
-    /// Whether somebody who had scores of the map before has none of the map in use.
-    #[must_use]
-    pub fn is_owing(&self) -> bool {
-        self.persons.iter().any(|own| own.at_home && own.is_owed)
-    }
-
-    /// Has `moved` called after each call of the decoder: a thread that works so long is not taken for one that stands still.
-    pub fn watch(&mut self, moved: Progress) {
-        self.scorer.watch(moved);
-    }
-
-    /// Counts the tokens that a sentence costs, on any thread; with the one behind it that is held against
-    /// [`HistoryLimits::tokens`] of [`Pipeline::options`].
-    pub fn token_counter(&self) -> TokenCounter {
-        self.scorer.model().token_counter()
-    }
-
-    /// A token's text, for people.
-    pub fn token_text(&self, token: crate::scorer::Token) -> String {
-        self.scorer.model().token_text(token)
-    }
-
-    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step; none where several
-    /// persons were scored or the method keeps no such numbers.
-    #[must_use]
-    pub fn token_log_prob_nats(&self, label: usize) -> Option<Vec<f64>> {
-        let exact_trie = self.options.method == Method::Trie && self.options.effort == Effort::Exact;
-        // What was read last may be somebody else's, who was forgotten since.
-        let is_read = |person: &Person| person.at_home && self.read == Some(person.id);
-        if exact_trie && self.persons.len() <= 1 && self.persons.iter().all(is_read) {
-            self.scorer.token_log_prob_nats(&self.prepared, label)
-        } else {
-            None
-        }
-    }
-
-    /// What the prior added to the sum over a label's tokens, in nats, in the last step; 0 without one, and where several persons were
-    /// scored.
-    #[must_use]
-    pub fn prior_nats(&self, label: usize) -> f64 {
-        match self.persons.as_slice() {
-            [] => self.prior_nats_of(&self.nobody, label),
-            [person] => self.prior_nats_of(person, label),
-            _ => 0.0,
-        }
-    }
-
-    /// The same for one person; 0 for somebody unknown.
-    #[must_use]
-    pub fn prior_nats_of_person(&self, person: PersonId, label: usize) -> f64 {
-        let own = self.persons.iter().find(|known| known.id == person);
-        own.map_or(0.0, |own| self.prior_nats_of(own, label))
-    }
-
     fn prior_nats_of(&self, person: &Person, label: usize) -> f64 {
         self.prepared.gain_nats().get(label).map_or(0.0, |gain_nats| gain_nats + person.scores.scale_nats)
-    }
-
-    /// Enters observations into the histories without scoring, each source for itself: nothing can fail here, and nothing is lost when the
-    /// scoring after it does. Who is said to leave loses their window, and who is gone is forgotten. Gives how many sentences cost more
-    /// tokens than a window holds; those are left out, since nothing could be scored with them.
-    pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
-        self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
-    }
-
-    /// As [`Pipeline::observe`], each for its voice.
-    pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
-        let mut costly = 0;
-        for (voice, observation) in observations {
-            let tokens = observation.sentence().map(|text| self.scorer.cost_of(text));
-            if tokens.is_some_and(|tokens| tokens > self.options.history.tokens) {
-                costly += 1;
-                self.pass_over(observation.id());
-                continue;
-            }
-            self.include(&observation, voice);
-            self.enter_of(voice, observation, tokens);
-        }
-        costly
-    }
-
-    /// Enters an observation into its person's history, and does not take note that the scores contain it: see [`Pipeline::include`].
-    pub fn enter(&mut self, voice: Voice, observation: Observation) {
-        let tokens = observation.sentence().map(|text| self.scorer.cost_of(text));
-        self.enter_of(voice, observation, tokens);
     }
 
     fn enter_of(&mut self, voice: Voice, observation: Observation, tokens: Option<usize>) {
         let (person, presence) = (observation.person, observation.event.person_presence());
         let Observation { source, epoch, sequence, .. } = observation;
         if presence == Presence::Gone {
-            self.forget_person(person);
+            self.intake().forget_person(person);
             return;
         }
         let at_home = presence != Presence::Away;
@@ -403,74 +298,6 @@ impl<M: LanguageModel> Pipeline<M> {
         self.persons.retain(|p| self.histories.get(p.id).is_some());
     }
 
-    /// Whether a sentence alone costs more tokens than a window holds, so that nothing could be scored with it.
-    pub fn is_costly(&mut self, observation: &Observation) -> bool {
-        let most = self.options.history.tokens;
-        // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
-        observation.sentence().is_some_and(|text| text.len() + 2 > most && self.scorer.cost_of(text) > most)
-    }
-
-    /// All that was heard so far is of a former run: whose voice it was is not known any more.
-    ///
-    /// Of those about whom the model has not been asked since, whoever was heard of last comes first.
-    pub fn forget_voices(&mut self) {
-        self.histories.forget_voices();
-        for own in &mut self.persons {
-            own.unscored.iter_mut().for_each(|unscored| unscored.voice = Voice::EARLIER.number);
-            own.waits_from = u64::MAX - own.waits_until;
-        }
-    }
-
-    /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
-    /// their scores, which the next step computes.
-    pub fn end_window(&mut self, person: PersonId) -> bool {
-        let ended = self.histories.get_mut(person).is_some_and(|history| history.end() > 0);
-        if let Some(own) = self.persons.iter_mut().find(|own| ended && own.id == person) {
-            own.wait_from(self.heard.turns());
-        }
-        ended
-    }
-
-    /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
-    pub fn pass_over(&mut self, event: EventId) {
-        self.heard.pass_over(event);
-    }
-
-    /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
-    pub fn include(&mut self, observation: &Observation, voice: Voice) {
-        self.heard.include(observation, voice);
-    }
-
-    /// Takes note up to which sequence a former run has dealt with the starts of sources. Which of it was accepted nobody can say any more, so
-    /// all of it counts as accepted.
-    pub fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
-        self.heard.settle(settled);
-    }
-
-    /// Forgets a start of a source, which gave way to another one.
-    pub fn forget_source(&mut self, source: u64, epoch: u64) {
-        self.heard.forget(source, epoch);
-    }
-
-    /// Forgets a person, for instance one who has left the map.
-    pub fn forget_person(&mut self, person: PersonId) {
-        // Their prompts hold what they did.
-        self.answers.clear();
-        self.histories.remove(person);
-        self.persons.retain(|p| p.id != person);
-    }
-
-    /// Takes out of everybody's history what `is_it` says; the next step scores whom it was of without it.
-    pub fn forget_told(&mut self, is_it: impl Fn(&Observation) -> bool) {
-        let changed = self.histories.forget(is_it);
-        if !changed.is_empty() {
-            self.answers.clear();
-        }
-        let turn = self.heard.turns();
-        let theirs = self.persons.iter_mut().filter(|own| changed.contains(&own.id) && own.at_home);
-        theirs.for_each(|own| own.wait_from(turn));
-    }
-
     /// Scores the persons whose history changed since the last step, and grounds the result. Before anything was
     /// observed, the binding sequence alone is scored.
     ///
@@ -481,7 +308,7 @@ impl<M: LanguageModel> Pipeline<M> {
     }
 
     /// As [`Pipeline::score`], but once `patience_ns` have passed the model is asked about nobody else: the next call goes on
-    /// ([`Pipeline::is_behind`]). One is always asked about.
+    /// ([`Inside::is_behind`]). One is always asked about.
     ///
     /// Whoever tells of many persons delays others' persons by one call at most, which is `patience_ns` and one prompt: of all voices, the one
     /// comes next for which the model has read least, and of its persons the one who has waited longest.
@@ -598,68 +425,13 @@ impl<M: LanguageModel> Pipeline<M> {
         self.options.method == Method::Trie && self.options.effort == Effort::Exact
     }
 
-    /// What scores ahead for this pipeline, on any thread; it stops within a small step of the model where `is_stopped` says so. None where
-    /// nothing can be prepared: without a model, and of answers that are not exact.
-    ///
-    /// # Errors
-    /// When the model has no memory for a second cache.
-    pub fn preparer(&self, is_stopped: IsStopped) -> Result<Option<Preparer<M>>, ModelError> {
-        if !self.keeps_answers() {
-            return Ok(None);
-        }
-        Ok(self.scorer.model().twin(is_stopped)?.map(Preparer::new))
-    }
-
-    /// What says which prompts may come next. Kept answers that are stale are dropped.
-    pub fn outlook(&mut self) -> Outlook {
-        let round = self.answers.begin(&self.histories);
-        let of = |(person, history): (PersonId, &History)| {
-            let own = self.persons.iter().find(|own| own.id == person && own.at_home && own.due == Due::Nothing);
-            let label_log_prob_nats = own.map(|own| own.scores.log_prob_nats.clone()).unwrap_or_default();
-            PersonOutlook { person, history: history.clone(), label_log_prob_nats }
-        };
-        Outlook::new(&self.prepared, self.histories.iter().map(of).collect(), round)
-    }
-
-    /// Keeps an answer for when it is asked for, and gives whether it is of use: not where its person has done something else since, the
-    /// labels are other ones, or there are [`crate::prepared::ANSWERS_MAX`] of theirs. Another person's may go for it.
-    pub fn keep_answer(&mut self, answer: Answer) -> bool {
-        self.answers.keep(answer, &self.histories)
-    }
-
     /// Observes, then scores.
     ///
     /// # Errors
     /// As [`Pipeline::score`]; the observations are in the histories all the same.
     pub fn step(&mut self, observations: impl IntoIterator<Item = Observation>) -> Result<&Scores, PipelineError> {
-        self.observe(observations);
+        self.intake().observe(observations);
         self.score()
-    }
-
-    /// A small part of the work that can wait until no event does: clears the model's cache of what the next event cannot use, cuts the
-    /// history windows that are full, and reads narration that the model has not read yet, so that no event waits for it. Gives whether there
-    /// is more.
-    pub fn tidy(&mut self) -> bool {
-        self.scorer.tidy();
-        let Some(person) = self.read else { return false };
-        let Some(history) = self.histories.get_mut(person) else { return false };
-        self.is_unread |= history.compact() > 0;
-        if !self.is_unread || !self.options.binding.uses_narration() {
-            return false;
-        }
-        self.prompt.clear();
-        for sentence in history.sentences() {
-            if !self.prompt.is_empty() {
-                self.prompt.push(' ');
-            }
-            self.prompt.push_str(sentence);
-        }
-        // A failure costs the next event time, and shows there if it lasts.
-        self.is_unread = !self.scorer.read_ahead(&self.prompt).unwrap_or_else(|error| {
-            tracing::debug!(%error, "failed to read narration ahead");
-            true
-        });
-        self.is_unread
     }
 }
 

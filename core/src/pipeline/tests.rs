@@ -6,9 +6,10 @@ use super::*;
 use crate::ids::{BootNs, PersonId};
 use crate::label_trie::TokenTree;
 use crate::narration::{Event, Sentence};
+use crate::prepared::{Answer, Preparer};
 use crate::scorer::correction::Continuation;
 use crate::scorer::table::TableModel;
-use crate::scorer::{ModelError, Token};
+use crate::scorer::{IsStopped, ModelError, ModelInfo, Token};
 use crate::semantic_map::delta::MapChange;
 
 const TWO_ROOMS: &str = include_str!("../../../tests/data/two_rooms.json");
@@ -45,8 +46,6 @@ impl LanguageModel for WholePrompt {
         self.0.token_text(token)
     }
 
-    fn forget(&mut self) {}
-
     fn decode(
         &mut self,
         prompt: &[Token],
@@ -59,8 +58,6 @@ impl LanguageModel for WholePrompt {
             .fold(7, |seed: u64, token| (seed ^ u64::from(token.0.cast_unsigned())).wrapping_mul(0x100_0000_01b3));
         TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
     }
-
-    fn tidy(&mut self, _keep: usize) {}
 
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         Ok(Some(Self(self.0.clone())))
@@ -83,8 +80,6 @@ impl LanguageModel for Careless {
         self.0.token_text(token)
     }
 
-    fn forget(&mut self) {}
-
     fn decode(
         &mut self,
         prompt: &[Token],
@@ -97,8 +92,6 @@ impl LanguageModel for Careless {
             given(row).into_iter().for_each(|row| visit(row, logits));
         })
     }
-
-    fn tidy(&mut self, _keep: usize) {}
 
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         Ok(None)
@@ -121,8 +114,6 @@ impl LanguageModel for Reserving {
         self.0.token_text(token)
     }
 
-    fn forget(&mut self) {}
-
     fn reserve(&mut self, positions: usize) -> Result<(), ModelError> {
         self.1.store(positions, Ordering::Relaxed);
         Ok(())
@@ -137,8 +128,6 @@ impl LanguageModel for Reserving {
     ) -> Result<DecodeStats, ModelError> {
         self.0.decode(prompt, tree, want_prompt_row, visit)
     }
-
-    fn tidy(&mut self, _keep: usize) {}
 }
 
 #[test]
@@ -151,9 +140,10 @@ fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
         let history = HistoryLimits { tokens, ..HistoryLimits::default() };
         Pipeline::new(model(), grounding(&map), PipelineOptions { history, ..PipelineOptions::default() }).unwrap()
     };
-    let beside = |pipeline: &Pipeline<Reserving>| asked.load(Ordering::Relaxed) - pipeline.options().history.tokens;
+    let beside =
+        |pipeline: &Pipeline<Reserving>| asked.load(Ordering::Relaxed) - pipeline.inside().options().history.tokens;
     let (small, large) = (of(100), of(300));
-    let labels = small.prepared();
+    let labels = small.inside().prepared();
     let trees = labels.trie().inner().len() + labels.longest_label();
     drop(of(100));
     let needed = beside(&small);
@@ -190,7 +180,7 @@ fn a_model_that_forgets_a_row_is_refused() {
         for effort in [Effort::Exact, Effort::Ranking, Effort::Top] {
             let correction = CorrectionChoice { prior: Some(0.0), ..CorrectionChoice::default() };
             let mut own = pipeline_of(Careless(TableModel::new(7), given), &map, effort, correction);
-            own.observe([observation(1, PersonId(1))]);
+            own.intake().observe([observation(1, PersonId(1))]);
             let told = own.score().map(|_| ()).unwrap_err().to_string();
             assert!(told.contains("rows of logits"), "{told}");
         }
@@ -209,28 +199,28 @@ fn who_tells_of_many_persons_delays_nobody_elses() {
         let of_invented: Vec<_> =
             (0..6).map(|n| told(9, invented + n + 1, PersonId(2 + (invented + n) as u32 % 60))).collect();
         invented += 6;
-        pipeline.observe(of_invented);
+        pipeline.intake().observe(of_invented);
         pipeline.score_within(1).unwrap();
         own += 1;
-        pipeline.observe([told(5, own, PersonId(1))]);
+        pipeline.intake().observe([told(5, own, PersonId(1))]);
         for _ in 0..2 {
             pipeline.score_within(1).unwrap();
             assert_eq!(pipeline.scores().asked, 1);
         }
-        assert!(!pipeline.waits(PersonId(1)) && pipeline.is_behind());
+        assert!(!pipeline.inside().waits(PersonId(1)) && pipeline.inside().is_behind());
         let claim = |source: u64| pipeline.scores().included.iter().find(|known| known.source == source);
         assert_eq!(claim(5).map(|claim| claim.sequence), Some(own));
         assert!(claim(9).is_some_and(|claim| claim.sequence < invented));
     }
     // No flood ends the others' turns: who was told of is scored, and confirmed.
-    while pipeline.is_behind() {
+    while pipeline.inside().is_behind() {
         pipeline.score_within(1).unwrap();
     }
     assert!(pipeline.scores().included.iter().any(|claim| (claim.source, claim.sequence) == (9, invented)));
 }
 
 fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
-    pipeline.preparer(Arc::new(|| false)).unwrap().unwrap()
+    pipeline.inside().preparer(Arc::new(|| false)).unwrap().unwrap()
 }
 
 /// The answer to what a person may do next, if they may.
@@ -240,7 +230,7 @@ fn guessed<M: LanguageModel>(
     person: PersonId,
     guess: &Sentence,
 ) -> Option<Answer> {
-    let outlook = pipeline.outlook();
+    let outlook = pipeline.ahead().outlook();
     let ask = preparer.ask(&outlook, person, guess)?;
     Some(preparer.answer(ask).unwrap())
 }
@@ -291,8 +281,8 @@ proptest! {
             for &(person, does, of, guess, event, is_late) in &acts {
                 let guess = Sentence::new(&format!("They touch thing {guess}.")).unwrap();
                 let mut answer = guessed(&mut ahead, &mut aside, PersonId(of), &guess);
-                prop_assert!(answer.is_none() || ahead.person(PersonId(of)).is_some());
-                let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.keep_answer(answer));
+                prop_assert!(answer.is_none() || ahead.inside().person(PersonId(of)).is_some());
+                let mut keep = |ahead: &mut Pipeline<_>| answer.take().map(|answer| ahead.ahead().keep_answer(answer));
                 if !is_late {
                     keep(&mut ahead);
                 }
@@ -303,15 +293,15 @@ proptest! {
                         ahead.change_map(map, &GroundingOptions::default()).unwrap();
                         behind.change_map(map, &GroundingOptions::default()).unwrap();
                     }
-                    1 => while ahead.tidy() | behind.tidy() {},
+                    1 => while ahead.ahead().tidy() | behind.ahead().tidy() {},
                     2 => {
-                        ahead.end_window(PersonId(person));
-                        behind.end_window(PersonId(person));
+                        ahead.intake().end_window(PersonId(person));
+                        behind.intake().end_window(PersonId(person));
                     }
-                    3 => drop(ahead.outlook()),
+                    3 => drop(ahead.ahead().outlook()),
                     4 => {
-                        ahead.forget_person(PersonId(person));
-                        behind.forget_person(PersonId(person));
+                        ahead.intake().forget_person(PersonId(person));
+                        behind.intake().forget_person(PersonId(person));
                     }
                     _ => {}
                 }
@@ -327,7 +317,7 @@ proptest! {
                     prop_assert!(ahead.iter().zip(behind).all(|(a, b)| a == b || (a - b).abs() < 1e-9), "{ahead:?} {behind:?}");
                 }
                 for label in 0..ahead.grounding().scored_labels().len() {
-                    prop_assert_eq!(ahead.token_log_prob_nats(label), behind.token_log_prob_nats(label));
+                    prop_assert_eq!(ahead.inside().token_log_prob_nats(label), behind.inside().token_log_prob_nats(label));
                 }
             }
             prop_assert!(used <= acts.len());
@@ -341,11 +331,11 @@ fn tokens_of_somebody_who_is_forgotten_explain_nobody_else() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut both = pipeline(&map, Effort::Exact, CORRECTED);
     both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
-    both.forget_person(PersonId(1));
+    both.intake().forget_person(PersonId(1));
     both.score().unwrap();
-    assert!(both.token_log_prob_nats(0).is_none());
+    assert!(both.inside().token_log_prob_nats(0).is_none());
     both.step([observation(3, PersonId(0))]).unwrap();
-    assert!(both.token_log_prob_nats(0).is_some());
+    assert!(both.inside().token_log_prob_nats(0).is_some());
 }
 
 #[test]
@@ -357,18 +347,18 @@ fn what_was_guessed_is_answered_without_the_model() {
     let said = observation(2, PersonId(0));
     let guess = Sentence::new(said.sentence().unwrap()).unwrap();
     let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-    assert!(ahead.keep_answer(answer));
+    assert!(ahead.ahead().keep_answer(answer));
     assert!(guessed(&mut ahead, &mut aside, PersonId(9), &guess).is_none(), "nobody knows them");
     let stale = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     let scores = ahead.step([said.clone()]).unwrap();
     assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
-    assert!(!ahead.keep_answer(stale), "they have done something since");
+    assert!(!ahead.ahead().keep_answer(stale), "they have done something since");
     // Forgetting leaves nothing of it, nor of what is on its way.
     let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-    assert!(ahead.keep_answer(answer));
+    assert!(ahead.ahead().keep_answer(answer));
     let late = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-    ahead.forget_person(PersonId(0));
-    assert!(!ahead.keep_answer(late));
+    ahead.intake().forget_person(PersonId(0));
+    assert!(!ahead.ahead().keep_answer(late));
     ahead.step([said]).unwrap();
     assert_eq!(ahead.scores().prepared, 0);
 }
@@ -377,7 +367,7 @@ fn what_was_guessed_is_answered_without_the_model() {
 fn only_exact_answers_are_prepared_and_so_many() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let partial = pipeline(&map, Effort::Top, CORRECTED);
-    assert!(partial.preparer(Arc::new(|| false)).unwrap().is_none());
+    assert!(partial.inside().preparer(Arc::new(|| false)).unwrap().is_none());
     let mut ahead = pipeline(&map, Effort::Exact, CORRECTED);
     let mut aside = preparer(&ahead);
     ahead.step([observation(1, PersonId(0))]).unwrap();
@@ -385,7 +375,7 @@ fn only_exact_answers_are_prepared_and_so_many() {
     for thing in 2..most + 4 {
         let guess = Sentence::new(&format!("They touch thing {thing}.")).unwrap();
         let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
-        assert_eq!(ahead.keep_answer(answer), thing < most + 2, "{thing}");
+        assert_eq!(ahead.ahead().keep_answer(answer), thing < most + 2, "{thing}");
     }
 }
 
@@ -400,19 +390,19 @@ fn a_smaller_map_gives_the_history_its_tokens_back() {
     let model = TableModel::new(7);
     let history = HistoryLimits { tokens: model.info().context_tokens, ..HistoryLimits::default() };
     let mut pipeline = Pipeline::new(model, grounding, PipelineOptions { history, ..Default::default() }).unwrap();
-    let before = pipeline.options().history.tokens;
+    let before = pipeline.inside().options().history.tokens;
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
-    assert!(pipeline.options().history.tokens < before);
+    assert!(pipeline.inside().options().history.tokens < before);
     // Without a correction, idle labels change no score. They take tokens all the same.
     assert!(pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again);
-    assert_eq!(pipeline.options().history.tokens, before);
+    assert_eq!(pipeline.inside().options().history.tokens, before);
     assert!(!pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again, "no label is idle");
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     // A label that the large list does not know, so that the list is prepared again.
     let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
     let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();
     pipeline.change_map(&other, &GroundingOptions::default()).unwrap();
-    let after = pipeline.options().history.tokens;
+    let after = pipeline.inside().options().history.tokens;
     assert!(after.abs_diff(before) < 20, "{before} tokens before, {after} after");
 }
 
@@ -448,7 +438,7 @@ fn persons_do_not_hide_each_other() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
     let mut both = pipeline(&map, Effort::Exact, CorrectionChoice::EQUATION_1);
     both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
-    let of = |person: PersonId| both.person(person).unwrap().grounded;
+    let of = |person: PersonId| both.inside().person(person).unwrap().grounded;
     let together = &both.scores().grounded;
     for room in 0..2 {
         let [p, q] = [0, 1].map(|person| of(PersonId(person)).partition_probability[room]);
@@ -474,7 +464,7 @@ fn who_is_away_is_in_no_room() {
     let mut both = fresh();
     both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
     both.step([presence(3, PersonId(0), "away")]).unwrap();
-    let away = both.person(PersonId(0)).unwrap();
+    let away = both.inside().person(PersonId(0)).unwrap();
     assert!(!away.at_home && away.window == 0 && away.grounded.partition_probability == [0.0; 2]);
     assert_eq!(away.lower_log_score_nats, [f64::NEG_INFINITY; 2]);
     let mut alone = fresh();
@@ -487,7 +477,7 @@ fn who_is_away_is_in_no_room() {
     assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
     assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
     assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
-    assert!(both.token_log_prob_nats(0).is_none());
+    assert!(both.inside().token_log_prob_nats(0).is_none());
     // Back: as nobody whom anything is known of.
     both.step([presence(5, PersonId(0), "present in the kitchen")]).unwrap();
     let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
@@ -503,10 +493,14 @@ fn what_lies_hours_back_leaves_the_prompt() {
     let mut silent = pipeline(&map, Effort::Exact, CORRECTED);
     let mut unknown = pipeline(&map, Effort::Exact, CORRECTED);
     silent.step([observation(1, PersonId(0)), observation(2, PersonId(0))]).unwrap();
-    assert!(silent.end_window(PersonId(0)) && !silent.end_window(PersonId(0)) && !silent.end_window(PersonId(1)));
+    assert!(
+        silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(0))
+            && !silent.intake().end_window(PersonId(1))
+    );
     silent.score().unwrap();
     unknown.score().unwrap();
-    assert_eq!(silent.person(PersonId(0)).unwrap().window, 0);
+    assert_eq!(silent.inside().person(PersonId(0)).unwrap().window, 0);
     assert_eq!(silent.scores().grounded.partition_probability, unknown.scores().grounded.partition_probability);
     assert_eq!(silent.scores().stats.calls, 1, "one person was scored");
     silent.score().unwrap();
@@ -556,7 +550,7 @@ proptest! {
         let spoken_of = |person: PersonId| other.iter().any(|(of, _)| PersonId(*of) == person);
         let mut free = [1.0; 2];
         for own in without.persons().filter(|own| !spoken_of(own.person)) {
-            prop_assert_eq!(values(own), values(with.person(own.person).unwrap()));
+            prop_assert_eq!(values(own), values(with.inside().person(own.person).unwrap()));
             free.iter_mut().zip(&own.grounded.partition_probability).for_each(|(free, p)| *free *= 1.0 - p);
         }
         for (free, p) in free.iter().zip(&with.scores().grounded.partition_probability) {
@@ -583,19 +577,19 @@ proptest! {
                 _ => observation(number, PersonId(person)),
             };
             let next = Observation { source, ..spoken };
-            free.observe([next.clone()]);
-            bounded.observe([next]);
+            free.intake().observe([next.clone()]);
+            bounded.intake().observe([next]);
             // Who is out waits for nothing, and what changes nothing does not either.
-            told.push((source, number, PersonId(person), !bounded.waits(PersonId(person))));
+            told.push((source, number, PersonId(person), !bounded.inside().waits(PersonId(person))));
             if restarts {
-                bounded.forget_voices();
-                free.forget_voices();
+                bounded.intake().forget_voices();
+                free.intake().forget_voices();
             }
             for _ in 0..steps {
                 let before = bounded.scores().included.clone();
                 bounded.score_within(1).unwrap();
                 prop_assert!(bounded.scores().asked <= 1);
-                told.iter_mut().for_each(|own| own.3 |= !bounded.waits(own.2));
+                told.iter_mut().for_each(|own| own.3 |= !bounded.inside().waits(own.2));
                 for claim in &bounded.scores().included {
                     let all = told.iter().filter(|own| own.0 == claim.source && own.1 <= claim.sequence);
                     prop_assert!(all.clone().all(|own| own.3), "{claim:?}");
@@ -605,7 +599,7 @@ proptest! {
                 }
             }
         }
-        while bounded.is_behind() {
+        while bounded.inside().is_behind() {
             bounded.score_within(1).unwrap();
         }
         bounded.score().unwrap();
@@ -618,7 +612,7 @@ proptest! {
         prop_assert_eq!(bounded.scores().newest_observed_ns, free.scores().newest_observed_ns);
         prop_assert_eq!(&bounded.scores().grounded.partition_probability, &free.scores().grounded.partition_probability);
         for own in free.persons() {
-            prop_assert_eq!(values(own), values(bounded.person(own.person).unwrap()));
+            prop_assert_eq!(values(own), values(bounded.inside().person(own.person).unwrap()));
         }
     }
 
@@ -652,9 +646,9 @@ proptest! {
             }).collect();
             // Silence ends a window.
             if *pause_s % 5 == 0 {
-                together.end_window(PersonId(2));
+                together.intake().end_window(PersonId(2));
                 if let Some(own) = alone.get_mut(&PersonId(2)) {
-                    own.end_window(PersonId(2));
+                    own.intake().end_window(PersonId(2));
                     own.score().unwrap();
                 }
             }
@@ -676,8 +670,8 @@ proptest! {
         alone.retain(|_, own| own.persons().next().is_some());
         prop_assert_eq!(together.persons().count(), alone.len());
         for (person, own) in &alone {
-            let own_scores = values(own.person(*person).unwrap());
-            prop_assert_eq!(values(together.person(*person).unwrap()), own_scores.clone());
+            let own_scores = values(own.inside().person(*person).unwrap());
+            prop_assert_eq!(values(together.inside().person(*person).unwrap()), own_scores.clone());
             let Scores { label_log_prob_nats, grounded, reached, .. } = own.scores();
             let (lower_log_score_nats, upper_log_score_nats) =
                 (&own.scores().lower_log_score_nats[..], &own.scores().upper_log_score_nats[..]);

@@ -148,7 +148,7 @@ pub type IsStopped = Arc<dyn Fn() -> bool + Send + Sync>;
 /// Whom work tells that it goes on.
 pub type Progress = Arc<dyn Fn() + Send + Sync>;
 
-/// What the scoring algorithm needs of a model.
+/// What the scoring algorithm needs of a model: its description, tokens of a text, the text of a token, and logits. Everything else has a default.
 pub trait LanguageModel {
     /// What the model says of itself.
     fn info(&self) -> &ModelInfo;
@@ -189,8 +189,8 @@ pub trait LanguageModel {
         Ok(())
     }
 
-    /// Forgets the kept prefix: the next call decodes the whole prompt.
-    fn forget(&mut self);
+    /// Forgets the kept prefix: the next call decodes the whole prompt. A model that keeps no prefix has nothing to forget.
+    fn forget(&mut self) {}
 
     /// Decodes `prompt` (what it shares with the last call's prompt is kept, not decoded again), then `tree` behind it,
     /// and gives each row of logits to `visit`: row 0 follows the prompt (only when `want_prompt_row`), row `i + 1` follows tree node `i`.
@@ -235,7 +235,7 @@ pub trait LanguageModel {
 
     /// Drops what the last call left behind beyond the first `keep` tokens of its prompt, all that the next prompt will have of them;
     /// called while idle.
-    fn tidy(&mut self, keep: usize);
+    fn tidy(&mut self, _keep: usize) {}
 }
 
 /// What a call of [`LanguageModel::decode`] cost.

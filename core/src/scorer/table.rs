@@ -113,8 +113,6 @@ impl LanguageModel for TableModel {
         self.kept.clear();
     }
 
-    fn tidy(&mut self, _keep: usize) {}
-
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         Ok(Some(self.clone()))
     }

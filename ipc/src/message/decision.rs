@@ -6,7 +6,7 @@ use crate::{MessageError, sequence, text};
 /// Most bytes of a decision's reason.
 pub const REASON_TEXT_BYTES: usize = 256;
 
-/// Values of [`DecisionV1::action`].
+/// Values of [`DecisionV1::action`]; [`Action`](crate::Action) is their meaning.
 pub mod action {
     /// Nothing is to be done: the robot waits in `to`, which may be another room than its own, or where it is if `to` is empty.
     pub const STAY: u32 = 0;
@@ -14,23 +14,6 @@ pub mod action {
     pub const GO: u32 = 1;
     /// The robot stops its work and waits where it disturbs nobody, at its dock if it has one.
     pub const PAUSE: u32 = 2;
-
-    /// The word for an action, as people and other programs read it; `unknown` for a number that this version does not know.
-    #[must_use]
-    pub fn word(action: u32) -> &'static str {
-        match action {
-            STAY => "stay",
-            GO => "go",
-            PAUSE => "pause",
-            _ => "unknown",
-        }
-    }
-
-    /// The action of a word; none for a word that this version does not know.
-    #[must_use]
-    pub fn of_word(word: &str) -> Option<u32> {
-        [STAY, GO, PAUSE].into_iter().find(|action| self::word(*action) == word)
-    }
 }
 
 /// Bits of [`DecisionV1::flags`].
@@ -182,21 +165,6 @@ impl Message for DecisionV1 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn an_action_goes_through_its_word() {
-        for (number, word) in [(action::STAY, "stay"), (action::GO, "go"), (action::PAUSE, "pause")] {
-            assert_eq!((action::word(number), action::of_word(word)), (word, Some(number)));
-        }
-    }
-
-    #[test]
-    fn an_unknown_action_is_read_as_no_known_one() {
-        assert_eq!(action::word(99), "unknown");
-        for word in ["dance", "unknown", "", "Stay"] {
-            assert_eq!(action::of_word(word), None, "{word}");
-        }
-    }
 
     /// What answers or cancels it says 0 for no decision.
     #[test]

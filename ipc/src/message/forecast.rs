@@ -54,7 +54,33 @@ layout! {
     }
 }
 
+/// A row of probabilities at a time since the forecast was computed: interpolated between two horizons, constant before the first and after
+/// the last horizon.
+#[must_use]
+pub fn probability_at(horizons_s: &[f32], row: &[f32], since_s: f64) -> f64 {
+    let mut before: Option<(f64, f64)> = None;
+    for (horizon_s, probability) in horizons_s.iter().zip(row).map(|(at, p)| (f64::from(*at), f64::from(*p))) {
+        if horizon_s >= since_s {
+            let Some((from_s, from)) = before else { return probability };
+            return from + (since_s - from_s) / (horizon_s - from_s).max(f64::MIN_POSITIVE) * (probability - from);
+        }
+        before = Some((horizon_s, probability));
+    }
+    before.map_or(0.0, |(_, last)| last)
+}
+
 impl ForecastV1 {
+    /// The horizons in seconds, rising.
+    #[must_use]
+    pub fn horizons_s(&self) -> &[f32] {
+        self.horizon_s.get(..self.horizon_count as usize).unwrap_or(&self.horizon_s)
+    }
+
+    /// The rooms' ids in the map's order, of a checked message, each with its probabilities, one per horizon.
+    pub fn rooms(&self) -> impl Iterator<Item = (&str, &[f32])> {
+        (0..self.room_count as usize).filter_map(|index| self.room(index))
+    }
+
     /// Whether a bit of [`forecast_flags`] is set.
     #[must_use]
     pub fn has(&self, flag: u32) -> bool {

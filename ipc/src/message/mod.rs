@@ -11,7 +11,7 @@ mod room_scores;
 mod status;
 
 pub use decision::{DecisionV1, REASON_TEXT_BYTES, action, decision_flags};
-pub use forecast::{ForecastV1, MAX_HORIZONS, forecast_flags};
+pub use forecast::{ForecastV1, MAX_HORIZONS, forecast_flags, probability_at};
 pub use item_scores::{ItemScoreV1, ItemScoresHeaderV1, MAX_ITEMS, NO_PARTITION};
 pub use narration::{NARRATION_TEXT_BYTES, NarrationV1, narration_kind};
 pub use person_forecasts::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};

@@ -18,7 +18,7 @@ pub mod person_flags {
     pub const VISITOR: u32 = 1 << 3;
 }
 
-/// Values of [`PersonV1::presence`].
+/// Values of [`PersonV1::presence`]; [`Presence`](crate::Presence) is their meaning.
 pub mod presence {
     /// Nothing was observed of the person.
     pub const UNKNOWN: u32 = 0;
@@ -28,17 +28,6 @@ pub mod presence {
     pub const AWAY: u32 = 2;
     /// Out of the house, and not expected back.
     pub const GONE: u32 = 3;
-
-    /// The word for a presence, as people and other programs read it; `unknown` for a number that this version does not know.
-    #[must_use]
-    pub fn word(presence: u32) -> &'static str {
-        match presence {
-            PRESENT => "present",
-            AWAY => "away",
-            GONE => "gone",
-            _ => "unknown",
-        }
-    }
 }
 
 layout! {

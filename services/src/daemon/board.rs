@@ -254,7 +254,7 @@ impl<M: LanguageModel> Board<M> {
         let (room, room_count) = named_rooms(pipeline.grounding().partitions())?;
         let snapshot = RoomScoresV1 {
             epoch,
-            model_fingerprint: pipeline.model().fingerprint,
+            model_fingerprint: pipeline.inside().model().fingerprint,
             map_fingerprint: map.fingerprint(),
             room_count,
             room,
@@ -341,7 +341,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Has `moved` called after each call of the model's decoder.
     pub(super) fn watch_model(&mut self, moved: Progress) {
-        self.pipeline.watch(moved);
+        self.pipeline.ahead().watch(moved);
     }
 
     /// The ids of the map's rooms, in the order in which habits have them.
@@ -488,12 +488,12 @@ impl<M: LanguageModel> Board<M> {
     /// What whoever works ahead has to know.
     pub fn now(&mut self) -> Now {
         self.told_ahead = (self.askings, self.forgotten);
-        Now { outlook: self.pipeline.outlook(), forgotten: self.forgotten }
+        Now { outlook: self.pipeline.ahead().outlook(), forgotten: self.forgotten }
     }
 
     /// Keeps an answer for when it is asked for, if it is of use.
     pub fn keep_answer(&mut self, answer: Answer) {
-        self.prepared.prepared += u64::from(self.pipeline.keep_answer(answer));
+        self.prepared.prepared += u64::from(self.pipeline.ahead().keep_answer(answer));
     }
 
     /// What was prepared since the start.
@@ -610,7 +610,7 @@ impl<M: LanguageModel> Board<M> {
             while let Some((_, person)) = forgotten.next_if(|(before, _)| *before <= index) {
                 self.lose(person);
             }
-            if self.pipeline.is_costly(&observation) {
+            if self.pipeline.intake().is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.id());
                 // What was said of its person then rests on it.
@@ -630,7 +630,7 @@ impl<M: LanguageModel> Board<M> {
             let voice = Voice::of_source(observation.source);
             let is_unknown = !self.named.is_empty() && !self.named.contains_key(&observation.source);
             let reporter = self.reporter(observation.source, is_unknown);
-            self.pipeline.include(&observation, voice);
+            self.pipeline.intake().include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
                 // What the former run refused has no moves.
@@ -689,14 +689,14 @@ impl<M: LanguageModel> Board<M> {
         forgotten.for_each(|(_, person)| self.lose(person));
         self.recalled = true;
         self.home.end_restore();
-        self.pipeline.forget_voices();
+        self.pipeline.intake().forget_voices();
         costly
     }
 
     /// Enters an observation of a former run that is a person's.
     fn enter_restored(&mut self, voice: Voice, own: Observation) {
         let person = own.person;
-        self.pipeline.enter(voice, own);
+        self.pipeline.intake().enter(voice, own);
         self.follow();
         match self.persons.get_mut(person) {
             // They were told of.
@@ -709,18 +709,18 @@ impl<M: LanguageModel> Board<M> {
 
     /// Takes note up to which sequence a former run has dealt with the starts of sources, of which the journal tells no more.
     pub(super) fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
-        self.pipeline.settle(settled);
+        self.pipeline.intake().settle(settled);
     }
 
     /// Takes note of a narration that was refused, so that its narrator does not wait for it.
     pub fn pass_over(&mut self, event: EventId) {
-        self.pipeline.pass_over(event);
+        self.pipeline.intake().pass_over(event);
     }
 
     /// How many tokens a sentence may cost with the map in use.
     #[must_use]
     pub(crate) fn sentence_tokens_max(&self) -> usize {
-        self.pipeline.options().history.tokens
+        self.pipeline.inside().options().history.tokens
     }
 
     /// The first bytes of the map's fingerprint.
@@ -733,7 +733,7 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn forget(&mut self, person: PersonId, is_theirs: impl Fn(&Observation) -> bool) {
         self.watch();
         self.lose(person);
-        self.pipeline.forget_told(is_theirs);
+        self.pipeline.intake().forget_told(is_theirs);
         // Texts of others may name the person.
         self.understood = UnderstoodEvents::default();
         self.near_misses.clear();
@@ -753,7 +753,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     fn drop_person(&mut self, person: PersonId) {
-        self.pipeline.forget_person(person);
+        self.pipeline.intake().forget_person(person);
         self.askings += 1;
         self.followed.remove(&person);
         self.told.remove(&person);
@@ -781,8 +781,8 @@ impl<M: LanguageModel> Board<M> {
 
     /// The next person whose window is to end, because they did nothing for too long.
     fn silent(&self, now_ns: i64) -> Option<PersonId> {
-        let limits = self.pipeline.options().history;
-        let mut windows = self.pipeline.histories().iter().filter(|(_, history)| !history.is_empty());
+        let limits = self.pipeline.inside().options().history;
+        let mut windows = self.pipeline.inside().histories().iter().filter(|(_, history)| !history.is_empty());
         let silent = |person: PersonId| {
             self.persons.get(person).is_some_and(|known| limits.is_gap(seconds(now_ns.saturating_sub(known.did_ns))))
         };
@@ -793,7 +793,7 @@ impl<M: LanguageModel> Board<M> {
     fn lapse(&mut self, now_ns: BootNs) {
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         while let Some(person) = self.silent(now_ns) {
-            self.pipeline.end_window(person);
+            self.pipeline.intake().end_window(person);
             if let Some(own) = self.followed.get_mut(&person) {
                 own.end_window();
             }
@@ -816,7 +816,7 @@ impl<M: LanguageModel> Board<M> {
                 Observation { person, by_fit: true, observed_ns, ..Observation::saying(last.sequence, Event::Away) };
             let away = Observation { source: last.source, epoch: last.epoch, ..away };
             if let Ok(own) = self.take(away, Voice::EARLIER, (self.reporter(last.source, true), true), Some(now_ns)) {
-                self.pipeline.enter(Voice::EARLIER, own);
+                self.pipeline.intake().enter(Voice::EARLIER, own);
             }
         }
     }
@@ -835,7 +835,7 @@ impl<M: LanguageModel> Board<M> {
             }
         }
         while let Some(person) = self.home.next_rescored() {
-            let Some(own) = self.pipeline.person(person).filter(|own| own.at_home) else { continue };
+            let Some(own) = self.pipeline.inside().person(person).filter(|own| own.at_home) else { continue };
             let Some(known) = self.persons.get(person) else { continue };
             let expected = self.followed.get(&person).and_then(Forecaster::expected);
             let rooms = expected.unwrap_or(&own.grounded.partition_probability);
@@ -905,7 +905,7 @@ impl<M: LanguageModel> Board<M> {
                 }
             }
         }
-        let histories = self.pipeline.histories();
+        let histories = self.pipeline.inside().histories();
         self.followed.retain(|person, _| histories.get(*person).is_some());
     }
 
@@ -958,9 +958,9 @@ impl<M: LanguageModel> Board<M> {
         for Entry { observation, received_ns, after_gap, voice, leaves } in entries {
             self.unscored_gap |= after_gap;
             if let Some((source, epoch)) = leaves {
-                self.pipeline.forget_source(source, epoch);
+                self.pipeline.intake().forget_source(source, epoch);
             }
-            if self.pipeline.is_costly(&observation) {
+            if self.pipeline.intake().is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.id());
                 self.unscored_ns.get_or_insert(received_ns);
@@ -969,13 +969,13 @@ impl<M: LanguageModel> Board<M> {
             let at_ns = observed_at_ns(&observation, now_ns, now_unix_ns).or(i64::try_from(received_ns.0).ok());
             let is_unknown = !self.named.is_empty() && voice.number == OTHERS;
             let reporter = self.reporter(observation.source, is_unknown);
-            self.pipeline.include(&observation, voice);
+            self.pipeline.intake().include(&observation, voice);
             let name = observation.id();
             let mut is_taken = false;
             let enter = |board: &mut Self, own: Observation| {
                 is_taken = true;
                 board.unscored.entry(own.person).or_insert(received_ns);
-                board.pipeline.enter(voice, own);
+                board.pipeline.intake().enter(voice, own);
             };
             let (is_read_alone, moves) = self.attribute(observation, voice, reporter, at_ns, enter);
             // What moves nobody may be of one who is away, and calls.
@@ -1004,19 +1004,22 @@ impl<M: LanguageModel> Board<M> {
             self.count_prepared();
             return Err(error);
         }
-        if self.next_rooms.is_some() && self.pipeline.is_owing() {
+        if self.next_rooms.is_some() && self.pipeline.inside().is_owing() {
             self.count_prepared();
             return Ok(None);
         }
         self.adopt_map();
         let pipeline = &self.pipeline;
-        self.rescored.iter().filter(|person| !pipeline.waits(**person)).for_each(|person| self.home.rescored(*person));
+        self.rescored
+            .iter()
+            .filter(|person| !pipeline.inside().waits(**person))
+            .for_each(|person| self.home.rescored(*person));
         self.snapshot.sequence += 1;
         self.snapshot.computed_ns = now_ns.0;
         self.snapshot.computed_unix_ns = now_unix_ns.0;
         let mut received_ns = self.unscored_ns.take();
         self.unscored.retain(|person, first_ns| {
-            let waits = pipeline.waits(*person);
+            let waits = pipeline.inside().waits(*person);
             if !waits {
                 received_ns = Some(received_ns.map_or(*first_ns, |before_ns| before_ns.min(*first_ns)));
             }
@@ -1081,11 +1084,11 @@ impl<M: LanguageModel> Board<M> {
         let map = self.map_number();
         let (recalled, said) = (self.recalled, &self.said);
         self.rescored.retain(|&person| {
-            if self.pipeline.waits(person) {
+            if self.pipeline.inside().waits(person) {
                 return true;
             }
             // Of who is out it says whose the observation is.
-            let own = self.pipeline.person(person).filter(|own| own.at_home);
+            let own = self.pipeline.inside().person(person).filter(|own| own.at_home);
             let expected = self.followed.get(&person).and_then(Forecaster::expected);
             let own = own.map(|own| expected.unwrap_or(&own.grounded.partition_probability));
             // Where a part of their narration was lost, the model says something else of the rest, and that is what is believed from now on.
@@ -1098,7 +1101,7 @@ impl<M: LanguageModel> Board<M> {
             }
             false
         });
-        if !self.pipeline.is_behind() {
+        if !self.pipeline.inside().is_behind() {
             self.recalled = false;
             self.said.clear();
         }
@@ -1125,7 +1128,7 @@ impl<M: LanguageModel> Board<M> {
     /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.watch();
-        self.pipeline.tidy()
+        self.pipeline.ahead().tidy()
     }
 }
 

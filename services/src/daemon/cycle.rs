@@ -154,7 +154,7 @@ impl<M: LanguageModel> Cycle<M> {
                 return Err(error);
             }
         }
-        self.due = is_news || !self.waiting.is_empty() || self.board.pipeline().is_behind();
+        self.due = is_news || !self.waiting.is_empty() || self.board.pipeline().inside().is_behind();
         self.fresh |= self.board.snapshot().sequence > sequence;
         self.scored_record = self.scored_record.max(self.entered_record);
         Ok(())

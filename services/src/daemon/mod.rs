@@ -79,7 +79,6 @@ pub use person_question::{
 };
 pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::{KeptPerson, PersonsFile};
-pub use roomcast_ipc::presence::word as presence_word;
 pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread looks after the others.
@@ -257,7 +256,7 @@ fn load<M: LanguageModel + Send + 'static>(
     let kept_map = state.as_ref().map(|directory| KeptMap::new(directory, &configured));
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
-    let token_counter = pipeline.token_counter();
+    let token_counter = pipeline.inside().token_counter();
     let names = state.as_ref().map(|directory| PersonsFile::load(directory)).unwrap_or_default();
     // Who only names narrators elsewhere does not say that those here are strangers.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
@@ -272,7 +271,7 @@ fn load<M: LanguageModel + Send + 'static>(
     };
     let preparer = match config.scoring.prepare {
         0 => Ok(None),
-        _ => pipeline.preparer(Arc::clone(&is_stopped)),
+        _ => pipeline.inside().preparer(Arc::clone(&is_stopped)),
     };
     let preparer = preparer.unwrap_or_else(|error| {
         tracing::warn!(%error, "no memory for a second cache: no answers are prepared. With scoring.prepare = 0 none is asked for");
@@ -280,8 +279,9 @@ fn load<M: LanguageModel + Send + 'static>(
     });
     let counts = || Counts::from_json(embedded::FORMS).unwrap_or_default();
     let ahead = preparer.map(|preparer| {
-        let drafter = drafter(config, pipeline.model(), is_stopped);
-        Ahead::new(preparer, counts(), pipeline.labels(), config.scoring.prepare).with_drafter(drafter)
+        let drafter = drafter(config, pipeline.inside().model(), is_stopped);
+        Ahead::new(preparer, counts(), Arc::clone(pipeline.inside().prepared()), config.scoring.prepare)
+            .with_drafter(drafter)
     });
     let board = Board::new(pipeline, map, config.grounding, sequence::random_epoch())?
         .with_persons(Persons::new(config.persons.clone(), names))
@@ -323,7 +323,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
         minor: 3,
         version: text::encode_cut(env!("CARGO_PKG_VERSION")),
         map: text::encode_cut(board.map().name()),
-        model: text::encode_cut(&board.pipeline().model().name),
+        model: text::encode_cut(&board.pipeline().inside().model().name),
         ..Default::default()
     }
 }

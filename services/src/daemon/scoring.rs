@@ -231,15 +231,11 @@ impl<M: LanguageModel> Scoring<M> {
     /// Takes in where robots are and go: their motion explains what sensors see. A malformed message says nothing.
     fn see_robots(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         let (ports, board) = (&mut self.ports, self.cycle.board_mut());
-        while let Some(checked) = ports.decisions.receive_into(&mut ports.decision)? {
-            if checked.is_ok() {
-                board.see_decision(&ports.decision, now_ns);
-            }
+        while ports.decisions.receive_into(&mut ports.decision)? {
+            board.see_decision(&ports.decision, now_ns);
         }
-        while let Some(checked) = ports.reports.receive_into(&mut ports.report)? {
-            if checked.is_ok() {
-                board.see_report(&ports.report, now_ns);
-            }
+        while ports.reports.receive_into(&mut ports.report)? {
+            board.see_report(&ports.report, now_ns);
         }
         Ok(())
     }
@@ -400,8 +396,8 @@ impl<M: LanguageModel> Scoring<M> {
         if !self.ready {
             self.ready = true;
             let board = self.cycle.board();
-            let (model, map) = (board.pipeline().model().name.as_str(), board.map().name());
-            let (labels, rooms) = (board.pipeline().prepared().labels().len(), message.rooms().len());
+            let (model, map) = (board.pipeline().inside().model().name.as_str(), board.map().name());
+            let (labels, rooms) = (board.pipeline().inside().prepared().labels().len(), message.rooms().len());
             tracing::info!(model, map, labels, rooms, "ready: the first scores are out");
             notify(&[NotifyState::Ready]);
         }
@@ -412,7 +408,8 @@ impl<M: LanguageModel> Scoring<M> {
     fn send_about_persons(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         self.ports.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
         self.ports.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
-        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))
+        self.ports.person_forecasts.send(self.cycle.board_mut().person_forecasts(now_ns))?;
+        Ok(())
     }
 
     /// Does what was asked of the map; returns whether it changed.

@@ -18,7 +18,7 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError};
 use roomcast_ipc::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
+    Presence, RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
 };
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
@@ -28,10 +28,10 @@ use self::chunks::TooMuch;
 pub use self::tape::Received;
 use self::tape::{Form, Tape};
 use crate::config::IntakeLimits;
-use crate::daemon::{Intake, Taken, presence_word};
+use crate::daemon::{Intake, Taken};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::ids::{BootNs, PersonId, UnixNs};
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
@@ -221,7 +221,7 @@ impl Recorded {
             Self::PersonScores(message) => json!({
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
                 "person": message.persons().iter().map(|person| json!({
-                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
                     "since_ns": person.since_ns, "elsewhere": person.elsewhere, "flags": person.flags,
                     "label_mass": person.label_mass,
                     "rooms": message.probabilities(person).zip(person.log_score_nats).map(|((id, probability), nats)| json!({
@@ -242,7 +242,7 @@ impl Recorded {
                 "epoch": format!("{:016x}", message.epoch), "sequence": message.sequence, "persons": message.persons,
                 "horizon_s": message.horizons_s(),
                 "person": message.persons().iter().map(|person| json!({
-                    "person": person.person, "name": person.name(), "presence": presence_word(person.presence),
+                    "person": person.person, "name": person.name(), "presence": Presence::of(person.presence).word(),
                     "flags": person.flags, "elsewhere": person.elsewhere.get(..message.horizon_count as usize),
                     "rooms": message.rooms().zip(&person.probability).map(|(id, row)| json!({
                         "id": id, "probability": row.get(..message.horizon_count as usize),
@@ -831,6 +831,7 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::ids::UnixNs;
     use roomcast_ipc::{IncludedV1, text};
 
     fn messages() -> Vec<(u64, Recorded)> {

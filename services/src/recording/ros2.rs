@@ -8,7 +8,8 @@ use mcap::records::{MessageHeader, Metadata};
 use roomcast_core::grounding::{Partition, partitions};
 use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{NarrationV1, PersonScoresV1, RoomScoresV1, sequence};
+use roomcast_ipc::raw::{ForecastV1, NarrationV1, PersonForecastsV1, probability_at};
+use roomcast_ipc::sequence;
 use roomcast_ros2::types::{Classification, Header, MarkerArray, Message, Text, encode};
 use roomcast_ros2::{content, markers, schema, words};
 
@@ -73,6 +74,11 @@ impl Stamp {
     }
 }
 
+/// The seconds ahead that have topics.
+fn ahead_s() -> impl Iterator<Item = f64> {
+    [0.0].into_iter().chain(content::HORIZONS_S)
+}
+
 /// Writes a recording as ROS 2 has them.
 #[expect(missing_debug_implementations, reason = "the writer of mcap has none")]
 pub struct Ros2Recorder {
@@ -82,8 +88,10 @@ pub struct Ros2Recorder {
     robots: BTreeMap<u64, String>,
     /// The map's fingerprint, and its rooms.
     map: Option<(String, Vec<Partition>)>,
-    /// Scores that wait for their map.
-    undrawn: Option<(Box<RoomScoresV1>, Stamp)>,
+    /// The map of the newest scores.
+    scored: Option<String>,
+    /// A forecast that waits for its map.
+    undrawn: Option<(Box<ForecastV1>, Stamp)>,
 }
 
 impl Ros2Recorder {
@@ -103,10 +111,13 @@ impl Ros2Recorder {
             persons: BTreeMap::new(),
             robots: [(sequence::source_of_name(robot), robot.to_owned())].into(),
             map: None,
+            scored: None,
             undrawn: None,
         };
         recorder.channel::<Text>("narration", Kept::Not)?;
-        recorder.channel::<Classification>("rooms", Kept::Last)?;
+        for ahead_s in ahead_s() {
+            recorder.channel::<Classification>(&format!("rooms{}", content::horizon(ahead_s)), Kept::Last)?;
+        }
         recorder.channel::<MarkerArray>("markers", Kept::Last)?;
         recorder.channel::<Text>("decision", Kept::Last)?;
         recorder.channel::<Text>("report", Kept::Not)?;
@@ -149,7 +160,7 @@ impl Ros2Recorder {
         self.tape.write(&header, &data)
     }
 
-    /// Appends what a message says. Forecasts have no topic.
+    /// Appends what a message says. Scores have no topic.
     ///
     /// # Errors
     ///
@@ -164,12 +175,21 @@ impl Ros2Recorder {
                 self.say("narration", Kept::Not, at(received.or(UnixNs(message.observed_unix_ns))), &said)
             }
             Recorded::RoomScores(scores) => {
-                let stamp = at(received.or(UnixNs(scores.computed_unix_ns)));
-                self.say("rooms", Kept::Last, stamp, &content::of_all(scores, stamp.header()))?;
-                self.undrawn = Some((scores.clone(), stamp));
+                self.scored = Some(hex::encode(scores.map_fingerprint));
                 self.draw()
             }
-            Recorded::PersonScores(scores) => self.persons(scores, at(received.before(BootNs(scores.computed_ns)))),
+            Recorded::Forecast(forecast) => {
+                let stamp = at(received.before(BootNs(forecast.computed_ns)));
+                for ahead_s in ahead_s() {
+                    let rooms = content::of_rooms(forecast, ahead_s, stamp.header());
+                    self.say(&format!("rooms{}", content::horizon(ahead_s)), Kept::Last, stamp, &rooms)?;
+                }
+                self.undrawn = Some((forecast.clone(), stamp));
+                self.draw()
+            }
+            Recorded::PersonForecasts(message) => {
+                self.persons(message, at(received.before(BootNs(message.computed_ns))))
+            }
             Recorded::Decision(decision) => {
                 let said = words::decision(decision, &self.robot(decision.robot, decision.robot_name()));
                 self.say("decision", Kept::Last, at(received.or(UnixNs(decision.decided_unix_ns))), &said)
@@ -178,7 +198,7 @@ impl Ros2Recorder {
                 let said = words::report(report, &self.robot(report.robot, report.robot_name()));
                 self.say("report", Kept::Not, at(received.or(UnixNs(report.reported_unix_ns))), &said)
             }
-            Recorded::Forecast(_) | Recorded::PersonForecasts(_) => Ok(()),
+            Recorded::PersonScores(_) => Ok(()),
         }
     }
 
@@ -198,18 +218,20 @@ impl Ros2Recorder {
         self.robots.get(&number).cloned().unwrap_or_else(|| format!("robot {number:016x}"))
     }
 
-    fn persons(&mut self, scores: &PersonScoresV1, stamp: Stamp) -> Result<(), RecordingError> {
-        for person in scores.persons() {
+    fn persons(&mut self, message: &PersonForecastsV1, stamp: Stamp) -> Result<(), RecordingError> {
+        for (person, topic) in message.persons().iter().zip(content::person_topics(message.persons())) {
             if !person.name().is_empty() {
                 self.persons.insert(PersonId(person.person), person.name().to_owned());
             }
-            let topic = format!("person/{}", content::slug(person));
-            self.say(&topic, Kept::Last, stamp, &content::of_one(scores, person, stamp.header()))?;
+            for ahead_s in ahead_s() {
+                let places = content::of_person(message, person, ahead_s, stamp.header());
+                self.say(&format!("person/{topic}{}", content::horizon(ahead_s)), Kept::Last, stamp, &places)?;
+            }
         }
         Ok(())
     }
 
-    /// Takes the map and the names of persons from what the daemon told of itself. Scores that waited for it are drawn.
+    /// Takes the map and the names of persons from the daemon's moment, and draws the forecast that waited for the map.
     ///
     /// # Errors
     ///
@@ -223,15 +245,17 @@ impl Ros2Recorder {
         self.draw()
     }
 
-    /// Draws the last scores, where their map is known.
+    /// Draws the last forecast if its map is known.
     fn draw(&mut self) -> Result<(), RecordingError> {
-        let (Some((scores, stamp)), Some((fingerprint, rooms))) = (&self.undrawn, &self.map) else { return Ok(()) };
-        if *fingerprint != hex::encode(scores.map_fingerprint) {
+        let (Some((forecast, stamp)), Some((fingerprint, rooms))) = (&self.undrawn, &self.map) else { return Ok(()) };
+        if self.scored.as_ref() != Some(fingerprint) {
             return Ok(());
         }
-        let probability =
-            |id: &str| scores.rooms().iter().find(|own| own.id() == id).map_or(0.0, |own| own.probability);
-        let shown: Vec<_> = rooms.iter().map(|room| (room, probability(&room.id))).collect();
+        let now = |id: &str| {
+            let row = forecast.rooms().find(|(own, _)| *own == id);
+            row.map_or(0.0, |(_, row)| probability_at(forecast.horizons_s(), row, 0.0))
+        };
+        let shown: Vec<_> = rooms.iter().map(|room| (room, now(&room.id))).collect();
         let (stamp, drawn) = (*stamp, markers::markers(&shown, &stamp.header()));
         self.undrawn = None;
         self.say("markers", Kept::Last, stamp, &drawn)
@@ -267,7 +291,8 @@ mod tests {
     use roomcast_core::grounding::{Grounding, GroundingOptions};
     use roomcast_core::pipeline::{Pipeline, PipelineOptions};
     use roomcast_core::scorer::table::TableModel;
-    use roomcast_ipc::{DecisionV1, PersonV1, action, narration_kind, text};
+    use roomcast_ipc::raw::{DecisionV1, PersonForecastV1, RoomScoresV1, action, narration_kind};
+    use roomcast_ipc::text;
     use roomcast_ros2::types::decode;
 
     use super::*;
@@ -287,14 +312,18 @@ mod tests {
     }
 
     fn scores(sequence: u64, map_fingerprint: [u8; 32]) -> Recorded {
-        let (computed_unix_ns, room_count) = (NOW.unix_ns.0 - 7, 2);
-        let mut scores =
-            RoomScoresV1 { epoch: 3, sequence, computed_unix_ns, room_count, map_fingerprint, ..Default::default() };
-        for (room, id) in scores.room.iter_mut().zip(["kitchen", "bathroom"]) {
-            room.id = text::encode("id", id).unwrap();
-            room.probability = 0.5;
+        Recorded::RoomScores(Box::new(RoomScoresV1 { epoch: 3, sequence, map_fingerprint, ..Default::default() }))
+    }
+
+    fn forecast(sequence: u64) -> Recorded {
+        let (computed_ns, room_count, horizon_count) = (NOW.monotonic_ns.0 - 7, 2, 1);
+        let mut forecast =
+            ForecastV1 { epoch: 3, sequence, computed_ns, room_count, horizon_count, ..Default::default() };
+        for (room, id) in ["kitchen", "bathroom"].into_iter().enumerate() {
+            forecast.id[room] = text::encode("id", id).unwrap();
+            forecast.probability[room][0] = 0.5;
         }
-        Recorded::RoomScores(Box::new(scores))
+        Recorded::Forecast(Box::new(forecast))
     }
 
     /// Each message: topic, type, when it came and was made, its bytes.
@@ -319,46 +348,53 @@ mod tests {
         let narration =
             NarrationV1 { person: 4, ..NarrationV1::new(narration_kind::ACTION, "[Grab] <mug> (1)").unwrap() };
         let narration = Recorded::Narration(Box::new(narration));
-        let mut persons = PersonScoresV1 {
+        let mut persons = PersonForecastsV1 {
             computed_ns: NOW.monotonic_ns.0 - 5,
             room_count: 1,
+            horizon_count: 1,
             person_count: 1,
             ..Default::default()
         };
         persons.id[0] = text::encode("id", "kitchen").unwrap();
-        persons.person[0] = PersonV1 { person: 9, name: text::encode("name", "Ada").unwrap(), ..Default::default() };
+        persons.person[0] =
+            PersonForecastV1 { person: 9, name: text::encode("name", "Ada").unwrap(), ..Default::default() };
         let robot = sequence::source_of_name("robo");
         let decision =
             DecisionV1 { robot, action: action::GO, to: text::encode("to", "kitchen").unwrap(), ..Default::default() };
         recorder.write(&narration, NOW).unwrap();
         recorder.write(&scores(1, fingerprint), NOW).unwrap();
-        recorder.write(&scores(2, fingerprint), NOW).unwrap();
+        recorder.write(&forecast(1), NOW).unwrap();
         recorder.tell(&moment()).unwrap();
         recorder.write(&narration, NOW).unwrap();
-        recorder.write(&Recorded::PersonScores(Box::new(persons)), NOW).unwrap();
+        recorder.write(&Recorded::PersonForecasts(Box::new(persons)), NOW).unwrap();
         recorder.write(&scores(3, [1; 32]), NOW).unwrap();
+        recorder.write(&forecast(3), NOW).unwrap();
         recorder.write(&Recorded::Decision(Box::new(decision)), NOW).unwrap();
         recorder.write(&Recorded::Decision(Box::new(DecisionV1 { robot: 5, ..decision })), NOW).unwrap();
-        assert_eq!(recorder.written(), 9);
+        assert_eq!(recorder.written(), 14);
         recorder.finish().unwrap();
 
         let written = messages(&path);
         let topics: Vec<_> = written.iter().map(|message| message.0.trim_start_matches("/roomcast/")).collect();
-        let expected =
-            ["narration", "rooms", "rooms", "markers", "narration", "person/p_ada", "rooms", "decision", "decision"];
-        assert_eq!(topics, expected, "none of the first scores, and none of another map's");
+        let rooms = ["rooms", "rooms/in_60s", "rooms/in_600s"];
+        let mut expected = vec!["narration"];
+        expected.extend(rooms);
+        expected.extend(["markers", "narration", "person/ada", "person/ada/in_60s", "person/ada/in_600s"]);
+        expected.extend(rooms);
+        expected.extend(["decision", "decision"]);
+        assert_eq!(topics, expected, "no markers of another map");
         let said = |at: usize| decode::<Text>(&written[at].4).unwrap().data;
         assert_eq!(said(0), "They grab the mug.");
-        assert_eq!(said(4), "Ben: They grab the mug.", "the daemon told the name meanwhile");
+        assert_eq!(said(5), "Ben: They grab the mug.", "the daemon told the name meanwhile");
         assert_eq!(
-            (said(7), said(8)),
+            (said(12), said(13)),
             ("robo goes to kitchen".into(), "robot 0000000000000005 goes to kitchen".into())
         );
         let made = |at: usize| (NOW.unix_ns.0 - written[at].2, NOW.unix_ns.0 - written[at].3);
-        assert_eq!((made(0), made(1), made(5)), ((0, 0), (0, 7), (0, 5)));
-        let drawn: MarkerArray = decode(&written[3].4).unwrap();
+        assert_eq!((made(0), made(1), made(6)), ((0, 0), (0, 7), (0, 5)));
+        let drawn: MarkerArray = decode(&written[4].4).unwrap();
         assert!(!drawn.markers.is_empty() && drawn.markers[0].header == Header::of_unix_ns(NOW.unix_ns.0 - 7, "map"));
-        assert_eq!(written[5].1, "vision_msgs/msg/Classification");
+        assert_eq!(written[6].1, "vision_msgs/msg/Classification");
 
         let refused = super::super::read(&path).unwrap_err().to_string();
         assert!(refused.contains("\"ros2\", and only those of the profile \"roomcast\" are read"), "{refused}");
@@ -371,9 +407,11 @@ mod tests {
         let path = folder.path().join("day.mcap");
         Ros2Recorder::create(&path, "").unwrap().finish().unwrap();
         let summary = mcap::Summary::read(&std::fs::read(&path).unwrap()).unwrap().unwrap();
-        assert_eq!((summary.channels.len(), summary.metadata_indexes.len()), (5, 1));
+        assert_eq!((summary.channels.len(), summary.metadata_indexes.len()), (7, 1));
         for channel in summary.channels.values() {
-            let kept = ["/roomcast/rooms", "/roomcast/markers", "/roomcast/decision"].contains(&channel.topic.as_str());
+            let topic = channel.topic.as_str();
+            let kept =
+                topic.starts_with("/roomcast/rooms") || ["/roomcast/markers", "/roomcast/decision"].contains(&topic);
             let qualities = &channel.metadata["offered_qos_profiles"];
             assert_eq!(qualities.contains("durability: 1"), kept, "{}", channel.topic);
             assert!(qualities.starts_with("- history: 1\n  depth: ") && qualities.contains("  reliability: 1\n"));

@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, sequence,
 };
@@ -100,7 +99,9 @@ impl RobotLink<'_> {
             tracing::info!(kind = %report.kind, room = report.room, battery = report.battery, note = report.note, not_told, "report of the robot");
         }
         match self.reporter.message(report, clock::monotonic_ns(), clock::unix_ns()) {
-            Ok(message) => self.reports.send(&message)?,
+            Ok(message) => {
+                self.reports.send(&message)?;
+            }
             Err(error) => {
                 if let Some(not_told) = self.log.pass(clock::monotonic_ns()) {
                     tracing::warn!(%error, not_told, "a report cannot be made");
@@ -152,11 +153,9 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
         }
         let now_ns = clock::monotonic_ns();
         // Before what the robot says: what it is at may be what it was told by this.
-        while let Some(received) = decisions.receive()? {
-            if let Ok(decision) = received {
-                let acts = driver.decide(&decision, now_ns);
-                robot.act(acts)?;
-            }
+        while let Some(decision) = decisions.receive()? {
+            let acts = driver.decide(&decision, now_ns);
+            robot.act(acts)?;
         }
         let heard = robot.link.heard();
         // What came before a connection broke says nothing of now, and comes again with the next one.

@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 
 use roomcast_core::grounding::{Partition, partitions};
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storeys};
-use roomcast_ipc::{Domain, ForecastV1, IpcError, PersonScoresV1, RoomScoresV1, Subscriber, clock};
-use roomcast_ros2::content::{diagnostics, of_all, of_one, slug};
+use roomcast_ipc::raw::{ForecastV1, PersonForecastsV1, RoomScoresV1, probability_at};
+use roomcast_ipc::{Domain, IpcError, Subscriber, clock};
+use roomcast_ros2::content::{diagnostics, horizon, of_person, of_rooms, person_topics};
 use roomcast_ros2::markers::markers;
 use roomcast_ros2::types::{CostmapFilterInfo, Header, Message, Text};
 
@@ -149,12 +150,14 @@ pub fn run(
 ) -> Result<(), IpcError> {
     let node = domain.open("roomcast-ros2")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
-    let persons: Subscriber<PersonScoresV1> = node.subscriber()?;
+    let persons: Subscriber<PersonForecastsV1> = node.subscriber()?;
     let forecasts: Subscriber<ForecastV1> = node.subscriber()?;
     let mut voice = Voice { config, link, ear, node: None, log: Limiter::default() };
     let mut rooms = None::<Box<RoomScoresV1>>;
+    let mut forecast = None::<Box<ForecastV1>>;
     let mut said = None::<(u64, u64)>;
     let mut of_persons = None::<(u64, u64)>;
+    let horizons_s: Vec<f64> = [0.0].into_iter().chain(config.horizons_s.iter().copied()).collect();
     let mut values = Vec::<i8>::new();
     let mut drawn = None::<(Vec<i8>, Instant)>;
     let (mut told, mut marked) = (None::<Instant>, None::<Instant>);
@@ -170,28 +173,32 @@ pub fn run(
         }
         rooms = scores.newest()?.map(Box::new).or(rooms);
         let now_ns = clock::monotonic_ns();
-        if let Some(scores) = &rooms
-            && said != Some((scores.epoch, scores.sequence))
+        forecast = forecasts.newest()?.map(Box::new).or(forecast);
+        if let Some(forecast) = &forecast
+            && said != Some((forecast.epoch, forecast.computed_ns))
         {
-            said = Some((scores.epoch, scores.sequence));
-            voice.say("rooms", Kept::Last, &of_all(scores, voice.header(scores.age_ns(now_ns))));
+            said = Some((forecast.epoch, forecast.computed_ns));
+            for ahead_s in &horizons_s {
+                let header = voice.header(now_ns.saturating_sub(forecast.computed_ns));
+                voice.say(&format!("rooms{}", horizon(*ahead_s)), Kept::Last, &of_rooms(forecast, *ahead_s, header));
+            }
+            values = likely(forecast, &places.rooms, config.horizon_s).map(mask::value).collect();
         }
         if let Some(message) = persons.newest()?
-            && of_persons != Some((message.epoch, message.sequence))
+            && of_persons != Some((message.epoch, message.computed_ns))
         {
-            of_persons = Some((message.epoch, message.sequence));
+            of_persons = Some((message.epoch, message.computed_ns));
             let mut topics = BTreeSet::new();
-            for person in message.persons() {
-                let header = voice.header(now_ns.saturating_sub(message.computed_ns));
-                let topic = voice.topic(&format!("person/{}", slug(person)));
-                voice.say(&topic, Kept::Last, &of_one(&message, person, header));
-                topics.insert(topic);
+            for (person, name) in message.persons().iter().zip(person_topics(message.persons())) {
+                for ahead_s in &horizons_s {
+                    let header = voice.header(now_ns.saturating_sub(message.computed_ns));
+                    let topic = voice.topic(&format!("person/{name}{}", horizon(*ahead_s)));
+                    voice.say(&topic, Kept::Last, &of_person(&message, person, *ahead_s, header));
+                    topics.insert(topic);
+                }
             }
-            // Who was forgotten, or was not observed for longer than the others, has no topic, so that there are never more than persons in a message.
+            // A person that was forgotten, or that was not observed for longer than others, has no topic: a message has a bounded number of persons.
             voice.keep(&voice.topic("person/"), &topics);
-        }
-        if let Some(forecast) = forecasts.newest()? {
-            values = likely(&forecast, &places.rooms, config.horizon_s).map(mask::value).collect();
         }
         if let Some(mask) = &places.mask
             && !values.is_empty()
@@ -203,16 +210,18 @@ pub fn run(
             let header = voice.header(0);
             voice.say("keepout_mask", Kept::Last, &mask.draw(&values, header));
         }
-        if let Some(scores) = &rooms
+        if let Some(forecast) = &forecast
             && !places.rooms.is_empty()
             && marked.is_none_or(|marked| marked.elapsed() >= SECOND)
         {
             marked = Some(Instant::now());
-            let probability = |room: &Partition| {
-                scores.rooms().iter().find(|own| own.id() == room.id).map_or(0.0, |own| own.probability)
+            let age_ns = now_ns.saturating_sub(forecast.computed_ns);
+            let occupied = |room: &Partition| {
+                let row = forecast.rooms().find(|(id, _)| *id == room.id);
+                row.map_or(0.0, |(_, row)| probability_at(forecast.horizons_s(), row, age_ns as f64 / 1e9))
             };
-            let shown: Vec<_> = places.rooms.iter().map(|room| (room, probability(room))).collect();
-            let header = voice.header(scores.age_ns(now_ns));
+            let shown: Vec<_> = places.rooms.iter().map(|room| (room, occupied(room))).collect();
+            let header = voice.header(0);
             voice.say("markers", Kept::Last, &markers(&shown, &header));
         }
         if told.is_none_or(|told| told.elapsed() >= SECOND) {
@@ -231,11 +240,9 @@ fn filter(config: &Ros2, header: Header) -> CostmapFilterInfo {
 
 /// How likely somebody is in each room of the scene at the likeliest moment within a horizon.
 fn likely<'a>(forecast: &'a ForecastV1, rooms: &'a [Partition], horizon_s: f64) -> impl Iterator<Item = f64> + 'a {
-    let within = forecast.horizon_s.iter().take(forecast.horizon_count as usize);
-    let within = within.take_while(|at| f64::from(**at) <= horizon_s).count().max(1);
+    let within = forecast.horizons_s().iter().take_while(|at| f64::from(**at) <= horizon_s).count().max(1);
     rooms.iter().map(move |room| {
-        let row = (0..forecast.room_count as usize).filter_map(|index| forecast.room(index));
-        let row = row.filter(|(id, _)| *id == room.id).flat_map(|(_, row)| row.iter().take(within));
+        let row = forecast.rooms().filter(|(id, _)| *id == room.id).flat_map(|(_, row)| row.iter().take(within));
         row.fold(0.0, |most, probability| f64::from(*probability).max(most))
     })
 }

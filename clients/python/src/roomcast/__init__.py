@@ -32,6 +32,7 @@ from .messages import (
     ForecastFlags,
     ItemScore,
     ItemScores,
+    NarrationKind,
     Person,
     PersonFlags,
     PersonForecast,
@@ -65,6 +66,7 @@ __all__ = [
     "ItemScores",
     "ItemScoresSubscription",
     "MessageError",
+    "NarrationKind",
     "Narrator",
     "NoAnswerError",
     "NotIncludedError",
@@ -97,8 +99,6 @@ __all__ = [
     "source_of_name",
     "status",
 ]
-
-SENTENCE, ACTION, DEVICE, PRESENCE = 0, 1, 2, 3
 
 #: Kinds of sensors.
 SENSOR_KINDS = ("motion", "presence", "bed", "door", "phone", "appliance", "camera")
@@ -381,6 +381,9 @@ class Narrator(_Participant):
     `person` is whom all is said of, by name or number; each call may name another. Without either it is unknown: the daemon weighs the
     event for all persons. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
     NotIncludedError when it does not for 10 seconds. Threads may share it.
+
+    Each event returns the number of participants that received it: 0 if no daemon runs. A daemon that starts later receives the event while
+    the narrator lives.
     """
 
     def __init__(self, name: str, domain: Domain | None = None, person: Who = None) -> None:
@@ -392,51 +395,51 @@ class Narrator(_Participant):
         #: The newest scores that contain something of what was said, and up to which number.
         self._included: tuple[int, RoomScores] | None = None
 
-    def say(self, sentence: str, person: Who = None, count: int = 0) -> None:
+    def say(self, sentence: str, person: Who = None, count: int = 0) -> int:
         """A plain sentence: "They grab the mug." `count` is the number of unknown persons that it is about, at most 8."""
         if count and (person is not None or self.person is not None):
             raise ValueError("count counts unknown persons: leave person out, or count")
-        self._send(SENTENCE, sentence, self._who(person), count)
+        return self._send(NarrationKind.SENTENCE, sentence, self._who(person), count)
 
-    def act(self, action: str, person: Who = None) -> None:
+    def act(self, action: str, person: Who = None) -> int:
         """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon knows the verbs, and drops one that it does not know."""
         if _ACTION.fullmatch(action.strip()) is None:
             raise ValueError(f"action {action!r}: give a verb in brackets, then things such as \"[Grab] <mug> (1)\"")
-        self._send(ACTION, action, self._who(person))
+        return self._send(NarrationKind.ACTION, action, self._who(person))
 
-    def did(self, person: Who, text: str) -> None:
+    def did(self, person: Who, text: str) -> int:
         """An action of a person: `did("ada", "opens the fridge")`. The text is what the person does, or a whole sentence."""
         text = text.strip()
         if text[:1].islower():
             _, name = _person(person)
             text = f"{name or 'Somebody'} {text.rstrip('.')}."
-        self._send(SENTENCE, text, self._who(person))
+        return self._send(NarrationKind.SENTENCE, text, self._who(person))
 
-    def several(self, count: int, sentence: str) -> None:
+    def several(self, count: int, sentence: str) -> int:
         """A sentence about so many unknown persons, at most 8."""
-        self._send(SENTENCE, sentence, _person(None), count)
+        return self._send(NarrationKind.SENTENCE, sentence, _person(None), count)
 
-    def present(self, person: Who, room: str | None = None) -> None:
+    def present(self, person: Who, room: str | None = None) -> int:
         """A person is in the house, in a room if it is known."""
-        self.presence("present", room, person)
+        return self.presence("present", room, person)
 
-    def away(self, person: Who) -> None:
+    def away(self, person: Who) -> int:
         """A person is out of the house, and expected back."""
-        self.presence("away", person=person)
+        return self.presence("away", person=person)
 
-    def gone(self, person: Who) -> None:
+    def gone(self, person: Who) -> int:
         """A person is out of the house, and not expected back."""
-        self.presence("gone", person=person)
+        return self.presence("gone", person=person)
 
-    def empty(self, room: str) -> None:
+    def empty(self, room: str) -> int:
         """A room has no people in it."""
-        self.presence("empty", room)
+        return self.presence("empty", room)
 
-    def device(self, state: str, person: Who = None) -> None:
+    def device(self, state: str, person: Who = None) -> int:
         """A device's state: "the oven is on"."""
-        self._send(DEVICE, state, self._who(person))
+        return self._send(NarrationKind.DEVICE, state, self._who(person))
 
-    def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> None:
+    def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> int:
         """Where a person is, as a sensor knows it: "present", with a room or without, "away" or "gone"; or that a room is "empty", which is
         said of everybody and takes no person. It updates what the daemon believes, and is no sentence for the language model."""
         said = presence.name.lower() if isinstance(presence, Presence) else presence
@@ -447,11 +450,10 @@ class Narrator(_Participant):
         if said == "empty":
             if room is None or person is not None:
                 raise ValueError("presence 'empty' is of a room and of everybody: give a room, and no person")
-            self._send(PRESENCE, f"nobody in the {room.strip()}", _person(None))
-            return
+            return self._send(NarrationKind.PRESENCE, f"nobody in the {room.strip()}", _person(None))
         if room is not None:
             said = f"present in the {room.strip()}"
-        self._send(PRESENCE, said, self._who(person))
+        return self._send(NarrationKind.PRESENCE, said, self._who(person))
 
     def sensor(
         self,
@@ -465,7 +467,7 @@ class Narrator(_Participant):
         hold_s: float | None = None,
         false_alarms_per_day: float | None = None,
         only_on: bool = False,
-    ) -> None:
+    ) -> int:
         """The state of a sensor: "motion", "presence", "bed", "door", "phone", "appliance" or "camera". `id` is the device, the same in each report;
         `room` is the room that it sees, and a phone has none. `on` is None if the device is unavailable. `person` is the owner of a bed or a phone;
         the narrator's own person is not meant. `beyond` is the other room of a door between two rooms, and the other keys are those of a JSON line."""
@@ -486,12 +488,12 @@ class Narrator(_Participant):
         options = {"room": room, "beyond": beyond, "hold_s": hold_s, "false_alarms_per_day": false_alarms_per_day}
         report |= {key: value for key, value in options.items() if value is not None}
         report |= {"only_on": True, "on": on} if only_on else {"on": on}
-        self._send(PRESENCE, json.dumps(report, ensure_ascii=False, separators=(",", ":")), _person(person))
+        return self._send(NarrationKind.PRESENCE, json.dumps(report, ensure_ascii=False, separators=(",", ":")), _person(person))
 
     def _who(self, person: Who) -> tuple[int, str]:
         return _person(self.person if person is None else person)
 
-    def _send(self, kind: int, text: str, who: tuple[int, str], count: int = 0) -> None:
+    def _send(self, kind: int, text: str, who: tuple[int, str], count: int = 0) -> int:
         person, person_name = who
         # The daemon drops what has neither.
         if not any(character.isalnum() for character in text):
@@ -506,9 +508,9 @@ class Narrator(_Participant):
             with self._publisher.alone():
                 if self.under_way < UNDER_WAY_MAX:
                     message.sequence = self.sequence + 1
-                    self._publisher.send(message)
+                    receivers = self._publisher.send(message)
                     self.sequence += 1
-                    return
+                    return receivers
             self._wait_for_room()
 
     def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
@@ -651,23 +653,23 @@ class Planner(_Participant):
                 deadline = ports.deadline_of(timeout_s)
                 yield forecast
 
-    def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> None:
+    def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> int:
         """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time.
-        ValueError when the scores that were taken last have no such room."""
+        Returns the number of participants that received the decision: 0 if no robot listens. ValueError when the scores that were taken last have no such room."""
         with self._publisher.alone():
             known = self._last or self._forecast
             rooms = [each.id for each in known.rooms] if known else []
             if room and rooms and room not in rooms:
                 raise ValueError(f"room {room!r}: the scores that were taken last have no such room; give one of {', '.join(rooms)}")
             stays = room == self.room and not self._paused
-            self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
+            return self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
 
-    def pause(self, reason: str, cancels: int = 0) -> None:
+    def pause(self, reason: str, cancels: int = 0) -> int:
         """Publishes that the robot stops its work and waits where it disturbs nobody."""
         with self._publisher.alone():
-            self._decide(Action.PAUSE, self.room, reason, 0, cancels)
+            return self._decide(Action.PAUSE, self.room, reason, 0, cancels)
 
-    def _decide(self, action: Action, room: str, reason: str, stay_s: float, cancels: int) -> None:
+    def _decide(self, action: Action, room: str, reason: str, stay_s: float, cancels: int) -> int:
         """By one thread at a time: what it says depends on the decision before."""
         if not 0 <= stay_s <= 1e9:
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
@@ -688,16 +690,18 @@ class Planner(_Participant):
         layouts.write_cut("policy", message.policy, self.name)
         layouts.write_cut("robot_name", message.robot_name, self.name)
         layouts.write_cut("reason", message.reason, reason)
-        self._publisher.send(message)
+        receivers = self._publisher.send(message)
         self.sequence += 1
         self.room, self._paused = room, action == Action.PAUSE
+        return receivers
 
 
 class Robot(_Open):
     """A robot: follows the decisions for it, and reports where it is and what became of them. A context manager. Threads may share it.
 
     Its name is that in the planner's configuration, `planner.robot`. A report speaks of the decision that was followed last, and of its
-    room, unless it names another room. Reports are not confirmed: one that a planner has missed is made good by the next.
+    room, unless it names another room. Reports are not confirmed: one that a planner has missed is made good by the next. Each report returns
+    the number of participants that received it: 0 if no planner listens.
     """
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
@@ -737,37 +741,37 @@ class Robot(_Open):
             while (decision := self.next()) is not None:
                 yield decision
 
-    def started(self, room: str = "", note: str = "") -> None:
+    def started(self, room: str = "", note: str = "") -> int:
         """It is in the room and has begun to work there."""
-        self.report(ReportKind.STARTED, room, note)
+        return self.report(ReportKind.STARTED, room, note)
 
-    def finished(self, room: str = "", note: str = "") -> None:
+    def finished(self, room: str = "", note: str = "") -> int:
         """The work in the room is done."""
-        self.report(ReportKind.FINISHED, room, note)
+        return self.report(ReportKind.FINISHED, room, note)
 
-    def failed(self, room: str = "", note: str = "") -> None:
+    def failed(self, room: str = "", note: str = "") -> int:
         """The work in the room failed; the robot is free again."""
-        self.report(ReportKind.FAILED, room, note)
+        return self.report(ReportKind.FAILED, room, note)
 
-    def blocked(self, room: str = "", note: str = "") -> None:
+    def blocked(self, room: str = "", note: str = "") -> int:
         """It does not get into the room; the robot is free again."""
-        self.report(ReportKind.BLOCKED, room, note)
+        return self.report(ReportKind.BLOCKED, room, note)
 
-    def cancelled(self, room: str = "", note: str = "") -> None:
+    def cancelled(self, room: str = "", note: str = "") -> int:
         """Somebody, or the robot itself, took the decision back; the robot is free again."""
-        self.report(ReportKind.CANCELLED, room, note)
+        return self.report(ReportKind.CANCELLED, room, note)
 
-    def docked(self, battery: float | None = None) -> None:
+    def docked(self, battery: float | None = None) -> int:
         """It is at its dock, and charges."""
-        self.report(ReportKind.DOCKED, battery=battery)
+        return self.report(ReportKind.DOCKED, battery=battery)
 
-    def battery(self, level: float) -> None:
+    def battery(self, level: float) -> int:
         """How full the battery is, 0 to 1."""
-        self.report(ReportKind.BATTERY, battery=level)
+        return self.report(ReportKind.BATTERY, battery=level)
 
-    def position(self, position_m: tuple[float, float, float], room: str = "") -> None:
+    def position(self, position_m: tuple[float, float, float], room: str = "") -> int:
         """Where the robot is, in the map's metres."""
-        self.report(ReportKind.POSITION, room, position_m=position_m)
+        return self.report(ReportKind.POSITION, room, position_m=position_m)
 
     def report(
         self,
@@ -776,7 +780,7 @@ class Robot(_Open):
         note: str = "",
         battery: float | None = None,
         position_m: tuple[float, float, float] | None = None,
-    ) -> None:
+    ) -> int:
         """Sends a report; MessageError says what cannot be in it. A note that is too long is cut."""
         message = layouts.RobotReportV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, kind=kind)
         message.reported_ns, message.reported_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
@@ -796,8 +800,9 @@ class Robot(_Open):
         layouts.write_cut("note", message.note, note)
         with self._publisher.alone():
             message.sequence = self.sequence + 1
-            self._publisher.send(message)
+            receivers = self._publisher.send(message)
             self.sequence += 1
+            return receivers
 
 
 def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:

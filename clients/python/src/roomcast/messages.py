@@ -5,12 +5,49 @@ from __future__ import annotations
 import enum
 import time
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from . import layouts, ports
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
-class Reached(enum.IntEnum):
+
+class Word(enum.IntEnum):
+    """The meaning of a number in a message. A number that this version does not know keeps its value, and its name is UNKNOWN."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Word | None:
+        if not isinstance(value, int) or not 0 <= value < 2**32:
+            return None
+        unknown = int.__new__(cls, value)
+        unknown._name_, unknown._value_ = "UNKNOWN", value
+        return unknown
+
+    @property
+    def word(self) -> str:
+        """The word for it, as in Rust and on the command line."""
+        return self.name.lower()
+
+    @classmethod
+    def of_word(cls, word: str) -> Self | None:
+        """The meaning of a word; None for a word that this version does not know."""
+        return next((meaning for meaning in cls if meaning.word == word), None)
+
+
+class NarrationKind(Word):
+    """The kind of a narration."""
+
+    SENTENCE = 0
+    #: An action in VirtualHome's notation.
+    ACTION = 1
+    #: The state of a device.
+    DEVICE = 2
+    #: The presence of a person, an empty room, or the state of a sensor.
+    PRESENCE = 3
+
+
+class Reached(Word):
     """Why scoring stopped where it did."""
 
     EXACT = 0
@@ -39,7 +76,7 @@ class ScoreFlags(enum.IntFlag):
     PREPARED = 128
 
 
-class Presence(enum.IntEnum):
+class Presence(Word):
     """Whether a person is in the house."""
 
     #: Nothing was observed of the person.
@@ -77,7 +114,7 @@ class ForecastFlags(enum.IntFlag):
     RESIDENT_UNKNOWN = 8
 
 
-class Action(enum.IntEnum):
+class Action(Word):
     """What a robot does."""
 
     #: Nothing is to be done: it waits in `to_room`, which may be another room than its own, or where it is if that is empty.
@@ -119,7 +156,7 @@ class DecisionFlags(enum.IntFlag):
     ELSEWHERE = 4096
 
 
-class ReportKind(enum.IntEnum):
+class ReportKind(Word):
     """What a robot reports."""
 
     #: Where the robot is.

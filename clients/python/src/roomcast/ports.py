@@ -95,7 +95,8 @@ class Domain:
     """A private world of services: participants with the same root directory and name see one another, and nobody else.
 
     The root (at most 40 bytes, absolute) belongs to one user, and nobody else may write there. The name has characters of a-z,
-    0-9 and '-': 15 for every user, up to 22 where the user's number is short. RoomcastError says what is wrong with either.
+    0-9 and '-': 15 for every user, up to 22 where the user's number is short. The first participant makes the root; the folder that it lies in
+    must exist. RoomcastError says what is wrong with either.
     """
 
     root: str
@@ -113,6 +114,8 @@ class Domain:
         most = _PREFIX_LIMIT - len(f"-{os.geteuid():x}_")
         if not plain or not 1 <= len(self.name) <= most:
             raise RoomcastError(f"domain name {self.name!r}: use 1 to {most} characters of a-z, 0-9 and '-'")
+        if not os.path.isdir(self._parent):
+            raise self._missing()
 
     @staticmethod
     def default_for_user() -> Domain:
@@ -190,14 +193,24 @@ class Domain:
     def _bad_root(self, problem: str) -> RoomcastError:
         return RoomcastError(f"domain root {self.root!r}: {problem}")
 
+    @property
+    def _parent(self) -> str:
+        return os.path.dirname(self.root.rstrip("/")) or "/"
+
+    def _missing(self) -> RoomcastError:
+        return self._bad_root(
+            f"it does not exist, and neither does {self._parent}: give the root of the running daemon, or make {self._parent}"
+        )
+
     def _prepare_root(self) -> None:
         """Makes the root, or refuses one that others could put files into."""
         root = pathlib.Path(self.root)
         try:
-            for folder in reversed([root, *root.parents]):
-                if not folder.is_dir():
-                    folder.mkdir(mode=0o700, exist_ok=True)
+            if not root.is_dir():
+                root.mkdir(mode=0o700, exist_ok=True)
             about = root.lstat()
+        except FileNotFoundError as error:
+            raise self._missing() from error
         except OSError as error:
             raise self._bad_root(f"cannot make it: {error.strerror}; give a path where this user may make a directory") from error
         if not stat.S_ISDIR(about.st_mode):
@@ -516,22 +529,23 @@ class Publisher(Port):
         self._sent_s = -math.inf
         super().__init__(node, service.name, self._publisher, self._notifier)
 
-    def send(self, message: layouts.Message) -> None:
-        """Sends a copy and wakes the subscribers; MessageError when the message is malformed."""
+    def send(self, message: layouts.Message) -> int:
+        """Sends a copy and wakes the subscribers. Returns the number of subscribers that received it. MessageError when the message is malformed."""
         message.check()
-        self.send_unchecked(message)
+        return self.send_unchecked(message)
 
-    def send_unchecked(self, message: layouts.Message) -> None:
+    def send_unchecked(self, message: layouts.Message) -> int:
         """As `send` without the check: for tests of what receivers do with malformed messages."""
         with self.alone():
             try:
-                self._publisher.send_copy(message)
+                receivers: int = self._publisher.send_copy(message)
             except (iox2.LoanError, iox2.SendError) as error:
                 raise RoomcastError(f"service {self._service}: send failed: {error!r}; leave the domain and join again") from error
             self._sent_s = time.monotonic()
             # Where it fails, the message lies in the buffer, and a subscriber that waits looks there when its time-out ends.
             with contextlib.suppress(iox2.NotifierNotifyError):
                 self._notifier.notify()
+            return receivers
 
     def tick(self) -> None:
         """Hands the history to subscribers that joined since; to be called now and then while nothing is sent."""

@@ -174,7 +174,7 @@ impl<M: LanguageModel> Board<M> {
     /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
     pub fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
         // What a failed scorer is behind with has a flag of its own.
-        let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.is_behind();
+        let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.inside().is_behind();
         let behind = behind || waits;
         let message = &mut self.snapshot;
         message.published_ns = now_ns.0;
@@ -327,7 +327,7 @@ impl<M: LanguageModel> Board<M> {
         let mut count = 0;
         for &(heard_ns, person) in &self.newest_persons {
             let Some(known) = self.persons.get_mut(person) else { continue };
-            let own = self.pipeline.person(person);
+            let own = self.pipeline.inside().person(person);
             // Who is gone has no scores, and is told of all the same.
             if own.is_none() && known.presence != Presence::Gone {
                 continue;

@@ -141,7 +141,8 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     };
     let own = |at_s: u64, sentence: &str| told(Voice { number: NAMED, share: 1 }, NAMED, 1, at_s, sentence);
     let of = |board: &Board<TableModel>| {
-        let read: Vec<_> = board.pipeline().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
+        let read: Vec<_> =
+            board.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
         let persons = &board.persons;
         let ours = ["ada", "ben"].map(|who| persons.number_of(who));
         let presences = ours.map(|number| persons.get(number).map(|known| known.presence));
@@ -208,7 +209,7 @@ fn a_guard_ends() {
         let strange = Observation { source: 9, ..observation(PersonId(0), later_ns, "They sit on the sofa.") };
         let strange = Entry { voice: Voice { number: OTHERS, share: 1 }, ..Entry::new(strange, BootNs(later_ns)) };
         board.step([own, strange], BootNs(later_ns), UnixNs(1_000_000 * S + later_ns)).unwrap();
-        let read: Vec<_> = board.pipeline().read_sentences().map(|(_, said)| said.to_owned()).collect();
+        let read: Vec<_> = board.pipeline().inside().read_sentences().map(|(_, said)| said.to_owned()).collect();
         assert_eq!(read.contains(&"They sit on the sofa.".to_owned()), is_heard, "{guard_s} {later_s}: {read:?}");
     }
 }
@@ -262,8 +263,6 @@ impl LanguageModel for Failing {
         self.table.token_text(token)
     }
 
-    fn forget(&mut self) {}
-
     fn decode(
         &mut self,
         prompt: &[Token],
@@ -277,8 +276,6 @@ impl LanguageModel for Failing {
         }
         self.table.decode(prompt, tree, want_prompt_row, visit)
     }
-
-    fn tidy(&mut self, _keep: usize) {}
 }
 
 fn failing_board(failures: &Rc<Cell<u32>>) -> Board<Failing> {
@@ -483,8 +480,8 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
 /// What works ahead for a board, and up to how many guesses at a time.
 fn ahead_of(board: &Board<TableModel>, most: usize) -> Ahead<TableModel> {
     let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
-    let preparer = board.pipeline().preparer(Arc::new(|| false)).unwrap().unwrap();
-    Ahead::new(preparer, counts, board.pipeline().labels(), most)
+    let preparer = board.pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
+    Ahead::new(preparer, counts, Arc::clone(board.pipeline().inside().prepared()), most)
 }
 
 /// As the daemon does while nobody waits; gives how many were answered.

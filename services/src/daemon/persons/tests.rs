@@ -1023,7 +1023,7 @@ fn forgotten_persons_leave_the_windows_of_others() {
         house.after(1, who, said);
     }
     let told = |house: &House| {
-        let histories = house.board.pipeline().histories().iter();
+        let histories = house.board.pipeline().inside().histories().iter();
         histories.flat_map(|(_, history)| history.sentences()).map(str::to_owned).collect::<Vec<_>>()
     };
     assert_eq!(told(&house).len(), 4);
@@ -1048,7 +1048,7 @@ fn forgetting_an_unknown_person_writes_nothing() {
 fn presence_words_of_messages_and_narration_agree() {
     use roomcast_core::narration::Presence;
     for all in [Presence::Unknown, Presence::Present, Presence::Away, Presence::Gone] {
-        assert_eq!(presence::word(presence_value(all)), all.as_str());
+        assert_eq!(roomcast_ipc::Presence::of(presence_value(all)).word(), all.as_str());
     }
 }
 

@@ -1,0 +1,105 @@
+//! Why persons are believed to be where they are: one line a person, which the daemon gives.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use roomcast_ipc::{IpcError, Node, QuestionPort, question};
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UnderstoodPerson, Whereabouts, WhyLine};
+
+/// The daemon is asked about all persons so often.
+const EVERY: Duration = Duration::from_secs(2);
+/// Longest wait for each answer. A person without an answer keeps the line.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// The newest line of each person.
+#[derive(Debug)]
+pub struct Reasons {
+    port: QuestionPort,
+    asked: Option<Instant>,
+    lines: BTreeMap<u32, String>,
+}
+
+impl Reasons {
+    /// No lines yet.
+    ///
+    /// # Errors
+    /// The question's service cannot be opened.
+    pub fn new(node: &Node) -> Result<Self, IpcError> {
+        Ok(Self { port: node.question_port(question::PERSON)?, asked: None, lines: BTreeMap::new() })
+    }
+
+    /// Asks about these persons, unless it asked a moment ago. Returns the newest lines.
+    pub fn refresh(&mut self, persons: impl Iterator<Item = u32>) -> &BTreeMap<u32, String> {
+        if self.asked.is_some_and(|asked| asked.elapsed() < EVERY) {
+            return &self.lines;
+        }
+        self.asked = Some(Instant::now());
+        let before = std::mem::take(&mut self.lines);
+        for person in persons {
+            let question = serde_json::to_string(&PersonQuestion::Where { who: person.to_string() });
+            let answer = question.ok().and_then(|question| self.port.ask(&question, PATIENCE).ok());
+            let Some(text) = answer else {
+                // One that does not answer now is not asked about the others, too.
+                self.lines = before;
+                break;
+            };
+            let answer: Option<PersonAnswer> = serde_json::from_str(&text).ok();
+            if let Some(line) = answer.and_then(|answer| answer.whereabouts).as_ref().and_then(line) {
+                self.lines.insert(person, line);
+            }
+        }
+        &self.lines
+    }
+}
+
+/// The observation that moved the belief about a person's most probable place most. `None` if each event had one person.
+fn line(found: &Whereabouts) -> Option<String> {
+    let place = found.places.first()?;
+    let why = place.why.first().filter(|_| found.is_joint)?;
+    Some(format!("{} {:.0} %: {}", place.place, 100.0 * place.probability, why_text(&called(&found.person), why)))
+}
+
+/// A person's name or number.
+#[must_use]
+pub fn called(person: &UnderstoodPerson) -> String {
+    person.name.clone().unwrap_or_else(|| format!("person {}", person.person))
+}
+
+/// One observation in words: "motion hall-pir on, 12 s ago, could be Jon or Mira: weak for".
+#[must_use]
+pub fn why_text(name: &str, why: &WhyLine) -> String {
+    let what = why.sensor.as_deref().unwrap_or(&why.what);
+    let whose = why.or.as_ref().map(|other| format!(", could be {name} or {}", called(other))).unwrap_or_default();
+    let side = if why.log_odds < 0.0 { "against" } else { "for" };
+    format!("{what}, {:.0} s ago{whose}: {} {side}", why.ago_s, why.weight)
+}
+
+#[cfg(test)]
+mod tests {
+    use roomcast_core::ids::PersonId;
+    use roomcast_services::daemon::PlaceLine;
+
+    use super::*;
+
+    #[test]
+    fn a_line_names_the_place_the_observation_and_the_other_person() {
+        let person =
+            |number: u32, name: &str| UnderstoodPerson { person: PersonId(number), name: Some(name.to_owned()) };
+        let why = WhyLine {
+            what: "sensor".to_owned(),
+            sensor: Some("motion hall-pir on".to_owned()),
+            ago_s: 12.2,
+            log_odds: 0.4,
+            weight: "weak".to_owned(),
+            share: 0.6,
+            or: Some(person(2, "Mira")),
+        };
+        let place = PlaceLine { place: "hall".to_owned(), probability: 0.62, why: vec![why] };
+        let (house_empty, visited, noisy) = (0.0, 0.0, Vec::new());
+        let found =
+            Whereabouts { person: person(1, "Jon"), places: vec![place], house_empty, visited, is_joint: true, noisy };
+        let expected = "hall 62 %: motion hall-pir on, 12 s ago, could be Jon or Mira: weak for";
+        assert_eq!(line(&found).as_deref(), Some(expected));
+        assert_eq!(line(&Whereabouts { is_joint: false, ..found }), None);
+    }
+}
