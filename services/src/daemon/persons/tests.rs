@@ -255,7 +255,7 @@ fn events_set_presence_and_keep_it_over_a_restart() {
         ),
         // The only resident did it.
         (&["Ada"], &[(1, "somebody", "They open the fridge.")], &[("Ada", IN, BY_FIT)]),
-        // The person who is away comes home.
+        // "They come home." is about the absent person.
         (
             &TWO,
             &[(1, "Ada", "away"), (1, "Ben", "They sit on the sofa."), (60, "somebody", "They come home.")],
@@ -560,7 +560,7 @@ fn visitors_gone_by_silence_are_reported_once_over_restarts() {
     assert_eq!(house.presence("Olaf"), Some(presence::GONE));
     house.restart();
     assert_eq!((house.presence("Olaf"), house.known()), (None, 1));
-    // A visitor who comes back is known again. A visitor who fell silent while no daemon ran is reported once.
+    // A returning visitor is known again. A visitor that fell silent while no daemon ran is reported once.
     house.after(1, "Olaf", "He opens the fridge.");
     house.now_ns += 11_000 * S;
     house.restart();
