@@ -151,7 +151,7 @@ impl Persons {
         self.residents.iter().any(|resident| resident.whole() == name.whole())
     }
 
-    /// Persons whose names differ by accents or signs only: "Zoe" is Zoë.
+    /// Persons with names that differ by accents or signs only: "Zoe" is Zoë.
     fn alike(&self, name: &ReadName) -> BTreeSet<PersonId> {
         self.numbers_where(name, |known| known.may_be_one(name))
     }
@@ -182,7 +182,7 @@ impl Persons {
         self.called(name).is_some()
     }
 
-    /// The known person whose name a text begins with, in whole words; the longest name counts.
+    /// The known person at the start of a text, in whole words; the longest name counts.
     pub(super) fn at_start<'a>(&self, text: &'a str) -> Option<(PersonId, &'a str)> {
         const WORDS_MAX: usize = 4;
         let is_end = |c: char| c.is_whitespace() || matches!(c, ',' | ':');
@@ -374,7 +374,7 @@ impl Persons {
         self.known.retain(|_, known| known.presence != Presence::Gone || !known.told);
     }
 
-    /// Whether a person is a visitor whose silence is long enough to be gone.
+    /// Whether a visitor has been silent for long enough to be gone.
     pub(super) fn has_expired(&self, number: PersonId, now_ns: i64) -> bool {
         let visitor_ns = (self.config.visitor_s * 1e9) as i64;
         let expires = |known: &Known| {

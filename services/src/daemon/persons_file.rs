@@ -1,5 +1,5 @@
-//! The persons file of the home: which name is whose number, and who lives there. It is written when somebody is renamed, whole or not at
-//! all, and may be written by hand while the daemon is stopped.
+//! The persons file: names, numbers and residents of the home. A rename writes it, whole or not at all. People may edit it while the daemon is
+//! stopped.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ const FILE_BYTES_MAX: u64 = 1 << 20;
 /// Former names that a person keeps, the newest.
 const FORMER_MAX: usize = 8;
 
-/// A person whom the home gave a name.
+/// A person with a name from the home.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KeptPerson {
@@ -49,18 +49,18 @@ impl KeptPerson {
     }
 }
 
-/// The names that the home gave.
+/// The names of the home.
 #[derive(Debug, Default, Clone)]
 pub struct PersonsFile {
     /// Without a state directory nothing outlives the daemon.
     path: Option<PathBuf>,
-    /// What somebody wrote there cannot be used, and must not be lost.
+    /// The file is malformed or unreadable. It is not overwritten, since people may have written it.
     unusable: bool,
     persons: Vec<KeptPerson>,
     index: Index,
 }
 
-/// Where the persons stand that somebody asks for: a sentence asks for many names, and a home may have ten thousand.
+/// Places of persons. A sentence looks up many names, and a home may have ten thousand.
 #[derive(Debug, Default, Clone)]
 struct Index {
     by_number: HashMap<PersonId, usize>,
@@ -68,7 +68,7 @@ struct Index {
     by_name: HashMap<String, usize>,
     /// By the numbers that follow from their names.
     by_named_number: HashMap<PersonId, usize>,
-    /// The newest names, and who shares what with other names that may be theirs.
+    /// The newest names, and the persons by the letters and first names that they share.
     names: Vec<ReadName>,
     sharing: HashMap<String, Vec<usize>>,
 }
@@ -96,7 +96,7 @@ impl Index {
 }
 
 impl PersonsFile {
-    /// The file in the state directory. One that cannot be used is left where it is, and the log says so.
+    /// The file in the state directory. A malformed file stays as it is, with a warning in the log.
     #[must_use]
     pub fn load(directory: &Path) -> Self {
         let path = directory.join(FILE);
@@ -117,25 +117,25 @@ impl PersonsFile {
         Self { path: Some(path), unusable, index: Index::new(&persons), persons }
     }
 
-    /// Everybody whom the home gave a name.
+    /// All persons with a name.
     #[must_use]
     pub fn persons(&self) -> &[KeptPerson] {
         &self.persons
     }
 
-    /// The number of a name: the one that the home gave it, or the one that follows from the name.
+    /// The number of a name: from the file, or else from the name itself.
     #[must_use]
     pub fn number_of(&self, name: &str) -> PersonId {
         let name = ReadName::new(name);
         self.given_number(&name).unwrap_or(name.number())
     }
 
-    /// The number that the home gave a name.
+    /// The number of a name in the file.
     pub(super) fn given_number(&self, name: &ReadName) -> Option<PersonId> {
         self.index.by_name.get(name.whole()).map(|at| self.persons[*at].number)
     }
 
-    /// The number that the home gave the person who had this one by their name.
+    /// The number in the file for a number that follows from a name.
     #[must_use]
     pub fn current(&self, number: PersonId) -> PersonId {
         self.index.by_named_number.get(&number).map_or(number, |at| self.persons[*at].number)
@@ -147,19 +147,19 @@ impl PersonsFile {
         self.index.by_number.get(&number).map(|at| &self.persons[*at])
     }
 
-    /// Those whose name may be this one, or whose first name; each with theirs.
+    /// The persons with a full or first name like this one, and their names.
     pub(super) fn sharing(&self, name: &ReadName) -> impl Iterator<Item = (PersonId, &ReadName)> {
         let sharing = self.index.sharing.get(name.letters()).into_iter().flatten();
         sharing.map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
 
-    /// Whether a change outlives the daemon: there is a state directory, and nobody has removed it meanwhile.
+    /// Whether a change outlives the daemon: the state directory exists.
     #[must_use]
     pub fn is_kept(&self) -> bool {
         self.path.as_deref().and_then(Path::parent).is_some_and(Path::is_dir)
     }
 
-    /// Puts a person in place of the one with that number. The file changes first: where it cannot be written, nothing does.
+    /// Replaces the person of that number. The file changes first: if it cannot be written, nothing changes.
     ///
     /// # Errors
     /// When the state directory cannot be written, or the file would have more bytes than are read.
@@ -173,7 +173,7 @@ impl PersonsFile {
     /// # Errors
     /// As [`PersonsFile::put`].
     pub fn remove(&mut self, number: PersonId) -> std::io::Result<()> {
-        // What a file that cannot be used says of them stays in it.
+        // A malformed file may still hold the person: the error says so.
         if self.of_number(number).is_none() && !self.unusable {
             return Ok(());
         }
@@ -196,8 +196,8 @@ impl PersonsFile {
     }
 }
 
-/// What the file is to hold: lines for people, and a single one where lines would be too long to be read again. That one is never longer than
-/// what was read, so somebody can always be forgotten.
+/// The text of the file: lines for people, or one line if the lines would exceed the limit. One line is never longer than the text that was
+/// read, so a person can always be forgotten.
 fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
     let is_readable = |text: &String| text.len() as u64 <= FILE_BYTES_MAX;
     let lines = serde_json::to_string_pretty(persons)?;
@@ -210,7 +210,7 @@ fn text_of(persons: &[KeptPerson]) -> std::io::Result<String> {
     })
 }
 
-/// Reads the file; a name or number that stands twice would make two persons of one.
+/// Reads the file. A name or number that stands twice is an error.
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     let persons: Vec<Keyed<KeptPerson>> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
     let persons: Vec<_> = persons.into_iter().map(|Keyed(person)| person).collect();
@@ -240,13 +240,13 @@ mod tests {
     }
 
     #[test]
-    fn a_list_is_no_person() {
+    fn persons_are_objects_and_not_lists() {
         assert!(parse(r#"[{"number": 5, "name": "Ada", "resident": true}]"#).is_ok());
         assert!(parse(r#"[[5, "Ada", true]]"#).is_err());
     }
 
     #[test]
-    fn names_outlive_the_daemon() {
+    fn names_are_kept_over_a_restart() {
         let directory = tempfile::tempdir().unwrap();
         let mut file = PersonsFile::load(directory.path());
         assert!(file.persons().is_empty());
@@ -257,17 +257,16 @@ mod tests {
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
         assert_eq!(again.number_of(" ada l. "), PersonId(3));
-        // Whoever was told the former name goes on with it.
+        // The former name still means the person.
         assert_eq!((again.number_of("ada"), again.number_of("adele")), (PersonId(3), person_number("adele")));
         file.remove(PersonId(3)).unwrap();
         assert!(PersonsFile::load(directory.path()).of_number(PersonId(3)).is_none());
-        // Where it cannot be written, nothing changes.
+        // A failed write changes nothing.
         let mut nowhere = PersonsFile::load(&directory.path().join("missing"));
         nowhere.put(ada()).unwrap_err();
         assert!(nowhere.persons().is_empty());
     }
 
-    /// What is written can be read at the next start, however many persons there are.
     #[test]
     fn a_file_that_would_be_too_long_is_not_written() {
         let directory = tempfile::tempdir().unwrap();
@@ -295,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_taken_up_again_is_no_former_one() {
+    fn a_current_name_is_no_former_name() {
         let mut ada = ada();
         for name in ["Adele", "ada", "Adele"] {
             ada = ada.renamed(name);
@@ -308,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_makes_two_of_one_is_not_used() {
+    fn files_with_a_name_or_number_twice_are_refused() {
         let directory = tempfile::tempdir().unwrap();
         for text in [
             r#"[{"number": 1, "name": "ada"}, {"number": 2, "name": "Ada"}]"#,
@@ -322,7 +321,6 @@ mod tests {
             std::fs::write(directory.path().join(FILE), text).unwrap();
             let mut file = PersonsFile::load(directory.path());
             assert!(file.persons().is_empty(), "{text}");
-            // What somebody wrote by hand is theirs to repair.
             assert!(file.put(ada()).unwrap_err().to_string().contains("repair or remove it"));
             assert_eq!(std::fs::read_to_string(directory.path().join(FILE)).unwrap(), text);
         }
