@@ -24,6 +24,7 @@ use llama_cpp_2::model::params::LlamaModelParams;
 use llama_cpp_2::token::LlamaToken;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::ids::PersonId;
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::{Action, Program};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
@@ -199,20 +200,20 @@ impl Ours {
         let now_ns = clock::monotonic_ns();
         let message = NarrationV1 { source: 1, epoch: 1, sequence: self.sequence, observed_ns: now_ns, ..message };
         let start = Instant::now();
-        let taken = self.intake.receive(Ok(&message), Sender::simulated(1), now_ns);
+        let taken = self.intake.receive(Ok(&message), Sender::simulated(1), BootNs(now_ns));
         if let Taken::Accepted { observation, .. } = taken {
-            self.cycle.enter(Entry::new(observation, now_ns), 0);
+            self.cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
         }
         let intake = nanoseconds(start);
-        self.cycle.step(now_ns, now_ns).expect("the model scores");
+        self.cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
         let forecasting = Instant::now();
-        let forecast = self.cycle.board_mut().forecast(now_ns);
+        let forecast = self.cycle.board_mut().forecast(BootNs(now_ns));
         let forecast_ns = nanoseconds(forecasting);
         let publishing = Instant::now();
         self.forecasts.send(forecast).expect("the forecast is sent");
         let publish_forecast = nanoseconds(publishing);
         let publishing = Instant::now();
-        let scores = self.cycle.message(now_ns, u64::MAX, false).expect("there are new scores");
+        let scores = self.cycle.message(BootNs(now_ns), u64::MAX, false).expect("there are new scores");
         self.scores.send(scores).expect("the scores are sent");
         let publish_scores = nanoseconds(publishing);
         let total = nanoseconds(start);

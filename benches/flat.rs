@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use roomcast_core::grounding::{Grounding, GroundingOptions};
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::narration::{Observation, Program, Sentence};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::semantic_map::SemanticMap;
@@ -46,12 +47,12 @@ fn cycle() -> Cycle<LlamaModel> {
 /// One event in microseconds: without the idle work after it, and with it.
 fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [f64; 2] {
     let now_ns = clock::monotonic_ns();
-    let observation = Observation { observed_ns: now_ns, ..Observation::of(sequence, sentence.clone()) };
+    let observation = Observation { observed_ns: BootNs(now_ns), ..Observation::of(sequence, sentence.clone()) };
     let start = Instant::now();
-    cycle.enter(Entry::new(observation, now_ns), 0);
-    cycle.step(now_ns, now_ns).expect("the model scores");
-    std::hint::black_box(cycle.board_mut().forecast(now_ns));
-    std::hint::black_box(cycle.message(now_ns, u64::MAX, false));
+    cycle.enter(Entry::new(observation, BootNs(now_ns)), 0);
+    cycle.step(BootNs(now_ns), UnixNs(now_ns)).expect("the model scores");
+    std::hint::black_box(cycle.board_mut().forecast(BootNs(now_ns)));
+    std::hint::black_box(cycle.message(BootNs(now_ns), u64::MAX, false));
     let event_us = start.elapsed().as_secs_f64() * 1e6;
     // As the daemon does for its journal: what is told is let go.
     cycle.board_mut().tell_outcomes(|_| {});

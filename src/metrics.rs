@@ -25,7 +25,7 @@ use roomcast_services::clock;
 
 use crate::decided::{Decided, News};
 use crate::http::{HttpError, Server, refusal};
-use roomcast_core::ids::{BootNs, PersonId};
+use roomcast_core::ids::BootNs;
 use roomcast_core::policy::PolicyName;
 use roomcast_services::daemon::{HabitsAnswer, HabitsLine, HabitsQuestion};
 use roomcast_services::stop::Stop;
@@ -513,6 +513,7 @@ mod tests {
     use rand::seq::IndexedRandom;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use roomcast_core::ids::PersonId;
     use roomcast_ipc::text;
     use roomcast_services::habits_reason::HorizonLine;
     use std::io::{Read, Write};

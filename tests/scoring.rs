@@ -479,11 +479,11 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
     for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
         let mut exact_scores = Vec::new();
         let mut partial = pipeline(effort);
-        exact.forget_person(PersonId(0));
+        exact.intake().forget_person(PersonId(0));
         for (sequence, sentence) in (0..).zip(sentences()) {
             let truth = exact.step([observation(sequence, &sentence)]).unwrap();
             exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
-            while exact.tidy() {}
+            while exact.ahead().tidy() {}
             let scores = partial.step([observation(sequence, &sentence)]).unwrap();
             early += usize::from(scores.reached != Effort::Exact);
             for (r, &exact) in exact_scores.iter().enumerate() {
@@ -500,7 +500,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
             if scores.reached == Effort::Ranking && margin > weights.tolerances().0 {
                 assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
             }
-            while partial.tidy() {}
+            while partial.ahead().tidy() {}
         }
     }
     compared.finish();
@@ -596,28 +596,28 @@ fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
         Pipeline::new(weights.load(&options(64)), grounding, PipelineOptions::default()).unwrap()
     };
     let (mut ahead, mut behind) = (pipeline(), pipeline());
-    let mut aside = ahead.preparer(Arc::new(|| false)).unwrap().unwrap();
+    let mut aside = ahead.inside().preparer(Arc::new(|| false)).unwrap().unwrap();
     let sentences = sentences();
     let (mut used, mut compared) = (0, Compared::with(weights));
     for sequence in 1..=60 {
         let said = sentences.choose(&mut rng).unwrap();
         if sequence > 1 {
-            while ahead.tidy() {}
+            while ahead.ahead().tidy() {}
             let mut guesses: Vec<&String> = sentences.sample(&mut rng, 6).collect();
             if rng.random_bool(0.5) {
                 guesses.insert(rng.random_range(0..guesses.len()), said);
             }
-            let outlook = ahead.outlook();
+            let outlook = ahead.ahead().outlook();
             for guess in guesses {
                 let ask = aside.ask(&outlook, PersonId(0), &Sentence::new(guess).unwrap()).unwrap();
                 let answer = aside.answer(ask).unwrap();
-                assert!(ahead.keep_answer(answer));
+                assert!(ahead.ahead().keep_answer(answer));
             }
         }
         used += ahead.step([observation(sequence, said)]).unwrap().prepared;
-        while behind.tidy() {}
+        while behind.ahead().tidy() {}
         behind.step([observation(sequence, said)]).unwrap();
-        let tokens = ahead.prepared().tokens();
+        let tokens = ahead.inside().prepared().tokens();
         let nats = apart(tokens, &ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats);
         compared.add(nats, &format!("sentence {sequence}"));
     }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::embedded;
-use roomcast_core::ids::{PersonId, UnixNs};
+use roomcast_core::ids::UnixNs;
 use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
@@ -188,6 +188,7 @@ pub(crate) fn item_by(
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::ids::PersonId;
     use roomcast_ipc::{ALL_PERSONS, narration_kind};
     use serde_json::{Value, json};
 

@@ -1,6 +1,5 @@
 //! From a narration message to its event.
 
-use roomcast_core::ids::PersonId;
 use roomcast_core::narration::line::Kind;
 use roomcast_core::narration::{Event, ObservedError};
 
@@ -14,6 +13,7 @@ pub fn event_of(kind: u32, text: &str) -> Result<Event, ObservedError> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::ids::PersonId;
     use roomcast_core::{narration, semantic_map, text};
     use roomcast_ipc::narration_kind;
 

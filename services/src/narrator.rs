@@ -28,7 +28,7 @@ use crate::participant::join;
 use crate::setup;
 use crate::stop::Stop;
 use crate::token_bucket::TokenBucket;
-use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::narration::Program;
 use roomcast_core::text::odd_name;
 
@@ -564,6 +564,7 @@ pub fn make_fifo(path: &PathBuf) -> Result<(), InputError> {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::ids::PersonId;
     use roomcast_ipc::Sender;
 
     use super::*;

@@ -1,6 +1,5 @@
 //! Messages from a port, one after the other; what is malformed is logged.
 
-use roomcast_core::ids::BootNs;
 use roomcast_ipc::{IpcError, Message, Subscriber};
 
 use crate::clock;

@@ -5,7 +5,6 @@
 
 use std::time::Duration;
 
-use roomcast_core::ids::PersonId;
 use roomcast_core::narration::SensorKind;
 use roomcast_core::narration::forms::{COUNT_MAX, form_of};
 use serde_json::{Map, Value};
@@ -317,6 +316,7 @@ fn filled(mut text: &str, most: usize, value_of: &impl Fn(&str) -> String) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::ids::PersonId;
 
     const NOTHING: Keys<'static> = Keys {
         say: None,

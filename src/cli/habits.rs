@@ -5,7 +5,6 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "simulation")]
-use roomcast_core::ids::{PersonId, UnixNs};
 use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
 
@@ -457,6 +456,7 @@ fn shown(answer: &HabitsAnswer) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::ids::PersonId;
 
     /// Nobody who means to keep what was learned is told that an empty file is that.
     #[test]

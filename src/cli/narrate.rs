@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use super::{CommandResult, Failure, print_json, ranges, service};
 #[cfg(feature = "mqtt")]
 use super::{broker, narrate_mqtt};
-use roomcast_core::ids::UnixNs;
 use roomcast_core::text::count;
 use roomcast_ipc::{Domain, question};
 use roomcast_services::clock;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
-use roomcast_core::ids::{BootNs, UnixNs};
+use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
     RoomScoresV1, Subscriber, limits, question, score_flags,

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use serde::{Deserialize, Serialize};
 
 use super::Observation;
-use crate::ids::{BootNs, PersonId, UnixNs};
+use crate::ids::PersonId;
 
 /// Most persons with a history; a new person replaces the person without an event for longest.
 pub const PERSONS_MAX: usize = 64;
@@ -374,6 +374,7 @@ impl Histories {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::{BootNs, UnixNs};
     use crate::narration::Sentence;
     use proptest::prelude::*;
 

@@ -24,8 +24,6 @@ use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
 
-/// What an observation is called: source, epoch, sequence. No other has the same.
-
 /// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
 const CLOCK_SET_S: f64 = 30.0;
 /// What was learned grows older by at most so much while no daemon runs, in seconds.

@@ -20,7 +20,7 @@ use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use roomcast_core::habits::{BYTES_MAX, Habits, HabitsOptions};
-use roomcast_core::ids::{EventId, PersonId};
+use roomcast_core::ids::EventId;
 
 use super::habits::{Heard, Memory};
 use crate::state_file;
@@ -246,6 +246,7 @@ fn run(file: &HabitsFile, queue: &Receiver<Work>, failed: &AtomicBool) {
 
 #[cfg(test)]
 mod tests {
+    use roomcast_core::ids::PersonId;
     use std::os::unix::fs::PermissionsExt;
     use std::time::Duration;
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_core::ids::{BootNs, EventId};
+use roomcast_core::ids::EventId;
 use roomcast_ipc::{IpcError, NarrationV1, Subscriber};
 
 use super::board::Entry;

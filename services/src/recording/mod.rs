@@ -31,7 +31,7 @@ use crate::config::IntakeLimits;
 use crate::daemon::{Intake, Taken};
 use crate::habits_reason::PersonHabits;
 use crate::moment::Moment;
-use roomcast_core::ids::{BootNs, PersonId, UnixNs};
+use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
@@ -831,6 +831,7 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use roomcast_core::ids::UnixNs;
     use roomcast_ipc::{IncludedV1, text};
 
     fn messages() -> Vec<(u64, Recorded)> {

@@ -2,7 +2,6 @@
 
 use std::time::{Duration, Instant};
 
-use roomcast_core::ids::BootNs;
 use roomcast_ipc::{
     DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, sequence,
 };

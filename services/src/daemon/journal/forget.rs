@@ -88,8 +88,6 @@ struct Forgets<'a> {
     taken: RefCell<BTreeMap<EventId, Event>>,
 }
 
-/// An observation by its source, epoch and sequence.
-
 impl Forgets<'_> {
     fn is_theirs(&self, observation: &Observation) -> bool {
         let name = observation.id();

@@ -16,8 +16,6 @@ use super::writer::Writer;
 /// At most so many observations of each person are kept, fewer where they do not fit.
 const WORDS: [usize; 5] = [12, 6, 3, 2, 1];
 
-/// An observation by its source, epoch and sequence.
-
 /// A record with its bytes.
 type Raw<'a> = (&'a [u8], Record);
 
