@@ -41,37 +41,37 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         &self.0.histories
     }
 
-    /// The sentences that the model read for the newest scores, with their person, oldest first.
+    /// The sentences that the model read for the newest scores, with their persons, the oldest first.
     pub fn read_sentences(self) -> impl Iterator<Item = (PersonId, &'a str)> + use<'a, M> {
         self.0.persons.iter().flat_map(|person| person.sentences().map(|sentence| (person.id, sentence)))
     }
 
-    /// One person's own scores, if they have any.
+    /// The scores of one person, if there are any.
     #[must_use]
     pub fn person(self, person: PersonId) -> Option<PersonScores<'a>> {
         self.0.persons().find(|scores| scores.person == person)
     }
 
-    /// Whether the model has to be asked about a person: their scores are of what they did before, or there are none yet.
+    /// Whether a person waits for the model: the scores do not contain the newest observation, or there are none yet.
     #[must_use]
     pub fn waits(self, person: PersonId) -> bool {
         self.0.persons.iter().any(|own| own.id == person && own.waits())
     }
 
-    /// Whether the model has to be asked about anybody.
+    /// Whether any person waits for the model.
     #[must_use]
     pub fn is_behind(self) -> bool {
         self.0.persons.iter().any(Person::waits)
     }
 
-    /// Whether somebody who had scores of the map before has none of the map in use.
+    /// Whether a person with scores of the map before has none of the map in use.
     #[must_use]
     pub fn is_owing(self) -> bool {
         self.0.persons.iter().any(|own| own.at_home && own.is_owed)
     }
 
-    /// Counts the tokens that a sentence costs, on any thread; with the one behind it that is held against
-    /// [`HistoryLimits::tokens`] of [`Inside::options`].
+    /// Counts the tokens of a sentence, on any thread. With the token behind it a sentence has at most as many tokens as `history.tokens` of
+    /// [`Inside::options`].
     pub fn token_counter(self) -> TokenCounter {
         self.0.scorer.model().token_counter()
     }
@@ -81,12 +81,12 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         self.0.scorer.model().token_text(token)
     }
 
-    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step; none where several
-    /// persons were scored or the method keeps no such numbers.
+    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step. `None` if several persons were
+    /// scored, or if the method keeps no such numbers.
     #[must_use]
     pub fn token_log_prob_nats(self, label: usize) -> Option<Vec<f64>> {
         let exact_trie = self.0.options.method == Method::Trie && self.0.options.effort == Effort::Exact;
-        // What was read last may be somebody else's, who was forgotten since.
+        // The model may have read the prompt of a person that is forgotten by now.
         let is_read = |person: &Person| person.at_home && self.0.read == Some(person.id);
         if exact_trie && self.0.persons.len() <= 1 && self.0.persons.iter().all(is_read) {
             self.0.scorer.token_log_prob_nats(&self.0.prepared, label)

@@ -1,4 +1,4 @@
-//! What goes into the histories.
+//! Observations on their way into the histories.
 
 use std::collections::BTreeMap;
 
@@ -12,14 +12,14 @@ use crate::scorer::LanguageModel;
 pub struct Intake<'a, M>(pub(super) &'a mut Pipeline<M>);
 
 impl<M: LanguageModel> Intake<'_, M> {
-    /// Enters observations into the histories without scoring, each source for itself: nothing can fail here, and nothing is lost when the
-    /// scoring after it does. Who is said to leave loses their window, and who is gone is forgotten. Gives how many sentences cost more
-    /// tokens than a window holds; those are left out, since nothing could be scored with them.
+    /// Enters observations into the histories without scoring, each source for itself. It cannot fail, and a failure of the scoring after it loses
+    /// no observation. A person that leaves loses the window, and a person that is gone is forgotten. Returns the number of sentences that were
+    /// left out because each costs more tokens than a window holds.
     pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
         self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
     }
 
-    /// As [`Intake::observe`], each for its voice.
+    /// As [`Intake::observe`], each observation for its voice.
     pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
         let mut costly = 0;
         for (voice, observation) in observations {
@@ -35,22 +35,21 @@ impl<M: LanguageModel> Intake<'_, M> {
         costly
     }
 
-    /// Enters an observation into its person's history, and does not take note that the scores contain it: see [`Intake::include`].
+    /// Enters an observation into its person's history. It does not count as contained in the scores: see [`Intake::include`].
     pub fn enter(&mut self, voice: Voice, observation: Observation) {
         let tokens = observation.sentence().map(|text| self.0.scorer.cost_of(text));
         self.0.enter_of(voice, observation, tokens);
     }
 
-    /// Whether a sentence alone costs more tokens than a window holds, so that nothing could be scored with it.
+    /// Whether a sentence alone costs more tokens than a window holds.
     pub fn is_costly(&mut self, observation: &Observation) -> bool {
         let most = self.0.options.history.tokens;
         // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
         observation.sentence().is_some_and(|text| text.len() + 2 > most && self.0.scorer.cost_of(text) > most)
     }
 
-    /// All that was heard so far is of a former run: whose voice it was is not known any more.
-    ///
-    /// Of those about whom the model has not been asked since, whoever was heard of last comes first.
+    /// Marks all observations so far as those of a former run, with unknown voices. Of the persons that wait for the model, the person with the
+    /// newest observation comes first.
     pub fn forget_voices(&mut self) {
         self.0.histories.forget_voices();
         for own in &mut self.0.persons {
@@ -59,8 +58,8 @@ impl<M: LanguageModel> Intake<'_, M> {
         }
     }
 
-    /// Ends a person's window: nothing was observed of them for so long that it does not say what comes next. Returns whether that changes
-    /// their scores, which the next step computes.
+    /// Ends a person's window: the last observation is too old for a forecast. Returns whether that changes the person's scores; the next
+    /// step computes them.
     pub fn end_window(&mut self, person: PersonId) -> bool {
         let ended = self.0.histories.get_mut(person).is_some_and(|history| history.end() > 0);
         if let Some(own) = self.0.persons.iter_mut().find(|own| ended && own.id == person) {
@@ -69,36 +68,35 @@ impl<M: LanguageModel> Intake<'_, M> {
         ended
     }
 
-    /// Takes note that a narration was dealt with and is in no history, so that its narrator does not wait for it.
+    /// Counts an event as dealt with that is in no history, so that its narrator does not wait for it.
     pub fn pass_over(&mut self, event: EventId) {
         self.0.heard.pass_over(event);
     }
 
-    /// Takes note of an observation that the next scores contain, of however many persons it is, also of none.
+    /// Counts an observation as contained in the next scores, for any number of persons.
     pub fn include(&mut self, observation: &Observation, voice: Voice) {
         self.0.heard.include(observation, voice);
     }
 
-    /// Takes note up to which sequence a former run has dealt with the starts of sources. Which of it was accepted nobody can say any more, so
-    /// all of it counts as accepted.
+    /// The last sequence of each start of a source that a former run has dealt with. All events up to it count as accepted.
     pub fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
         self.0.heard.settle(settled);
     }
 
-    /// Forgets a start of a source, which gave way to another one.
+    /// Forgets a start of a source that gave way to another source.
     pub fn forget_source(&mut self, source: u64, epoch: u64) {
         self.0.heard.forget(source, epoch);
     }
 
-    /// Forgets a person, for instance one who has left the map.
+    /// Forgets a person.
     pub fn forget_person(&mut self, person: PersonId) {
-        // Their prompts hold what they did.
+        // Prompts hold the person's actions.
         self.0.answers.clear();
         self.0.histories.remove(person);
         self.0.persons.retain(|p| p.id != person);
     }
 
-    /// Takes out of everybody's history what `is_it` says; the next step scores whom it was of without it.
+    /// Removes the observations that `is_it` selects from all histories. The next step scores their persons without them.
     pub fn forget_told(&mut self, is_it: impl Fn(&Observation) -> bool) {
         let changed = self.0.histories.forget(is_it);
         if !changed.is_empty() {
