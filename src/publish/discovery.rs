@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::names::{PERSON, ahead, in_s, of_room};
+use super::names::{Named, PERSON, ahead, in_s, of_room};
 use super::orders;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::slug::slug;
@@ -45,13 +45,6 @@ fn on_off(at: &str) -> String {
 /// A text, or unknown: Home Assistant 2024.3 shows `None` as a text.
 fn text(at: &str) -> String {
     format!("{{{{ {at} or 'unknown' }}}}")
-}
-
-/// Whoever has a name: how it is shown, and its part of topics and ids.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Named {
-    pub(super) part: String,
-    pub(super) name: String,
 }
 
 /// An entity.

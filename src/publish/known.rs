@@ -9,7 +9,8 @@ use roomcast_ipc::{
 };
 use serde_json::{Value, json};
 
-use super::discovery::{Discovery, Named};
+use super::discovery::Discovery;
+use super::names::Named;
 use super::names::{of_person, of_robot, of_room, room_name, unnamed_person, unnamed_robot};
 use super::outbox::Picture;
 use crate::flags::{decision_flag_names, forecast_flag_names};

@@ -85,6 +85,13 @@ pub(super) fn ahead(seconds: f64) -> String {
     }
 }
 
+/// Whoever has a name: how it is shown, and its part of topics and ids.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Named {
+    pub(super) part: String,
+    pub(super) name: String,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,8 +6,7 @@ use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{RobotReportV1, sequence};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
-use super::discovery::Named;
-use super::names::of_room;
+use super::names::{Named, of_room};
 
 /// The last level of the topics.
 const LEVELS: [&str; 3] = ["hold", "clean", "skip"];

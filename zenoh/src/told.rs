@@ -7,8 +7,7 @@ use std::io::Write;
 
 use roomcast_core::habits::{PART_HOURS, PARTS};
 use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1, action, clock,
-    decision_flags, presence,
+    Action, DecisionV1, ForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1, clock, decision_flags,
 };
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -226,6 +225,8 @@ pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusRespon
 #[cfg(test)]
 mod tests {
     use roomcast_ipc::text;
+
+    use roomcast_ipc::{action, presence};
 
     use super::*;
 

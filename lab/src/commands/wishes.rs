@@ -22,8 +22,11 @@ pub(super) struct WishesArgs {
     json: bool,
 }
 
+/// A column: its head and its number.
+type Column = (&'static str, fn(&Sums) -> usize);
+
 /// What the table shows of sums.
-const COLUMNS: [(&str, fn(&Sums) -> usize); 6] = [
+const COLUMNS: [Column; 6] = [
     ("minutes near people", |sums| sums.near_people_min),
     ("minutes in quiet hours", |sums| sums.in_quiet_hours_min),
     ("minutes near a sleeper", |sums| sums.near_sleeper_min),

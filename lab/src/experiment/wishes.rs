@@ -407,10 +407,9 @@ fn tell(
         _ if now.iter().all(|(room, _)| room.is_none()) => forecast_flags::NOBODY_HOME,
         _ => 0,
     };
-    for room in 0..ROOMS.len() {
-        for horizon in 0..HORIZONS_MIN.len() {
-            whole.probability[room][horizon] =
-                if count == 0 { 1.0 / ROOMS.len() as f32 } else { 1.0 - free[room][horizon] };
+    for (room, free) in free.iter().enumerate().take(ROOMS.len()) {
+        for (told, free) in whole.probability[room].iter_mut().zip(free).take(HORIZONS_MIN.len()) {
+            *told = if count == 0 { 1.0 / ROOMS.len() as f32 } else { 1.0 - free };
         }
         scores.room[room].probability = f64::from(whole.probability[room][0]);
     }
