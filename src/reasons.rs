@@ -56,7 +56,17 @@ impl Reasons {
 fn line(found: &Whereabouts) -> Option<String> {
     let place = found.places.first()?;
     let why = place.why.first().filter(|_| found.is_joint)?;
-    Some(format!("{} {:.0} %: {}", place.place, 100.0 * place.probability, why_text(&called(&found.person), why)))
+    let text = why_text(&called(&found.person), why, &ago(why.ago_s));
+    Some(format!("{} {:.0} %: {text}", place.place, 100.0 * place.probability))
+}
+
+/// An age that seldom changes, since Home Assistant keeps each change.
+fn ago(seconds: f64) -> String {
+    match (seconds / 60.0) as u64 {
+        0 => "in the last minute".to_owned(),
+        minutes if minutes < 120 => format!("{minutes} min ago"),
+        minutes => format!("{} h ago", minutes / 60),
+    }
 }
 
 /// A person's name or number.
@@ -67,11 +77,11 @@ pub fn called(person: &UnderstoodPerson) -> String {
 
 /// One observation in words: "motion hall-pir on, 12 s ago, could be Jon or Mira: weak for".
 #[must_use]
-pub fn why_text(name: &str, why: &WhyLine) -> String {
+pub fn why_text(name: &str, why: &WhyLine, ago: &str) -> String {
     let what = why.sensor.as_deref().unwrap_or(&why.what);
     let whose = why.or.as_ref().map(|other| format!(", could be {name} or {}", called(other))).unwrap_or_default();
     let side = if why.log_odds < 0.0 { "against" } else { "for" };
-    format!("{what}, {:.0} s ago{whose}: {} {side}", why.ago_s, why.weight)
+    format!("{what}, {ago}{whose}: {} {side}", why.weight)
 }
 
 #[cfg(test)]
@@ -98,7 +108,7 @@ mod tests {
         let (house_empty, visited, noisy) = (0.0, 0.0, Vec::new());
         let found =
             Whereabouts { person: person(1, "Jon"), places: vec![place], house_empty, visited, is_joint: true, noisy };
-        let expected = "hall 62 %: motion hall-pir on, 12 s ago, could be Jon or Mira: weak for";
+        let expected = "hall 62 %: motion hall-pir on, in the last minute, could be Jon or Mira: weak for";
         assert_eq!(line(&found).as_deref(), Some(expected));
         assert_eq!(line(&Whereabouts { is_joint: false, ..found }), None);
     }

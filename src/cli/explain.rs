@@ -206,7 +206,7 @@ fn told(found: &Whereabouts) -> String {
     for place in &found.places {
         let _ = writeln!(text, "{name} {}: {:.0} %", place.place, 100.0 * place.probability);
         for why in &place.why {
-            let _ = writeln!(text, "    {}", why_text(&name, why));
+            let _ = writeln!(text, "    {}", why_text(&name, why, &format!("{:.0} s ago", why.ago_s)));
         }
     }
     let _ = writeln!(text, "house empty: {:.0} %", 100.0 * found.house_empty);

@@ -45,6 +45,8 @@ pub(super) struct Known {
     /// A robot has decided for the first time.
     new_robot: bool,
     places: Places,
+    /// By person: the observation that moved the belief about the place most.
+    reasons: BTreeMap<u32, String>,
     /// Says which rooms may well be cleaned now, by the rules of the house.
     advisor: Option<Planner>,
     /// Of each room the reason why not, if it is no good time.
@@ -56,6 +58,16 @@ impl Known {
     pub(super) fn with_advisor(mut self, advisor: Planner) -> Self {
         self.advisor = Some(advisor);
         self
+    }
+
+    /// The numbers of the persons.
+    pub(super) fn persons_known(&self) -> Vec<u32> {
+        self.persons().map(|(_, person)| person.person).collect()
+    }
+
+    /// Takes in why persons are believed to be where they are.
+    pub(super) fn take_reasons(&mut self, reasons: &BTreeMap<u32, String>) {
+        self.reasons.clone_from(reasons);
     }
 
     /// Asks the advisor about this moment.
@@ -188,7 +200,9 @@ impl Known {
             |person: &PersonForecastV1| Named { part: of_person(person.person, person.name()), name: name_of(person) };
         let persons: Vec<Named> = self.persons().map(|(_, person)| named(person)).collect();
         for ((all, person), Named { part, .. }) in self.persons().zip(&persons) {
-            put(format!("persons/{part}"), &person_message(all, person, config));
+            let mut told = person_message(all, person, config);
+            told["why"] = self.reasons.get(&person.person).map(String::as_str).into();
+            put(format!("persons/{part}"), &told);
         }
         let own = sequence::source_of_name(robot);
         let named = |number: u64, told: &str| {

@@ -28,6 +28,7 @@ mod names;
 mod orders;
 mod outbox;
 
+use crate::reasons::Reasons;
 use known::{Known, OFFLINE};
 use orders::Orders;
 use outbox::{FOUND_MAX, Outbox, Picture, list_topic, listed};
@@ -235,6 +236,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         message: Box::default(),
     };
     let status = node.status_client()?;
+    let mut reasons = Reasons::new(&node)?;
     let mut ears = Ears::new(config);
     let link = match &way {
         Way::Broker(broker) => Some(open(config, broker, &ears)?),
@@ -302,6 +304,9 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
             drawn = Some(Instant::now());
             let complete = known.is_complete() && (ears.all || link.is_none());
+            if alive {
+                known.take_reasons(reasons.refresh(known.persons_known().into_iter()));
+            }
             known.advise(clock::monotonic_ns(), clock::unix_ns(), &config.planner.robot);
             outbox.want(known.picture(&config.bridge, &config.planner.robot, alive), complete);
         }
