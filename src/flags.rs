@@ -76,6 +76,7 @@ pub fn plain(flag: &str) -> &str {
         "elsewhere" => "decided in another domain",
         "fallback" => "safe choice instead of the policy's",
         "gap" => "narration was lost",
+        "held" => "held by a person",
         "interrupted" => "a person came in",
         "no-narration" => "no narration yet",
         "no-scores" => "no scores yet",
@@ -104,7 +105,7 @@ mod tests {
     fn flags_have_names() {
         assert_eq!(score_flag_names(score_flags::GAP | score_flags::NOBODY_HOME), ["gap", "nobody-home"]);
         assert_eq!(forecast_flag_names(u32::MAX).len(), 4);
-        assert_eq!(decision_flag_names(u32::MAX).len(), 13);
+        assert_eq!(decision_flag_names(u32::MAX).len(), 14);
     }
 
     #[test]

@@ -167,13 +167,13 @@ impl Forecast {
     #[must_use]
     pub fn occupied(&self, room: &str, ahead: Duration) -> Option<f64> {
         let (_, row) = self.0.rooms().find(|(id, _)| *id == room)?;
-        Some(self.at(row, self.age() + ahead))
+        Some(self.at(row, self.age().saturating_add(ahead)))
     }
 
     /// The probability that all persons are outside the map's rooms at the time `ahead` from now.
     #[must_use]
     pub fn elsewhere(&self, ahead: Duration) -> f64 {
-        self.at(&self.0.elsewhere, self.age() + ahead)
+        self.at(&self.0.elsewhere, self.age().saturating_add(ahead))
     }
 
     /// The time since the forecast was computed.

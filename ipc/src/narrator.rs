@@ -67,6 +67,8 @@ pub struct Narrator {
 pub struct Said<'a> {
     narrator: &'a mut Narrator,
     receivers: usize,
+    /// Events that the daemon had dropped before.
+    dropped: u64,
 }
 
 impl Said<'_> {
@@ -85,7 +87,7 @@ impl Said<'_> {
         let start = Instant::now();
         let narrator = self.narrator;
         let sequence = narrator.sequence;
-        narrator.wait_until_included(timeout)?;
+        narrator.wait(timeout, self.dropped)?;
         let left = timeout.saturating_sub(start.elapsed()).max(TICK);
         let understood = narrator.understood(sequence, left)?.into_iter().find(|event| event.sequence == sequence);
         understood.ok_or_else(|| narrator.not_included("the daemon has no record of the last event"))
@@ -248,7 +250,8 @@ impl Narrator {
         };
         let receivers = self.publisher.send(&message)?;
         self.sequence += 1;
-        Ok(Said { narrator: self, receivers })
+        let dropped = self.account.dropped();
+        Ok(Said { narrator: self, receivers, dropped })
     }
 
     /// Events that the daemon has not dealt with, as far as its newest scores say.
@@ -281,12 +284,17 @@ impl Narrator {
     ///
     /// [`IpcError::NotIncluded`] when the time is over, or when the daemon has dealt with all events and has dropped some.
     pub fn wait_until_included(&mut self, timeout: Duration) -> Result<(), IpcError> {
+        self.wait(timeout, 0)
+    }
+
+    /// Waits until the scores contain all events but those that the daemon had dropped before.
+    fn wait(&mut self, timeout: Duration, dropped: u64) -> Result<(), IpcError> {
         let start = Instant::now();
         let mut sure: Option<Instant> = None;
         loop {
             self.look()?;
             if self.included >= self.sequence {
-                if self.dropped() == 0 {
+                if self.dropped() <= dropped {
                     return Ok(());
                 }
                 if sure.get_or_insert_with(Instant::now).elapsed() >= SURE {

@@ -67,7 +67,11 @@ fn topic_of(person: &PersonForecastV1) -> String {
     let plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();
     let words: Vec<String> = words.iter().map(|word| word.chars().filter(|letter| plain(*letter)).collect()).collect();
     let name = words.iter().filter(|word| !word.is_empty()).cloned().collect::<Vec<_>>().join("_");
+    // A name that lost letters may be like another one.
+    let has_lost = words.iter().map(String::len).sum::<usize>()
+        < person.name().chars().filter(|own| own.is_alphanumeric()).map(char::len_utf8).sum();
     match name.chars().next() {
+        Some(_) if has_lost => format!("person_{name}_{}", person.person),
         Some(first) if first.is_ascii_lowercase() => name,
         Some(_) => format!("person_{name}"),
         None => format!("person_{}", person.person),

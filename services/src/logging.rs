@@ -31,10 +31,21 @@ pub struct Log {
     _writer: Option<Writer>,
 }
 
+/// The filter of a text: `info,roomcast=debug`, with or without spaces, and without the fields and spans of other filters.
+fn filter_of(text: &str) -> Result<Targets, String> {
+    if text.contains(['[', '{']) {
+        return Err(
+            "spans and fields are no part of it; give targets with levels, such as info,roomcast=debug".to_owned()
+        );
+    }
+    let parts: Vec<&str> = text.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
+    parts.join(",").parse().map_err(|error: tracing_subscriber::filter::ParseError| error.to_string())
+}
+
 /// Sets up logging, once per process; a second call changes nothing.
 pub fn init() -> Log {
     let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|text| !text.trim().is_empty());
-    let (given, refused) = match wanted.map(|wanted| wanted.parse::<Targets>()).transpose() {
+    let (given, refused) = match wanted.map(|wanted| filter_of(&wanted)).transpose() {
         Ok(given) => (given, None),
         Err(error) => (None, Some(error)),
     };
@@ -181,7 +192,10 @@ mod tests {
         assert!(!default.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
         assert!(!default.would_enable("llama-cpp-2", &tracing::Level::INFO));
         assert!(!default.would_enable("rumqttc::state", &tracing::Level::WARN));
-        assert!("info,roomcast=loud".parse::<Targets>().is_err());
+        assert!(filter_of("info,roomcast=loud").is_err() && filter_of("info,roomcast[step]=debug").is_err());
+        let spaced = filter_of(" info , roomcast_services=debug,").unwrap();
+        assert!(spaced.would_enable("roomcast_services::daemon", &tracing::Level::DEBUG));
+        assert!(spaced.would_enable("rumqttc", &tracing::Level::INFO));
     }
 
     #[test]

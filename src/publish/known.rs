@@ -82,8 +82,10 @@ impl Known {
             ];
             self.advice = if taken == [true; 3] { advisor.advise(now_ns, unix_ns) } else { BTreeMap::new() };
         }
-        let held =
-            self.decisions.get(&sequence::source_of_name(own)).filter(|decision| decision.has(decision_flags::HELD));
+        let held = self.decisions.get(&sequence::source_of_name(own)).filter(|decision| {
+            let until = decision.held_until_unix_ns;
+            decision.has(decision_flags::HELD) && (until == 0 || until > unix_ns.0)
+        });
         if held.is_some() {
             self.advice.values_mut().for_each(|reason| *reason = Some("On hold.".to_owned()));
         }

@@ -443,7 +443,7 @@ fn a_room_says_whether_it_is_a_good_time_to_clean_it_and_when_that_was_done() {
     let hall = told(&mut known, "hall");
     assert_eq!(
         [&hall["good"], &hall["reason"], &hall["cleaned_unix_s"]],
-        [&json!(false), &json!("On hold."), &json!(6_400)]
+        [&json!(false), &json!("On hold."), &json!(6_360)]
     );
     assert!(draw(&mut known).contains_key("homeassistant/sensor/roomcast/hall_cleaned/config"));
 }

@@ -21,8 +21,8 @@ fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_ot
 
     let node = world.domain.open("test").unwrap();
     let decisions = node.subscriber::<DecisionV1>().unwrap();
-    world.start(&["planner", "--robot", "one", "--know", "0", "--know", "0", "--policy", "greedy-avoidance"]);
-    world.start(&["planner", "--robot", "two", "--know", "0", "--know", "0", "--policy", "naive", "--seed", "3"]);
+    world.start(&["planner", "--robot", "one", "--know", "0", "--policy", "greedy-avoidance"]);
+    world.start(&["planner", "--robot", "two", "--know", "0", "--policy", "naive", "--seed", "3"]);
     let mut first = std::collections::BTreeMap::new();
     eventually("both robots decide", || {
         while let Some(decision) = decisions.receive().unwrap() {

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::ids::{PersonId, UnixNs};
 use crate::parsing::{json_of_one_line_says, json_says};
-use crate::text::{is_hidden, without_mark};
+use crate::text::{has_words, is_hidden, without_mark};
 
 /// Longest line, in bytes, its end included.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -408,7 +408,7 @@ fn said_in(kind: Kind, text: &str, room: &str) -> Result<String, LineError> {
     if !matches!(kind, Kind::Sentence | Kind::Device) || DeviceState::parse(text).is_some() {
         return Err(reason("\"room\" goes with a sentence; an action, a device or a presence names its own room"));
     }
-    if form_of(text).is_some() || text.to_lowercase().contains(&room.to_lowercase()) {
+    if form_of(text).is_some() || has_words(&text.to_lowercase(), &room.to_lowercase()) {
         return Ok(text.to_owned());
     }
     Ok(format!("{} in the {room}.", text.trim_end_matches(['.', '!', '?'])))
@@ -475,6 +475,7 @@ mod tests {
             ("A woman sits on the sofa", "the hall", "A woman sits on the sofa in the hall."),
             ("They walk through the Living Room!", "living_room", "They walk through the Living Room!"),
             ("Ada leaves the house.", "hall", "Ada leaves the house."),
+            ("A woman is studying.", "study", "A woman is studying in the study."),
         ] {
             let json = serde_json::json!({ "text": text, "room": room }).to_string();
             assert_eq!(Line::read(&json, &Who::Somebody).unwrap().text, expected);
@@ -646,7 +647,7 @@ mod tests {
         }
         // Reports are another command's, which refuses narration as this one refuses them.
         let reports = manual("report");
-        assert_eq!(reports.len(), 8);
+        assert_eq!(reports.len(), 12);
         for line in reports {
             serde_json::from_str::<serde_json::Map<String, Value>>(line).unwrap();
             assert!(item(line).unwrap_err().to_string().contains("unknown key `report`"), "{line}");

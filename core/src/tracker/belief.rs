@@ -187,7 +187,10 @@ impl Belief {
     }
 
     fn reindex(&mut self) {
-        self.index.fill(0);
+        // A new person multiplies the states.
+        let room = (2 * (self.states.len() + 1)).next_power_of_two().max(self.index.len());
+        self.index.clear();
+        self.index.resize(room, 0);
         for number in 0..self.states.len() {
             let mut at = self.slot_of(self.states[number].key);
             while self.index[at] != 0 {

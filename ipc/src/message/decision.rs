@@ -142,8 +142,8 @@ impl DecisionV1 {
     /// When a room was last cleaned before this decision, in Unix seconds, by its place in the map; none where that is not known.
     #[must_use]
     pub fn cleaned_unix_s(&self, room: usize) -> Option<u64> {
-        let minutes = self.cleaned_min.get(room)?.checked_sub(1)?;
-        Some((self.decided_unix_ns / 1_000_000_000).saturating_sub(u64::from(minutes) * 60))
+        let minutes = self.cleaned_min.get(room).filter(|minutes| **minutes < u16::MAX)?.checked_sub(1)?;
+        Some((self.decided_unix_ns / 60_000_000_000).saturating_sub(minutes.into()) * 60)
     }
 
     /// Whether a bit of [`decision_flags`] is set.

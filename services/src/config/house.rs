@@ -34,7 +34,7 @@ impl QuietHours {
     /// Whether the hours are those of a room.
     #[must_use]
     pub fn are_of(&self, room: &str) -> bool {
-        self.rooms.is_empty() || self.rooms.iter().any(|own| own == room)
+        self.rooms.is_empty() || self.rooms.iter().any(|own| is_room(own, room))
     }
 
     /// The end of the quiet hours that a stay of `stay_s` seconds from `local_s` on would meet. Times are seconds since 1970 in local time.
@@ -49,6 +49,21 @@ impl QuietHours {
         let met = spans.filter(|(from_s, to_s)| *from_s < local_s + stay_s && *to_s > local_s || *from_s == local_s);
         met.map(|(_, to_s)| to_s).reduce(f64::max)
     }
+}
+
+/// Whether a room of the configuration is the one with this id: by the id, or by its words without the number that an import adds, so that
+/// "Living room" is `living-room-12`.
+#[must_use]
+pub fn is_room(own: &str, id: &str) -> bool {
+    let words = |text: &str| -> Vec<String> {
+        text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase).collect()
+    };
+    let (own_words, mut id_words) = (words(own), words(id));
+    if own == id || own_words == id_words {
+        return true;
+    }
+    let is_number = id_words.last().is_some_and(|word| word.bytes().all(|digit| digit.is_ascii_digit()));
+    is_number && id_words.pop().is_some() && !id_words.is_empty() && own_words == id_words
 }
 
 /// The place of a day, counted from 1 January 1970, in a week that begins on Monday.
@@ -270,7 +285,13 @@ mod tests {
     #[test]
     fn quiet_hours_of_rooms_are_of_no_other_room() {
         let nap = hours("13:00-15:00 in nursery");
-        assert!(nap.are_of("nursery") && !nap.are_of("kitchen") && hours("13:00-15:00").are_of("kitchen"));
+        assert!(
+            nap.are_of("nursery")
+                && nap.are_of("nursery-17")
+                && !nap.are_of("nursery-room")
+                && !nap.are_of("kitchen")
+                && hours("13:00-15:00").are_of("kitchen")
+        );
     }
 
     #[test]

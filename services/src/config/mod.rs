@@ -29,7 +29,7 @@ use crate::embedded;
 mod house;
 mod sections;
 
-pub use house::{OnlyWhen, QUIET_MAX, QuietHours, RoomNeeds, WhileAsleep, clock_time};
+pub use house::{OnlyWhen, QUIET_MAX, QuietHours, RoomNeeds, WhileAsleep, clock_time, is_room};
 pub use sections::{
     BridgeConfig, DaemonConfig, Forced, HabitsConfig, IntakeLimits, KnownNarrator, May, MetricsConfig, MqttConfig,
     NarratorConfig, OnPause, PersonsConfig, PlannerConfig, Reports, RobotConfig, RobotKind,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};
+use super::house::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep, is_room};
 use roomcast_core::habits::{HabitsOptions, SetOptions};
 use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
@@ -341,7 +341,7 @@ impl PlannerConfig {
     /// What a room needs; none for a room without an entry.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
-        self.room.iter().find(|room| room.id == id)
+        self.room.iter().find(|room| is_room(&room.id, id))
     }
 }
 

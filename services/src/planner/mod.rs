@@ -21,7 +21,7 @@ use roomcast_ipc::{
     text,
 };
 
-use crate::config::{Config, Forced, PlannerConfig};
+use crate::config::{Config, Forced, PlannerConfig, is_room};
 use crate::daemon::Zone;
 use crate::setup;
 use roomcast_core::grounding::PartitionLevel;
@@ -106,6 +106,10 @@ pub struct Planner {
     clock: (BootNs, UnixNs),
     /// What a planner before this one has kept, until scores say which rooms there are.
     kept: Option<KeptRound>,
+    /// A person's order ended the work, and the robot does not know it yet.
+    ended: bool,
+    /// The rooms of the rules were compared with those of the map.
+    compared_rooms: bool,
     /// The last decisions' rooms.
     decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
     /// Epoch and sequence of the scores last decided upon, and when that was.
@@ -228,6 +232,8 @@ impl Planner {
             orders: Orders::default(),
             clock: (BootNs(0), UnixNs(0)),
             kept: None,
+            ended: false,
+            compared_rooms: false,
             decisions: VecDeque::new(),
             decided: None,
             decided_ns: BootNs(0),
@@ -387,6 +393,19 @@ impl Planner {
         }
     }
 
+    /// The rooms of rules and needs that the map lacks, once: these rules say nothing.
+    pub(crate) fn rooms_not_on_the_map(&mut self) -> Vec<String> {
+        let Some(scores) = self.scores.as_ref().filter(|_| !self.compared_rooms) else { return Vec::new() };
+        self.compared_rooms = true;
+        let named = self
+            .config
+            .quiet
+            .iter()
+            .flat_map(|hours| hours.rooms())
+            .chain(self.config.room.iter().map(|room| &room.id));
+        named.filter(|own| !scores.rooms().iter().any(|room| is_room(own, room.id()))).cloned().collect()
+    }
+
     /// A robot that decides for a room that the map lacks, and that room; each robot once. Its room cannot be kept clear of.
     pub(crate) fn robot_of_another_map(&mut self) -> Option<(u64, String)> {
         self.others.as_mut()?.of_another_map(self.scores.as_ref()?)
@@ -405,7 +424,8 @@ impl Planner {
         let stale = self.stale(now_ns);
         let Some(scores) = self.scores.filter(|_| stale == 0) else {
             self.interruption.look_away();
-            return Ok(self.fall_back(stale, now_ns, now_unix_ns));
+            let stopped = self.stop_by_the_clock(stale, now_ns, now_unix_ns);
+            return Ok(stopped.or_else(|| self.fall_back(stale, now_ns, now_unix_ns)));
         };
         if self.expects_persons(now_ns) {
             return Ok(None);
@@ -413,7 +433,12 @@ impl Planner {
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
         let known = outlook::what_is_known(&scores, forecast);
         let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
-        Ok(decision.map(|decision| DecisionV1 { flags: decision.flags | known, ..decision }))
+        let ended = decision.is_some() && std::mem::take(&mut self.ended);
+        Ok(decision.map(|decision| {
+            // A robot that stays where it is goes on with its work there.
+            let action = if ended && decision.action == action::STAY { action::PAUSE } else { decision.action };
+            DecisionV1 { action, flags: decision.flags | known, ..decision }
+        }))
     }
 
     /// The same, by scores that may be acted upon.
@@ -570,7 +595,10 @@ impl Planner {
                 self.round.set_done(room, true);
             } else if let Some(every_s) = needs.and_then(|needs| needs.every_s) {
                 let last_s = orders.cleaned.get(id).copied();
-                self.round.set_done(room, last_s.is_some_and(|last_s| (last_s as f64 + every_s) > unix_s as f64));
+                self.round.set_done(
+                    room,
+                    last_s.is_some_and(|last_s| last_s <= unix_s && (last_s as f64 + every_s) > unix_s as f64),
+                );
             }
         }
     }
@@ -670,6 +698,21 @@ impl Planner {
         self.robot.work = None;
         self.interruption.new_stay(None);
         self.ordered();
+    }
+
+    /// A hold and quiet hours end the work without fresh scores, too.
+    fn stop_by_the_clock(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
+        let scores = self.scores?;
+        let work = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty())?;
+        let now = Now { local_s: self.local_s(), stay_s: 0.0 };
+        let reason = allowed(work.room, now, &self.facts(&scores, now_ns)).err()?;
+        if !matches!(reason, Reason::Held { .. } | Reason::Quiet { .. }) {
+            return None;
+        }
+        self.look_at_rules(&scores, now_ns);
+        let decision =
+            self.pause(Pause::Rule(std::mem::discriminant(&reason)), &reason.to_string(), now_ns, now_unix_ns)?;
+        Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 
     /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has given it up.
@@ -1079,8 +1122,10 @@ impl Planner {
             decision.observed_ns = scores.observed_ns;
             for (minutes, room) in decision.cleaned_min.iter_mut().zip(scores.rooms()) {
                 let cleaned_s = self.orders.cleaned.get(room.id());
-                let past =
-                    cleaned_s.map(|cleaned_s| (now_unix_ns.0 / 1_000_000_000).saturating_sub(*cleaned_s) / 60 + 1);
+                // Whole minutes of the clock: the time does not move with each decision.
+                let past = cleaned_s.map(|cleaned_s| {
+                    (now_unix_ns.0 / 60_000_000_000).saturating_sub(*cleaned_s / 60).saturating_add(1)
+                });
                 *minutes = past.map_or(0, |past| u16::try_from(past).unwrap_or(u16::MAX));
             }
             let room = |index: Option<usize>| index.and_then(|index| scores.rooms().get(index));

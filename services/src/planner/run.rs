@@ -122,6 +122,14 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 "another robot goes to a room that the map in use does not have, so that it is not kept clear of: give both robots one map, or rooms of the same ids"
             );
         }
+        let unknown = planner.rooms_not_on_the_map();
+        if !unknown.is_empty() {
+            let rooms = unknown.join(", ");
+            tracing::warn!(
+                rooms,
+                "quiet hours or rooms of [planner] name rooms that the map does not have, and have no effect there: give a room's id or name"
+            );
+        }
         // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
         while receive(&reports, &mut report, &mut log)? {
             if early.len() == RobotReportV1::SERVICE.buffer {

@@ -15,6 +15,9 @@ use super::tracking::{Said, Tracking};
 use super::{Attributed, Board, NEAR_MISSES_LOGGED, STRANGE_ROOMS_LOGGED, Seen, room_named, rooms_alike, seconds};
 use crate::config::May;
 
+/// A person takes an unnamed event above this share: more than one half, and no rounding.
+const HALF: f64 = 0.55;
+
 /// A narrator as far as its events are concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) struct Reporter {
@@ -124,7 +127,8 @@ impl<M: LanguageModel> Board<M> {
         } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
             understood.reason = Some(reason);
         }
-        if is_weighed && moves.is_empty() {
+        let is_noted = is_sensor && !matches!(weighed, Weighed::Refused(_));
+        if (is_weighed || is_noted) && moves.is_empty() {
             // A restart weighs it again.
             moves.push(Move::of_nobody());
         }
@@ -363,6 +367,17 @@ impl<M: LanguageModel> Board<M> {
             self.start_tracking(at_ns);
             return Weighed::NotNeeded;
         }
+        if let Event::Sensor(report) = &own.event
+            && let (SensorKind::Bed, Some(on), true) = (report.kind, report.on, is_taken)
+        {
+            let lies = |person: &PersonId| who_is.map_or_else(|| tracking.share(*person) > HALF, |own| own == *person);
+            let persons: Vec<PersonId> = tracking.persons().iter().copied().filter(lies).collect();
+            for person in persons {
+                if let Some(known) = self.persons.get_mut(person) {
+                    known.on_bed = on;
+                }
+            }
+        }
         match own.event {
             _ if is_taken => Weighed::Yes,
             Event::Sensor(_) => Weighed::Refused(Reason::NoSensor),
@@ -398,8 +413,6 @@ impl<M: LanguageModel> Board<M> {
     fn shares(&mut self, own: &Observation, count: u8) -> Vec<Observation> {
         /// A person is out above the first, and in below the second, whatever the event says.
         const OUT: (f64, f64) = (0.9, 0.1);
-        /// Above one half, and no rounding.
-        const HALF: f64 = 0.55;
         /// The device belongs to the person.
         const SURE: f64 = 0.999;
         let Some(tracking) = &self.tracking else { return Vec::new() };

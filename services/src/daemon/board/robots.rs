@@ -25,13 +25,15 @@ struct Robot {
     to: Option<usize>,
     /// It stands: at its dock, after its work, or in a pause.
     stands: bool,
+    /// It reported at least once. A robot that does not obey makes no motion.
+    reports: bool,
     heard_ns: BootNs,
 }
 
 impl Robot {
     /// Whether it may move in the same rooms.
     fn is_alike(&self, other: &Self) -> bool {
-        (self.room, self.to, self.stands) == (other.room, other.to, other.stands)
+        (self.room, self.to, self.stands, self.reports) == (other.room, other.to, other.stands, other.reports)
     }
 }
 
@@ -53,7 +55,11 @@ impl Robots {
     /// The rooms in which robots may move: each robot's room, and the rooms on its way.
     pub(super) fn rooms(&self, home: &Home, now_ns: BootNs) -> Vec<usize> {
         let mut rooms = Vec::new();
-        for robot in self.robots.values().filter(|robot| !robot.stands && now_ns.since(robot.heard_ns) < SILENT_NS) {
+        for robot in self
+            .robots
+            .values()
+            .filter(|robot| robot.reports && !robot.stands && now_ns.since(robot.heard_ns) < SILENT_NS)
+        {
             rooms.extend(robot.room);
             let mut here = robot.room;
             for _ in 0..home.rooms() {
@@ -89,7 +95,7 @@ impl<M: LanguageModel> Board<M> {
         let room = named.or_else(|| report.position_m().and_then(holds));
         let Some(robot) = self.robots.get(report.robot) else { return };
         let before = *robot;
-        robot.heard_ns = now_ns;
+        (robot.heard_ns, robot.reports) = (now_ns, true);
         robot.room = room.or(if report.kind == report_kind::STARTED { robot.to } else { None }).or(robot.room);
         match report.kind {
             report_kind::STARTED => robot.stands = false,

@@ -33,8 +33,12 @@ struct Last {
     at_ns: i64,
 }
 
-/// A device: its narrator and its id. Two narrators may use the same id.
-type Device = (u64, Box<str>);
+/// A device: its narrator, its kind and its id. Two narrators may use the same id, and one device may see motion and presence.
+type Device = (u64, SensorKind, Box<str>);
+
+fn device_of(source: u64, report: &SensorReport) -> Device {
+    (source, report.kind, report.id.clone())
+}
 
 /// The devices that reported so far. They outlive a change of the map.
 #[derive(Debug, Clone, Default)]
@@ -51,7 +55,7 @@ impl Sensors {
         person: Option<PersonId>,
         at_ns: i64,
     ) -> Result<(), Reason> {
-        let device = (source, report.id.clone());
+        let device = device_of(source, report);
         match self.0.get(&device) {
             Some(last) if last.at_ns > at_ns => return Err(Reason::Outdated),
             None if self.0.len() >= SENSORS_MAX => return Err(Reason::NoSensor),
@@ -63,6 +67,12 @@ impl Sensors {
 
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
+    }
+
+    /// Whether a bed of this person is occupied.
+    pub(super) fn has_on_bed(&self, person: PersonId) -> bool {
+        let is_on = |last: &Last| last.report.kind == SensorKind::Bed && last.report.on == Some(true);
+        self.0.values().any(|last| last.person == Some(person) && is_on(last))
     }
 
     /// Forgets the devices of a person.
@@ -206,12 +216,14 @@ impl Tracking {
             false_alarms_per_day: report.false_alarms_per_day,
             hold_s: report.hold_s,
         };
-        if let Some(known) = self.sensors.iter().position(|(own, _)| own.0 == source && own.1 == report.id) {
+        if let Some(known) =
+            self.sensors.iter().position(|(own, _)| (own.0, own.1, &own.2) == (source, report.kind, &report.id))
+        {
             self.is_stale |= self.sensors[known].1 != spec;
             return (!self.is_stale).then_some(known);
         }
         let index = self.tracker.add_sensor(spec).ok()?;
-        self.sensors.push(((source, report.id.clone()), spec));
+        self.sensors.push((device_of(source, report), spec));
         if spec.kind == SensorKind::Door || spec.kind == SensorKind::Bed {
             self.refill();
         }
@@ -329,7 +341,7 @@ impl Tracking {
             self.looked_ns = None;
             self.persons.remove(index);
             // The person's devices are silent now, and new ones if they report again; indices of others moved down.
-            for ((_, id), spec) in &mut self.sensors {
+            for ((_, _, id), spec) in &mut self.sensors {
                 match spec.person {
                     Some(own) if own == index => *id = "".into(),
                     Some(own) if own > index => spec.person = Some(own - 1),
@@ -398,13 +410,13 @@ impl Tracking {
 
     /// The id of a device of the filter, and its kind.
     pub(super) fn device(&self, sensor: usize) -> Option<(&str, SensorKind)> {
-        self.sensors.get(sensor).map(|((_, id), spec)| (&**id, spec.kind))
+        self.sensors.get(sensor).map(|((_, _, id), spec)| (&**id, spec.kind))
     }
 
     /// Devices that turn on much more often without a person than is usual, with both numbers per day.
     pub(super) fn noisy(&self) -> impl Iterator<Item = (&str, f64, f64)> {
         let noisy = self.now.noisy();
-        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.1, learned, usual)))
+        noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.2, learned, usual)))
     }
 
     /// The room of the last event.
