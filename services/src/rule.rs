@@ -427,7 +427,7 @@ mod tests {
             (say("They use value}."), "say has a brace alone"),
             (say("[Fly] <mug> (1)"), "Fly"),
             (Keys { say: Some("They sit."), ..away }, "say and presence exclude each other"),
-            (Keys { room: Some("hall"), ..away }, "and with presence = \"present\""),
+            (Keys { room: Some("hall"), ..away }, "and presence = \"present\""),
             (Keys { quiet_s: Some(0.0), ..away }, "quiet_s is 0; give seconds above 0, at most 604800"),
             (Keys { quiet_s: Some(f64::NAN), ..away }, "quiet_s is NaN"),
             (Keys { quiet_s: Some(1e300), ..away }, "quiet_s is 1"),
