@@ -149,7 +149,7 @@ FAULTS: list[tuple[type[layouts.Message], str, Change, str]] = [
     (layouts.RobotReportV1, "no robot", field("robot", 0), "robot: 0, allowed is not 0"),
     (layouts.RobotReportV1, "no epoch", field("epoch", 0), "epoch: 0, allowed is not 0"),
     (layouts.RobotReportV1, "no sequence", field("sequence", 0), "sequence: 0, allowed is not 0"),
-    (layouts.RobotReportV1, "an unknown kind", field("kind", 8), "kind: 8, allowed is 0 to 7"),
+    (layouts.RobotReportV1, "an unknown kind", field("kind", 12), "kind: 12, allowed is 0 to 11"),
     (layouts.RobotReportV1, "nowhere", item("position_m", 2, math.inf), "position_m: inf, allowed is finite"),
     (layouts.RobotReportV1, "more than full", field("battery", 1.5), "battery: 1.5, allowed is 0 to 1"),
     (layouts.RobotReportV1, "a name in no text", put("robot_name", b"\xff"), "robot_name: not UTF-8 from byte 0 on"),
