@@ -68,8 +68,8 @@ fn topic_of(person: &PersonForecastV1) -> String {
     let words: Vec<String> = words.iter().map(|word| word.chars().filter(|letter| plain(*letter)).collect()).collect();
     let name = words.iter().filter(|word| !word.is_empty()).cloned().collect::<Vec<_>>().join("_");
     // A name that lost letters may be like another one.
-    let has_lost = words.iter().map(String::len).sum::<usize>()
-        < person.name().chars().filter(|own| own.is_alphanumeric()).map(char::len_utf8).sum();
+    let letters = person.name().chars().filter(|own| own.is_alphanumeric()).count();
+    let has_lost = words.iter().map(String::len).sum::<usize>() < letters;
     match name.chars().next() {
         Some(_) if has_lost => format!("person_{name}_{}", person.person),
         Some(first) if first.is_ascii_lowercase() => name,
@@ -121,6 +121,8 @@ mod tests {
             ("Anne-Marie O'Neill", "anne_marie_o_neill"),
             ("7/x", "person_7_x"),
             ("🙂", "person_7"),
+            ("Ana Иванова", "person_ana_7"),
+            ("Анна", "person_7"),
         ] {
             assert_eq!(person_topics(&[person(7, name)]), [topic], "{name}");
         }

@@ -198,7 +198,7 @@ mod tests {
         let mut decision = DecisionV1 { decided_unix_ns: 10_000 * 1_000_000_000, ..Default::default() };
         assert_eq!(decision.cleaned_unix_s(1), None);
         decision.cleaned_min[1] = 61;
-        assert_eq!([1, 64].map(|room| decision.cleaned_unix_s(room)), [Some(6_400), None]);
+        assert_eq!([1, 64].map(|room| decision.cleaned_unix_s(room)), [Some(6_360), None]);
     }
 
     /// Whoever decides for one robot cannot take another one's name.
