@@ -127,7 +127,7 @@ mod tests {
         let mut orders = orders();
         orders.clean("kitchen", 60);
         orders.clean("kitchen", 40);
-        assert!(orders.asked.is_empty() && orders.cleaned["kitchen"] == 60);
+        assert!(orders.asked.is_empty() && orders.cleaned["kitchen"] == 40, "a clock that ran ahead is corrected");
         orders.ask("hall", 200);
         assert!(orders.skipped.is_empty(), "the newest order counts");
         (0..1000).for_each(|room| orders.clean(&format!("room-{room}"), 1));
