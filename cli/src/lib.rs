@@ -24,7 +24,7 @@ pub mod exit_code;
 pub mod model;
 pub mod ranges;
 
-/// A failed command: the documented exit code and the chain of causes, printed once by [`main`].
+/// A failed command: the documented exit code and the chain of causes, printed once by `main`.
 #[derive(Debug)]
 pub struct Failure {
     /// One of [`exit_code`]'s constants.
@@ -123,7 +123,7 @@ pub fn print(text: &str) -> CommandResult {
     print_styled(&visible_lines(text))
 }
 
-/// As [`print`] for a text with colours. The caller has made every part from outside [`visible`](roomcast_core::text::visible).
+/// As [`print()`] for a text with colours. The caller has made every part from outside [`visible`](roomcast_core::text::visible).
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.

@@ -68,7 +68,7 @@ pub struct Scores {
     pub prompt_tokens: usize,
     /// How many prompts the model was asked about in this step.
     pub asked: usize,
-    /// How many were answered before they were asked ([`super::Pipeline::keep_answer`]).
+    /// How many were answered before they were asked ([`super::Ahead::keep_answer`]).
     pub prepared: usize,
     /// What was decoded in this step.
     pub stats: DecodeStats,
