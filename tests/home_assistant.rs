@@ -431,7 +431,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
     services.start("daemon", &["daemon"]);
     services.start("narrator", &["narrate", "--mqtt"]);
-    services.start("planner", &["planner"]);
+    services.start("planner", &["planner", "--know", "0"]);
     services.start("bridge", &["publish", "mqtt"]);
     let node = services.domain.open("test").unwrap();
     let heard = node.subscriber::<NarrationV1>().unwrap();

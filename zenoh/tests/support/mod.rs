@@ -223,7 +223,7 @@ impl Robot {
         };
         let state = vec!["--state".to_owned(), path.join("state").display().to_string()];
         let daemon = Process::start(path.join("daemon.log"), service("daemon", state));
-        let planner = Process::start(path.join("planner.log"), service("planner", Vec::new()));
+        let planner = Process::start(path.join("planner.log"), service("planner", vec!["--know".into(), "0".into()]));
         let own = path.clone();
         let bridge = Process::start(path.join("bridge.log"), move || {
             let mut command = bridge();
