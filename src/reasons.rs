@@ -28,10 +28,10 @@ impl Reasons {
         Ok(Self { port: node.question_port(question::PERSON)?, asked: None, lines: BTreeMap::new() })
     }
 
-    /// Asks about these persons, unless it asked a moment ago. Returns the newest lines.
-    pub fn refresh(&mut self, persons: impl Iterator<Item = u32>) -> &BTreeMap<u32, String> {
+    /// Asks about these persons. Returns the lines; `None` if it asked a moment ago.
+    pub fn refresh(&mut self, persons: impl Iterator<Item = u32>) -> Option<&BTreeMap<u32, String>> {
         if self.asked.is_some_and(|asked| asked.elapsed() < EVERY) {
-            return &self.lines;
+            return None;
         }
         self.asked = Some(Instant::now());
         let before = std::mem::take(&mut self.lines);
@@ -48,7 +48,7 @@ impl Reasons {
                 self.lines.insert(person, line);
             }
         }
-        &self.lines
+        Some(&self.lines)
     }
 }
 

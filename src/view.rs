@@ -156,8 +156,9 @@ pub fn run(
             persons.map_or_else(Vec::new, |all| all.persons().iter().map(|person| person.person).collect());
         drop(live);
         things.follow(&node, is_looked_at);
-        if !persons.is_empty() {
-            let told = reasons.refresh(persons.into_iter());
+        if !persons.is_empty()
+            && let Some(told) = reasons.refresh(persons.into_iter())
+        {
             shared.lock().unwrap_or_else(PoisonError::into_inner).picture.reasons.clone_from(told);
         }
         if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {

@@ -1,6 +1,6 @@
 """Rounds a trained model's matrices to four bits (IQ4_NL), so that its outputs change least on the training text.
 
-    python training/quantise.py --shared DATA training/work/household-f32.gguf models/household.gguf
+    python training/quantise.py --shared DATA household-f32.gguf models/household.gguf
 
 Plain rounding takes the nearest step for each weight. Here later columns of a matrix make up for the rounding of earlier ones, weighted by
 the inputs that the matrix has on the training text (GPTQ, Frantar et al. 2023). Each matrix sees the inputs that the rounded ones before it give.

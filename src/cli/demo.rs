@@ -383,7 +383,7 @@ impl<'a> Show<'a> {
             let at_ns = |(step, _): &(usize, usize)| begin_ns.saturating_add((*step as f64 / self.speed * 1e9) as u64);
             let entry = self.moves.front().copied().filter(|entry| at_ns(entry) < until_ns);
             match (decision, entry) {
-                (Some(decision), entry) if entry.is_none_or(|entry| decision.decided_ns <= (at_ns(&entry)).0) => {
+                (Some(decision), entry) if entry.is_none_or(|entry| BootNs(decision.decided_ns) <= at_ns(&entry)) => {
                     self.untold.pop_front();
                     self.decided(&decision);
                 }

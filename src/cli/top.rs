@@ -124,7 +124,9 @@ fn screen(
                 view.forecast_flags(message.flags);
             }
             if let Some(message) = persons.newest().map_err(ipc)? {
-                view.reasons(reasons.refresh(message.persons().iter().map(|person| person.person)));
+                if let Some(reasons) = reasons.refresh(message.persons().iter().map(|person| person.person)) {
+                    view.reasons(reasons);
+                }
                 view.persons(&message);
             }
             if let Some(message) = items.newest().map_err(ipc)? {

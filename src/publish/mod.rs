@@ -99,7 +99,7 @@ struct Ears {
     kept: BTreeSet<String>,
     /// Everything that the broker keeps was heard.
     all: bool,
-    /// Knows the topics of orders.
+    /// Orders of persons.
     orders: Orders,
 }
 
@@ -245,7 +245,6 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     notify(&[NotifyState::Ready]);
     let advisor = Planner::for_advice(config);
     let mut known = Known::default().with_advisor(advisor);
-    let mut orders = Orders::new(&config.bridge.topic);
     let mut reports: Option<Publisher<RobotReportV1>> = None;
     // What is printed stands nowhere.
     let mut outbox = match &link {
@@ -279,7 +278,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             for order in ordered {
                 let times = (clock::monotonic_ns(), clock::unix_ns());
                 let (robots, rooms) = (known.robots(&config.planner.robot), known.rooms());
-                match orders.read(&order.topic, &order.payload, &robots, &rooms, times) {
+                match ears.orders.read(&order.topic, &order.payload, &robots, &rooms, times) {
                     Ok(order) => {
                         if reports.is_none() {
                             reports = Some(node.publisher()?);
@@ -304,8 +303,8 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
         if drawn.is_none_or(|drawn| drawn.elapsed() >= interval) {
             drawn = Some(Instant::now());
             let complete = known.is_complete() && (ears.all || link.is_none());
-            if alive {
-                known.take_reasons(reasons.refresh(known.persons_known().into_iter()));
+            if alive && let Some(reasons) = reasons.refresh(known.persons_known().into_iter()) {
+                known.take_reasons(reasons);
             }
             known.advise(clock::monotonic_ns(), clock::unix_ns(), &config.planner.robot);
             outbox.want(known.picture(&config.bridge, &config.planner.robot, alive), complete);

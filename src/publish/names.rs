@@ -85,7 +85,7 @@ pub(super) fn ahead(seconds: f64) -> String {
     }
 }
 
-/// Whoever has a name: how it is shown, and its part of topics and ids.
+/// A person or robot: the shown name, and the part of topics and ids.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Named {
     pub(super) part: String,

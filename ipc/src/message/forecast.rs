@@ -61,8 +61,12 @@ pub fn probability_at(horizons_s: &[f32], row: &[f32], since_s: f64) -> f64 {
     let mut before: Option<(f64, f64)> = None;
     for (horizon_s, probability) in horizons_s.iter().zip(row).map(|(at, p)| (f64::from(*at), f64::from(*p))) {
         if horizon_s >= since_s {
-            let Some((from_s, from)) = before else { return probability };
-            return from + (since_s - from_s) / (horizon_s - from_s).max(f64::MIN_POSITIVE) * (probability - from);
+            return match before {
+                Some((from_s, from)) if horizon_s > from_s => {
+                    from + (probability - from) * (since_s - from_s) / (horizon_s - from_s)
+                }
+                _ => probability,
+            };
         }
         before = Some((horizon_s, probability));
     }

@@ -55,15 +55,20 @@ impl QuietHours {
 /// "Living room" is `living-room-12`.
 #[must_use]
 pub fn is_room(own: &str, id: &str) -> bool {
-    let words = |text: &str| -> Vec<String> {
-        text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase).collect()
-    };
-    let (own_words, mut id_words) = (words(own), words(id));
-    if own == id || own_words == id_words {
-        return true;
+    let base = id.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches(|c: char| !c.is_alphanumeric());
+    let has_base = id.ends_with(|c: char| c.is_ascii_digit()) && !base.is_empty();
+    own == id || is_same(own, id) || has_base && is_same(own, base)
+}
+
+/// Whether two texts have the same words, in any case.
+fn is_same(a: &str, b: &str) -> bool {
+    fn words(text: &str) -> impl Iterator<Item = &str> {
+        text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty())
     }
-    let is_number = id_words.last().is_some_and(|word| word.bytes().all(|digit| digit.is_ascii_digit()));
-    is_number && id_words.pop().is_some() && !id_words.is_empty() && own_words == id_words
+    fn letters(word: &str) -> impl Iterator<Item = char> + '_ {
+        word.chars().flat_map(char::to_lowercase)
+    }
+    words(a).count() == words(b).count() && words(a).zip(words(b)).all(|(a, b)| letters(a).eq(letters(b)))
 }
 
 /// The place of a day, counted from 1 January 1970, in a week that begins on Monday.

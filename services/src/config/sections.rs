@@ -341,7 +341,8 @@ impl PlannerConfig {
     /// What a room needs; none for a room without an entry.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
-        self.room.iter().find(|room| is_room(&room.id, id))
+        let exact = self.room.iter().find(|room| room.id == id);
+        exact.or_else(|| self.room.iter().find(|room| is_room(&room.id, id)))
     }
 }
 

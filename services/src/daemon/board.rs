@@ -890,13 +890,13 @@ impl<M: LanguageModel> Board<M> {
                         }
                     }
                 }
-                Event::Present(name) => {
-                    let name = name.as_ref().map_or("", |name| name.as_str());
+                Event::Present(named) => {
+                    let name = named.as_ref().map_or("", |name| name.as_str());
                     let room = room_named(name, &self.map, grounding);
                     let alike = |other| room.is_none() && rooms_alike(name, grounding).any(|one| one == other);
                     let was_here = room.is_none_or(|room| own.at(at_s, 0.0).nth(room).is_some_and(|p| p > 0.5));
                     if !was_here
-                        && !self.sensors.has_on_bed(seen.person)
+                        && !self.sensors.has_on_bed(seen.person, named.as_ref())
                         && let Some(known) = self.persons.get_mut(seen.person)
                     {
                         // Persons who walk into another room are up.

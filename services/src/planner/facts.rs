@@ -2,11 +2,12 @@
 
 use roomcast_core::ids::BootNs;
 use roomcast_core::narration::same_but_for_accents;
+use roomcast_ipc::raw::probability_at;
 use roomcast_ipc::{
     MAX_ROOMS, PersonForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, person_flags, presence,
 };
 
-use super::outlook::{Forecast, interpolate, what_is_known};
+use super::outlook::{Forecast, what_is_known};
 use super::rules::{Facts, RoomSet, Sleeper, Staying};
 use crate::config::{OnlyWhen, PlannerConfig, WhileAsleep};
 
@@ -64,12 +65,12 @@ impl<'a> People<'a> {
     }
 
     fn out(&self, person: &PersonForecastV1) -> f64 {
-        interpolate(self.message.horizons_s(), &person.elsewhere, self.age_s)
+        probability_at(self.message.horizons_s(), &person.elsewhere, self.age_s)
     }
 
     fn likely(&self, person: &PersonForecastV1, room: usize, ahead_s: f64) -> f64 {
         let row = person.probability.get(room);
-        row.map_or(0.0, |row| interpolate(self.message.horizons_s(), row, self.age_s + ahead_s))
+        row.map_or(0.0, |row| probability_at(self.message.horizons_s(), row, self.age_s + ahead_s))
     }
 
     /// The room where a person most likely is now.

@@ -106,8 +106,6 @@ pub struct Planner {
     clock: (BootNs, UnixNs),
     /// What a planner before this one has kept, until scores say which rooms there are.
     kept: Option<KeptRound>,
-    /// A person's order ended the work, and the robot does not know it yet.
-    ended: bool,
     /// The rooms of the rules were compared with those of the map.
     compared_rooms: bool,
     /// The last decisions' rooms.
@@ -232,7 +230,6 @@ impl Planner {
             orders: Orders::default(),
             clock: (BootNs(0), UnixNs(0)),
             kept: None,
-            ended: false,
             compared_rooms: false,
             decisions: VecDeque::new(),
             decided: None,
@@ -300,6 +297,7 @@ impl Planner {
                 && known.rooms().iter().map(|room| room.id).eq(scores.rooms().iter().map(|room| room.id))
         });
         if !same_map {
+            self.compared_rooms = false;
             let changed = self.scores.filter(|known| known.epoch == scores.epoch);
             self.move_rooms(changed.as_ref(), scores);
         }
@@ -433,12 +431,7 @@ impl Planner {
         let forecast = Forecast::usable(self.forecast.as_ref(), &scores, now_ns, self.deadline_ns);
         let known = outlook::what_is_known(&scores, forecast);
         let decision = self.decide_on(&scores, now_ns, now_unix_ns)?;
-        let ended = decision.is_some() && std::mem::take(&mut self.ended);
-        Ok(decision.map(|decision| {
-            // A robot that stays where it is goes on with its work there.
-            let action = if ended && decision.action == action::STAY { action::PAUSE } else { decision.action };
-            DecisionV1 { action, flags: decision.flags | known, ..decision }
-        }))
+        Ok(decision.map(|decision| DecisionV1 { flags: decision.flags | known, ..decision }))
     }
 
     /// The same, by scores that may be acted upon.
@@ -450,7 +443,7 @@ impl Planner {
     ) -> Result<Option<DecisionV1>, PolicyError> {
         self.look_for_persons(scores, now_ns);
         self.look_for_robots(scores, now_ns);
-        self.look_at_rules(scores, now_ns);
+        let _ended = self.look_at_rules(scores, now_ns, |_| true);
         if self.standing == Standing::Resumes {
             self.standing = Standing::Free;
             if let Some(work) = self.robot.work.clone() {
@@ -685,33 +678,36 @@ impl Planner {
         Some((names, self.local_s() + left_ns as f64 / 1e9))
     }
 
-    /// Ends work that a rule does not allow any more. A robot that a person started works on.
-    fn look_at_rules(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
-        let Some(work) = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty()) else { return };
+    /// Ends work that a rule does not allow any more, of the rules that `counts` selects. A robot that a person started works on.
+    fn look_at_rules(
+        &mut self,
+        scores: &RoomScoresV1,
+        now_ns: BootNs,
+        counts: impl Fn(&Reason) -> bool,
+    ) -> Option<Reason> {
+        let work = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty())?;
         let now = Now { local_s: self.local_s(), stay_s: 0.0 };
-        let ended = allowed(work.room, now, &self.facts(scores, now_ns)).err();
+        let reason = allowed(work.room, now, &self.facts(scores, now_ns)).err().filter(counts)?;
         // A waiting robot makes no noise. A hold is confirmed all the same.
-        let Some(reason) = ended.filter(|reason| !work.waits || matches!(reason, Reason::Held { .. })) else { return };
+        if work.waits && !matches!(reason, Reason::Held { .. }) {
+            return None;
+        }
         let (id, cancels) = (self.id_of(work.room), self.own_decision(work));
         let why = if work.waits { String::new() } else { format!("The work in the {id} stops. {reason} ") };
         self.notice = Notice { cancels, flags: 0, why };
         self.robot.work = None;
         self.interruption.new_stay(None);
         self.ordered();
+        Some(reason)
     }
 
     /// A hold and quiet hours end the work without fresh scores, too.
     fn stop_by_the_clock(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         let scores = self.scores?;
-        let work = self.robot.work.as_ref().filter(|work| !work.decisions.is_empty())?;
-        let now = Now { local_s: self.local_s(), stay_s: 0.0 };
-        let reason = allowed(work.room, now, &self.facts(&scores, now_ns)).err()?;
-        if !matches!(reason, Reason::Held { .. } | Reason::Quiet { .. }) {
-            return None;
-        }
-        self.look_at_rules(&scores, now_ns);
-        let decision =
-            self.pause(Pause::Rule(std::mem::discriminant(&reason)), &reason.to_string(), now_ns, now_unix_ns)?;
+        let is_clock = |reason: &Reason| matches!(reason, Reason::Held { .. } | Reason::Quiet { .. });
+        let reason = self.look_at_rules(&scores, now_ns, is_clock)?;
+        let why = Pause::Rule(std::mem::discriminant(&reason));
+        let decision = self.pause(why, &reason.to_string(), now_ns, now_unix_ns)?;
         Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 

@@ -1,6 +1,7 @@
 //! What a planner sees of persons at one moment: how likely somebody is in each room next, now, and in each slot to come.
 
 use roomcast_core::ids::BootNs;
+use roomcast_ipc::raw::probability_at;
 use roomcast_ipc::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
 
 /// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
@@ -39,7 +40,7 @@ impl<'a> Forecast<'a> {
 
     /// How likely the house is empty so many seconds from now.
     pub(super) fn nobody_home(&self, ahead_s: f64) -> f64 {
-        interpolate(&self.message.horizon_s, &self.message.elsewhere, self.age_s + ahead_s)
+        probability_at(&self.message.horizon_s, &self.message.elsewhere, self.age_s + ahead_s)
     }
 
     /// The least value of a curve from now on for so many seconds, at the forecast's horizons and at the end.
@@ -53,7 +54,7 @@ impl<'a> Forecast<'a> {
     /// How likely somebody is in a room so many seconds from now.
     pub(super) fn likely(&self, room: usize, ahead_s: f64) -> f64 {
         let curve = self.message.room(room);
-        curve.map_or(0.0, |(_, row)| interpolate(&self.message.horizon_s, row, self.age_s + ahead_s))
+        curve.map_or(0.0, |(_, row)| probability_at(&self.message.horizon_s, row, self.age_s + ahead_s))
     }
 
     /// How likely somebody is in each room now.
@@ -148,22 +149,6 @@ impl Outlook {
     }
 }
 
-/// The value at `at` of a curve through points with rising `grid`; constant beyond both ends.
-pub(super) fn interpolate(grid: &[f32], values: &[f32], at: f64) -> f64 {
-    let points = || grid.iter().zip(values).map(|(x, y)| (f64::from(*x), f64::from(*y)));
-    let mut before: Option<(f64, f64)> = None;
-    for (x, y) in points() {
-        if x >= at {
-            return match before {
-                Some((x0, y0)) if x > x0 => y0 + (y - y0) * (at - x0) / (x - x0),
-                _ => y,
-            };
-        }
-        before = Some((x, y));
-    }
-    before.map_or(0.0, |(_, y)| y)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -211,7 +196,7 @@ mod tests {
 
     #[test]
     fn curves_are_straight_between_their_points_and_flat_beyond() {
-        let value = |at| interpolate(&[10.0, 20.0], &[0.2, 0.4], at);
+        let value = |at| probability_at(&[10.0, 20.0], &[0.2, 0.4], at);
         assert!(
             (value(0.0) - 0.2).abs() < 1e-6 && (value(15.0) - 0.3).abs() < 1e-6 && (value(99.0) - 0.4).abs() < 1e-6
         );

@@ -158,7 +158,6 @@ impl Planner {
         if let Some(work) = self.robot.work.take_if(|work| is_ended(work) && !work.decisions.is_empty()) {
             self.notice = Notice { cancels: self.own_decision(&work), flags: 0, why };
             self.interruption.new_stay(None);
-            self.ended = true;
         }
     }
 

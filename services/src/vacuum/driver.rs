@@ -194,11 +194,14 @@ impl Driver {
         }
         self.decided = Some(own);
         let mut acts = Vec::new();
+        let is_cancelled = self.wish.as_ref().is_some_and(|work| work.decision == decision.cancels);
         match decision.action {
             action::GO => self.go(decision, now_ns, &mut acts),
             action::PAUSE => self.stop_work(now_ns, &mut acts),
             // To wait in another room: its work is over, and this robot waits at its dock.
             _ if !decision.to().is_empty() && decision.to() != decision.from() => self.stop_work(now_ns, &mut acts),
+            // Work in the same room is over, too, if the decision cancels it.
+            _ if is_cancelled => self.stop_work(now_ns, &mut acts),
             // To stay where it is, with nothing to do.
             _ => {}
         }

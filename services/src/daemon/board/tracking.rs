@@ -69,10 +69,11 @@ impl Sensors {
         self.0.is_empty()
     }
 
-    /// Whether a bed of this person is occupied.
-    pub(super) fn has_on_bed(&self, person: PersonId) -> bool {
+    /// Whether a bed of this person is occupied, or one of no person in the room.
+    pub(super) fn has_on_bed(&self, person: PersonId, room: Option<&RoomName>) -> bool {
         let is_on = |last: &Last| last.report.kind == SensorKind::Bed && last.report.on == Some(true);
-        self.0.values().any(|last| last.person == Some(person) && is_on(last))
+        let is_theirs = |last: &Last| last.person.map_or(last.report.room.as_ref() == room, |own| own == person);
+        self.0.values().any(|last| is_on(last) && is_theirs(last))
     }
 
     /// Forgets the devices of a person.

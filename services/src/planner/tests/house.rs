@@ -451,3 +451,25 @@ fn an_overdue_room_costs_more_to_leave() {
         assert!(weights[overdue] > 10.0 && weights[other] < 1.1, "{weights:?}");
     }
 }
+
+#[test]
+fn holds_and_quiet_hours_end_the_work_of_a_robot_without_fresh_scores() {
+    let quiet = vec![QuietHours::try_from("09:05-10:00".to_owned()).unwrap()];
+    for (quiet, holds, reason) in [(Vec::new(), true, "On hold."), (quiet, false, "Quiet hours until 10:00.")] {
+        let config = PlannerConfig { reports: Reports::Always, report_timeout_s: 3_600.0, ..PlannerConfig::default() };
+        let mut flat = Flat::new(PlannerConfig { quiet, ..config });
+        flat.config.room_time_s = 60.0;
+        flat.planner = Flat::start(&flat.config, 1);
+        let goes = flat.decision(0);
+        assert_eq!(goes.action, action::GO);
+        if holds {
+            flat.order(report_kind::HOLD, |_| ());
+        }
+        // The daemon is silent from now on.
+        flat.at_ns += 6 * MIN;
+        let decide = |flat: &mut Flat| flat.planner.decide(BootNs(flat.at_ns), UnixNs(flat.at_ns)).unwrap();
+        let stops = decide(&mut flat).unwrap();
+        assert_eq!((stops.action, stops.cancels), (action::PAUSE, goes.sequence), "{}", stops.reason());
+        assert!(stops.reason().contains(reason) && stops.has(decision_flags::STALE), "{}", stops.reason());
+    }
+}

@@ -208,6 +208,19 @@ fn a_person_who_comes_in_sends_it_home_or_elsewhere() {
     assert_eq!(pair.robot.cleaned, ["4"]);
 }
 
+#[test]
+fn a_decision_to_stay_that_cancels_the_work_in_the_room_sends_the_robot_home() {
+    for (cancels, doing) in [(1, Doing::Docked), (0, Doing::Cleaning)] {
+        let mut pair = Pair::new(&config(), 600.0);
+        pair.decide(&decision(1, action::GO, "hall-2"));
+        pair.pass(60);
+        let from = text::encode("from", "hall-2").unwrap();
+        pair.decide(&DecisionV1 { cancels, from, ..decision(2, action::STAY, "hall-2") });
+        pair.pass(60);
+        assert_eq!(pair.robot.doing, doing, "cancels {cancels}");
+    }
+}
+
 /// Somebody comes in before the robot has begun: whatever is late or lost, it does not clean the room with them in it.
 #[test]
 fn a_robot_that_was_only_told_to_clean_is_told_not_to() {

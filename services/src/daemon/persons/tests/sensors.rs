@@ -266,3 +266,21 @@ fn the_joint_belief_is_no_product_of_its_marginals() {
     let occupied = flat.occupied("corridor");
     assert!(occupied > product + 0.05, "{occupied} {product}");
 }
+
+#[test]
+fn persons_in_a_bed_are_asleep_after_a_silence_until_they_get_up() {
+    let is_asleep = |own: &mut Flat, who: &str| own.0.person(who).unwrap().flags & person_flags::ASLEEP != 0;
+    for bed in [BED_JON, ("bed", "bed", "bedroom", "")] {
+        let mut own = Flat::new();
+        own.0.after(1, "Jon", "present in the corridor");
+        own.0.after(1, "Mira", "present in the kitchen");
+        own.after(60, bed, true);
+        own.0.wait(7_200);
+        assert!(is_asleep(&mut own, "Jon") && !is_asleep(&mut own, "Mira"), "{bed:?}");
+        own.0.restart_on(board_of(FLAT, &own.0.config));
+        assert!(is_asleep(&mut own, "Jon"), "{bed:?}, after a restart");
+        own.after(60, bed, false);
+        own.0.wait(7_200);
+        assert!(!is_asleep(&mut own, "Jon"), "{bed:?}");
+    }
+}
