@@ -1282,6 +1282,10 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
         &map,
         "Ada, ada",
         "Ada",
+        "10pm-7am",
+        "22:00-06:00; sat,sun 22:00-09:00",
+        "nowhere",
+        "floor",
     ];
     let (code, said) = on_terminal(&wrong);
     assert_eq!(code, 0, "{said}");
@@ -1289,6 +1293,8 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
         "/nowhere is neither a folder that is there nor an address",
+        "quiet hours are \"10pm-7am\", expected such as",
+        "nowhere is none of room, beside, floor, house, ignore",
         "\"http://\" is no Home Assistant's address",
         "the token file /nowhere/token",
         "an address needs a token; give another one, a folder, or none",
