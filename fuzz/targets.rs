@@ -88,7 +88,8 @@ pub fn home(bytes: &[u8]) {
     let mut texts = text.split('\0');
     let Some(areas) = texts.next() else { return };
     let [floors, devices, entities, persons] = std::array::from_fn(|_| texts.next());
-    let registries = import::Registries { areas, floors, devices, entities, persons, leave_out: &[] };
+    let registries =
+        import::Registries { areas, floors, devices, entities, persons, furnished: true, ..Default::default() };
     let Ok(home) = import::home_assistant(&registries, "fuzzed") else { return };
     if let Some(rules) = home.rules {
         Rules::parse(&rules).expect("rules that were written can be read");

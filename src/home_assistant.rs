@@ -148,7 +148,7 @@ impl Fetched {
             devices: Some(&self.devices),
             entities: Some(&self.entities),
             persons: self.persons.as_deref(),
-            leave_out: &[],
+            ..Registries::default()
         }
     }
 }

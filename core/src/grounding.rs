@@ -34,32 +34,18 @@ pub const MAX_LOOKS: usize = 1 << 26;
 /// Largest relative difference of volumes that is taken for a tie.
 const TIE: f64 = 1e-9;
 
-/// What a partition is.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    Serialize,
-    Deserialize,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "lowercase")]
-#[serde(rename_all = "lowercase")]
-pub enum PartitionLevel {
-    /// The parts of rooms; a room without parts is one partition.
-    Part,
-    /// Rooms.
-    #[default]
-    Room,
-    /// Groups of rooms; a room in no group is one partition.
-    Group,
+crate::choices! {
+    /// What a partition is.
+    #[derive(Default)]
+    pub enum PartitionLevel {
+        /// The parts of rooms; a room without parts is one partition.
+        Part,
+        /// Rooms.
+        #[default]
+        Room,
+        /// Groups of rooms; a room in no group is one partition.
+        Group,
+    }
 }
 
 /// How a map is grounded.

@@ -82,6 +82,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod choices;
+
 // In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
 pub mod ids;
 

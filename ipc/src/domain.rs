@@ -177,6 +177,10 @@ impl Domain {
     /// [`IpcError::ForeignSharedMemory`] when another user has put files in the way, [`IpcError::Join`] when iceoryx2 cannot make
     /// the node.
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
+        if !participant.chars().any(char::is_alphanumeric) {
+            let text = format!("participant {participant:?}: give a name with a letter or digit, such as \"hall-camera\"");
+            return Err(IpcError::Argument(text));
+        }
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
         refuse_too_little_memory()?;

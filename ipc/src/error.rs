@@ -1,5 +1,6 @@
 //! What can go wrong between processes.
 
+use std::fmt;
 use std::path::PathBuf;
 
 /// A message that says something which no honest sender says. It is counted and dropped; nothing else happens.
@@ -67,8 +68,8 @@ pub enum MessageError {
 /// An error of iceoryx2's or of the system, below one of this crate's.
 pub type Cause = Box<dyn std::error::Error + Send + Sync>;
 
-/// A service, port or domain that cannot be used.
-#[derive(Debug, thiserror::Error)]
+/// A service, port or domain that cannot be used. Its `Debug` is the text for people, so that `fn main() -> Result<(), Error>` shows the remedy.
+#[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum IpcError {
     /// The domain's name cannot be part of a file name.
@@ -223,7 +224,7 @@ pub enum IpcError {
         cause: Cause,
     },
     /// What was to be sent is malformed.
-    #[error("service {service}: refused to send")]
+    #[error("service {service}: refused to send: {source}")]
     Refused {
         /// Service name.
         service: &'static str,
@@ -259,7 +260,7 @@ pub enum IpcError {
         sent: u64,
     },
     /// The answer cannot be read.
-    #[error("service {service}: the answer cannot be read; use one version of Roomcast throughout")]
+    #[error("service {service}: the answer cannot be read: {source}; use one version of Roomcast throughout")]
     Answer {
         /// Service name.
         service: &'static str,
@@ -276,4 +277,10 @@ pub enum IpcError {
         /// How long was waited.
         waited_ms: u128,
     },
+}
+
+impl fmt::Debug for IpcError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
 }

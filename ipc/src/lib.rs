@@ -32,18 +32,40 @@
 //! | follow decisions | [`Domain::decisions`] | `Decisions` |
 //! | ask about persons, habits, the map | [`Domain::persons`], [`Domain::habits`], [`Domain::moment`], [`Domain::change_map`] | `persons`, `habits`, `moment`, `change_map` |
 //!
-//! A planner sends a robot to the calmest room:
+//! [`Domain::for_user`] is the domain of the `roomcast` program: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` choose another one, as they do for the
+//! program.
+//!
+//! A planner sends a robot to the calmest room. Its name is the robot's name:
 //!
 //! ```no_run
 //! # use std::time::Duration;
 //! # use roomcast_ipc::Domain;
 //! # fn main() -> Result<(), roomcast_ipc::Error> {
-//! let mut planner = Domain::for_user()?.planner("calm-planner")?;
+//! let mut planner = Domain::for_user()?.planner("robot")?;
 //! while let Some(forecast) = planner.next_forecast(Duration::MAX)? {
 //!     let soon = Duration::from_secs(60);
 //!     let rooms = forecast.rooms().filter_map(|room| Some((room.to_owned(), forecast.occupied(room, soon)?)));
 //!     let Some((calmest, p)) = rooms.min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
 //!     planner.decide(&calmest, &format!("occupied in a minute with {:.0} %", 100.0 * p))?;
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The robot of that name follows the decisions and reports:
+//!
+//! ```no_run
+//! # use std::time::Duration;
+//! # use roomcast_ipc::{Action, Domain};
+//! # fn main() -> Result<(), roomcast_ipc::Error> {
+//! let mut robot = Domain::for_user()?.robot("robot")?;
+//! while let Some(decision) = robot.next(Duration::MAX)? {
+//!     if decision.action() == Action::Go {
+//!         println!("to {}: {}", decision.room(), decision.reason());
+//!         robot.started()?;
+//!         // The work in the room.
+//!         robot.finished()?;
+//!     }
 //! }
 //! # Ok(())
 //! # }
@@ -164,7 +186,7 @@ impl Domain {
         Narrator::open(self, name)
     }
 
-    /// A planner of this name. It decides for the robot of the same name.
+    /// A planner for the robot of this name.
     ///
     /// # Errors
     ///

@@ -31,6 +31,14 @@ pub fn require_own(path: &Path) -> io::Result<()> {
     }
 }
 
+/// Refuses a state directory that another user owns or may write to. A missing directory is good.
+///
+/// # Errors
+/// When the directory is refused, with the remedy.
+pub fn require_own_folder(path: &Path) -> io::Result<()> {
+    fs::metadata(path).map_or(Ok(()), |about| require(&about, path, "it"))
+}
+
 fn require(about: &Metadata, path: &Path, what: &str) -> io::Result<()> {
     let (own, owner) = (geteuid().as_raw(), about.uid());
     if owner != own && owner != 0 {

@@ -55,41 +55,27 @@ const POSITIONS_STEP: u32 = 256;
 /// llama.cpp computes so many tokens of a call at a time: its buffers have a row of logits for each, and an event is seldom longer.
 const TOKENS_AT_A_TIME: u32 = 128;
 
-/// How the key-value cache is stored.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    serde::Serialize,
-    serde::Deserialize,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "lowercase")]
-#[serde(rename_all = "lowercase")]
-pub enum CacheType {
-    /// `q8` for models of at most 50 million parameters, such as the embedded one, else `mixed` (docs/performance.md).
-    #[default]
-    Auto,
-    /// Half precision: two thirds of the memory of `mixed`, and differences of up to 1e-2 nats per token between scoring methods, because
-    /// llama.cpp multiplies values by half precision differently at other batch sizes.
-    F16,
-    /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
-    /// one, which can be half of an event; scores of unquantised weights move by some 1e-3 nats (docs/performance.md).
-    Mixed,
-    /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
-    /// that, once in some hundred prompts.
-    F32,
-    /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of `mixed`,
-    /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
-    /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
-    Q8,
+roomcast_core::choices! {
+    /// How the key-value cache is stored.
+    #[derive(Default)]
+    pub enum CacheType {
+        /// `q8` for models of at most 50 million parameters, such as the embedded one, else `mixed` (docs/performance.md).
+        #[default]
+        Auto,
+        /// Half precision: two thirds of the memory of `mixed`, and differences of up to 1e-2 nats per token between scoring methods, because
+        /// llama.cpp multiplies values by half precision differently at other batch sizes.
+        F16,
+        /// Keys in half precision, values in single. llama.cpp multiplies half-precision keys in tiles, but takes single-precision ones one by
+        /// one, which can be half of an event; scores of unquantised weights move by some 1e-3 nats (docs/performance.md).
+        Mixed,
+        /// Single precision: methods differ by the order of their sums alone. Quantised weights can make hundredths of a nat of
+        /// that, once in some hundred prompts.
+        F32,
+        /// Blocks of 32 eight-bit numbers, as Q8_0 weights are, read by llama.cpp's fused attention: a third of the memory of `mixed`,
+        /// and no work for positions that nobody sees. Faster behind short narrations, slower behind long ones and with larger models. Scores of
+        /// unquantised weights move by less than 5e-2 nats, those of Q8_0 weights hardly further than these weights do by themselves.
+        Q8,
+    }
 }
 
 impl CacheType {

@@ -91,7 +91,11 @@ impl Condition {
         if self.is_numeric() {
             return compared.parse::<f64>().is_ok_and(|number| self.is_within(number));
         }
-        self.when.as_deref().is_none_or(|when| when == compared) && !self.excepts(compared)
+        match self.when.as_deref() {
+            Some(when) => when == compared,
+            // An unavailable device has none of the states that `unless` leaves.
+            None => self.unless.is_empty() || !self.excepts(compared) && !NO_STATE.contains(&compared),
+        }
     }
 
     /// Whether it compares numbers and the value of a device with a state is none.

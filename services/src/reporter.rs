@@ -3,42 +3,38 @@
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::parsing::{Keyed, json_of_one_line_says, word};
 use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
-use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 /// Longest line of input, in bytes.
 pub const LINE_BYTES_MAX: u64 = 8192;
 
-/// What a robot can say.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize, Display, EnumMessage, EnumString, IntoStaticStr, VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum Kind {
-    /// Where it is.
-    Position,
-    /// It has begun to work in the room.
-    Started,
-    /// The work in the room is done.
-    Finished,
-    /// The work in the room failed.
-    Failed,
-    /// It does not get into the room.
-    Blocked,
-    /// It is at its dock.
-    Docked,
-    /// How full its battery is.
-    Battery,
-    /// The decision was taken back.
-    Cancelled,
-    /// A person's order: the robot does not work, for some time or until it resumes.
-    Hold,
-    /// A person's order: the hold ends.
-    Resume,
-    /// A person's order: clean the room now.
-    Clean,
-    /// A person's order: skip the room today.
-    Skip,
+roomcast_core::choices! {
+    /// What a robot can say.
+    pub enum Kind {
+        /// Where it is.
+        Position,
+        /// It has begun to work in the room.
+        Started,
+        /// The work in the room is done.
+        Finished,
+        /// The work in the room failed.
+        Failed,
+        /// It does not get into the room.
+        Blocked,
+        /// It is at its dock.
+        Docked,
+        /// How full its battery is.
+        Battery,
+        /// The decision was taken back.
+        Cancelled,
+        /// A person's order: the robot does not work, for some time or until it resumes.
+        Hold,
+        /// A person's order: the hold ends.
+        Resume,
+        /// A person's order: clean the room now.
+        Clean,
+        /// A person's order: skip the room today.
+        Skip,
+    }
 }
 
 impl Kind {

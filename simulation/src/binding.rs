@@ -13,30 +13,19 @@ use roomcast_core::names::Names;
 use roomcast_core::narration::ObjectRef;
 use roomcast_core::semantic_map::{ItemId, PartitionId, RoomId, SemanticMap};
 
-/// How one of several items of a label is chosen.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "kebab-case")]
-pub enum ItemChoice {
-    /// By a seeded draw, each with the same chance: no scene says which chair is meant, and Equation 2 shares a label's
-    /// score equally among its items.
-    #[default]
-    Uniform,
-    /// The one nearest to the person.
-    Nearest,
-    /// The first in the scene file.
-    First,
+roomcast_core::choices! {
+    /// How one of several items of a label is chosen.
+    #[derive(Default)]
+    pub enum ItemChoice {
+        /// By a seeded draw, each with the same chance: no scene says which chair is meant, and Equation 2 shares a label's
+        /// score equally among its items.
+        #[default]
+        Uniform,
+        /// The one nearest to the person.
+        Nearest,
+        /// The first in the scene file.
+        First,
+    }
 }
 
 /// What an object was bound to.

@@ -14,16 +14,18 @@ pub(super) fn is_url(source: &Path) -> bool {
     source.to_str().is_some_and(|source| schemes.iter().any(|scheme| source.starts_with(scheme)))
 }
 
-/// Reads a Home Assistant: the registries of a configuration folder, or those that its API tells.
-pub(super) fn home_assistant(
-    source: &Path,
-    name: &str,
-    token_file: Option<&Path>,
-    authority: Option<&Path>,
-    leave_out: &[String],
-) -> Result<Home, Failure> {
+/// The options of reading a Home Assistant. `registries` has the options alone.
+#[derive(Clone, Copy, Default)]
+pub(super) struct HomeOptions<'a> {
+    pub(super) token_file: Option<&'a Path>,
+    pub(super) authority: Option<&'a Path>,
+    pub(super) registries: Registries<'a>,
+}
+
+/// Reads the registries of a Home Assistant from a configuration folder or over its API.
+pub(super) fn home_assistant(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     if is_url(source) {
-        return over_network(source, name, token_file, authority, leave_out);
+        return over_network(source, name, options);
     }
     if !source.exists() {
         let source = source.display();
@@ -32,37 +34,32 @@ pub(super) fn home_assistant(
         );
         return Err(input(text));
     }
-    if token_file.is_some() || authority.is_some() {
+    if options.token_file.is_some() || options.authority.is_some() {
         let source = source.display();
         let text = format!(
             "a token is for an address, and {source} is a folder; give http://HOST:8123, or leave --token-file out"
         );
         return Err(Failure::new(crate::exit_code::USAGE, text));
     }
-    from_folder(source, name, leave_out)
+    from_folder(source, name, options.registries)
 }
 
 #[cfg(feature = "home")]
-fn over_network(
-    source: &Path,
-    name: &str,
-    token: Option<&Path>,
-    authority: Option<&Path>,
-    leave_out: &[String],
-) -> Result<Home, Failure> {
+fn over_network(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     let url = source.to_string_lossy();
-    let Some(token) = token else {
+    let Some(token) = options.token_file else {
         let text =
             "give --token-file FILE with a long-lived access token (Home Assistant, your profile's page, Security)";
         return Err(Failure::new(crate::exit_code::USAGE, text));
     };
-    let fetched = home_assistant::fetch(&url, token, authority).map_err(input)?;
-    import::home_assistant(&Registries { leave_out, ..fetched.registries() }, name)
+    let fetched = home_assistant::fetch(&url, token, options.authority).map_err(input)?;
+    let Registries { leave_out, residents, furnished, .. } = options.registries;
+    import::home_assistant(&Registries { leave_out, residents, furnished, ..fetched.registries() }, name)
         .map_err(|error| in_file(&format!("Home Assistant {} at", fetched.version), source, &error))
 }
 
 #[cfg(not(feature = "home"))]
-fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>, _: &[String]) -> Result<Home, Failure> {
+fn over_network(source: &Path, _: &str, _: HomeOptions<'_>) -> Result<Home, Failure> {
     let source = source.display();
     Err(input(format!(
         "{source}: this build has no network; give the configuration folder, or build with --features home"
@@ -70,7 +67,7 @@ fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>, _: &
 }
 
 /// Reads the registries of a configuration folder, or of its `.storage`.
-fn from_folder(folder: &Path, name: &str, leave_out: &[String]) -> Result<Home, Failure> {
+fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Home, Failure> {
     let inner = folder.join(".storage");
     let storage = if inner.is_dir() { &inner } else { folder };
     let (areas, registry) = (storage.join("core.area_registry"), "registry");
@@ -93,7 +90,7 @@ fn from_folder(folder: &Path, name: &str, leave_out: &[String]) -> Result<Home, 
         devices: devices.as_deref(),
         entities: entities.as_deref(),
         persons: persons.as_deref(),
-        leave_out,
+        ..options
     };
     import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
 }

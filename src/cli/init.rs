@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::import::{self, Home, Imported};
+use roomcast_core::semantic_map::import::{self, Home, Imported, Registries};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 use roomcast_services::config::{Config, QuietHours, WhileAsleep};
 use roomcast_services::mqtt::look::{self, LookError, Seen};
@@ -27,7 +27,7 @@ use configuration::configuration;
 use join::{in_rooms_of, inside, rules_in, with_things};
 
 use super::choice::choice;
-use super::home_source::{check_rules, home_assistant, is_url};
+use super::home_source::{HomeOptions, check_rules, home_assistant, is_url};
 use super::scene::Furnish;
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
@@ -214,7 +214,7 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
 /// Takes what is given, finds what is not, and asks.
 fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
-    let home_assistant = find_home_assistant(args, asker, &mut notes)?;
+    let (mut home_assistant, token) = find_home_assistant(args, asker, &mut notes)?;
     if home_assistant.is_none() && !args.leave_out.is_empty() {
         let text = "--leave-out names an area of Home Assistant, and there is none: give --home-assistant, or remove --leave-out";
         return Err(Failure::new(exit_code::USAGE, text));
@@ -231,6 +231,12 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
     let residents = find_residents(args, persons, asker, &mut notes)?;
+    if let Some((source, home)) = &mut home_assistant
+        && residents.iter().any(|name| !home.persons.contains(name))
+    {
+        // Sensors have names of residents that are no persons of Home Assistant.
+        *home = read_home(args, source, token.as_deref(), &residents)?;
+    }
     let quiet = find_quiet(args, asker, &mut notes)?;
     let while_asleep = find_while_asleep(args, asker)?;
     Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, quiet, while_asleep, notes })
@@ -240,21 +246,25 @@ fn is_none(path: &Path) -> bool {
     path == Path::new("none")
 }
 
-/// The Home Assistant, read, and where it is.
-fn find_home_assistant(
-    args: &Args,
-    asker: &mut Asker,
-    notes: &mut Vec<String>,
-) -> Result<Option<(PathBuf, Home)>, Failure> {
-    let read = |source: &Path, token: Option<&Path>| {
+fn read_home(args: &Args, source: &Path, token_file: Option<&Path>, residents: &[String]) -> Result<Home, Failure> {
+    let registries =
+        Registries { leave_out: &args.leave_out, residents, furnished: !args.bare, ..Registries::default() };
+    home_assistant(source, "home", HomeOptions { token_file, authority: args.ca.as_deref(), registries })
+}
+
+/// The source and the content of Home Assistant, and the file of its token.
+type FoundHome = (Option<(PathBuf, Home)>, Option<PathBuf>);
+
+fn find_home_assistant(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<FoundHome, Failure> {
+    let read = |source: &Path, token: Option<PathBuf>| -> Result<FoundHome, Failure> {
         if is_none(source) {
-            return Ok(None);
+            return Ok((None, None));
         }
-        let home = home_assistant(source, "home", token, args.ca.as_deref(), &args.leave_out)?;
-        Ok(Some((source.to_owned(), home)))
+        let home = read_home(args, source, token.as_deref(), &[])?;
+        Ok((Some((source.to_owned(), home)), token))
     };
     if let Some(given) = &args.home_assistant {
-        return read(given, args.token_file.as_deref());
+        return read(given, args.token_file.clone());
     }
     let found = home_folder();
     let shown = found.as_ref().map_or("none".to_owned(), |found| found.display().to_string());
@@ -269,14 +279,14 @@ fn find_home_assistant(
             }
             None => None,
         };
-        read(source, token.as_deref())
+        read(source, token)
     })?;
     match (asked, found) {
         (Some(asked), _) => Ok(asked),
-        (None, None) => Ok(None),
+        (None, None) => Ok((None, None)),
         (None, Some(found)) => {
             notes.push(format!("found Home Assistant's configuration in {}", found.display()));
-            read(&found, args.token_file.as_deref())
+            read(&found, args.token_file.clone())
         }
     }
 }
@@ -806,8 +816,7 @@ mod tests {
         let sensor = |(id, _): &(&str, &str)| json!({"entity_id": format!("binary_sensor.{id}"), "area_id": id, "original_device_class": "motion"});
         let areas_text = json!({"data": {"areas": areas.iter().map(area).collect::<Vec<_>>()}}).to_string();
         let entities = json!({"data": {"entities": areas.iter().map(sensor).collect::<Vec<_>>()}}).to_string();
-        let registries =
-            import::Registries { areas: &areas_text, entities: Some(&entities), ..import::Registries::default() };
+        let registries = Registries { areas: &areas_text, entities: Some(&entities), ..Registries::default() };
         import::home_assistant(&registries, "home").unwrap()
     }
 
@@ -868,8 +877,7 @@ mod tests {
         let vacuum = json!({"entity_id": "vacuum.dusty", "options": options});
         let entities = json!({"data": {"entities": [vacuum]}}).to_string();
         let areas = areas.to_string();
-        let registries =
-            import::Registries { areas: &areas, entities: Some(&entities), ..import::Registries::default() };
+        let registries = Registries { areas: &areas, entities: Some(&entities), ..Registries::default() };
         let home = import::home_assistant(&registries, "home").unwrap();
         let map = home.imported.map.clone();
         let found = Found {

@@ -12,14 +12,14 @@ use serde_json::{Value, json};
 use super::choice::choice;
 #[cfg(feature = "simulation")]
 use super::draw;
-use super::home_source::{home_assistant, write_rules};
+use super::home_source::{HomeOptions, home_assistant, write_rules};
 use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, ImportError, Imported, Up};
+use roomcast_core::semantic_map::import::{self, ImportError, Imported, Registries, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, Room, RoomId, SemanticMap, Space};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
@@ -255,7 +255,10 @@ fn import(args: &Import) -> CommandResult {
                 ));
             };
             let name = args.name.as_deref().unwrap_or("home");
-            let home = home_assistant(folder, name, args.token_file.as_deref(), args.ca.as_deref(), &args.leave_out)?;
+            let registries =
+                Registries { leave_out: &args.leave_out, furnished: args.furnish.is_some(), ..Registries::default() };
+            let (token_file, authority) = (args.token_file.as_deref(), args.ca.as_deref());
+            let home = home_assistant(folder, name, HomeOptions { token_file, authority, registries })?;
             rules = home
                 .rules
                 .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
@@ -792,7 +795,7 @@ mod tests {
             ("flur", "Flur"),
         ];
         let areas = json!({"data": {"areas": names.map(area)}}).to_string();
-        let registries = import::Registries { areas: &areas, ..Default::default() };
+        let registries = Registries { areas: &areas, ..Default::default() };
         let map = import::home_assistant(&registries, "home").unwrap().imported.furnished().unwrap().map;
         assert_eq!(odd_aliases(&map), [""; 0], "{:?}", map.aliases());
         for (place, (id, name)) in (0..).zip(names) {

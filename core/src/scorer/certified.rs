@@ -29,35 +29,20 @@ use super::PreparedLabels;
 use super::correction::Continuation;
 use crate::label_trie::{LabelTrie, PROMPT};
 
-/// How far an answer goes.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Effort {
-    /// Every label is scored exactly.
-    #[default]
-    Exact,
-    /// Until the order of the partitions can no longer change.
-    Ranking,
-    /// Until the most likely partition is certain.
-    Top,
-    /// As far as the time allows.
-    Deadline,
+crate::choices! {
+    /// How far an answer goes.
+    #[derive(Default, Hash)]
+    pub enum Effort {
+        /// Every label is scored exactly.
+        #[default]
+        Exact,
+        /// Until the order of the partitions can no longer change.
+        Ranking,
+        /// Until the most likely partition is certain.
+        Top,
+        /// As far as the time allows.
+        Deadline,
+    }
 }
 
 /// Most entries of the table of pairwise bounds; above it, intervals decide, which takes more decoding.

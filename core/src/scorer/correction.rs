@@ -31,31 +31,16 @@ pub(crate) const CONTINUATION_KEY: &str = "roomcast.continuation";
 /// GGUF key of the recommended prior weight, a number from 0 to 1.
 pub(crate) const PRIOR_KEY: &str = "roomcast.prior";
 
-/// What a label's tokens after the first compete with.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Continuation {
-    /// Every token of the vocabulary: Equation 1.
-    #[default]
-    Free,
-    /// What other labels of the map go on with.
-    Labels,
+crate::choices! {
+    /// What a label's tokens after the first compete with.
+    #[derive(Default, Hash)]
+    pub enum Continuation {
+        /// Every token of the vocabulary: Equation 1.
+        #[default]
+        Free,
+        /// What other labels of the map go on with.
+        Labels,
+    }
 }
 
 impl Continuation {

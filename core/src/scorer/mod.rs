@@ -260,33 +260,18 @@ impl std::ops::AddAssign for DecodeStats {
     }
 }
 
-/// How labels are scored. All methods give the same scores up to rounding; they are kept side by side as the proof.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// Each label by itself, the whole prompt every time.
-    Independent,
-    /// The prompt once, one sequence per label.
-    SharedPrefix,
-    /// The prompt once, then the labels' token trie.
-    #[default]
-    Trie,
+crate::choices! {
+    /// How labels are scored. All methods give the same scores up to rounding; they are kept side by side as the proof.
+    #[derive(Default, Hash)]
+    pub enum Method {
+        /// Each label by itself, the whole prompt every time.
+        Independent,
+        /// The prompt once, one sequence per label.
+        SharedPrefix,
+        /// The prompt once, then the labels' token trie.
+        #[default]
+        Trie,
+    }
 }
 
 impl Method {
@@ -297,31 +282,16 @@ impl Method {
     }
 }
 
-/// How prompt and label are cut into tokens.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Tokenisation {
-    /// Together, so that a label is cut as the model saw it in text (`" mug"`).
-    #[default]
-    Joint,
-    /// Each part by itself, the binding sequence with its trailing space.
-    Paper,
+crate::choices! {
+    /// How prompt and label are cut into tokens.
+    #[derive(Default, Hash)]
+    pub enum Tokenisation {
+        /// Together, so that a label is cut as the model saw it in text (`" mug"`).
+        #[default]
+        Joint,
+        /// Each part by itself, the binding sequence with its trailing space.
+        Paper,
+    }
 }
 
 /// A failed scoring.

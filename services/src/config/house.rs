@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
-
 /// Most entries of `planner.quiet`.
 pub const QUIET_MAX: usize = 64;
 const DAYS: [&str; 7] = ["mon", "tue", "wed", "thu", "fri", "sat", "sun"];
@@ -146,60 +144,32 @@ impl fmt::Display for QuietHours {
     }
 }
 
-/// The rooms in which the robot does not work while a person sleeps.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum WhileAsleep {
-    /// The sleeper's room.
-    Room,
-    /// The sleeper's room, and the rooms behind its doors.
-    #[default]
-    Beside,
-    /// All rooms of the sleeper's floor.
-    Floor,
-    /// All rooms.
-    House,
-    /// None: sleep does not matter.
-    Ignore,
+roomcast_core::choices! {
+    /// The rooms in which the robot does not work while a person sleeps.
+    #[derive(Default)]
+    pub enum WhileAsleep {
+        /// The sleeper's room.
+        Room,
+        /// The sleeper's room, and the rooms behind its doors.
+        #[default]
+        Beside,
+        /// All rooms of the sleeper's floor.
+        Floor,
+        /// All rooms.
+        House,
+        /// None: sleep does not matter.
+        Ignore,
+    }
 }
 
-/// What must be empty before the robot works.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum OnlyWhen {
-    /// The house.
-    HouseEmpty,
-    /// The room.
-    RoomFree,
+roomcast_core::choices! {
+    /// What must be empty before the robot works.
+    pub enum OnlyWhen {
+        /// The house.
+        HouseEmpty,
+        /// The room.
+        RoomFree,
+    }
 }
 
 /// An entry of `[[planner.room]]`: what a room needs.

@@ -5,6 +5,7 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
+use roomcast_ipc::own_file::require_own_folder;
 use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
 use rustix::fs::Access;
 use rustix::io::Errno;
@@ -448,6 +449,10 @@ impl Config {
     #[must_use]
     pub fn state_fault(&self) -> Option<ConfigError> {
         let folder = self.daemon.state_directory()?;
+        if let Err(fault) = require_own_folder(&folder) {
+            let (value, remedy) = (folder.display().to_string(), fault.to_string());
+            return Some(ConfigError::Value { key: "daemon.state", value, remedy });
+        }
         Some(folder_fault("daemon.state", &folder, no_folder(&folder)?))
     }
 
@@ -627,6 +632,8 @@ impl Config {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     #[test]
@@ -873,6 +880,13 @@ mod tests {
         let told = [config.root_fault(), config.state_fault()].map(|fault| fault.unwrap().to_string());
         assert_eq!(told[0], "the configuration's ipc.root is /dev/null: /dev/null is no folder; give another folder");
         assert!(told[1].contains("daemon.state is a\0b: no path has a NUL byte"), "{}", told[1]);
+        let open = at("open");
+        std::fs::create_dir(&open).unwrap();
+        std::fs::set_permissions(&open, PermissionsExt::from_mode(0o1777)).unwrap();
+        let mut config = Config::default();
+        config.daemon.state = Some(open.clone());
+        let fault = config.state_fault().unwrap().to_string();
+        assert!(fault.ends_with(&format!("(mode 1777): run `chmod go-w {}`", open.display())), "{fault}");
         let none = Config::default();
         assert!(none.root_fault().is_none());
     }

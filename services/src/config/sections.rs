@@ -10,7 +10,6 @@ use roomcast_core::narration::history::PERSONS_MAX;
 use roomcast_core::parsing::{keyed, list_of_keyed};
 use roomcast_core::policy::PolicyName;
 use roomcast_core::text::odd_name;
-use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 /// The section `[daemon]`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -223,58 +222,30 @@ impl HabitsConfig {
     }
 }
 
-/// Whose word the planner takes for what the robot has done.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum Reports {
-    /// The clock's until the robot first reports its work, then the robot's.
-    #[default]
-    Auto,
-    /// The robot's alone.
-    Always,
-    /// The clock's alone; reports are not looked at.
-    Never,
+roomcast_core::choices! {
+    /// Whose word the planner takes for what the robot has done.
+    #[derive(Default)]
+    pub enum Reports {
+        /// The clock's until the robot first reports its work, then the robot's.
+        #[default]
+        Auto,
+        /// The robot's alone.
+        Always,
+        /// The clock's alone; reports are not looked at.
+        Never,
+    }
 }
 
-/// What the planner does where the round's deadline leaves no later time for a room that somebody is likely in.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum Forced {
-    /// The robot goes in where the policy says so.
-    Enter,
-    /// The room is left to the next round.
-    #[default]
-    Skip,
+roomcast_core::choices! {
+    /// What the planner does where the round's deadline leaves no later time for a room that somebody is likely in.
+    #[derive(Default)]
+    pub enum Forced {
+        /// The robot goes in where the policy says so.
+        Enter,
+        /// The room is left to the next round.
+        #[default]
+        Skip,
+    }
 }
 
 /// The section `[planner]`.
@@ -403,58 +374,30 @@ pub struct MetricsConfig {
     pub listen: Option<SocketAddr>,
 }
 
-/// How a robot speaks.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum RobotKind {
-    /// Valetudo's topics.
-    #[default]
-    Valetudo,
-    /// A vacuum that Home Assistant has, by an automation.
-    HomeAssistant,
+roomcast_core::choices! {
+    /// How a robot speaks.
+    #[derive(Default)]
+    pub enum RobotKind {
+        /// Valetudo's topics.
+        #[default]
+        Valetudo,
+        /// A vacuum that Home Assistant has, by an automation.
+        HomeAssistant,
+    }
 }
 
-/// What a robot at work does when it is to pause.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    serde::Serialize,
-    serde::Deserialize,
-    Display,
-    EnumMessage,
-    EnumString,
-    IntoStaticStr,
-    VariantArray,
-)]
-#[serde(rename_all = "kebab-case")]
-#[strum(serialize_all = "kebab-case")]
-pub enum OnPause {
-    /// It goes to its dock.
-    #[default]
-    Return,
-    /// It stands still where it is.
-    Pause,
-    /// It goes on: nobody is to interrupt it.
-    GoOn,
+roomcast_core::choices! {
+    /// What a robot at work does when it is to pause.
+    #[derive(Default)]
+    pub enum OnPause {
+        /// It goes to its dock.
+        #[default]
+        Return,
+        /// It stands still where it is.
+        Pause,
+        /// It goes on: nobody is to interrupt it.
+        GoOn,
+    }
 }
 
 /// The section `[robot]`: what `roomcast robot` drives.

@@ -170,6 +170,15 @@ fn what_an_unread_payload_lacks_is_known() {
     }
 }
 
+#[test]
+fn unavailable_devices_have_none_of_the_states_that_unless_leaves() {
+    let rules = "[[rule]]\ntopic = \"count\"\nunless = [\"0\"]\npresence = \"present\"\nroom = \"hall\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    for (payload, lines) in [("unavailable", 0), ("Unknown", 0), ("offline", 0), ("2", 1), ("None", 0)] {
+        assert_eq!(listener.hear(b"count", payload.as_bytes(), false, Instant::now()).len(), lines, "{payload}");
+    }
+}
+
 /// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
 #[test]
 fn an_empty_payload_says_nothing() {

@@ -22,7 +22,6 @@ use roomcast_ipc::{
 };
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
-use strum::{Display, EnumMessage, EnumString, IntoStaticStr, VariantArray};
 
 use self::chunks::TooMuch;
 pub use self::tape::Received;
@@ -46,15 +45,16 @@ const EVENTS_BETWEEN_LOOKS: u64 = 256;
 /// Attachments that hold a moment have names that begin so.
 const MOMENT_FILES: &str = "moment-";
 
-/// For whom a recording is written.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Display, EnumMessage, EnumString, IntoStaticStr, VariantArray)]
-#[strum(serialize_all = "kebab-case")]
-pub enum Profile {
-    /// For `replay`, `explain` and `view`: every message bit for bit, as JSON with schemas.
-    #[default]
-    Roomcast,
-    /// For `ros2 bag` and other programs of ROS 2: standard messages in CDR.
-    Ros2,
+roomcast_core::choices! {
+    /// For whom a recording is written.
+    #[derive(Default)]
+    pub enum Profile {
+        /// For `replay`, `explain` and `view`: every message bit for bit, as JSON with schemas.
+        #[default]
+        Roomcast,
+        /// For `ros2 bag` and other programs of ROS 2: standard messages in CDR.
+        Ros2,
+    }
 }
 
 /// Why a recording cannot be written or read.

@@ -40,29 +40,16 @@ const ROUNDED_M: f64 = 0.01;
 /// What captioners say when they see nothing.
 const NOTHING: [&str; 6] = ["invalid", "unknown", "none", "object", "item", "n/a"];
 
-/// The axis that points up in the map.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    Deserialize,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "lowercase")]
-#[serde(rename_all = "lowercase")]
-pub enum Up {
-    /// Right-handed, y up: HOV-SG and Habitat.
-    Y,
-    /// Right-handed, z up: most others.
-    #[default]
-    Z,
+crate::choices! {
+    /// The axis that points up in the map.
+    #[derive(Default)]
+    pub enum Up {
+        /// Right-handed, y up: HOV-SG and Habitat.
+        Y,
+        /// Right-handed, z up: most others.
+        #[default]
+        Z,
+    }
 }
 
 impl Up {

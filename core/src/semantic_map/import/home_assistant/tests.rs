@@ -292,6 +292,16 @@ fn read(
     persons: &[&str],
     leave_out: &[&str],
 ) -> Result<Home, ImportError> {
+    let leave_out: Vec<String> = leave_out.iter().map(|area| (*area).to_owned()).collect();
+    read_with(areas, entities, persons, Registries { leave_out: &leave_out, ..Registries::default() })
+}
+
+fn read_with(
+    areas: &[(&str, &str)],
+    entities: &[(&str, &str, &str)],
+    persons: &[&str],
+    options: Registries<'_>,
+) -> Result<Home, ImportError> {
     let area = |(id, name): &(&str, &str)| serde_json::json!({"id": id, "name": name, "aliases": []});
     let areas = serde_json::json!({"data": {"areas": areas.iter().map(area).collect::<Vec<_>>()}}).to_string();
     let entity = |(id, area, class): &(&str, &str, &str)| {
@@ -302,14 +312,7 @@ fn read(
         serde_json::json!({"data": {"entities": entities.iter().map(entity).collect::<Vec<_>>()}}).to_string();
     let person = |name: &&str| serde_json::json!({"id": name, "name": name});
     let persons = serde_json::json!({"data": {"items": persons.iter().map(person).collect::<Vec<_>>()}}).to_string();
-    let leave_out: Vec<String> = leave_out.iter().map(|area| (*area).to_owned()).collect();
-    let registries = Registries {
-        areas: &areas,
-        entities: Some(&entities),
-        persons: Some(&persons),
-        leave_out: &leave_out,
-        ..Registries::default()
-    };
+    let registries = Registries { areas: &areas, entities: Some(&entities), persons: Some(&persons), ..options };
     home_assistant(&registries, "home")
 }
 
@@ -449,6 +452,17 @@ fn domain_and_class_give_the_thing() {
 }
 
 #[test]
+fn furniture_that_is_assumed_later_makes_the_sentence_name_the_room() {
+    let rooms = [("bedroom", "Bedroom"), ("kitchen", "Kitchen"), ("lounge", "Living Room")];
+    let entities = [("media_player.tv", "bedroom", ""), ("switch.kettle", "kitchen", "outlet")];
+    for (furnished, television) in [(false, "the television"), (true, "the bedroom television")] {
+        let home = read_with(&rooms, &entities, &[], Registries { furnished, ..Registries::default() }).unwrap();
+        assert_eq!(says(&home, "media_player.tv")[0], format!("playing|They watch {television}."));
+        assert_eq!(says(&home, "switch.kettle")[0], "on|They turn on the kettle.");
+    }
+}
+
+#[test]
 fn settings_counters_and_alarms_are_no_things() {
     let entities = [
         ("binary_sensor.office_multi_sensor_tamper", "kitchen", "tamper"),
@@ -516,6 +530,12 @@ fn devices_with_a_state_become_sensors_and_are_bound_to_persons_by_name() {
     ] {
         assert_eq!(says(&home, object), expected, "{object}");
     }
+    // A resident need not be a person in Home Assistant.
+    let residents = ["Mira".to_owned(), "Jon".to_owned()];
+    let options = Registries { residents: &residents, ..Registries::default() };
+    let home = read_with(&rooms, &entities, &["Mira Mint"], options).unwrap();
+    assert_eq!(says(&home, "binary_sensor.bed_mira")[1], "bed|bedroom|Mira Mint");
+    assert_eq!(says(&home, "binary_sensor.bett_jon")[1], "bed|bedroom|Jon");
     // A first name of two persons binds to neither.
     let home = home_with(&rooms, &entities, &["Mira Mint", "Mira Moss"], &[]);
     assert_eq!(says(&home, "binary_sensor.bed_mira"), ["motion|bedroom"]);
@@ -558,10 +578,13 @@ fn floors_of_one_level_have_one_height() {
         let home = home_assistant(&registries, "home").unwrap();
         let map = home.imported.map;
         let height = |id: &str| map.rooms.iter().find(|room| room.id == id).unwrap().space.bounds.min_m[2];
-        let note = home.imported.notes.into_iter().find(|note| note.starts_with("Floors without a level"));
+        let note = home.imported.notes.into_iter().find(|note| note.starts_with("Floors "));
         (["kitchen", "yard", "cellar", "shed"].map(height), note)
     };
-    assert_eq!(heights([Some(0), Some(0), Some(-1)]), ([3.0, 3.0, 0.0, 3.0], None));
+    let (same, note) = heights([Some(0), Some(0), Some(-1)]);
+    assert_eq!(same, [3.0, 3.0, 0.0, 3.0]);
+    assert!(note.unwrap().starts_with("Floors of one level: MAIN and OUT (level 0)."));
+    assert_eq!(heights([Some(0), Some(1), Some(-1)]).1, None);
     assert_eq!(heights([Some(1), Some(1), Some(2)]).0, [0.0, 0.0, 3.0, 0.0], "floors counted from 1");
     let (same, note) = heights([None, None, None]);
     assert_eq!(same, [0.0; 4]);
