@@ -178,7 +178,8 @@ impl Domain {
     /// the node.
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         if !participant.chars().any(char::is_alphanumeric) {
-            let text = format!("participant {participant:?}: give a name with a letter or digit, such as \"hall-camera\"");
+            let text =
+                format!("participant {participant:?}: give a name with a letter or digit, such as \"hall-camera\"");
             return Err(IpcError::Argument(text));
         }
         self.prepare_root()?;

@@ -1,12 +1,14 @@
 //! `roomcast person`: the persons that the daemon knows, their names, and corrections of the belief about them.
 
+use std::time::Duration;
+
 use roomcast_ipc::{narration_kind, question};
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
 use roomcast_core::narration::line::WhoError;
-use roomcast_core::narration::{Event, check_name};
+use roomcast_core::narration::{Event, ReadName, check_name};
 use roomcast_core::text::{odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 use roomcast_services::narrator::{self, Input, Item, Pace, Who};
@@ -122,6 +124,20 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let (mut config, domain) = common.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
     config.narrator.linger_s = common.patience as f64;
+    let known =
+        domain.persons(Duration::from_secs(common.patience)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let names: Vec<String> =
+        known.iter().map(|one| one.name.clone().unwrap_or_else(|| one.person.to_string())).collect();
+    let mut nameable = known
+        .iter()
+        .map(|one| one.person.to_string())
+        .chain(names.iter().cloned())
+        .chain(config.persons.residents.clone());
+    let asked = ReadName::new(who);
+    if !nameable.any(|name| name == who || asked.may_be_one(&ReadName::new(&name))) {
+        let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
+        return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}")));
+    }
     let item = Item::new(narration_kind::PRESENCE, text, person);
     let stop = service::stop()?;
     let (limits, input) = (config.daemon.intake, Input::Items(vec![item]));
@@ -140,7 +156,11 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     }
     match answer.understood.last().and_then(|line| line.why.as_deref()) {
         Some(why) => Err(Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"))),
-        None => Ok(()),
+        None if common.json => Ok(()),
+        None => print(&format!(
+            "{who} is {}.\n",
+            if room == "away" { "out".to_owned() } else { format!("in the room {room}") }
+        )),
     }
 }
 

@@ -19,7 +19,7 @@ import unicodedata
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any, Generic, TypeVar
 
 from . import layouts, ports
@@ -170,6 +170,12 @@ class _Follows(_Open, ABC, Generic[T]):
                 yield message
 
 
+def _join(domain: Domain | None, name: str) -> ports.Node:
+    if not isinstance(domain, (Domain, NoneType)):
+        raise TypeError(f"domain {domain!r}: give a Domain, or leave it out for the default one")
+    return (domain or Domain.default_for_user()).open(name)
+
+
 class Subscription(_Follows[Kind]):
     """Follows all messages of a kind under a name for people: `Subscription(Forecast, "my-display")`. The kinds are `RoomScores`,
     `PersonScores`, `Forecast`, `PersonForecasts`, `Decision` and `RobotReport`.
@@ -182,7 +188,7 @@ class Subscription(_Follows[Kind]):
         if kind not in _KINDS:
             allowed = ", ".join(each.__name__ for each in _KINDS)
             raise TypeError(f"kind {kind!r}: give one of {allowed}; ItemScoresSubscription and StatusSubscription follow the rest")
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._subscriber: ports.Subscriber[Kind] = ports.Subscriber(node, kind.SERVICE, kind.from_message)
         self._ports = (self._subscriber,)
         self._scores: tuple[int, int] | None = None
@@ -232,7 +238,7 @@ class ItemScoresSubscription(_Follows[ItemScores]):
     """Follows the scores of all items. The daemon sends them as long as somebody does."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._subscriber = ports.ItemScoresSubscriber(node)
         self._ports = (self._subscriber,)
 
@@ -251,7 +257,7 @@ class StatusSubscription(_Follows[Status]):
     def __init__(self, name: str, domain: Domain | None = None, every_s: float = 1) -> None:
         if not every_s >= 0:
             raise ValueError(f"every_s is {every_s}; give seconds, 0 or more")
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._client = ports.StatusClient(node)
         self._ports = (self._client,)
         self._every_s = every_s
@@ -279,7 +285,7 @@ class _Participant(_Open):
         self.name = name
         # Before it joins, since it may refuse the name.
         self._number = source_of_name(name)
-        self.node = (domain or Domain.default_for_user()).open(name)
+        self.node = _join(domain, name)
         self._scores: ports.Subscriber[RoomScores] = ports.Subscriber(self.node, ports.ROOM_SCORES, RoomScores.from_message)
         self._publisher = ports.Publisher(self.node, service)
         self._ports = (self._publisher, self._scores)
@@ -519,6 +525,16 @@ class Narrator(_Participant):
         question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
         return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 
+    def confirmed(self, timeout_s: float = 10) -> dict[str, Any]:
+        """Waits until the daemon's scores contain all events, and returns how the daemon understood the newest one, as `understood` does.
+        NotIncludedError when the time is over or the daemon dropped an event."""
+        deadline = time.monotonic() + timeout_s
+        if self.wait_until_included(timeout_s) is not None:
+            for event in self.understood(self.sequence, max(0.1, deadline - time.monotonic())):
+                if event.get("sequence") == self.sequence:
+                    return event
+        raise NotIncludedError(f"narrator {self.name!r}: no scores contain the last event after {timeout_s} s; {_WHY_UNDER_WAY}")
+
     @property
     def under_way(self) -> int:
         """Narrations that the daemon has not dealt with, as far as its newest scores say."""
@@ -600,7 +616,7 @@ class Narrator(_Participant):
 
 
 class Planner(_Participant):
-    """Follows the room scores and publishes decisions. A context manager: leaving closes it. Threads may share it."""
+    """Follows forecasts and scores, and publishes decisions for the robot of its name. A context manager: leaving closes it. Threads may share it."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
         super().__init__(name, ports.DECISION, domain)
@@ -639,6 +655,14 @@ class Planner(_Participant):
                 self._ports = (*self._ports, self._forecasts)
         return self._follow(self._forecasts, timeout_s)
 
+    def next_forecast(self, timeout_s: float | None = None) -> Forecast | None:
+        """Waits for the next forecast; None if none comes in this time: then the daemon does not run in this domain."""
+        return next(self.forecasts(timeout_s), None)
+
+    def next_scores(self, timeout_s: float | None = None) -> RoomScores | None:
+        """Waits for the next room scores; None if none come in this time."""
+        return next(self.scores(timeout_s), None)
+
     def _follow(self, subscriber: ports.Subscriber[Forecast], timeout_s: float | None) -> Iterator[Forecast]:
         deadline = ports.deadline_of(timeout_s)
         with suppress(ClosedError):
@@ -655,12 +679,16 @@ class Planner(_Participant):
 
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> int:
         """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time.
-        Returns the number of participants that received the decision: 0 if no robot listens. ValueError when the scores that were taken last have no such room."""
+        Returns the number of participants that received the decision: 0 if no robot listens. ValueError when the newest scores have no such room.
+        A decision for the room of the decision before tells the robot to stay, so a planner may decide at each forecast."""
         with self._publisher.alone():
+            self.newest()
             known = self._last or self._forecast
             rooms = [each.id for each in known.rooms] if known else []
-            if room and rooms and room not in rooms:
-                raise ValueError(f"room {room!r}: the scores that were taken last have no such room; give one of {', '.join(rooms)}")
+            if not room:
+                raise ValueError(f"room {room!r}: give the id of a room of the map")
+            if rooms and room not in rooms:
+                raise ValueError(f"room {room!r}: the map has no such room; give one of {', '.join(rooms)}")
             stays = room == self.room and not self._paused
             return self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
 
@@ -711,7 +739,7 @@ class Robot(_Open):
         self.sequence = 0
         #: The decision that is followed, until one comes that replaces it.
         self.decision: Decision | None = None
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._decisions: ports.Subscriber[Decision] = ports.Subscriber(node, ports.DECISION, Decision.from_message)
         self._publisher = ports.Publisher(node, ports.ROBOT_REPORT)
         self._ports = (self._publisher, self._decisions)
@@ -810,7 +838,7 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
 
     `scenes/README.md` documents the changes. Returns the daemon's answer; RoomcastError says why nothing changed.
     """
-    node = (domain or Domain.default_for_user()).open("python-map-change")
+    node = _join(domain, "python-map-change")
     # Asked again under the same name, a change is done once.
     question = {"id": secrets.token_hex(8), "changes": changes}
     answer = _ask(node, ports.MAP_CHANGE, question, timeout_s)
@@ -822,25 +850,25 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
 def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
     """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens, and what the prior
     adds to their sum (`prior_nats`)."""
-    node = (domain or Domain.default_for_user()).open("python-moment")
+    node = _join(domain, "python-moment")
     return _ask(node, ports.MOMENT, {}, timeout_s)
 
 
 def persons(domain: Domain | None = None, timeout_s: float = 10) -> list[dict[str, Any]]:
     """The persons that the daemon knows: `person`, `name`, `presence`, `since_s`, `silent_s`, `flags`."""
-    node = (domain or Domain.default_for_user()).open("python-persons")
+    node = _join(domain, "python-persons")
     return list(_ask(node, ports.PERSON, {"ask": "list"}, timeout_s).get("persons", []))
 
 
 def habits(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
     """What the daemon has learned of the home."""
-    node = (domain or Domain.default_for_user()).open("python-habits")
+    node = _join(domain, "python-habits")
     return _ask(node, ports.HABITS, {"ask": "show"}, timeout_s)
 
 
 def status(domain: Domain | None = None, timeout_s: float = 10) -> Status:
     """The daemon's status, asked for once; NoAnswerError when no daemon answers in time."""
-    with closing(ports.StatusClient((domain or Domain.default_for_user()).open("python-status"))) as client:
+    with closing(ports.StatusClient(_join(domain, "python-status"))) as client:
         return Status.from_message(client.ask(timeout_s))
 
 

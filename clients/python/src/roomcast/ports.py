@@ -144,6 +144,8 @@ class Domain:
 
     def open(self, participant: str) -> Node:
         """Joins under a name for people (at most 100 characters); the root directory is made if it is missing."""
+        if not any(character.isalnum() for character in participant):
+            raise RoomcastError(f"participant {participant!r}: give a name with a letter or digit, such as 'hall-camera'")
         if len(participant) > _PARTICIPANT_LIMIT:
             raise RoomcastError(
                 f"cannot join the domain at {self.root} as {participant!r}: a name of {len(participant)} characters; give at most "

@@ -149,7 +149,7 @@ impl<M: LanguageModel> Board<M> {
             let why = own.reason.map(Reason::text).or(match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
                 Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => {
-                    Some("the map has no single room of this name")
+                    Some("the map has no single room of this name: give the id of a room")
                 }
                 _ => None,
             });

@@ -1138,7 +1138,7 @@ fn narrators_learn_how_their_events_were_understood() {
             "did Ada Fit fridge ",
             "did  Fit - several persons can have caused it: the belief about each of them changed a little",
             "did Ada Name - the text names no place on the map",
-            "present Ben Key - the map has no single room of this name",
+            "present Ben Key - the map has no single room of this name: give the id of a room",
             "everybody-away Ada+Ben House - ",
         ]
     );
