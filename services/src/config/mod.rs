@@ -456,7 +456,7 @@ impl Config {
         Some(folder_fault("daemon.state", &folder, no_folder(&folder)?))
     }
 
-    /// Every limit, and whether it holds.
+    /// Every limit, and whether it holds. One function has all, so that each limit of the configuration stands in one table.
     fn limits(&self) -> Vec<Limit> {
         let Self { model, scoring, history, daemon, persons, forecast, habits, planner, metrics, narrator, .. } = self;
         let (ipc, bridge, vacuum) = (&self.ipc, &self.bridge, &self.robot);

@@ -160,6 +160,9 @@ pub fn valetudo(json: &str, name: &str, names: &HashMap<String, String>) -> Resu
     let mut notes = Vec::new();
     let segments = Segments::of(&file, names, &mut notes)?;
     let raster = segments.raster(&file, pixel_m)?;
+    if let Some(unknown) = names.keys().filter(|number| !segments.numbers.contains(number)).min() {
+        return Err(ImportError::Names { unknown: unknown.clone(), there: segments.numbers });
+    }
     let traced = trace(&raster, segments.layers.len(), pixel_m)?;
     let (shapes, tolerance_m) = shapes(&traced, pixel_m);
     let Rooms { rooms, boxed, named, room_of } = segments.rooms(&traced, shapes, pixel_m, &mut notes);
@@ -227,9 +230,6 @@ impl<'a> Segments<'a> {
             given.filter(sound).unwrap_or_else(|| (index + 1).to_string())
         };
         let numbers: Vec<String> = layers.iter().enumerate().map(number_of).collect();
-        if let Some(unknown) = names.keys().filter(|number| !numbers.contains(number)).min() {
-            return Err(ImportError::Names { unknown: unknown.clone(), there: numbers });
-        }
         let name_of = |(layer, number): (&&Layer, &String)| {
             let told = || text_of(&layer.about.name).filter(|_| divided);
             names.get(number).cloned().or_else(told)
