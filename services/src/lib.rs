@@ -98,3 +98,7 @@ mod fake_valetudo;
 #[cfg(all(test, feature = "mqtt"))]
 #[path = "../../tests/support/lived_day.rs"]
 mod lived_day;
+
+#[cfg(test)]
+#[path = "../../tests/support/household.rs"]
+mod household;
