@@ -102,3 +102,7 @@ mod lived_day;
 #[cfg(test)]
 #[path = "../../tests/support/household.rs"]
 mod household;
+
+#[cfg(test)]
+#[path = "../../tests/support/fleet_day.rs"]
+mod fleet_day;

@@ -158,6 +158,7 @@ const RIGHT: &str = "\u{e014}";
 const SPACE: &str = " ";
 
 #[test]
+#[ignore = "full"]
 fn the_page_shows_a_running_system_in_a_real_browser() {
     let Some(browser) = Browser::start() else { return };
     let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -279,6 +280,7 @@ const CORNERS: &str = r#"{"format": "roomcast-scene", "version": 2, "name": "cor
     {"id": "washer", "label": "washing machine", "position_m": [8, 5, 0.4], "box": {"min_m": [7.7, 4.7, 0], "max_m": [8.3, 5.3, 0.8]}}]}"#;
 
 #[test]
+#[ignore = "full"]
 fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let Some(browser) = Browser::start() else { return };
     let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();

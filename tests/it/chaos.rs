@@ -9,7 +9,7 @@
 //!
 //! By default as many cycles as fit in some seconds. `ROOMCAST_CHAOS_CYCLES=1000` runs as many, `ROOMCAST_CHAOS_SEED` chooses others:
 //!
-//!     ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test it chaos -- --nocapture
+//!     ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test it chaos -- --include-ignored --nocapture
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{self, File};
@@ -812,11 +812,13 @@ fn number(variable: &str) -> Option<u64> {
 }
 
 #[test]
+#[ignore = "full"]
 fn nothing_is_lost_wrong_or_stale_whoever_is_killed() {
     survives(false);
 }
 
 #[test]
+#[ignore = "full"]
 fn strangers_take_nothing_from_a_household_whoever_is_killed() {
     survives(true);
 }

@@ -5,6 +5,7 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic in a test is the report")]
 
 mod allocations;
+mod alone;
 mod browser;
 mod chaos;
 #[path = "../support/eventually.rs"]

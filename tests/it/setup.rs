@@ -753,6 +753,7 @@ static MISTAKES: [Mistake; 35] = [
 ];
 
 #[test]
+#[ignore = "full"]
 fn the_doctor_finds_each_mistake() {
     // Each mostly waits, so several homes at a time.
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
@@ -810,6 +811,7 @@ fn token(home: &Home, mode: u32) -> String {
 }
 
 #[test]
+#[ignore = "full"]
 fn init_says_what_is_wrong_and_writes_nothing() {
     type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
     let cases: [Case; 25] = [

@@ -18,6 +18,8 @@ use roomcast_services::no_model::NoModel;
 use roomcast_services::planner::Planner;
 use roomcast_services::setup;
 
+use crate::alone::is_alone;
+
 const EVENTS: u64 = 20_000;
 /// Memory may still grow by this after the first tenth: caches of the allocator, pages of shared memory touched for the first time.
 const GROWTH_BYTES: u64 = 4 << 20;
@@ -47,6 +49,9 @@ fn shown(latency_ns: &Histogram<u64>) -> String {
 
 #[test]
 fn memory_and_descriptors_stay_flat() {
+    if !is_alone() {
+        return;
+    }
     let events = events();
     let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
     let domain = Domain::new(directory.path().join("d"), &format!("soak-{}", std::process::id())).unwrap();

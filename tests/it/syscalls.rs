@@ -4,7 +4,7 @@
 //!
 //! By default so many faults as fit in some seconds. `ROOMCAST_SYSCALLS=300` tries as many of each service, `ROOMCAST_SYSCALLS_SEED` others:
 //!
-//!     ROOMCAST_SYSCALLS=300 cargo test --release --test it syscalls -- --nocapture
+//!     ROOMCAST_SYSCALLS=300 cargo test --release --test it syscalls -- --include-ignored --nocapture
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
@@ -587,26 +587,31 @@ fn whatever_fails(role: Role) {
 }
 
 #[test]
+#[ignore = "full"]
 fn whatever_fails_the_daemon_goes_on_or_says_why() {
     whatever_fails(Role::Daemon);
 }
 
 #[test]
+#[ignore = "full"]
 fn whatever_fails_the_planner_goes_on_or_says_why() {
     whatever_fails(Role::Planner);
 }
 
 #[test]
+#[ignore = "full"]
 fn whatever_fails_the_narrator_goes_on_or_says_why() {
     whatever_fails(Role::Narrator);
 }
 
 #[test]
+#[ignore = "full"]
 fn whatever_fails_the_narrator_of_a_broker_goes_on_or_says_why() {
     whatever_fails(Role::Mqtt);
 }
 
 #[test]
+#[ignore = "full"]
 fn whatever_fails_the_metrics_go_on_or_say_why() {
     whatever_fails(Role::Metrics);
 }

@@ -126,6 +126,7 @@ fn sleeps(process: u32) -> u64 {
 
 /// `top --json --snapshots 1` waited in silence where there was no daemon.
 #[test]
+#[ignore = "full"]
 fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
     let world = World::new("silent");
     let output = world.command(&["top", "--json", "--snapshots", "1"]).output().unwrap();
@@ -136,6 +137,7 @@ fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
 
 /// A planner that runs beside its daemon shares the program's pages with it.
 #[test]
+#[ignore = "full"]
 fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
     let mut world = World::new("idle");
     let both = [world.start_daemon(), world.start(&["planner", "--know", "0"])];

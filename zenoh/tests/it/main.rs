@@ -8,6 +8,8 @@ mod day;
 #[path = "../../../tests/support/eventually.rs"]
 mod eventually;
 mod fleet;
+#[path = "../../../tests/support/fleet_day.rs"]
+mod fleet_day;
 mod habits;
 mod hostile;
 mod hub;
