@@ -1,4 +1,5 @@
-# Two commands do everything on a fresh Debian or Ubuntu machine: `make demo` and `make test`. `make help` lists the rest.
+# Two commands show and check everything that a user needs on a fresh Debian or Ubuntu machine: `make demo` and `make test`. `make help` lists
+# the rest.
 #
 # Everything is built by one profile (release), and all checks name the same packages and features: so llama.cpp, and for the tests
 # HiGHS, are compiled once.
@@ -38,9 +39,17 @@ lab: setup ## Builds roomcast-lab, the program with the experiments.
 demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
+.PHONY: check
+check: ## Before a commit: format, lints and unit tests of the crates that you changed; under a minute when warm.
+	@.ci/check
+
 .PHONY: test
-test: setup format counts structure lint unit zenoh docs licences scenes python clients ## Runs every check: format, lints, tests, documentation, licences, Python.
+test: setup format counts prose structure lint unit docs licences scenes python ## Format, lints, tests, documentation, licences, Python: ten minutes on two cores.
 	@echo "test: all checks passed"
+
+.PHONY: test-full
+test-full: setup full zenoh clients ## The tests that take longer or need more: zenoh, brokers, browser, systemd, chaos, failing system calls, more seeds.
+	@echo "test-full: all checks passed"
 
 .PHONY: format
 format:
@@ -64,11 +73,16 @@ lint:
 
 .PHONY: unit
 unit:
-	@echo "test: unit, property and multi-process tests"
-	cargo test $(TESTS) --no-run
-	cargo test $(TESTS) --test home --no-run
-	@# A household's day is mostly waiting: everything else is tested meanwhile.
-	@.ci/beside "cargo test $(TESTS) --test home" "cargo test $(TESTS) --no-fail-fast"
+	@echo "test: unit and property tests, and one test of each kind of process"
+	ROOMCAST_SEEDS=250 .ci/tests fast $(TESTS)
+	cargo test $(TESTS) --doc
+
+.PHONY: full
+full:
+	@echo "test-full: the tests that are marked as full, and more seeds"
+	cargo build --release --locked --package roomcast-lab
+	.ci/tests full $(TESTS)
+	ROOMCAST_FIRST_SEED=250 ROOMCAST_SEEDS=750 .ci/tests fast $(TESTS) --test it -- simulated::no_seed
 
 # A workspace of its own, in the same target folder (zenoh/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
 .PHONY: zenoh
@@ -80,17 +94,15 @@ zenoh: setup ## Builds and checks roomcast-zenoh: lints, tests with a real route
 	if ! $(ROUTER)/bin/python -c 'import mcap_ros2, rosbags, zenoh, zenoh_ros2_sdk' 2>/dev/null; then \
 	    $(ROUTER)/bin/python -m pip install --quiet --disable-pip-version-check 'eclipse-zenoh==1.10.2' 'mcap-ros2-support==0.6.0' 'rosbags==0.11.9' 'zenoh-ros2-sdk==0.1.8' || true; \
 	fi
-	cargo test $(ZENOH) --no-run
-	cargo test $(ZENOH) --test day --no-run
-	@.ci/beside "cargo test $(ZENOH) --test day" "cargo test $(ZENOH) --no-fail-fast"
+	.ci/tests fast $(ZENOH)
 	RUSTDOCFLAGS="-D warnings" cargo doc $(ZENOH) --no-deps
 
 .PHONY: nightly
 nightly: setup ## An hour of faults by seed: simulation, killed processes, strangers, failing system calls, brokers, mutated input; says what was tried. Then the fleet's.
 	@# The fleet's faults are tried whatever became of the others; a violation counts for more than a kind that could not be tried (3).
 	@code=0; .ci/nightly || code=$$?; \
-	PROPTEST_CASES=5000 cargo test $(ZENOH) --test hostile || code=1; \
-	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(ZENOH) --test fleet -- --nocapture || code=1; \
+	PROPTEST_CASES=5000 cargo test $(ZENOH) --test it hostile:: || code=1; \
+	ROOMCAST_FLEET_CYCLES=300 ROOMCAST_FLEET_SEED=$$(date +%j) ROOMCAST_FLEET_CUT_S=60 cargo test $(ZENOH) --test it fleet:: -- --nocapture || code=1; \
 	exit $$code
 
 # Home Assistant 2024.3.3 is the last for Python 3.11; at its first start it installs what its parts need.
@@ -105,7 +117,7 @@ test-home: setup ## The test with a real Home Assistant, which it installs first
 	    echo "SKIPPED a_real_home_assistant_is_imported_narrated_told_and_left_clean: Home Assistant cannot be installed from PyPI (no network?)"; \
 	    exit 0; \
 	fi; \
-	ROOMCAST_HOME_ASSISTANT=$(abspath $(HOME_ASSISTANT))/bin/hass cargo test --release --locked --workspace --features full --test home_assistant -- --nocapture
+	ROOMCAST_HOME_ASSISTANT=$(abspath $(HOME_ASSISTANT))/bin/hass cargo test --release --locked --workspace --features full --test it home_assistant:: -- --ignored --nocapture
 
 .PHONY: docs
 docs:
@@ -126,6 +138,10 @@ audit: setup ## Checks the dependencies: licences, sources, bans, and the RustSe
 counts:
 	@echo "test: what counts the tests"
 	python3 -m unittest discover -v -s .ci
+
+.PHONY: prose
+prose: ## Counts the roundabout words of manuals and comments; fails above a budget.
+	@.ci/prose
 
 .PHONY: scenes
 scenes:
@@ -178,7 +194,7 @@ known-scores: build ## After a change of the embedded model: records the scores 
 
 .PHONY: c-header
 c-header: ## After a change of the messages: writes clients/c/roomcast.h.
-	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --workspace --test c_header
+	ROOMCAST_WRITE_HEADER=1 cargo test --release --locked --package roomcast-ipc --test it c_header::
 
 .PHONY: deb
 deb: setup ## Builds the Debian package, portable across processors (half an hour on two cores; needs cargo-deb).

@@ -13,7 +13,8 @@ test mqtt::tests::a_broker ... ok
 test \x1b[1mother\x1b[0m ... ok
 test slow ... ignored, takes an hour
 test plain ... ignored
-test result: \x1b[32mok\x1b[0m. 2 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out; finished in 0.00s
+test later ... ignored, full
+test result: \x1b[32mok\x1b[0m. 2 passed; 0 failed; 3 ignored; 0 measured; 0 filtered out; finished in 0.00s
 """
 
 

@@ -1,5 +1,5 @@
 //! What is fuzzed: each target takes any bytes, may refuse them, and panics where something that must hold does not. libFuzzer
-//! drives them (`fuzz_targets/`), and so does `tests/fuzzed.rs`, over the corpus and seeded mutations of it.
+//! drives them (`fuzz_targets/`), and so does `tests/it/fuzzed.rs`, over the corpus and seeded mutations of it.
 
 #![allow(
     dead_code,

@@ -98,3 +98,11 @@ mod fake_valetudo;
 #[cfg(all(test, feature = "mqtt"))]
 #[path = "../../tests/support/lived_day.rs"]
 mod lived_day;
+
+#[cfg(test)]
+#[path = "../../tests/support/household.rs"]
+mod household;
+
+#[cfg(test)]
+#[path = "../../tests/support/fleet_day.rs"]
+mod fleet_day;

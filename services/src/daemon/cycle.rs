@@ -1,6 +1,6 @@
 //! The scoring loop without threads, ports, clock and disk: when to score, when to try again, what to send. Time and the
 //! journal's progress come in as numbers and messages go out as values, so that the daemon's threads and the simulation of faults
-//! (`tests/simulated.rs`) drive the same code.
+//! (`tests/it/simulated.rs`) drive the same code.
 
 use std::collections::VecDeque;
 

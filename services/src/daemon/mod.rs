@@ -59,6 +59,8 @@ mod map_change;
 mod person_question;
 mod persons;
 mod persons_file;
+#[cfg(test)]
+mod played;
 mod scoring;
 mod sleep;
 mod understood;

@@ -1,0 +1,392 @@
+//! Participants killed at any moment, mostly while they join, open their ports or clean up after one another: nothing of them
+//! stays, and their places come free.
+//!
+//! `ROOMCAST_KILLS=2500 ROOMCAST_KILLS_SEED=2 cargo test --release --workspace --test it killed` kills so many.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use roomcast_ipc::{
+    DecisionV1, Domain, ForecastV1, Message, NarrationV1, Node, RoomScoresV1, StatusResponseV1, Subscriber,
+    narration_kind, question,
+};
+
+use crate::Private;
+
+/// Kills by default.
+const KILLS: usize = 300;
+/// Tells a child what it is: role, root path, domain's name.
+const CHILD: &str = "ROOMCAST_KILLED_CHILD";
+
+/// Ports as the daemon, a planner or a narrator opens them, in use until the process is killed.
+fn take_part(role: &str, node: &Node) {
+    let narration = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.").unwrap();
+    let narration = NarrationV1 { source: 7, epoch: 1, sequence: 1, ..narration };
+    match role {
+        "daemon" => {
+            let heard = node.subscriber::<NarrationV1>().unwrap();
+            let scores = node.publisher::<RoomScoresV1>().unwrap();
+            let forecast = node.publisher::<ForecastV1>().unwrap();
+            let items = node.item_scores_publisher().unwrap();
+            let status = node.status_server().unwrap();
+            let moments = node.answer_port(question::MOMENT).unwrap();
+            loop {
+                scores.send_unchecked(&RoomScoresV1::default()).unwrap();
+                forecast.send_unchecked(&ForecastV1::default()).unwrap();
+                let _answered = status.answer(StatusResponseV1::default);
+                let _answered = moments.answer(|_| String::new());
+                items.tick().unwrap();
+                scores.tick().unwrap();
+                while heard.receive().unwrap().is_some() {}
+                heard.wait(Duration::from_millis(3)).unwrap();
+                node.clean_up_dead();
+            }
+        }
+        "planner" => {
+            let scores = node.subscriber::<RoomScoresV1>().unwrap();
+            let decisions = node.publisher::<DecisionV1>().unwrap();
+            loop {
+                scores.wait(Duration::from_millis(3)).unwrap();
+                while scores.receive().unwrap().is_some() {}
+                decisions.send_unchecked(&DecisionV1::default()).unwrap();
+                decisions.tick().unwrap();
+            }
+        }
+        _ => {
+            let said = node.publisher::<NarrationV1>().unwrap();
+            let scores = node.subscriber::<RoomScoresV1>().unwrap();
+            loop {
+                said.send(&narration).unwrap();
+                said.tick().unwrap();
+                scores.wait(Duration::from_millis(3)).unwrap();
+                while scores.receive().unwrap().is_some() {}
+            }
+        }
+    }
+}
+
+/// The next message, malformed or not: the children send empty ones.
+fn received<M: Message>(subscriber: &Subscriber<M>) -> Option<M> {
+    let mut message = M::default();
+    subscriber.receive_from(&mut message).unwrap().map(|_| message)
+}
+
+/// In a child, which is this very test in a process of its own, takes part until it is killed.
+fn take_part_as_child() {
+    let Ok(what) = std::env::var(CHILD) else { return };
+    let [role, root, name] = what.split(' ').collect::<Vec<_>>()[..] else { panic!("{what:?}") };
+    let node = Domain::new(root, name).unwrap().open(role).unwrap();
+    take_part(role, &node);
+}
+
+fn start(role: &str, domain: &Domain) -> Child {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.args(["--exact", "killed::nothing_stays_of_participants_killed_at_any_moment", "--nocapture"]);
+    command.env(CHILD, format!("{role} {} {}", domain.root().display(), domain.name()));
+    command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap()
+}
+
+/// Every file of the domain.
+fn files(domain: &Domain) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let prefix = domain.prefix();
+    let mut folders = vec![domain.root().to_owned(), Path::new("/dev/shm").to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).into_iter().flatten().flatten() {
+            let (path, name) = (entry.path(), entry.file_name().into_string().unwrap());
+            if path.is_dir() && path.starts_with(domain.root()) {
+                if path.parent().unwrap().ends_with("nodes") {
+                    files.push(path.clone());
+                }
+                folders.push(path);
+            } else if name.starts_with(&prefix) {
+                files.push(path);
+            }
+        }
+    }
+    files
+}
+
+/// As if a minute had passed: what is left half-made is taken for that after some seconds only.
+fn age(files: &[PathBuf]) {
+    for path in files {
+        // Sockets cannot be opened, and files without permission neither.
+        if let Ok(file) = std::fs::File::open(path) {
+            file.set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
+        }
+    }
+}
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+#[test]
+fn nothing_stays_of_participants_killed_at_any_moment() {
+    take_part_as_child();
+    let private = Private::new("killed");
+    let domain = &private.domain;
+    let kills = number("ROOMCAST_KILLS").map_or(KILLS, |kills| usize::try_from(kills).unwrap());
+    let mut random = number("ROOMCAST_KILLS_SEED").unwrap_or(1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    // Xorshift: moments need no better chance.
+    let mut below = |limit: u64| {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random % limit
+    };
+    let node = domain.open("test").unwrap();
+    let living = node.subscriber::<RoomScoresV1>().unwrap();
+    let own = files(domain).len();
+    let roles = ["daemon", "planner", "narrator"];
+    let mut children = roles.map(|role| start(role, domain));
+    for _ in 0..kills {
+        let who = below(3) as usize;
+        std::thread::sleep(Duration::from_micros(below(20_000)));
+        children[who].kill().unwrap();
+        children[who].wait().unwrap();
+        children[who] = start(roles[who], domain);
+    }
+    for child in &mut children {
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+    let start = Instant::now();
+    // Sockets cannot be aged: half-made ones are removed when they are ten seconds old.
+    let mut left = files(domain);
+    while left.len() > own && start.elapsed() < Duration::from_secs(40) {
+        node.clean_up_dead();
+        let still = files(domain);
+        if still == left {
+            age(&still);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        left = still;
+    }
+    drop((living, node));
+    let left = files(domain);
+    println!("{kills} kills, left behind: {}", left.len());
+    assert!(left.is_empty(), "{left:#?}");
+    assert!(domain.clean_up().unwrap());
+}
+
+/// A service whose maker was killed before its shared memory had a size: iceoryx2 by itself would wait for it for ever, whoever opens the
+/// service, sends, or cleans up.
+#[test]
+fn memory_that_never_got_its_size_keeps_nobody_waiting() {
+    let private = Private::new("sizeless");
+    let domain = &private.domain;
+    let services = |domain: &Domain| {
+        let mut services = files(domain);
+        services.retain(|file| file.extension().is_some_and(|ending| ending == "dynamic"));
+        services
+    };
+    let mut child = start("daemon", domain);
+    let began = Instant::now();
+    // A daemon has seven ports, each with its service.
+    while services(domain).len() < 7 {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child opens nothing: {:#?}", files(domain));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for memory in services(domain) {
+        std::fs::File::create(memory).unwrap();
+    }
+    // In a thread, so that a wait without end is told rather than waited for.
+    let (done, ended) = std::sync::mpsc::channel();
+    let own = domain.clone();
+    std::thread::spawn(move || {
+        let node = own.open("next").unwrap();
+        let scores = node.publisher::<RoomScoresV1>().unwrap();
+        node.clean_up_dead();
+        scores.send_unchecked(&RoomScoresV1::default()).unwrap();
+        drop((scores, node));
+        done.send(own.clean_up().unwrap()).unwrap();
+    });
+    assert!(ended.recv_timeout(Duration::from_secs(60)).expect("somebody still waits after a minute"));
+    assert_eq!(files(domain), Vec::<PathBuf>::new());
+}
+
+/// A participant's folder and the files of its monitor.
+fn entries_of(child: &Child, domain: &Domain) -> Vec<PathBuf> {
+    let of_child = |path: &PathBuf| {
+        let name = path.file_name().unwrap().to_string_lossy();
+        let number = name.trim_start_matches(&domain.prefix()).split('.').next().and_then(|id| id.parse::<u128>().ok());
+        number.is_some_and(|number| (number >> 64) as u32 == child.id())
+    };
+    let nodes = std::fs::read_dir(domain.root().join("nodes")).unwrap().map(|entry| entry.unwrap().path());
+    nodes.filter(of_child).collect()
+}
+
+/// What iceoryx2 leaves of a dead participant where it fails for a moment to take it out of a service: its monitor is removed, its entry stays.
+#[test]
+fn a_participant_without_its_monitor_leaves_its_services() {
+    let private = Private::new("monitor");
+    let domain = &private.domain;
+    // Somebody stays in a service, which would be removed as a whole otherwise.
+    let node = domain.open("stays").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let mut child = start("daemon", domain);
+    let began = Instant::now();
+    while received(&scores).is_none() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(domain));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    for entry in entries_of(&child, domain).iter().filter(|entry| entry.is_file()) {
+        std::fs::remove_file(entry).unwrap();
+    }
+    age(&entries_of(&child, domain));
+    node.clean_up_dead();
+    assert_eq!(entries_of(&child, domain), Vec::<PathBuf>::new());
+    // Whoever leaves a service last removes it.
+    drop((scores, node));
+    let mut services = files(domain);
+    services.retain(|file| file.extension().is_some_and(|ending| ending == "service" || ending == "dynamic"));
+    assert!(services.is_empty(), "{services:#?}");
+    assert!(domain.clean_up().unwrap());
+}
+
+/// Removes a participant's entry, and ends it then: its places in services stay taken.
+fn end_without_entry(mut child: Child, domain: &Domain) {
+    let entries = entries_of(&child, domain);
+    assert!(entries.len() > 1, "a folder and a monitor: {entries:?}");
+    for path in entries {
+        if path.is_dir() { std::fs::remove_dir_all(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// iceoryx2 may clean a dead participant away and leave its places in services taken. The entry is removed here by hand, before it dies.
+#[test]
+fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
+    let private = Private::new("places");
+    let domain = &private.domain;
+    // Somebody stays in the services, which would go with the last one otherwise.
+    let node = domain.open("stays").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let child = start("daemon", domain);
+    let began = Instant::now();
+    while received(&scores).is_none() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(domain));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    end_without_entry(child, domain);
+    let next = node.publisher::<RoomScoresV1>().unwrap();
+    next.send_unchecked(&RoomScoresV1 { sequence: 77, ..RoomScoresV1::default() }).unwrap();
+    while received(&scores).is_none_or(|scores| scores.sequence != 77) {
+        assert!(began.elapsed() < Duration::from_secs(60), "the next one's scores do not arrive");
+    }
+    drop((scores, next, node));
+    assert!(domain.clean_up().unwrap());
+}
+
+/// The same of one among several whose other holders live.
+#[test]
+fn a_place_of_nobody_comes_free_among_those_of_the_living() {
+    let private = Private::new("among");
+    let domain = &private.domain;
+    let node = domain.open("stays").unwrap();
+    let heard = node.subscriber::<NarrationV1>().unwrap();
+    let child = start("narrator", domain);
+    let began = Instant::now();
+    while received(&heard).is_none() {
+        assert!(began.elapsed() < Duration::from_secs(60), "the child says nothing: {:#?}", files(domain));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let living: Vec<_> =
+        (1..NarrationV1::SERVICE.publishers).map(|_| node.publisher::<NarrationV1>().unwrap()).collect();
+    end_without_entry(child, domain);
+    let last = node.publisher::<NarrationV1>().unwrap();
+    drop((heard, living, last, node));
+    assert!(domain.clean_up().unwrap());
+}
+
+/// The files of a service as they are when whoever left it last was killed before they were removed: closed to others, or, killed a
+/// moment earlier, still open to them.
+fn leave_service_behind(domain: &Domain, closed: bool) {
+    let all = files(domain);
+    let node = domain.open("leaves").unwrap();
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    let ending = |path: &Path| path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_owned();
+    let of_services: Vec<_> = files(domain)
+        .into_iter()
+        .filter(|path| !all.contains(path) && ["service", "dynamic"].contains(&ending(path).as_str()))
+        .map(|path| (std::fs::File::open(&path).unwrap(), std::fs::read(&path).unwrap(), path))
+        .collect();
+    // Messages and their wake-ups.
+    assert_eq!(of_services.len(), 4);
+    drop((scores, node));
+    for (mut file, before, path) in of_services {
+        assert!(!path.exists());
+        let mut after = Vec::new();
+        file.read_to_end(&mut after).unwrap();
+        if !closed {
+            // iceoryx2 sets the counter of changes of a list to all ones to close it. The number of a participant that it removes becomes
+            // all ones too, and that one is large.
+            for (after, before) in after.chunks_exact_mut(8).zip(before.chunks_exact(8)) {
+                if after == [0xff; 8] && before[2..] == [0; 6] {
+                    after.copy_from_slice(before);
+                }
+            }
+        }
+        std::fs::write(&path, after).unwrap();
+        std::fs::set_permissions(path, file.metadata().unwrap().permissions()).unwrap();
+    }
+}
+
+#[test]
+fn a_service_that_was_closed_and_not_removed_keeps_nobody_out() {
+    let private = Private::new("closed");
+    let domain = &private.domain;
+    let node = domain.open("stays").unwrap();
+    leave_service_behind(domain, true);
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    drop((scores, node));
+    assert!(files(domain).is_empty(), "{:#?}", files(domain));
+}
+
+#[test]
+fn a_service_that_nobody_is_in_is_removed() {
+    let private = Private::new("unused");
+    let domain = &private.domain;
+    let node = domain.open("stays").unwrap();
+    let own = files(domain);
+    leave_service_behind(domain, false);
+    assert_eq!(files(domain).len(), own.len() + 4);
+    let began = Instant::now();
+    while files(domain) != own {
+        assert!(began.elapsed() < Duration::from_secs(60), "{:#?}", files(domain));
+        node.clean_up_dead();
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    drop(node);
+    assert!(files(domain).is_empty(), "{:#?}", files(domain));
+}
+
+/// Its maker was killed this very moment, before its memory had a size.
+#[test]
+fn a_service_that_was_just_not_finished_keeps_nobody_out_for_long() {
+    let private = Private::new("halves");
+    let domain = &private.domain;
+    let node = domain.open("stays").unwrap();
+    let own = files(domain);
+    leave_service_behind(domain, true);
+    let now = SystemTime::now();
+    for path in files(domain).into_iter().filter(|path| !own.contains(path)) {
+        if path.extension().is_some_and(|ending| ending == "dynamic") {
+            std::fs::File::create(path).unwrap();
+        } else {
+            std::fs::File::open(path).unwrap().set_modified(now).unwrap();
+        }
+    }
+    let scores = node.publisher::<RoomScoresV1>().unwrap();
+    drop((scores, node));
+    assert!(files(domain).is_empty(), "{:#?}", files(domain));
+}

@@ -1,0 +1,335 @@
+//! The fuzz targets of `fuzz/` over their corpus and seeded mutations of it: what libFuzzer does for hours, for some seconds.
+//! `ROOMCAST_FUZZ_RUNS=1000000` gives every target so many mutations, `ROOMCAST_FUZZ_SEED` others.
+//!
+//! And model files: truncated, with flipped bits and with numbers that no writer writes, each loaded in a process of its own.
+
+use std::panic::catch_unwind;
+use std::path::Path;
+use std::process::Command;
+
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::narration::{Event, Observation, Sentence};
+use roomcast_core::prompt::BindingSequence;
+use roomcast_core::scorer::correction::Correction;
+use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast_ipc::{ByteImage, NarrationV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1, text};
+use roomcast_llama::{LlamaModel, LlamaOptions};
+use roomcast_services::daemon::journal;
+use roomcast_services::embedded;
+use roomcast_services::recording::{Received, Recorded, Recorder};
+
+#[path = "../../fuzz/targets.rs"]
+mod targets;
+
+use roomcast_cli::exit_code;
+
+/// Mutations of each target by default; those that write files get fewer.
+const RUNS: u64 = 20_000;
+/// Damaged model files that llama.cpp is given by default.
+const MODELS: usize = 12;
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+/// What a target's mutations start from: its corpus, and what the product itself ships or writes.
+fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
+    let files = std::fs::read_dir(&corpus).unwrap_or_else(|error| panic!("{}: {error}", corpus.display()));
+    let mut files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
+    files.sort();
+    let mut seeds: Vec<_> = files.iter().map(|file| std::fs::read(file).unwrap()).collect();
+    match target {
+        "configuration" => seeds.push(roomcast_services::config::DEFAULT_TOML.as_bytes().to_vec()),
+        "program" => seeds.extend(embedded::PROGRAMS.iter().map(|program| program.text.as_bytes().to_vec())),
+        "scene" => seeds.push(embedded::SCENES[0].text.as_bytes().to_vec()),
+        "journal" => seeds.push(journal_bytes()),
+        "message" => seeds.extend([narration(), scores(), persons(), person_forecasts()]),
+        "recording" => seeds.push(recording()),
+        "sensors" => seeds.push(include_bytes!("../data/sensors.tsv").to_vec()),
+        _ => {}
+    }
+    assert!(!seeds.is_empty(), "{} is empty", corpus.display());
+    seeds
+}
+
+fn observation(sequence: u64) -> Observation {
+    let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
+    let (observed_ns, observed_unix_ns) = (sequence, sequence);
+    Observation {
+        source: 7,
+        epoch: 1,
+        observed_ns: BootNs(observed_ns),
+        observed_unix_ns: UnixNs(observed_unix_ns),
+        ..Observation::of(sequence, sentence)
+    }
+}
+
+/// Records of every kind.
+fn journal_bytes() -> Vec<u8> {
+    let told = [
+        observation(1),
+        Observation { name: Some("ada".into()), ..observation(2) },
+        Observation { event: Event::Away, person: PersonId::SOMEBODY, ..observation(3) },
+        Observation { by_fit: true, ..observation(4) },
+    ];
+    let outcome = |by_fit: bool, probability: &'static [f64]| {
+        let (person, map) = (PersonId(4), 9);
+        journal::encode_outcome(&journal::Outcome { event: EventId::new(7, 1, 3), person, by_fit, map, probability })
+    };
+    let records = told.iter().map(|observation| journal::encode(observation, &[7; 16]));
+    records.chain([outcome(true, &[]), outcome(false, &[0.25, 0.75])]).flatten().collect()
+}
+
+fn recording() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seed.mcap");
+    let mut recorder = Recorder::create(&path).unwrap();
+    for sequence in 1..4 {
+        let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
+        let message = NarrationV1 { source: 7, epoch: 1, sequence, ..message };
+        let received = Received { unix_ns: UnixNs(sequence), monotonic_ns: BootNs(sequence) };
+        recorder.write(&Recorded::Narration(Box::new(message)), received).unwrap();
+    }
+    recorder.finish().unwrap();
+    std::fs::read(path).unwrap()
+}
+
+fn narration() -> Vec<u8> {
+    let message = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
+    let message = NarrationV1 { source: 7, epoch: 1, sequence: 1, ..message };
+    [vec![0], message.to_bytes()].concat()
+}
+
+fn scores() -> Vec<u8> {
+    let mut scores = RoomScoresV1 { epoch: 3, sequence: 1, room_count: 2, label_mass: 0.8, ..Default::default() };
+    for (room, (id, probability)) in scores.room.iter_mut().zip([("kitchen", 0.75), ("bathroom", 0.25)]) {
+        room.id = text::encode("room id", id).unwrap();
+        room.probability = probability;
+    }
+    [vec![1], scores.to_bytes()].concat()
+}
+
+fn persons() -> Vec<u8> {
+    let mut scores =
+        PersonScoresV1 { epoch: 3, sequence: 1, room_count: 1, persons: 1, person_count: 1, ..Default::default() };
+    scores.id[0] = text::encode("room id", "kitchen").unwrap();
+    scores.person[0].probability[0] = 1.0;
+    [vec![4], scores.to_bytes()].concat()
+}
+
+fn person_forecasts() -> Vec<u8> {
+    let mut forecasts =
+        PersonForecastsV1 { room_count: 1, horizon_count: 2, person_count: 1, ..PersonForecastsV1::default() };
+    forecasts.id[0] = text::encode("room id", "kitchen").unwrap();
+    forecasts.horizon_s[1] = 5.0;
+    forecasts.person[0].probability[0][..2].copy_from_slice(&[1.0, 0.5]);
+    [vec![6], forecasts.to_bytes()].concat()
+}
+
+/// Some changes of the kinds that find faults in parsers.
+fn mutate(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) {
+    for _ in 0..rng.random_range(1..6) {
+        let at = rng.random_range(0..=bytes.len());
+        match rng.random_range(0..8) {
+            0 if at < bytes.len() => bytes[at] ^= 1 << rng.random_range(0..8),
+            1 if at < bytes.len() => bytes[at] = rng.random(),
+            2 => bytes.truncate(at),
+            3 => {
+                let more: Vec<u8> = (0..rng.random_range(1..20)).map(|_| rng.random()).collect();
+                bytes.splice(at..at, more);
+            }
+            4 => {
+                let end = rng.random_range(at..=bytes.len());
+                bytes.drain(at..end.min(at + 64));
+            }
+            5 => {
+                // A piece of itself or of another seed.
+                let other = seeds.choose(rng).unwrap();
+                let from = rng.random_range(0..=other.len());
+                let piece = other[from..other.len().min(from + 200)].to_vec();
+                bytes.splice(at..at, piece);
+            }
+            6 => {
+                let extreme = [0, 1, u64::MAX, 1 << 31, 1 << 63, f64::NAN.to_bits()].choose(rng).unwrap().to_le_bytes();
+                let length = [1, 2, 4, 8].choose(rng).unwrap();
+                let end = (at + length).min(bytes.len());
+                bytes.splice(at..end, extreme[..*length].iter().copied());
+            }
+            _ => {
+                let word: &[u8] = [
+                    &b"-1"[..],
+                    b"1e999",
+                    b"nan",
+                    b"\"\"",
+                    b"[[",
+                    b"{}",
+                    b"null",
+                    b"\xff\xfe",
+                    "\u{202e}".as_bytes(),
+                    b"\0",
+                    b"RCJ1",
+                    b"99999999999999999999",
+                    b"\n",
+                    b"<s>",
+                    b"\\u0000",
+                ]
+                .choose(rng)
+                .unwrap();
+                bytes.splice(at..at, word.iter().copied());
+            }
+        }
+    }
+}
+
+#[test]
+fn no_target_fails_on_its_corpus_or_mutations_of_it() {
+    let seed = number("ROOMCAST_FUZZ_SEED").unwrap_or(1);
+    for &(name, target) in targets::ALL {
+        let seeds = seeds(name);
+        for bytes in &seeds {
+            target(bytes);
+        }
+        let slow = if matches!(name, "gguf" | "scene") { 10 } else { 1 };
+        let runs = number("ROOMCAST_FUZZ_RUNS").unwrap_or(RUNS) / slow;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        for run in 0..runs {
+            let mut bytes = seeds.choose(&mut rng).unwrap().clone();
+            mutate(&mut bytes, &seeds, &mut rng);
+            if catch_unwind(|| target(&bytes)).is_err() {
+                let file = std::env::temp_dir().join(format!("roomcast-fuzz-{name}-{seed}-{run}"));
+                std::fs::write(&file, &bytes).unwrap();
+                panic!("{name}: mutation {run} of seed {seed} fails; its bytes are in {}", file.display());
+            }
+        }
+        println!("{name}: {} files of the corpus and {runs} mutations", seeds.len());
+    }
+}
+
+/// Gives a model file to a process of its own; its exit code, or what ended it.
+fn load(model: &[u8], directory: &Path) -> Result<i32, String> {
+    let file = directory.join("model.gguf");
+    std::fs::write(&file, model).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_roomcast")).args(["model", "rehearse"]).arg(&file).output().unwrap();
+    output.status.code().ok_or_else(|| format!("{}: {}", output.status, String::from_utf8_lossy(&output.stderr)))
+}
+
+#[test]
+fn a_broken_model_file_ends_in_an_error() {
+    let directory = tempfile::tempdir().unwrap();
+    let whole = embedded::MODEL;
+    assert_eq!(load(whole, directory.path()), Ok(0));
+    let runs = number("ROOMCAST_FUZZ_MODELS").map_or(MODELS, |runs| usize::try_from(runs).unwrap());
+    let mut rng = ChaCha8Rng::seed_from_u64(number("ROOMCAST_FUZZ_SEED").unwrap_or(1));
+    // Metadata and tensor descriptions; what lies behind them are weights.
+    let header = whole.windows(24).position(|at| at.starts_with(b"output_norm.weight")).unwrap();
+    let mut codes = std::collections::BTreeMap::new();
+    for run in 0..runs {
+        let mut model = whole.to_vec();
+        let at = rng.random_range(0..header);
+        match run % 3 {
+            0 => model.truncate(rng.random_range(0..whole.len())),
+            1 => model[at] ^= 1 << rng.random_range(0..8),
+            _ => {
+                let extreme: u32 = *[0, 1, 2, 255, i32::MAX as u32, u32::MAX].choose(&mut rng).unwrap();
+                model[at..at + 4].copy_from_slice(&extreme.to_le_bytes());
+            }
+        }
+        let code = load(&model, directory.path()).unwrap_or_else(|died| panic!("run {run}, at {at}: {died}"));
+        if run % 3 == 0 {
+            assert_eq!(code, i32::from(exit_code::MODEL), "a truncated file is refused");
+        }
+        *codes.entry(code).or_insert(0) += 1;
+    }
+    println!("{runs} damaged model files, by exit code: {codes:?}");
+}
+
+/// Where the numbers of a model file's metadata lie: key, place and size of each.
+fn fields(model: &[u8]) -> Vec<(String, usize, usize)> {
+    let number = |at: usize, size: usize| {
+        let mut bytes = [0; 8];
+        bytes[..size].copy_from_slice(&model[at..at + size]);
+        usize::try_from(u64::from_le_bytes(bytes)).unwrap()
+    };
+    // Sizes of the kinds of values; a text has its length before it, an array the kind and number of its elements.
+    let size = |kind: usize| [1, 1, 2, 2, 4, 4, 4, 1, 0, 0, 8, 8, 8][kind];
+    let mut fields = vec![("version".to_owned(), 4, 4), ("tensors".to_owned(), 8, 8), ("metadata".to_owned(), 16, 8)];
+    let mut at = 24;
+    for _ in 0..number(16, 8) {
+        let length = number(at, 8);
+        let key = String::from_utf8(model[at + 8..at + 8 + length].to_vec()).unwrap();
+        at += 8 + length;
+        let kind = number(at, 4);
+        fields.push((format!("kind of {key}"), at, 4));
+        at += 4;
+        at += match kind {
+            8 => 8 + number(at, 8),
+            9 => {
+                let (kind, count) = (number(at, 4), number(at + 4, 8));
+                fields.push((format!("length of {key}"), at + 4, 8));
+                let elements = match kind {
+                    8 => (0..count).fold(0, |length, _| length + 8 + number(at + 12 + length, 8)),
+                    kind => count * size(kind),
+                };
+                12 + elements
+            }
+            kind => {
+                fields.push((key, at, size(kind)));
+                size(kind)
+            }
+        };
+    }
+    fields
+}
+
+/// Row "GGUF with one field patched" of the attacks: whatever llama.cpp does with the file, the command that judges it, and the one that
+/// uses it, end with an error or without. `ROOMCAST_FUZZ_MODELS` is how many fields are patched.
+#[test]
+#[ignore = "full"]
+fn a_model_file_with_one_field_patched_ends_no_judge() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("patched.gguf");
+    let whole = embedded::MODEL;
+    let fields = fields(whole);
+    assert!(fields.iter().any(|(key, ..)| key == "llama.block_count"), "{fields:?}");
+    let runs = number("ROOMCAST_FUZZ_MODELS").map_or(20, |runs| usize::try_from(runs).unwrap());
+    let mut rng = ChaCha8Rng::seed_from_u64(number("ROOMCAST_FUZZ_SEED").unwrap_or(1));
+    let mut codes = std::collections::BTreeMap::new();
+    for run in 0..runs {
+        let (key, at, size) = fields.choose(&mut rng).unwrap();
+        let extreme: u64 = *[0, 1, 2, 3, 255, 65_537, 1 << 31, u64::from(u32::MAX), u64::MAX].choose(&mut rng).unwrap();
+        let mut model = whole.to_vec();
+        model[*at..at + size].copy_from_slice(&extreme.to_le_bytes()[..*size]);
+        std::fs::write(&file, model).unwrap();
+        for arguments in [["model", "check"].as_slice(), &["score", "--narration", "They sit.", "--model"]] {
+            let output = Command::new(env!("CARGO_BIN_EXE_roomcast")).args(arguments).arg(&file).output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            let code = output.status.code();
+            let code = code
+                .unwrap_or_else(|| panic!("run {run}, {key} = {extreme}, {arguments:?}: {}: {said}", output.status));
+            assert!(code <= i32::from(exit_code::CHECK), "run {run}, {key} = {extreme}, {arguments:?}: {code}: {said}");
+            *codes.entry((arguments[0], code)).or_insert(0) += 1;
+        }
+    }
+    println!("{runs} patched fields, by command and exit code: {codes:?}");
+}
+
+/// Row "a model file truncated in place" of the attacks.
+#[test]
+fn a_model_file_that_is_cut_off_while_it_is_in_use_ends_nothing() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("model.gguf");
+    std::fs::write(&file, embedded::MODEL).unwrap();
+    let model = LlamaModel::load(&file, &LlamaOptions::default()).unwrap();
+    std::fs::File::options().write(true).open(&file).unwrap().set_len(0).unwrap();
+    let mut scorer = Scorer::new(model);
+    let binding = BindingSequence::default();
+    let prepared = scorer.prepare(&["mug"], &binding, Tokenisation::Joint, Correction::default()).unwrap();
+    let mut scores = LabelScores::default();
+    scorer.score(&prepared, "They walk to the kitchen.", Method::Trie, &mut scores).unwrap();
+    assert!(scores.log_prob_nats.iter().all(|score| score.is_finite()));
+}

@@ -1,0 +1,305 @@
+//! The daemon: who joins late or twice, who is killed or stopped, and what a large map or another version of it costs.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use iceoryx2::prelude::ZeroCopySend;
+use roomcast_ipc::{
+    DecisionV1, Field, Layout, MAX_ITEMS, Message, MessageError, NarrationV1, RoomScoresV1, ServiceQuality, action,
+    decision_flags, narration_kind, question, sequence,
+};
+use rustix::process::Signal;
+
+use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with};
+
+#[test]
+fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_other() {
+    let mut world = World::new("late");
+    world.start_daemon();
+    let (code, outcome) = world.narrate("camera", "They walk to the kitchen.\nThey open the fridge.\n");
+    assert_eq!((code, &outcome["confirmed"]), (0, &serde_json::json!(2)));
+
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    world.start(&["planner", "--robot", "one", "--know", "0", "--policy", "greedy-avoidance"]);
+    world.start(&["planner", "--robot", "two", "--know", "0", "--policy", "naive", "--seed", "3"]);
+    let mut first = std::collections::BTreeMap::new();
+    eventually("both robots decide", || {
+        while let Some(decision) = decisions.receive().unwrap() {
+            first.entry(decision.robot).or_insert(decision);
+        }
+        (first.len() == 2).then_some(())
+    });
+    for decision in first.values() {
+        // No narration came after the planners: what they know, they got on joining.
+        assert_eq!((decision.action, decision.flags), (action::GO, 0), "{}", decision.reason());
+        assert!(decision.observed_ns > 0 && !decision.to().is_empty());
+    }
+    world.assert_alive();
+}
+
+/// Threads that the set-up left behind would make OpenMP put the scoring thread's to sleep wherever they wait for one another.
+#[test]
+fn only_the_scoring_thread_has_threads_of_the_decoder() {
+    let mut world = World::new("threads");
+    let config = world.directory.path().join("roomcast.toml");
+    std::fs::write(&config, "[model]\nthreads = 2\n").unwrap();
+    let state = world.state();
+    let daemon = world.start(&["daemon", "--config", config.to_str().unwrap(), "--state", state.to_str().unwrap()]);
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\n").0, 0);
+    let process = PathBuf::from(format!("/proc/{}", world.children[daemon].child.id()));
+    let name = |thread: PathBuf| std::fs::read_to_string(thread.join("comm")).unwrap_or_default();
+    let threads = std::fs::read_dir(process.join("task")).unwrap().map(|thread| name(thread.unwrap().path()));
+    let threads: Vec<String> = threads.collect();
+    let count = |wanted: &str| threads.iter().filter(|thread| thread.trim_end() == wanted).count();
+    // A thread is born with the name of the one that makes it.
+    assert_eq!((count("scoring"), count("setup")), (2, 0), "{threads:?}");
+    assert_eq!(count(name(process).trim_end()), 1, "{threads:?}");
+}
+
+/// What a sensor tells asks nothing of the model. Answers are prepared on after it.
+#[test]
+fn answers_are_prepared_on_after_an_event_that_asks_nothing() {
+    let mut world = World::new("prepared");
+    let config = world.directory.path().join("roomcast.toml");
+    // Slow enough that there is more to do for the whole of the test.
+    std::fs::write(&config, "[scoring]\nprepare = 256\nprepare_share = 0.03\n").unwrap();
+    world.start(&["daemon", "--config", config.to_str().unwrap()]);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let narration = node.publisher::<NarrationV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let mut sequence = 0;
+    let mut tell = |person: u32, kind: u32, text: &str| {
+        sequence += 1;
+        let message = NarrationV1::new(kind, text).unwrap();
+        let source = sequence::source_of_name("test");
+        narration.send(&NarrationV1 { source, epoch: 1, sequence, person, ..message }).unwrap();
+        scores_with(&scores, text, |scores| includes(scores, "test", sequence));
+    };
+    tell(7, narration_kind::SENTENCE, "They lie on the bed.");
+    tell(0, narration_kind::SENTENCE, "They open the fridge.");
+    let prepared = |world: &World, more_than: u64| {
+        eventually("more answers", || Some(world.status(&node).prepared).filter(|prepared| *prepared > more_than))
+    };
+    prepared(&world, 0);
+    let asked = world.status(&node).asked;
+    tell(7, narration_kind::PRESENCE, "away");
+    let before = world.status(&node);
+    assert_eq!(before.asked, asked, "it asked nothing");
+    // What was being answered may end; nine more are begun after it.
+    prepared(&world, before.prepared + 9);
+}
+
+#[test]
+fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
+    let mut world = World::new("killed");
+    let daemon = world.start_daemon();
+    assert_eq!(world.narrate("camera", "They walk to the kitchen.\nThey grab the mug.\nThey sit on the sofa.\n").0, 0);
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 3));
+    world.signal(daemon, Signal::KILL);
+    world.wait(daemon);
+
+    world.start_daemon();
+    let after = scores_with(&scores, "the new daemon's scores", |scores| scores.epoch != before.epoch);
+    assert!(includes(&after, "camera", 3), "{:?}", after.included());
+    assert_eq!(after.window, before.window);
+    for (before, after) in before.rooms().iter().zip(after.rooms()) {
+        assert_eq!(before.id(), after.id());
+        assert!((before.log_score_nats - after.log_score_nats).abs() < 0.02, "the same history gives the same scores");
+    }
+    assert_eq!(world.status(&node).restored, 3);
+}
+
+/// How often the threads of a process went to sleep by themselves.
+fn sleeps(process: u32) -> u64 {
+    let tasks = std::fs::read_dir(format!("/proc/{process}/task")).unwrap().flatten();
+    let status = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("status")).ok());
+    let count = |status: String| {
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:").map(str::to_owned));
+        line.unwrap().trim().parse::<u64>().unwrap()
+    };
+    status.map(count).sum()
+}
+
+/// `top --json --snapshots 1` waited in silence where there was no daemon.
+#[test]
+#[ignore = "full"]
+fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
+    let world = World::new("silent");
+    let output = world.command(&["top", "--json", "--snapshots", "1"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), output.stdout.len()), (Some(6), 0), "{said}");
+    assert!(said.contains("no daemon is heard in the domain") && said.contains("start `roomcast daemon`"), "{said}");
+}
+
+/// A planner that runs beside its daemon shares the program's pages with it.
+#[test]
+#[ignore = "full"]
+fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
+    let mut world = World::new("idle");
+    let both = [world.start_daemon(), world.start(&["planner", "--know", "0"])];
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    scores_with(&scores, "scores", |_| true);
+    eventually("a decision", || decisions.newest().unwrap());
+    drop((scores, decisions, node));
+    let ids = both.map(|process| world.children[process].child.id());
+    // Some time to settle, then a time to count in: what is counted is a rate. Whatever else runs here adds to it, so a busy time is tried again.
+    std::thread::sleep(Duration::from_secs(2));
+    let rates = |_| {
+        let (before, start) = (ids.map(sleeps), Instant::now());
+        std::thread::sleep(Duration::from_secs(8));
+        let seconds = start.elapsed().as_secs_f64();
+        let rates = ids.iter().zip(before).map(|(id, before)| (sleeps(*id) - before) as f64 / seconds);
+        let rates: Vec<f64> = rates.collect();
+        println!("wake-ups a second of daemon and planner: {rates:.1?}");
+        rates
+    };
+    assert!((0..3).map(rates).any(|rates| rates.iter().sum::<f64>() < 16.0), "three times");
+    let memory_kib = ids.map(own_memory_kib);
+    println!("memory of daemon and planner that is theirs alone: {memory_kib:?} KiB");
+    assert!(memory_kib[1] < 10_000, "{memory_kib:?} KiB");
+}
+
+/// A map of `count` items in four rooms, in `world`'s directory, and a configuration with it.
+fn large_map(world: &World, count: usize) -> String {
+    let room = |n: usize| {
+        format!(r#"{{"id": "r{n}", "label": "room {n}", "box": {{"min_m": [{n}, 0, 0], "max_m": [{}, 1, 1]}}}}"#, n + 1)
+    };
+    let item = |n: usize| {
+        let x = (n % 4) as f64 + 0.5;
+        format!(
+            r#"{{"id": "i{n}", "label": "thing {}", "position_m": [{x}, 0.5, 0.5], "box": {{"min_m": [{x}, 0.4, 0.4], "max_m": [{}, 0.6, 0.6]}}}}"#,
+            n % 50,
+            x + 0.1
+        )
+    };
+    let (rooms, items): (Vec<_>, Vec<_>) = ((0..4).map(room).collect(), (0..count).map(item).collect());
+    let scene = format!(
+        r#"{{"format": "roomcast-scene", "version": 1, "name": "large", "rooms": [{}], "items": [{}]}}"#,
+        rooms.join(","),
+        items.join(",")
+    );
+    let (path, config) = (world.directory.path().join("large.json"), world.directory.path().join("large.toml"));
+    std::fs::write(&path, scene).unwrap();
+    std::fs::write(&config, format!("[scene]\npath = {path:?}\n")).unwrap();
+    config.to_str().unwrap().to_owned()
+}
+
+/// Row "`top` on a map of 20 000 items with 64 MB of shared memory" of the attacks.
+#[test]
+fn what_is_sent_of_a_large_map_is_bounded() {
+    let mut world = World::new("large");
+    let config = large_map(&world, 20_000);
+    world.start(&["daemon", "--config", &config]);
+    let node = world.domain.open("test").unwrap();
+    let items = node.item_scores_subscriber().unwrap();
+    let best = eventually("item scores", || items.newest().unwrap());
+    assert_eq!((best.header.items, best.items.len()), (20_000, MAX_ITEMS));
+    let moment = node.question_port(question::MOMENT).unwrap().ask("{}", PATIENCE).unwrap();
+    assert!(moment.len() > 1 << 20, "an answer of {} bytes", moment.len());
+    let size = |name: &String| std::fs::metadata(format!("/dev/shm/{name}")).map_or(0, |about| about.len());
+    let bytes: u64 = world.shared_memory_files().iter().map(size).sum();
+    assert!(bytes < 48 << 20, "{bytes} bytes of shared memory");
+    assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
+}
+
+/// The scores of a later version under the old service's name.
+#[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
+#[repr(C)]
+#[type_name("roomcast.RoomScoresV2")]
+struct RoomScoresV2 {
+    epoch: u64,
+}
+
+impl Layout for RoomScoresV2 {
+    const TYPE_NAME: &'static str = "roomcast.RoomScoresV2";
+    const FIELDS: &'static [Field] = &[];
+}
+
+impl Message for RoomScoresV2 {
+    const SERVICE: ServiceQuality = RoomScoresV1::SERVICE;
+
+    fn check(&self) -> Result<(), MessageError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn another_version_of_a_message_is_one_clear_error() {
+    let mut world = World::new("version");
+    let node = world.domain.open("later-daemon").unwrap();
+    let _running = node.publisher::<RoomScoresV2>().unwrap();
+    let planner = world.start(&["planner", "--know", "0"]);
+    let (status, log) = world.wait(planner);
+    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
+    assert!(log.contains("roomcast.RoomScoresV2") && log.contains("roomcast.RoomScoresV1"), "{log}");
+}
+
+#[test]
+fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
+    let mut world = World::new("second");
+    let first = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = node.subscriber::<RoomScoresV1>().unwrap();
+    scores_with(&scores, "the first scores", |_| true);
+    let second = world.start(&["daemon"]);
+    let holder = format!("roomcast-daemon (process {})", world.children[first].child.id());
+    // For whom it waits is told while it waits.
+    let log = world.children[second].log.clone();
+    eventually("it says for whom it waits", || {
+        let said = std::fs::read_to_string(&log).unwrap();
+        said.lines().any(|line| line.contains("waiting up to 8 s") && line.contains(&holder)).then_some(())
+    });
+    world.assert_alive();
+    let (status, log) = world.wait(second);
+    assert_eq!(status.code(), Some(i32::from(exit_code::IPC)), "{log}");
+    assert!(log.contains(&holder) && log.contains("roomcast/v1/room-scores"), "{log}");
+
+    world.signal(first, Signal::TERM);
+    let (status, log) = world.wait(first);
+    assert!(status.success(), "{log}");
+    drop((scores, node));
+    assert!(world.domain.clean_up().unwrap());
+    assert_eq!(world.shared_memory_files(), Vec::<String>::new());
+    assert!(!world.domain.root().exists());
+}
+
+/// `top` on a quiet system: nothing is narrated after it has joined.
+#[test]
+fn whoever_joins_has_the_item_scores_without_a_new_event() {
+    let mut world = World::new("items");
+    world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let scores = scores_with(&node.subscriber::<RoomScoresV1>().unwrap(), "the first scores", |_| true);
+    let items = node.item_scores_subscriber().unwrap();
+    let newest = eventually("item scores", || items.newest().unwrap());
+    assert_eq!((newest.header.epoch, newest.header.sequence), (scores.epoch, scores.sequence));
+    assert!(newest.items.len() > 30 && newest.items.iter().all(|item| item.log_score_nats.is_finite()));
+}
+
+#[test]
+fn a_stopped_daemon_makes_the_planner_stay() {
+    let mut world = World::new("stopped");
+    let daemon = world.start_daemon();
+    let node = world.domain.open("test").unwrap();
+    let decisions = node.subscriber::<DecisionV1>().unwrap();
+    world.start(&["planner", "--know", "0", "--room-time", "0.05"]);
+    let flagged = |wanted: bool| {
+        eventually("a decision", || {
+            let decision = decisions.receive().unwrap()?;
+            (decision.has(decision_flags::FALLBACK) == wanted).then_some(decision)
+        })
+    };
+    assert_eq!(flagged(false).action, action::GO);
+    world.signal(daemon, Signal::STOP);
+    let fallback = flagged(true);
+    assert_eq!(fallback.action, action::STAY);
+    assert_eq!(fallback.from(), fallback.to());
+    world.signal(daemon, Signal::CONT);
+    assert_eq!(flagged(false).action, action::GO);
+}

@@ -1,0 +1,638 @@
+//! The shipped model through the real scorer: all methods give the same scores on every scene, whether they keep the last prompt or start from nothing.
+//!
+//! Twice: with the very weights that ship, whose quantised kernels round, and with the same weights in single precision, where
+//! nothing but the order of sums may differ.
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
+use roomcast_core::narration::history::HistoryLimits;
+use roomcast_core::narration::program::Program;
+use roomcast_core::narration::{Observation, Sentence};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::prompt::{BindingSequence, write_prompt};
+use roomcast_core::scorer::certified::Effort;
+use roomcast_core::scorer::correction::{Continuation, Correction};
+use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
+use roomcast_core::semantic_map::{SemanticMap, import};
+use roomcast_llama::gguf::Header;
+use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
+use roomcast_services::daemon::{Board, Entry};
+use roomcast_services::embedded;
+use roomcast_services::setup::load_model;
+
+use crate::skipped::skipped;
+
+/// The model that ships, or the same weights in single precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Weights {
+    /// Quantised kernels round activations, and the cache keys and values, to 127 steps. Sums in another order differ in their last bits, and
+    /// once in some hundred prompts that is enough for another step: then scores are hundredths of a nat apart.
+    Shipped,
+    /// The same, with keys and values that are not rounded to steps.
+    ShippedWithMixedCache,
+    /// In f32, keys and values too: only the order of sums is left.
+    SinglePrecision,
+}
+
+impl Weights {
+    /// How far scores may be apart, in nats per token of a label: in any prompt, and in all but one of fifty.
+    fn tolerances(self) -> (f64, f64) {
+        match self {
+            Self::Shipped | Self::ShippedWithMixedCache => (0.05, 2e-3),
+            Self::SinglePrecision => (SINGLE_PRECISION_NATS_PER_TOKEN, SINGLE_PRECISION_NATS_PER_TOKEN),
+        }
+    }
+
+    fn load(self, options: &LlamaOptions) -> LlamaModel {
+        match self {
+            Self::Shipped => load_model(None, options).unwrap(),
+            Self::ShippedWithMixedCache => {
+                load_model(None, &LlamaOptions { cache: CacheType::Mixed, ..options.clone() }).unwrap()
+            }
+            Self::SinglePrecision => single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options.clone() }),
+        }
+    }
+}
+
+fn single_precision_model(options: &LlamaOptions) -> LlamaModel {
+    let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
+    std::fs::write(file.path(), single_precision(embedded::MODEL)).unwrap();
+    load_model(Some(file.path()), options).unwrap()
+}
+
+const SINGLE_PRECISION_NATS_PER_TOKEN: f64 = 1e-5;
+
+/// A GGUF file whose IQ4_NL tensors are written out as F32: blocks of 32 elements, a half-precision scale and 32 numbers of steps, the first
+/// half of them in the lower bits of the bytes.
+fn single_precision(model: &[u8]) -> Vec<u8> {
+    const IQ4_NL_BLOCK_BYTES: usize = 18;
+    const STEPS: [i8; 16] = [-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113];
+    const ALIGNMENT_BYTES: usize = 32;
+    let header = Header::read(&embedded::ModelFile::create().unwrap().path()).unwrap();
+    // Tensor descriptions begin with the first one's name, and that with its length.
+    let first = &header.tensors.iter().min_by_key(|t| t.start).unwrap().name;
+    let name = |name: &str| [&(name.len() as u64).to_le_bytes(), name.as_bytes()].concat();
+    let wanted = name(first);
+    let descriptions = model.windows(wanted.len()).position(|bytes| bytes == wanted).unwrap();
+    let (mut out, mut data) = (model[..descriptions].to_vec(), Vec::new());
+    for tensor in &header.tensors {
+        let bytes = &model[tensor.start as usize..][..tensor.size_bytes as usize];
+        out.extend(name(&tensor.name));
+        out.extend((tensor.shape.len() as u32).to_le_bytes());
+        tensor.shape.iter().for_each(|extent| out.extend(extent.to_le_bytes()));
+        out.extend(0_u32.to_le_bytes()); // F32
+        out.extend((data.len() as u64).to_le_bytes());
+        match tensor.kind {
+            "F32" => data.extend_from_slice(bytes),
+            "IQ4_NL" => {
+                for block in bytes.chunks_exact(IQ4_NL_BLOCK_BYTES) {
+                    let scale = half::f16::from_le_bytes([block[0], block[1]]).to_f32();
+                    let numbers =
+                        block[2..].iter().map(|byte| byte & 15).chain(block[2..].iter().map(|byte| byte >> 4));
+                    data.extend(numbers.flat_map(|n| (scale * f32::from(STEPS[usize::from(n)])).to_le_bytes()));
+                }
+            }
+            kind => unreachable!("the shipped model has a tensor of type {kind}; teach this test to write it out"),
+        }
+        data.resize(data.len().next_multiple_of(ALIGNMENT_BYTES), 0);
+    }
+    out.resize(out.len().next_multiple_of(ALIGNMENT_BYTES), 0);
+    out.extend(data);
+    out
+}
+
+/// How many comparisons there were, and how many of them were rounded to another step.
+#[derive(Debug)]
+struct Compared {
+    weights: Weights,
+    all: usize,
+    rounded: usize,
+    worst: f64,
+}
+
+impl Compared {
+    fn with(weights: Weights) -> Self {
+        Self { weights, all: 0, rounded: 0, worst: 0.0 }
+    }
+
+    fn add(&mut self, nats_per_token: f64, what: &str) {
+        let (any, most) = self.weights.tolerances();
+        assert!(nats_per_token <= any, "{what}, {:?}: {nats_per_token} nats per token apart", self.weights);
+        self.all += 1;
+        self.rounded += usize::from(nats_per_token > most);
+        self.worst = self.worst.max(nats_per_token);
+    }
+
+    fn finish(self) {
+        println!("{self:?}");
+        assert!(self.all > 0 && 50 * self.rounded <= self.all, "not only here and there: {self:?}");
+    }
+}
+
+fn options(sequences: u32) -> LlamaOptions {
+    LlamaOptions { sequences, ..LlamaOptions::default() }
+}
+
+fn model(sequences: u32) -> LlamaModel {
+    load_model(None, &options(sequences)).unwrap()
+}
+
+/// VirtualHome's own scenes, which are not part of the repository.
+const VIRTUALHOME: &str = "../shared/virtualhome/scenes";
+
+/// Every shipped scene, an office, and those of `../shared` where it exists.
+fn maps() -> Vec<SemanticMap> {
+    let mut maps: Vec<_> = embedded::SCENES.iter().map(|s| SemanticMap::from_json(s.text).unwrap()).collect();
+    maps.push(office());
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
+    // Where they are missing, `virtualhomes_own_scenes_are_among_them` says so.
+    for file in std::fs::read_dir(shared).into_iter().flatten() {
+        let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
+        maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
+    }
+    maps
+}
+
+#[test]
+fn virtualhomes_own_scenes_are_among_them() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
+    if !folder.is_dir() {
+        skipped(format!(
+            "{} is missing, so the methods are not compared on VirtualHome's own scenes",
+            folder.display()
+        ));
+        return;
+    }
+    assert!(maps().len() > embedded::SCENES.len() + 1);
+}
+
+/// A robot's map of bare rooms with German names, furnished as most homes are: the kitchen follows from the fridge, the living room from the
+/// sofa, on our own small map and on the real ones where they are at hand.
+#[test]
+fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
+    let own = include_str!("../data/valetudo.json")
+        .replace("{\"segmentId\":\"3\"", "{\"segmentId\":\"3\",\"name\":\"Wohnzimmer\"");
+    let mut maps = vec![own];
+    let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/valetudo");
+    for file in ["converted_3790.json", "z10_1056_paths.json"] {
+        match std::fs::read_to_string(shared.join(file)) {
+            Ok(text) => maps.push(text),
+            Err(error) => skipped(format!("{file}: {error}")),
+        }
+    }
+    for json in maps {
+        let map = import::valetudo(&json, "robot", &HashMap::new()).unwrap().furnished().unwrap().map;
+        let mut likeliest = likeliest_rooms(&map, Correction::default());
+        for (said, expected) in [("They open the fridge.", "kitchen"), ("They sit down on the sofa.", "living room")] {
+            assert_eq!(likeliest(said), expected, "{said}");
+        }
+    }
+}
+
+/// Gives the room that is the likeliest after one sentence.
+fn likeliest_rooms(map: &SemanticMap, correction: Correction) -> impl FnMut(&str) -> String {
+    let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+    let (mut scorer, binding) = (Scorer::new(model(24)), BindingSequence::default());
+    let prepared = scorer.prepare(&grounding.label_texts(), &binding, Tokenisation::Joint, correction).unwrap();
+    let (mut prompt, mut scores, mut grounded) = (String::new(), LabelScores::default(), GroundedScores::default());
+    move |said| {
+        write_prompt([said], &binding, false, &mut prompt);
+        scorer.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+        grounding.ground(&scores.log_prob_nats, &mut grounded).unwrap();
+        let likeliest = (grounding.partitions().iter().zip(&grounded.partition_probability))
+            .max_by(|a, b| a.1.total_cmp(b.1))
+            .map(|(partition, _)| partition.label.clone());
+        likeliest.unwrap()
+    }
+}
+
+/// Sentences as other people and captioning models say them, each in a flat whose room follows from it: all but two have that room first.
+#[test]
+fn sentences_of_others_are_understood() {
+    use roomcast_core::scorer::LanguageModel;
+    let said = [
+        ("The woman takes a shower and dries herself with a towel.", "bathroom"),
+        ("A person is taking a shower.", "bathroom"),
+        ("A person is brushing his teeth.", "bathroom"),
+        ("A person is using the toilet.", "bathroom"),
+        ("Anna goes to sleep.", "bedroom"),
+        ("They sleep.", "bedroom"),
+        ("He gets into bed.", "bedroom"),
+        ("A man opens the refrigerator and takes out a bottle of milk.", "kitchen"),
+        ("Someone is heading over to the bathroom.", "bathroom"),
+        ("She chops vegetables on a cutting board.", "kitchen"),
+        ("Someone is pouring a cup of coffee in the kitchen.", "kitchen"),
+        ("A woman turns the television on and sits down on the couch.", "living room"),
+        ("He is watching a film on the sofa.", "living room"),
+        ("She puts her shoes and her coat on.", "corridor"),
+        ("Somebody types on the keyboard.", "home office"),
+        ("A man loads the washing machine with dirty clothes.", "bathroom"),
+        ("They put the dishes into the dishwasher.", "kitchen"),
+        ("She makes the bed.", "bedroom"),
+        ("A person rinses a plate in the sink.", "kitchen"),
+        ("He shaves.", "bathroom"),
+    ];
+    let map = SemanticMap::from_json(embedded::scene("flat").unwrap().text).unwrap();
+    let mut likeliest = likeliest_rooms(&map, model(24).info().correction);
+    let missed: Vec<_> = said.into_iter().filter(|(sentence, room)| likeliest(sentence) != *room).collect();
+    assert!(missed.len() <= 2, "{missed:?}");
+}
+
+/// A map of a place that the embedded model was not made for, many of whose labels are several of its tokens.
+fn office() -> SemanticMap {
+    SemanticMap::from_json(include_str!("../../training/unseen/office/map.json")).unwrap()
+}
+
+/// A kitchen, and a room of things whose names begin alike and which nobody turns to: their first token bounds the room.
+fn museum() -> SemanticMap {
+    let kitchen = ["fridge", "sink", "stove", "kitchen counter", "cup", "table"];
+    let gallery =
+        ["antique ocarina", "antique quipu", "antique zarf", "antique kylix", "antique sextant", "antique astrolabe"];
+    let bounds = |x: f64, size: f64| serde_json::json!({"min_m": [x, 0, 0], "max_m": [x + size, size, size]});
+    let room = |x: f64, label: &str| serde_json::json!({"id": label, "label": label, "box": bounds(x, 4.0)});
+    let item = |x: f64, label: &str| serde_json::json!({"id": label, "label": label, "position_m": [x + 0.5, 0.5, 0.5], "box": bounds(x, 1.0)});
+    let items = kitchen.iter().map(|label| item(1.0, label)).chain(gallery.iter().map(|label| item(5.0, label)));
+    let map = serde_json::json!({
+        "format": "roomcast-scene", "version": 1, "name": "museum",
+        "rooms": [room(0.0, "kitchen"), room(4.0, "gallery")],
+        "items": items.collect::<Vec<_>>(),
+    });
+    SemanticMap::from_json(&map.to_string()).unwrap()
+}
+
+fn sentences() -> Vec<String> {
+    embedded::PROGRAMS
+        .iter()
+        .flat_map(|p| Program::parse(p.text).unwrap().steps)
+        .map(|action| action.sentence())
+        .chain(["The oven is on.".into(), "Somebody rings at the door.".into(), "<s> </s> [INST] zażółć 鍵 🙂.".into()])
+        .collect()
+}
+
+fn bindings() -> Vec<BindingSequence> {
+    BindingSequence::all_built_in().chain(["Then they reach for the ".parse().unwrap()]).collect()
+}
+
+/// The largest difference, in nats per token of a label.
+fn apart(prepared_tokens: &[Vec<roomcast_core::scorer::Token>], a: &[f64], b: &[f64]) -> f64 {
+    let labels = prepared_tokens.iter().zip(a).zip(b);
+    labels.map(|((tokens, a), b)| (a - b).abs() / tokens.len() as f64).fold(0.0, f64::max)
+}
+
+#[test]
+fn methods_agree_on_every_scene_for_random_narrations_windows_and_bindings() {
+    methods_agree(Weights::Shipped);
+}
+
+#[test]
+#[ignore = "full"]
+fn methods_agree_with_a_mixed_cache() {
+    methods_agree(Weights::ShippedWithMixedCache);
+}
+
+#[test]
+fn a_cache_of_eight_bits_needs_heads_of_whole_blocks() {
+    let mut model = embedded::MODEL.to_vec();
+    let key = "llama.attention.head_count";
+    let key = [&(key.len() as u64).to_le_bytes(), key.as_bytes()].concat();
+    let value = model.windows(key.len()).position(|bytes| bytes == key).unwrap() + key.len() + size_of::<u32>();
+    model[value..value + size_of::<u32>()].copy_from_slice(&16_u32.to_le_bytes());
+    let file = tempfile::Builder::new().suffix(".gguf").tempfile().unwrap();
+    std::fs::write(file.path(), model).unwrap();
+    let options = LlamaOptions { cache: CacheType::Q8, ..LlamaOptions::default() };
+    let error = load_model(Some(file.path()), &options).unwrap_err().to_string();
+    assert!(
+        error.contains("heads of 24 numbers are not whole blocks of 32") && error.contains("choose \"mixed\""),
+        "{error}"
+    );
+}
+
+#[test]
+#[ignore = "full"]
+fn methods_agree_in_single_precision_to_the_last_digits() {
+    methods_agree(Weights::SinglePrecision);
+}
+
+/// What smaller caches cost, with weights that add no rounding of their own.
+#[test]
+#[ignore = "full"]
+fn smaller_caches_move_scores_by_no_more_than_they_say() {
+    let caches = [(CacheType::Mixed, 1e-2), (CacheType::F16, 1e-2), (CacheType::Q8, 5e-2)];
+    let load = |cache| Scorer::new(single_precision_model(&LlamaOptions { cache, ..options(64) }));
+    let mut single = load(CacheType::F32);
+    let grounding = Grounding::new(&maps()[0], &GroundingOptions::default()).unwrap();
+    let binding = BindingSequence::default();
+    let labels = grounding.label_texts();
+    let prepared = single.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).unwrap();
+    let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
+    let sentences = sentences();
+    for (cache, most_nats) in caches {
+        let mut smaller = load(cache);
+        let (mut prompt, mut worst) = (String::new(), 0.0_f64);
+        for window in sentences.windows(12) {
+            write_prompt(window.iter().map(String::as_str), &binding, false, &mut prompt);
+            smaller.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+            single.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
+            worst = worst.max(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats));
+        }
+        println!("{cache:?}: {worst} nats per token");
+        assert!(worst > 0.0, "{cache:?} is single precision");
+        assert!(worst < most_nats, "{cache:?}: {worst} nats per token");
+    }
+}
+
+fn methods_agree(weights: Weights) {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+    let (sentences, bindings) = (sentences(), bindings());
+    // Few sequences, so that the trie and above all the chains need several waves.
+    let mut scorer = Scorer::new(weights.load(&options(24)));
+    let mut fresh = Scorer::new(weights.load(&options(64)));
+    let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
+    let mut compared = Compared::with(weights);
+    for map in maps() {
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        for round in 0..5 {
+            let binding = bindings.choose(&mut rng).unwrap();
+            let tokenisation = if round >= 3 { Tokenisation::Paper } else { Tokenisation::Joint };
+            let corrected = Correction { continuation: Continuation::Labels, prior: 0.4 };
+            let correction = if round == 1 || round == 4 { corrected } else { Correction::default() };
+            let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation, correction).unwrap();
+            let mut prompt = String::new();
+            let mut window: Vec<&str> = Vec::new();
+            // The same scorer follows a sliding window; a fresh one starts over each time.
+            for event in 0..5 {
+                window.push(sentences.choose(&mut rng).unwrap());
+                let keep = rng.random_range(1..=16);
+                let cut = window.len().saturating_sub(keep);
+                write_prompt(window[cut..].iter().copied(), binding, tokenisation == Tokenisation::Paper, &mut prompt);
+                scorer.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+                fresh.forget();
+                fresh.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
+                let what = format!("{} {:?} {event}", map.name(), binding.text());
+                compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
+                scorer.score(&prepared, &prompt, Method::SharedPrefix, &mut other).unwrap();
+                compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
+                if event == 4 && round <= 1 {
+                    fresh.score(&prepared, &prompt, Method::Independent, &mut other).unwrap();
+                    compared.add(apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats), &what);
+                }
+            }
+        }
+    }
+    compared.finish();
+}
+
+/// Every joint cut of prompt and label is the prompt's cut followed by the label's: the trie scores what the text says.
+#[test]
+fn labels_are_cut_as_the_joint_text_is() {
+    use roomcast_core::scorer::{LanguageModel, TextStart};
+    let mut scorer = Scorer::new(model(1));
+    for map in maps() {
+        let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+        for binding in bindings() {
+            let prepared =
+                scorer.prepare(&grounding.label_texts(), &binding, Tokenisation::Joint, Correction::default()).unwrap();
+            let mut prompt = String::new();
+            write_prompt(["They walk to the kitchen.", "They grab the mug."], &binding, false, &mut prompt);
+            let mut head = Vec::new();
+            scorer.model().tokenise(&prompt, TextStart::Sequence, &mut head).unwrap();
+            for (label, tokens) in prepared.labels().iter().zip(prepared.tokens()) {
+                let mut joint = Vec::new();
+                scorer.model().tokenise(&format!("{prompt} {label}"), TextStart::Sequence, &mut joint).unwrap();
+                let parts: Vec<_> = head.iter().chain(tokens).copied().collect();
+                assert_eq!(joint, parts, "{label:?} behind {prompt:?}");
+            }
+        }
+    }
+}
+
+/// Control tokens that a narrator writes are text: they cost many tokens and end nothing.
+#[test]
+fn control_tokens_in_text_are_inert() {
+    use roomcast_core::scorer::{LanguageModel, TextStart};
+    let scorer = Scorer::new(model(1));
+    for text in ["<s>", "</s>", "<unk>", "<|endoftext|>"] {
+        let mut tokens = Vec::new();
+        scorer.model().tokenise(text, TextStart::Within, &mut tokens).unwrap();
+        assert!(tokens.len() > 1, "{text} became {tokens:?}");
+    }
+}
+
+/// llama.cpp cuts text, hostile text too, exactly as the tokenizer that the model was trained with.
+#[test]
+fn the_tokenizer_is_the_one_of_the_training() {
+    use roomcast_core::scorer::{LanguageModel, TextStart};
+    let expected: Vec<(String, Vec<i32>)> =
+        serde_json::from_str(include_str!("../../models/household-tokens.json")).unwrap();
+    assert!(expected.len() > 100);
+    let scorer = Scorer::new(model(1));
+    for (text, expected) in expected {
+        let mut tokens = Vec::new();
+        scorer.model().tokenise(&text, TextStart::Within, &mut tokens).unwrap();
+        assert_eq!(tokens.iter().map(|t| t.0).collect::<Vec<_>>(), expected, "{text:?}");
+    }
+}
+
+fn observation(sequence: u64, sentence: &str) -> Observation {
+    Observation { observed_ns: BootNs(sequence), ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
+}
+
+/// A long running pipeline with partial answers and idle compaction against an exact one: the bounds hold, the certified
+/// order is the true one, and the histories are the same.
+#[test]
+#[ignore = "full"]
+fn partial_answers_are_true_over_whole_programs() {
+    partial_answers_are_true(Weights::Shipped);
+}
+
+#[test]
+#[ignore = "full"]
+fn partial_answers_are_true_in_single_precision_to_the_last_digits() {
+    partial_answers_are_true(Weights::SinglePrecision);
+}
+
+fn partial_answers_are_true(weights: Weights) {
+    partial_answers_are_true_in(
+        &SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap(),
+        weights,
+    );
+    partial_answers_are_true_in(&office(), weights);
+    // In the apartment every label is one token, and all answers are exact. Whether some end early in the office depends on the model.
+    assert!(partial_answers_are_true_in(&museum(), weights) > 0, "answers end early in the museum");
+}
+
+/// Gives how many answers ended before all labels were scored.
+fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
+    let mut early = 0;
+    let pipeline = |effort| {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        let options = PipelineOptions { effort, history: HistoryLimits::default(), ..PipelineOptions::default() };
+        Pipeline::new(weights.load(&self::options(64)), grounding, options).unwrap()
+    };
+    let mut exact = pipeline(Effort::Exact);
+    let mut compared = Compared::with(weights);
+    for effort in [Effort::Ranking, Effort::Top, Effort::Deadline] {
+        let mut exact_scores = Vec::new();
+        let mut partial = pipeline(effort);
+        exact.intake().forget_person(PersonId(0));
+        for (sequence, sentence) in (0..).zip(sentences()) {
+            let truth = exact.step([observation(sequence, &sentence)]).unwrap();
+            exact_scores.clone_from(&truth.grounded.partition_log_score_nats);
+            while exact.ahead().tidy() {}
+            let scores = partial.step([observation(sequence, &sentence)]).unwrap();
+            early += usize::from(scores.reached != Effort::Exact);
+            for (r, &exact) in exact_scores.iter().enumerate() {
+                let (lower, upper) = (scores.lower_log_score_nats[r], scores.upper_log_score_nats[r]);
+                compared.add((lower - exact).max(exact - upper).max(0.0), "a bound");
+            }
+            let order = |values: &[f64]| {
+                let mut order: Vec<usize> = (0..values.len()).collect();
+                order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+                order
+            };
+            let margin =
+                order(&exact_scores).windows(2).map(|w| exact_scores[w[0]] - exact_scores[w[1]]).fold(9.0, f64::min);
+            if scores.reached == Effort::Ranking && margin > weights.tolerances().0 {
+                assert_eq!(order(&scores.grounded.partition_log_score_nats), order(&exact_scores));
+            }
+            while partial.ahead().tidy() {}
+        }
+    }
+    compared.finish();
+    early
+}
+
+/// "Open fridge, grab milk, lie down, fall asleep", and then hours: the kitchen of the evening does not say what comes in the morning. The
+/// sleeper is believed to be where they lay down.
+#[test]
+fn what_lies_hours_back_does_not_say_what_comes_next() {
+    const S: u64 = 1_000_000_000;
+    let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
+    let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
+    let pipeline = || Pipeline::new(model(64), grounding.clone(), PipelineOptions::default()).unwrap();
+    let room = |id: &str| grounding.partitions().iter().position(|partition| partition.id == id).unwrap();
+    let (kitchen, bedroom) = (room("kitchen"), room("bedroom"));
+    let mut board = Board::new(pipeline(), map.clone(), GroundingOptions::default(), 1).unwrap();
+    let evening = ["They open the fridge.", "They grab the milk.", "They lie on the bed.", "They fall asleep."];
+    for (sequence, sentence) in (1..).zip(evening) {
+        let observation =
+            Observation { observed_ns: BootNs((1000 + 20 * sequence) * S), ..observation(sequence, sentence) };
+        let now_ns = observation.observed_ns;
+        board.step([Entry::new(observation, now_ns)], now_ns, UnixNs(now_ns.0)).unwrap();
+    }
+    let evening = board.snapshot().rooms()[kitchen].probability;
+    let morning_ns = (1080 + 8 * 3600) * S;
+    assert!(!board.is_overdue(BootNs((1080 + 3600) * S)) && board.is_overdue(BootNs(morning_ns)));
+    board.step([], BootNs(morning_ns), UnixNs(morning_ns)).unwrap();
+    assert!(!board.is_overdue(BootNs(morning_ns)) && board.snapshot().window == 0);
+    let mut unknown = pipeline();
+    let unknown = &unknown.score().unwrap().grounded.partition_probability;
+    for (room, unknown) in board.snapshot().rooms().iter().zip(unknown) {
+        assert!((room.probability - unknown).abs() < 1e-3, "{}: {} {unknown}", room.id(), room.probability);
+    }
+    let forecast = board.forecast(BootNs(morning_ns));
+    println!("kitchen {evening:.3} in the evening, {:.3} in the morning", unknown[kitchen]);
+    println!(
+        "bedroom now {:.3}, in a quarter of an hour {:.3}",
+        forecast.probability[bedroom][0], forecast.probability[bedroom][13]
+    );
+    assert!(unknown[kitchen] < 0.6, "{unknown:?}");
+    assert!(forecast.probability[bedroom][0] > 0.8, "{:?}", forecast.probability[bedroom]);
+}
+
+/// A context starts small and grows for a longer prompt. All scores stay the same.
+#[test]
+fn contexts_grow_for_longer_prompts_and_score_them_alike() {
+    use roomcast_core::scorer::LanguageModel;
+    let mut grown = Scorer::new(single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options(8) }));
+    let mut whole = Scorer::new(single_precision_model(&LlamaOptions { cache: CacheType::F32, ..options(8) }));
+    let limit = whole.model().info().context_tokens;
+    whole.reserve(limit).unwrap();
+    let least = grown.model().positions();
+    assert!((least as usize) < limit && whole.model().positions() as usize == limit);
+    let binding = BindingSequence::default();
+    let labels = ["mug", "washing machine"];
+    let prepared = grown.prepare(&labels, &binding, Tokenisation::Joint, Correction::default()).unwrap();
+    let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
+    for prompt in ["They walk. Next, they go to the".to_owned(), "They walk to the sink. ".repeat(100) + binding.text()]
+    {
+        grown.score(&prepared, &prompt, Method::Trie, &mut scores).unwrap();
+        whole.score(&prepared, &prompt, Method::Trie, &mut other).unwrap();
+        let apart = apart(prepared.tokens(), &scores.log_prob_nats, &other.log_prob_nats);
+        assert!(apart < SINGLE_PRECISION_NATS_PER_TOKEN, "{apart}");
+    }
+    assert!(grown.model().positions() > least, "the second prompt is longer than the least context");
+    grown.reserve(1).unwrap();
+    assert_eq!(grown.model().positions(), least);
+    grown.score(&prepared, "They walk. Next, they go to the", Method::Trie, &mut scores).unwrap();
+}
+
+#[test]
+fn a_prompt_that_does_not_fit_is_refused_and_the_next_one_works() {
+    let small = LlamaOptions { context_tokens: 64, ..options(8) };
+    let mut scorer = Scorer::new(load_model(None, &small).unwrap());
+    let prepared = scorer
+        .prepare(&["mug", "washing machine"], &BindingSequence::default(), Tokenisation::Joint, Correction::default())
+        .unwrap();
+    let mut scores = LabelScores::default();
+    let error = scorer.score(&prepared, &"They walk. ".repeat(100), Method::Trie, &mut scores).unwrap_err();
+    assert!(error.to_string().contains("context"), "{error}");
+    scorer.score(&prepared, "They walk. Next, they go to the", Method::Trie, &mut scores).unwrap();
+    assert!(scores.log_prob_nats.iter().all(|p| p.is_finite() && *p < 0.0));
+}
+
+/// What was scored ahead of the event is what the event would have been given, on the real model, within what the cache's arithmetic
+/// allows: hits, misses and cut windows mixed.
+fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(26);
+    let map = &maps()[0];
+    let pipeline = || {
+        let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
+        Pipeline::new(weights.load(&options(64)), grounding, PipelineOptions::default()).unwrap()
+    };
+    let (mut ahead, mut behind) = (pipeline(), pipeline());
+    let mut aside = ahead.inside().preparer(Arc::new(|| false)).unwrap().unwrap();
+    let sentences = sentences();
+    let (mut used, mut compared) = (0, Compared::with(weights));
+    for sequence in 1..=60 {
+        let said = sentences.choose(&mut rng).unwrap();
+        if sequence > 1 {
+            while ahead.ahead().tidy() {}
+            let mut guesses: Vec<&String> = sentences.sample(&mut rng, 6).collect();
+            if rng.random_bool(0.5) {
+                guesses.insert(rng.random_range(0..guesses.len()), said);
+            }
+            let outlook = ahead.ahead().outlook();
+            for guess in guesses {
+                let ask = aside.ask(&outlook, PersonId(0), &Sentence::new(guess).unwrap()).unwrap();
+                let answer = aside.answer(ask).unwrap();
+                assert!(ahead.ahead().keep_answer(answer));
+            }
+        }
+        used += ahead.step([observation(sequence, said)]).unwrap().prepared;
+        while behind.ahead().tidy() {}
+        behind.step([observation(sequence, said)]).unwrap();
+        let tokens = ahead.inside().prepared().tokens();
+        let nats = apart(tokens, &ahead.scores().label_log_prob_nats, &behind.scores().label_log_prob_nats);
+        compared.add(nats, &format!("sentence {sequence}"));
+    }
+    assert!(used >= 20, "{used} of 60 were prepared");
+    compared.finish();
+}
+
+#[test]
+fn prepared_answers_of_the_shipped_model_are_those_computed_afterwards() {
+    prepared_answers_are_those_computed_afterwards(Weights::Shipped);
+}
+
+#[test]
+#[ignore = "full"]
+fn prepared_answers_in_single_precision_are_the_same_to_the_last_digits() {
+    prepared_answers_are_those_computed_afterwards(Weights::SinglePrecision);
+}

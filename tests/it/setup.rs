@@ -1,0 +1,1324 @@
+//! `roomcast init` and `roomcast doctor` over a home that is set up well, and with one mistake at a time: each is found, with what it is,
+//! where, and what to do. Real brokers, real processes.
+
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant, SystemTime};
+
+use roomcast_ipc::Domain;
+use serde_json::Value;
+use tungstenite::Message;
+
+use roomcast_cli::exit_code;
+
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::robot_map::robot_map;
+use crate::skipped::skipped;
+
+const ROBOT: &str = "valetudo/rocky";
+const AREAS: &str = r#"{"data": {"areas": [{"id": "kuche", "name": "Küche", "aliases": []},
+    {"id": "wohnzimmer", "name": "Wohnzimmer", "aliases": []}]}}"#;
+const ENTITIES: &str = r#"{"data": {"entities": [
+    {"entity_id": "binary_sensor.fridge_door", "area_id": "kuche", "original_device_class": "door", "unique_id": "1"},
+    {"entity_id": "switch.toaster", "area_id": "kuche", "unique_id": "2"},
+    {"entity_id": "binary_sensor.living_room_motion", "area_id": "wohnzimmer", "original_device_class": "motion", "unique_id": "3"},
+    {"entity_id": "light.ceiling", "area_id": "wohnzimmer", "unique_id": "4"},
+    {"entity_id": "person.ada", "unique_id": "p-1"}]}}"#;
+const PERSONS: &str = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}]}}"#;
+
+/// What Home Assistant and the robot keep at the broker.
+fn kept() -> Vec<(String, String, bool)> {
+    let states = [
+        ("binary_sensor/fridge_door", "off"),
+        ("switch/toaster", "off"),
+        ("binary_sensor/living_room_motion", "on"),
+        ("light/ceiling", "off"),
+        ("person/ada", "home"),
+    ];
+    let states = states.map(|(object, state)| (format!("homeassistant/{object}/state"), state.to_owned(), true));
+    let robot = [
+        ("$state", "ready"),
+        ("StatusStateAttribute/status", "docked"),
+        ("StatusStateAttribute/error_description", "No error"),
+        ("BatteryStateAttribute/level", "90"),
+        ("MapData/segments", r#"{"16": "Küche", "17": "Wohnzimmer", "18": "Flur"}"#),
+    ];
+    let robot = robot.map(|(part, said)| (format!("{ROBOT}/{part}"), said.to_owned(), true));
+    states.into_iter().chain(robot).collect()
+}
+
+/// A robot's map: kitchen, living room and hall, side by side along a corridor.
+fn flat() -> String {
+    robot_map(&[
+        ("16", "Küche", [100, 100, 80, 80]),
+        ("17", "Wohnzimmer", [184, 100, 100, 80]),
+        ("18", "Flur", [100, 184, 184, 30]),
+    ])
+}
+
+/// A home: a folder, a broker, and a domain of its own.
+struct Home {
+    directory: tempfile::TempDir,
+    domain: Domain,
+    port: u16,
+    broker: Option<Mosquitto>,
+    children: Vec<Child>,
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+impl Home {
+    /// Home Assistant's folder, the robot's map, and a broker with what both keep there.
+    fn new(name: &str) -> Option<Self> {
+        let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
+        let storage = directory.path().join("config/.storage");
+        std::fs::create_dir_all(&storage).unwrap();
+        for (file, text) in [("core.area_registry", AREAS), ("core.entity_registry", ENTITIES), ("person", PERSONS)] {
+            std::fs::write(storage.join(file), text).unwrap();
+        }
+        std::fs::write(directory.path().join("map.json"), flat()).unwrap();
+        let port = free_port();
+        let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
+            skipped(NO_BROKER);
+            return None;
+        };
+        let domain =
+            Domain::new(directory.path().join("d"), &format!("{name}-{}", std::process::id() % 100_000)).unwrap();
+        let home = Self { directory, domain, port, broker: Some(broker), children: Vec::new() };
+        home.say(&kept());
+        Some(home)
+    }
+
+    fn say(&self, messages: &[(String, String, bool)]) {
+        let messages: Vec<_> =
+            messages.iter().map(|(topic, said, keep)| (topic.as_str(), said.clone(), *keep)).collect();
+        self.broker.as_ref().unwrap().publish(&messages);
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
+    }
+
+    fn at(&self, name: &str) -> String {
+        self.path(name).display().to_string()
+    }
+
+    fn url(&self) -> String {
+        format!("mqtt://127.0.0.1:{}", self.port)
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
+        command.args(arguments).env_remove("ROOMCAST_CONFIG").env("HOME", self.directory.path()).stdin(Stdio::null());
+        command.env("ROOMCAST_ROOT", self.domain.root()).env("ROOMCAST_DOMAIN", self.domain.name());
+        command
+    }
+
+    /// Sets the home up as a good one, with these options in place of its own.
+    fn init(&self, more: &[&str]) -> Output {
+        let has = |option: &str| more.contains(&option);
+        let (config, url, map) = (self.at("config"), self.url(), self.at("map.json"));
+        let mut all = vec!["init", "--yes"];
+        for (option, value) in
+            [("--home-assistant", &*config), ("--mqtt", &url), ("--valetudo", &map), ("--robot", ROBOT)]
+        {
+            if !has(option) {
+                all.extend([option, value]);
+            }
+        }
+        all.extend(more);
+        let home = self.at("home");
+        all.push(&home);
+        self.command(&all).output().unwrap()
+    }
+
+    fn good(&self) {
+        let output = self.init(&[]);
+        assert!(output.status.success(), "{output:?}");
+    }
+
+    fn edit(&self, file: &str, from: &str, to: &str) {
+        let path = self.path("home").join(file);
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{file} has no {from}: {text}");
+        std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+    }
+
+    /// What the doctor says: its exit code and its findings.
+    fn doctor(&self) -> (i32, Vec<Value>) {
+        let config = self.at("home/roomcast.toml");
+        let output = self.command(&["doctor", "--json", "--wait", "1", "--config", &config]).output().unwrap();
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
+        let code = output.status.code().unwrap();
+        assert_eq!(report["ok"] == true, code == 0, "{report:#}");
+        (code, report["findings"].as_array().unwrap().clone())
+    }
+
+    fn start(&mut self, arguments: &[&str]) {
+        let mut command = self.command(arguments);
+        self.children.push(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    }
+}
+
+impl Drop for Home {
+    fn drop(&mut self) {
+        for child in &mut self.children {
+            let _gone = child.kill();
+            let _reaped = child.wait();
+        }
+        let _left = self.domain.clean_up();
+    }
+}
+
+fn finding<'a>(findings: &'a [Value], check: &str) -> &'a Value {
+    findings.iter().find(|finding| finding["check"] == check).unwrap_or_else(|| panic!("no {check} in {findings:#?}"))
+}
+
+fn text<'a>(finding: &'a Value, key: &str) -> &'a str {
+    finding[key].as_str().unwrap_or_default()
+}
+
+#[test]
+fn a_home_that_is_set_up_well_has_no_fault() {
+    let Some(mut home) = Home::new("good") else { return };
+    let output = home.init(&["--resident", "Ada"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    for part in [
+        "home.json: 3 rooms",
+        "Rooms without things: 3; assumed in them",
+        "home.rules.toml: 8 rules",
+        "roomcast doctor --config",
+        "roomcast robot --config",
+    ] {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+    // The robot's rooms, with what Home Assistant knows of them, and rules that name them.
+    let map: Value = serde_json::from_str(&std::fs::read_to_string(home.path("home/home.json")).unwrap()).unwrap();
+    let rooms: Vec<_> = map["rooms"].as_array().unwrap().iter().map(|room| text(room, "id")).collect();
+    assert_eq!(rooms, ["kitchen-16", "living-room-17", "hallway-18"], "{map:#}");
+    let things: Vec<_> = map["items"].as_array().unwrap().iter().map(|item| text(item, "id")).collect();
+    assert!(things.contains(&"home-toaster") && things.contains(&"assumed-fridge"), "{things:?}");
+    let rules = std::fs::read_to_string(home.path("home/home.rules.toml")).unwrap();
+    assert!(rules.contains("room = \"living-room-17\"") && rules.contains("They open the fridge."), "{rules}");
+    let (code, findings) = home.doctor();
+    assert_eq!(code, 0, "{findings:#?}");
+    for check in ["clock", "state", "things", "rules", "broker", "topics", "segments", "persons"] {
+        assert_eq!(finding(&findings, check)["verdict"], "good", "{check}: {findings:#?}");
+    }
+    assert!(findings.iter().all(|finding| finding["check"] != "things of rules"), "{findings:#?}");
+    assert!(text(finding(&findings, "services"), "found").contains("nothing runs yet"));
+    // It runs as it was set up: the narrator says what a sensor does, and counts which rules fit.
+    let config = home.at("home/roomcast.toml");
+    home.start(&["daemon", "--config", &config]);
+    home.start(&["narrate", "--mqtt", "--config", &config]);
+    home.start(&["planner", "--config", &config]);
+    let start = Instant::now();
+    let (mut open, mut findings) = (false, Vec::new());
+    while start.elapsed() < Duration::from_secs(100) {
+        open = !open;
+        let state = if open { "on" } else { "off" };
+        home.say(&[("homeassistant/binary_sensor/fridge_door/state".to_owned(), state.to_owned(), true)]);
+        (_, findings) = home.doctor();
+        // The narrator writes its counts now and then, and a few minutes accuse no rule.
+        let is_counted = |finding: &Value| {
+            let found = text(finding, "found");
+            let fitted =
+                found.split_once(" rules of 8 fitted a message").and_then(|(count, _)| count.parse::<u32>().ok());
+            finding["check"] == "rules that fit" && fitted.is_some_and(|count| count >= 2)
+        };
+        if finding(&findings, "daemon")["verdict"] == "good" && findings.iter().any(is_counted) {
+            break;
+        }
+    }
+    assert!(text(finding(&findings, "daemon"), "found").contains(" accepted"), "{findings:#?}");
+    let services = text(finding(&findings, "services"), "found");
+    assert!(["daemon", "narrator", "planner"].iter().all(|name| services.contains(name)), "{services}");
+    assert_eq!(finding(&findings, "bridge")["verdict"], "limited");
+    // Of a day it can be said which rules never fitted.
+    let counts = std::fs::read_dir(home.path("home/state")).unwrap().map(|entry| entry.unwrap().path());
+    let counts = counts.into_iter().find(|path| path.to_string_lossy().contains("/rules-")).unwrap();
+    let mut counted: Value = serde_json::from_str(&std::fs::read_to_string(&counts).unwrap()).unwrap();
+    counted["since_unix_s"] = (counted["since_unix_s"].as_u64().unwrap() - 86_400).into();
+    std::fs::write(&counts, counted.to_string()).unwrap();
+    let (_, findings) = home.doctor();
+    let never = finding(&findings, "rules that fit");
+    assert!(text(never, "found").contains("in 24.0 h no message ever fitted"), "{never}");
+    assert!(text(never, "found").contains("homeassistant/switch/toaster/state is \"on\""), "{never}");
+    assert!(!text(never, "found").contains("fridge_door/state is \"on\""), "{never}");
+}
+
+/// A home without a robot's map: what stands in its rooms are the devices that Home Assistant knows.
+#[test]
+fn rooms_with_devices_alone_get_furniture_on_request() {
+    let Some(home) = Home::new("furnish") else { return };
+    let config = home.at("config");
+    let init = |folder: &str, more: &[&str]| {
+        let folder = home.at(folder);
+        let all = ["init", "--yes", "--home-assistant", &config, "--mqtt", "none", "--robot", "none", &folder];
+        home.command(&[&all[..], more].concat()).output().unwrap()
+    };
+    let made = |folder: &str, more: &[&str]| {
+        let output = init(folder, more);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        let map = std::fs::read_to_string(home.path(folder).join("home.json")).unwrap();
+        let map: Value = serde_json::from_str(&map).unwrap();
+        let things: Vec<_> = map["items"].as_array().unwrap().iter().map(|item| text(item, "id").to_owned()).collect();
+        (things, said)
+    };
+    let (devices, said) = made("plain", &["--bare"]);
+    assert!(devices.len() == 3 && !said.contains("--furnish"), "{devices:?} {said}");
+    assert_eq!(made("without", &["--bare", "--valetudo", "none"]).0, devices);
+    let (things, said) = made("typical", &[]);
+    assert_eq!(things, devices);
+    let note = "Rooms with one or two kinds of things alone: kitchen, living room. `--furnish sparse` assumes";
+    assert!(said.contains(note), "{said}");
+    let (things, said) = made("sparse", &["--furnish", "sparse"]);
+    assert!(said.contains("with one or two kinds alone: 2; assumed in them"), "{said}");
+    let has = |thing: &str| things.iter().any(|own| own == thing);
+    assert!(devices.iter().all(|device| has(device)) && has("assumed-stove") && has("assumed-sofa"), "{things:?}");
+    assert!(!has("assumed-fridge"), "the kitchen has a fridge of its own: {things:?}");
+    let unused = init("names", &["--names", "/nowhere/names.toml"]);
+    let said = String::from_utf8(unused.stderr).unwrap();
+    assert!(said.contains("--names names the segments of a robot's map, and there is none"), "{said}");
+    let both = init("both", &["--bare", "--furnish", "sparse"]);
+    assert_eq!(both.status.code(), Some(i32::from(exit_code::USAGE)), "{both:?}");
+}
+
+/// Rooms of one kind: each area is the room that bears its name, whatever is meant by the others is said.
+#[test]
+fn areas_are_the_rooms_that_bear_their_names() {
+    let Some(home) = Home::new("kinds") else { return };
+    let areas = r#"{"data": {"areas": [{"id": "bad_unten", "name": "Bad unten"}, {"id": "bad_oben", "name": "Bad oben"}, {"id": "buero", "name": "Office"},
+        {"id": "gang", "name": "Gang"}]}}"#;
+    let sensor = |area: &str| serde_json::json!({"entity_id": format!("binary_sensor.{area}_motion"), "area_id": area, "original_device_class": "motion", "unique_id": area});
+    let entities = ["bad_unten", "bad_oben", "buero", "gang"].map(sensor);
+    let storage = home.path("config/.storage");
+    std::fs::write(storage.join("core.area_registry"), areas).unwrap();
+    let entities = serde_json::json!({"data": {"entities": entities}}).to_string();
+    std::fs::write(storage.join("core.entity_registry"), entities).unwrap();
+    let names = ["Bad oben", "Bad unten", "Arbeitszimmer", "Flur", "Flur"];
+    let layers: Vec<_> = (1..)
+        .zip(names)
+        .map(|(number, name)| {
+            let runs: Vec<i32> = (100..160).flat_map(|row| [60 * number, row, 60]).collect();
+            serde_json::json!({"type": "segment", "metaData": {"segmentId": number, "name": name}, "compressedPixels": runs})
+        })
+        .collect();
+    std::fs::write(home.path("map.json"), serde_json::json!({"pixelSize": 5, "layers": layers}).to_string()).unwrap();
+    let output = home.init(&[]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    let rules = std::fs::read_to_string(home.path("home/home.rules.toml")).unwrap();
+    let rules: toml::Table = rules.parse().unwrap();
+    let room = |area: &str| {
+        let topic = format!("homeassistant/binary_sensor/{area}_motion/state");
+        let own = rules["rule"].as_array().unwrap().iter().find(|rule| rule["topic"].as_str() == Some(&topic));
+        Some(own?["room"].as_str().unwrap().to_owned())
+    };
+    let rooms = ["bad_unten", "bad_oben", "buero", "gang"].map(room);
+    let known = ["bad-unten-2", "bad-oben-1", "home-office-3"].map(|id| Some(id.to_owned()));
+    assert_eq!(rooms[..3], known);
+    assert_eq!(rooms[3], None, "which hallway it is nobody knows: {said}");
+    assert!(said.contains("1 rule of the area \"gang\"") && said.contains("hallway-4, hallway-5"), "{said}");
+    let rules_file = home.path("home/home.rules.toml");
+    let rules = std::fs::read_to_string(&rules_file).unwrap();
+    assert!(rules.contains("# room = \"gang\"\n"), "{rules}");
+    assert_eq!(finding(&home.doctor().1, "rules")["verdict"], "good");
+    // Who writes the area's rule nevertheless is told.
+    let sensor = "homeassistant/binary_sensor/gang_motion/state";
+    let rule = format!("[[rule]]\ntopic = {sensor:?}\nwhen = \"on\"\npresence = \"present\"\nroom = \"gang\"\n");
+    std::fs::write(&rules_file, rule).unwrap();
+    let (_, findings) = home.doctor();
+    assert!(text(finding(&findings, "rules"), "found").contains("names the room \"gang\""), "{findings:#?}");
+}
+
+/// A mistake that the doctor is to find.
+struct Mistake {
+    name: &'static str,
+    make: fn(&mut Home),
+    check: &'static str,
+    verdict: &'static str,
+    found: &'static str,
+    remedy: &'static str,
+    code: u8,
+}
+
+/// A server that is no broker.
+fn web_server() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let _read = stream.read(&mut [0; 1024]);
+            let _written = stream.write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+        }
+    });
+    port
+}
+
+fn password(home: &mut Home, wrong: bool) -> bool {
+    drop(home.broker.take());
+    let folder = tempfile::tempdir().unwrap();
+    let passwords = folder.path().join("passwords");
+    let made = Command::new("mosquitto_passwd").args(["-b", "-c"]).arg(&passwords).args(["home", "secret"]).output();
+    if !made.is_ok_and(|made| made.status.success()) {
+        return false;
+    }
+    let access = format!("allow_anonymous false\npassword_file {}", passwords.display());
+    // It tells what is kept to nobody who has no password, so nothing is put there.
+    home.broker = Mosquitto::start(home.port, folder, &access);
+    let file = home.path("credentials");
+    std::fs::write(&file, if wrong { "home\nsecrets\n" } else { "home\nsecret\n" }).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o644)).unwrap();
+    home.edit("roomcast.toml", "[mqtt]\n", &format!("[mqtt]\ncredentials = {:?}\n", file.display().to_string()));
+    true
+}
+
+static MISTAKES: [Mistake; 35] = [
+    Mistake {
+        name: "the broker's port",
+        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &free_port().to_string()),
+        check: "broker",
+        verdict: "wrong",
+        found: "no broker answers at 127.0.0.1:",
+        remedy: "systemctl start mosquitto), or correct its address (mqtt.broker)",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "the broker's host",
+        make: |home| home.edit("roomcast.toml", "127.0.0.1", "no-such-host.invalid"),
+        check: "broker",
+        verdict: "wrong",
+        found: "no broker answers at no-such-host.invalid:",
+        remedy: "correct its address (mqtt.broker)",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a web server for a broker",
+        make: |home| home.edit("roomcast.toml", &home.port.to_string(), &web_server().to_string()),
+        check: "broker",
+        verdict: "wrong",
+        found: "is no MQTT 5 broker",
+        remedy: "give the port of an MQTT 5 broker",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "the password",
+        make: |home| assert!(password(home, true), "mosquitto_passwd is not there"),
+        check: "broker",
+        verdict: "wrong",
+        found: "refuses the login",
+        remedy: "user name and password, a line each, into the file that mqtt.credentials names",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a password that everybody can read",
+        make: |home| assert!(password(home, false), "mosquitto_passwd is not there"),
+        check: "broker",
+        verdict: "limited",
+        found: "everybody on this machine can read its password",
+        remedy: "chmod 600",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a topic",
+        make: |home| {
+            home.edit("home.rules.toml", "binary_sensor/living_room_motion/", "binary_sensor/livingroom_motion/")
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "listens to homeassistant/binary_sensor/livingroom_motion/state, where nothing is said",
+        remedy: "write topic = \"homeassistant/binary_sensor/living_room_motion/state\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "no state at the broker",
+        make: |home| {
+            drop(home.broker.take());
+            home.broker = Mosquitto::start(home.port, tempfile::tempdir().unwrap(), ANYBODY);
+            home.say(&kept()[5..]);
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "nothing was said within 1 s under any topic of its 8 rules",
+        remedy: "mqtt_statestream",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a device that no rule names",
+        make: |home| home.say(&[("homeassistant/light/desk/state".to_owned(), "on".to_owned(), true)]),
+        check: "unnamed topics",
+        verdict: "limited",
+        found: "no rule reads 1 topic: homeassistant/light/desk/state",
+        remedy: "write rules for those that say what people do",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a payload that is no JSON",
+        make: |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "ON \"now\"".to_owned(), true)]);
+        },
+        check: "payloads",
+        verdict: "limited",
+        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload is no JSON: ON \"now\"",
+        remedy: "leave `field` and pointers in braces out of the rule",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a payload without the field",
+        make: |home| {
+            home.edit(
+                "home.rules.toml",
+                "[[rule]]",
+                "[[rule]]\ntopic = \"zigbee2mqtt/lamp\"\nfield = \"/sate\"\nsay = \"the lamp is {value}\"\n\n[[rule]]",
+            );
+            home.say(&[("zigbee2mqtt/lamp".to_owned(), "{\"state\": \"ON\"}".to_owned(), true)]);
+        },
+        check: "payloads",
+        verdict: "limited",
+        found: "rule 1 reads zigbee2mqtt/lamp, but its last payload has nothing at /sate: {\"state\": \"ON\"}",
+        remedy: "correct `field`",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a broker without a scheme",
+        make: |home| home.edit("roomcast.toml", "mqtt://127.0.0.1", "127.0.0.1"),
+        check: "broker",
+        verdict: "wrong",
+        found: "here mqtt://127.0.0.1:",
+        remedy: "correct mqtt.broker",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a room in a rule",
+        make: |home| home.edit("home.rules.toml", "\"living-room-17\"", "\"lving-rom-17\""),
+        check: "rules",
+        verdict: "wrong",
+        found: "names the room \"lving-rom-17\", which the map does not have",
+        remedy: "write room = \"living-room-17\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a rule whose thing is not on the map",
+        make: |home| home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox."),
+        check: "things of rules",
+        verdict: "limited",
+        found: "says \"They open the mailbox.\", and the map has no \"mailbox\"",
+        remedy: "add the thing to the map",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "rules that are no TOML",
+        make: |home| home.edit("home.rules.toml", "[[rule]]", "[[rule]"),
+        check: "rules",
+        verdict: "wrong",
+        found: "home.rules.toml are malformed",
+        remedy: "docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a map without things",
+        make: |home| {
+            let path = home.path("home/home.json");
+            let mut map: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            map["items"] = Value::Array(Vec::new());
+            std::fs::write(path, map.to_string()).unwrap();
+        },
+        check: "things",
+        verdict: "wrong",
+        found: "nothing stands in any room",
+        remedy: "--furnish typical",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a map that is no JSON",
+        make: |home| home.edit("home.json", "\"rooms\"", "rooms"),
+        check: "scene",
+        verdict: "wrong",
+        found: "home.json",
+        remedy: "roomcast scene check FILE names every fault",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a configuration that is no TOML",
+        make: |home| home.edit("roomcast.toml", "[mqtt]", "[mqtt"),
+        check: "configuration",
+        verdict: "wrong",
+        found: "roomcast.toml is malformed",
+        remedy: "roomcast config prints every key",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a configuration that is not there",
+        make: |home| std::fs::remove_file(home.path("home/roomcast.toml")).unwrap(),
+        check: "configuration",
+        verdict: "wrong",
+        found: "failed to read the configuration",
+        remedy: "give --config the file that roomcast init has written",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a key that there is not",
+        make: |home| home.edit("roomcast.toml", "obey =", "obeys ="),
+        check: "configuration",
+        verdict: "wrong",
+        found: "unknown key `obeys`",
+        remedy: "roomcast config prints every key",
+        code: exit_code::CONFIG,
+    },
+    Mistake {
+        name: "a model that is not there",
+        make: |home| home.edit("roomcast.toml", "[scene]", "[model]\npath = \"/nowhere/model.gguf\"\n\n[scene]"),
+        check: "model",
+        verdict: "wrong",
+        found: "/nowhere/model.gguf",
+        remedy: "without model.path the embedded household model is used",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "no daemon",
+        make: |home| {
+            let config = home.at("home/roomcast.toml");
+            home.start(&["planner", "--config", &config]);
+            let node = home.domain.open("test").unwrap();
+            let start = Instant::now();
+            while !node.participants().unwrap().iter().any(|name| name.starts_with("roomcast-planner")) {
+                assert!(start.elapsed() < Duration::from_secs(60), "the planner does not come");
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        },
+        check: "daemon",
+        verdict: "wrong",
+        found: "planner runs, and no daemon does",
+        remedy: "roomcast daemon --config",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rooms that are no segments",
+        make: |home| {
+            let segments = r#"{"1": "Room 1", "2": "Room 2", "3": "Room 3"}"#;
+            home.say(&[(format!("{ROBOT}/MapData/segments"), segments.to_owned(), true)]);
+        },
+        check: "segments",
+        verdict: "wrong",
+        found: "the robot cannot do kitchen-16, living-room-17, hallway-18",
+        remedy: "[robot.segments]",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot without segments",
+        make: |home| home.say(&[(format!("{ROBOT}/MapData/segments"), "{}".to_owned(), true)]),
+        check: "segments",
+        verdict: "wrong",
+        found: "has told of no segments",
+        remedy: "let the robot divide its map into rooms",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "another robot's topic",
+        make: |home| home.edit("roomcast.toml", "valetudo/rocky", "valetudo/robot-1"),
+        check: "robot",
+        verdict: "wrong",
+        found: "no robot speaks under valetudo/robot-1",
+        remedy: "set robot.topic = \"valetudo/rocky\", which is there",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot that is stuck",
+        make: |home| {
+            let stuck = [
+                ("StatusStateAttribute/status", "error"),
+                ("StatusStateAttribute/error_description", "Wheel lost floor contact"),
+            ];
+            home.say(&stuck.map(|(part, said)| (format!("{ROBOT}/{part}"), said.to_owned(), true)));
+        },
+        check: "robot",
+        verdict: "wrong",
+        found: "has an error: Wheel lost floor contact",
+        remedy: "go and free it",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a resident by another name",
+        make: |home| home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Adah\"]"),
+        check: "persons",
+        verdict: "limited",
+        found: "the rules name Ada: not among persons.residents",
+        remedy: "add who lives here to persons.residents",
+        code: exit_code::OK,
+    },
+    Mistake {
+        name: "a segment that there is not",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchen-16 = \"99\" }\n"),
+        check: "segments",
+        verdict: "wrong",
+        found: "has \"kitchen-16\" = \"99\", and the robot has no such segment",
+        remedy: "write one of 16 \"Küche\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a segment of no room",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { kitchn-16 = \"16\" }\n"),
+        check: "segments",
+        verdict: "wrong",
+        found: "names the room \"kitchn-16\", which the map does not have",
+        remedy: "write \"kitchen-16\"",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a robot of the other kind",
+        make: |home| home.edit("roomcast.toml", "[robot]\n", "[robot]\nkind = \"home-assistant\"\n"),
+        check: "robot",
+        verdict: "wrong",
+        found: "no robot speaks under valetudo/rocky",
+        remedy: "leave robot.kind out",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "states under another base topic",
+        make: |home| {
+            let rules = home.path("home/home.rules.toml");
+            let text = std::fs::read_to_string(&rules).unwrap();
+            std::fs::write(rules, text.replace("\"homeassistant/", "\"ha/")).unwrap();
+        },
+        check: "topics",
+        verdict: "wrong",
+        found: "Home Assistant says its states under homeassistant/",
+        remedy: "write homeassistant/ for ha/ in the topics of the rules",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a state folder that is a file",
+        make: |home| std::fs::write(home.path("home/state"), "").unwrap(),
+        check: "state",
+        verdict: "wrong",
+        found: "is no folder",
+        remedy: "give another folder as daemon.state",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rules that are not there",
+        make: |home| std::fs::remove_file(home.path("home/home.rules.toml")).unwrap(),
+        check: "rules",
+        verdict: "wrong",
+        found: "home.rules.toml",
+        remedy: "correct mqtt.rules in the configuration",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "a typo in the rules",
+        make: |home| home.edit("home.rules.toml", "say = ", "sya = "),
+        check: "rules",
+        verdict: "wrong",
+        found: "sya",
+        remedy: "correct the line that it names; docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "rules without a rule",
+        make: |home| std::fs::write(home.path("home/home.rules.toml"), "# none\n").unwrap(),
+        check: "rules",
+        verdict: "wrong",
+        found: "0 rules; give 1 to 4096, each begins with [[rule]]",
+        remedy: "docs/mqtt.md shows every key",
+        code: exit_code::CHECK,
+    },
+    Mistake {
+        name: "the clock",
+        make: |home| {
+            let file = std::fs::File::options().append(true).open(home.path("home/home.json")).unwrap();
+            file.set_modified(SystemTime::now() + Duration::from_secs(86_400)).unwrap();
+        },
+        check: "clock",
+        verdict: "wrong",
+        found: "home.json was written",
+        remedy: "timedatectl set-ntp true",
+        code: exit_code::CHECK,
+    },
+];
+
+#[test]
+#[ignore = "full"]
+fn the_doctor_finds_each_mistake() {
+    // Each mostly waits, so several homes at a time.
+    let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let work = |worker: usize| {
+        while let Some(Mistake { name, make, check, verdict, found, remedy, code }) =
+            MISTAKES.get(next.fetch_add(1, Ordering::Relaxed))
+        {
+            let Some(mut home) = Home::new(&format!("doctor{worker}")) else { return };
+            home.good();
+            make(&mut home);
+            let (ended, findings) = home.doctor();
+            let finding = finding(&findings, check);
+            let as_expected = finding["verdict"] == *verdict
+                && text(finding, "found").contains(found)
+                && text(finding, "remedy").contains(remedy)
+                // It would replace what was written by hand.
+                && !text(finding, "remedy").contains("--replace")
+                && ended == i32::from(*code);
+            if !as_expected {
+                faults.lock().unwrap().push(format!("{name}: code {ended}, {finding:#}"));
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        for worker in 0..4 {
+            let work = &work;
+            scope.spawn(move || work(worker));
+        }
+    });
+    let faults = faults.into_inner().unwrap();
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+/// Answers as Home Assistant does to a token that it does not know.
+fn refusing_home_assistant() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        let mut socket = tungstenite::accept(stream).unwrap();
+        socket.send(Message::text(r#"{"type": "auth_required", "ha_version": "2024.3.3"}"#)).unwrap();
+        let _token = socket.read();
+        let invalid = r#"{"type": "auth_invalid", "message": "Invalid access token or password"}"#;
+        socket.send(Message::text(invalid)).unwrap();
+        let _bye = socket.read();
+    });
+    url
+}
+
+fn token(home: &Home, mode: u32) -> String {
+    let path = home.path("token");
+    std::fs::write(&path, "eyJ.token\n").unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+    path.display().to_string()
+}
+
+#[test]
+#[ignore = "full"]
+fn init_says_what_is_wrong_and_writes_nothing() {
+    type Case = (&'static str, fn(&Home) -> Vec<String>, u8, &'static [&'static str]);
+    let cases: [Case; 25] = [
+        (
+            "a robot without a broker",
+            |_| vec!["--mqtt".into(), "none".into()],
+            exit_code::USAGE,
+            &["--robot is for a home with a broker, and there is none", "give --mqtt mqtt://HOST[:PORT]"],
+        ),
+        (
+            "a login for no broker",
+            |_| ["--mqtt", "none", "--robot", "none", "--mqtt-credentials", "login"].map(str::to_owned).to_vec(),
+            exit_code::USAGE,
+            &["--mqtt-credentials is for a home with a broker"],
+        ),
+        (
+            "a login that is not there",
+            |_| vec!["--mqtt-credentials".into(), "/nowhere/login".into()],
+            exit_code::USAGE,
+            &["failed to read /nowhere/login", "give --mqtt-credentials and --mqtt-ca files that are there"],
+        ),
+        (
+            "nobody and somebody",
+            |_| vec!["--resident".into(), "none, Mia".into()],
+            exit_code::USAGE,
+            &["none means nobody and stands alone"],
+        ),
+        (
+            "a token that is refused",
+            |home| {
+                vec!["--home-assistant".into(), refusing_home_assistant(), "--token-file".into(), token(home, 0o600)]
+            },
+            exit_code::INPUT,
+            &["refuses the token (Invalid access token or password)", "make a long-lived access token"],
+        ),
+        (
+            "a token that others can read",
+            |home| {
+                vec!["--home-assistant".into(), "http://127.0.0.1:1".into(), "--token-file".into(), token(home, 0o644)]
+            },
+            exit_code::INPUT,
+            &["others may read it", "chmod 600"],
+        ),
+        (
+            "an address without a token",
+            |_| vec!["--home-assistant".into(), "http://127.0.0.1:1".into()],
+            exit_code::USAGE,
+            &["give --token-file FILE with a long-lived access token"],
+        ),
+        (
+            "nobody at the address",
+            |home| {
+                vec![
+                    "--home-assistant".into(),
+                    format!("http://127.0.0.1:{}", free_port()),
+                    "--token-file".into(),
+                    token(home, 0o600),
+                ]
+            },
+            exit_code::INPUT,
+            &["cannot be reached", "check that Home Assistant runs and the port (8123 by default)"],
+        ),
+        (
+            "a folder without registries",
+            |home| vec!["--home-assistant".into(), home.directory.path().display().to_string()],
+            exit_code::INPUT,
+            &["has no .storage/core.area_registry", "give the folder that configuration.yaml is in"],
+        ),
+        (
+            "an address without http",
+            |home| vec!["--home-assistant".into(), "127.0.0.1:8123".into(), "--token-file".into(), token(home, 0o600)],
+            exit_code::INPUT,
+            &["127.0.0.1:8123 is neither a folder that is there nor an address", "such as http://HOST:8123"],
+        ),
+        (
+            "an address of https that speaks none",
+            |home| {
+                let url = format!("https://127.0.0.1:{}", web_server());
+                vec!["--home-assistant".into(), url, "--token-file".into(), token(home, 0o600)]
+            },
+            exit_code::INPUT,
+            &["nobody speaks https at this port", "give what a browser opens"],
+        ),
+        (
+            "a broker's password in its address",
+            |_| vec!["--mqtt".into(), "mqtt://home:secret@127.0.0.1".into()],
+            exit_code::USAGE,
+            &["has a user name or a password in it", "--mqtt-credentials FILE"],
+        ),
+        (
+            "a map that is packed",
+            |home| {
+                std::fs::write(home.path("map.json"), [0x1f, 0x8b, 8, 0, 0xff]).unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["map.json: it is no text: unpack it"],
+        ),
+        (
+            "a resident who is given twice",
+            |_| vec!["--resident".into(), "Ada, Ben".into(), "--resident".into(), "ada".into()],
+            exit_code::CONFIG,
+            &["give each name or number once"],
+        ),
+        (
+            "a resident without a letter",
+            |_| vec!["--resident".into(), "?!".into()],
+            exit_code::CONFIG,
+            &["persons.residents is [\"?!\"]", "with a letter or digit"],
+        ),
+        (
+            "a login without a password",
+            |home| {
+                let path = home.path("login");
+                std::fs::write(&path, "robot\n").unwrap();
+                vec!["--mqtt-credentials".into(), path.display().to_string()]
+            },
+            exit_code::USAGE,
+            &["login is no file of credentials", "the password in the second"],
+        ),
+        (
+            "a registry that is cut off",
+            |home| {
+                std::fs::write(home.path("config/.storage/core.entity_registry"), &ENTITIES[..80]).unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["config/.storage: core.entity_registry", "expected a registry of Home Assistant"],
+        ),
+        (
+            "a map that is no map",
+            |home| {
+                std::fs::write(home.path("map.json"), "[]").unwrap();
+                Vec::new()
+            },
+            exit_code::INPUT,
+            &["map.json", "expected a map as Valetudo exports it"],
+        ),
+        (
+            "a map that is not there",
+            |home| vec!["--valetudo".into(), home.at("nowhere.json")],
+            exit_code::INPUT,
+            &["nowhere.json", "No such file"],
+        ),
+        (
+            "no map at the broker",
+            |_| vec!["--valetudo".into(), "mqtt".into()],
+            exit_code::INPUT,
+            &["no map of valetudo/rocky is at the broker", "save http://ROBOT/api/v2/robot/state/map"],
+        ),
+        (
+            "a map of a broker that there is not",
+            |_| {
+                vec![
+                    "--mqtt".into(),
+                    "none".into(),
+                    "--robot".into(),
+                    "none".into(),
+                    "--valetudo".into(),
+                    "mqtt".into(),
+                ]
+            },
+            exit_code::USAGE,
+            &["--valetudo mqtt is the map that the robot tells a broker, and there is none"],
+        ),
+        (
+            "a name for no segment",
+            |home| {
+                std::fs::write(home.path("segments.toml"), "99 = \"kitchen\"\n").unwrap();
+                vec!["--names".into(), home.at("segments.toml")]
+            },
+            exit_code::INPUT,
+            &["names ", "segments.toml: name the segment \"99\", but the map has 16, 17, 18"],
+        ),
+        (
+            "an address that is no broker's",
+            |_| vec!["--mqtt".into(), "tcp://127.0.0.1".into()],
+            exit_code::USAGE,
+            &["is no broker: give mqtt://HOST[:PORT]"],
+        ),
+        (
+            "files that are there",
+            |home| {
+                std::fs::create_dir_all(home.path("home")).unwrap();
+                std::fs::write(home.path("home/home.rules.toml"), "# mine\n").unwrap();
+                Vec::new()
+            },
+            exit_code::FAILURE,
+            &["home.rules.toml stay as they are: give another folder with --out"],
+        ),
+        (
+            "a folder that is a file",
+            |home| {
+                std::fs::write(home.path("home"), "").unwrap();
+                Vec::new()
+            },
+            exit_code::FAILURE,
+            &["cannot make the folder", "or give another one"],
+        ),
+    ];
+    for (name, make, code, parts) in cases {
+        let Some(home) = Home::new("init") else { return };
+        let more = make(&home);
+        let output = home.init(&more.iter().map(String::as_str).collect::<Vec<_>>());
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(i32::from(code)), "{name}: {said}");
+        parts.iter().for_each(|part| assert!(said.contains(part), "{name}: {part} in {said}"));
+        for file in ["home.json", "roomcast.toml"] {
+            assert!(!home.path("home").join(file).exists(), "{name}: {file} was written");
+        }
+        let rules = std::fs::read_to_string(home.path("home/home.rules.toml"));
+        assert!(rules.is_err() || rules.unwrap() == "# mine\n", "{name}: the rules were written");
+    }
+}
+
+#[test]
+fn init_finds_what_is_not_given() {
+    let Some(home) = Home::new("found") else { return };
+    // Home Assistant in its user's folder, and the robot's map at the broker, packed as the robot packs it.
+    std::fs::rename(home.path("config"), home.path(".homeassistant")).unwrap();
+    let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
+    packed.write_all(flat().as_bytes()).unwrap();
+    publish_bytes(home.port, &format!("{ROBOT}/MapData/map-data"), packed.finish().unwrap());
+    let (url, folder) = (home.url(), home.at("home"));
+    let output = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    for part in ["found Home Assistant's configuration in", "found a robot under valetudo/rocky", "3 rooms"] {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+    let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
+    assert!(config.contains("topic = \"valetudo/rocky\"") && config.contains("obey = false"), "{config}");
+    // One that is given is taken, and where it is not heard of, others that are.
+    let typed = ["init", "--replace", "--mqtt", &url, "--robot", "valetudo/roky", &folder];
+    let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
+    assert!(said.contains("nothing was heard of a robot under valetudo/roky; heard of: valetudo/rocky"), "{said}");
+    // A vacuum of Home Assistant's is driven in its way, also while no broker answers; that is said.
+    let of_home_assistant = "homeassistant/vacuum/dusty";
+    let (nowhere, vacuum) = (format!("mqtt://127.0.0.1:{}", free_port()), home.at("vacuum"));
+    let typed = ["init", "--mqtt", &nowhere, "--robot", of_home_assistant, &vacuum];
+    let output = home.command(&typed).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.contains("no broker answers at 127.0.0.1"), "{said}");
+    let config = std::fs::read_to_string(home.path("vacuum/roomcast.toml")).unwrap();
+    let (_, table) = config.split_once("\n# [robot.segments]\n").expect(&config);
+    let table: toml::Table = table.replace("# ", "").parse().unwrap();
+    assert_eq!(table.keys().collect::<Vec<_>>(), ["kuche", "wohnzimmer"], "a line for each room: {config}");
+    let config: toml::Table = config.parse().unwrap();
+    assert_eq!(config["robot"]["kind"].as_str(), Some("home-assistant"));
+    assert_eq!(config["robot"]["topic"].as_str(), Some(of_home_assistant));
+    // Without Home Assistant there are no rules, and a line waits for those that are written by hand.
+    let (map, by_hand) = (home.at("map.json"), home.at("by-hand"));
+    let typed = ["init", "--home-assistant", "none", "--mqtt", &nowhere, "--valetudo", &map, &by_hand];
+    assert!(home.command(&typed).output().unwrap().status.success());
+    let config = std::fs::read_to_string(home.path("by-hand/roomcast.toml")).unwrap();
+    let config: toml::Table = config.replace("\n# rules = ", "\nrules = ").parse().unwrap();
+    let rules = config["mqtt"]["rules"].as_str().unwrap();
+    assert_eq!(rules, "home.rules.toml");
+    // Without a robot's name none is set up, and that is said too.
+    let typed = ["init", "--replace", "--mqtt", &nowhere, &vacuum];
+    let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
+    assert!(said.contains("without it no robot is set up: give --robot PREFIX/IDENTIFIER"), "{said}");
+    // A second robot is a question, and a second time is an overwriting.
+    let again = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
+    assert_eq!(again.status.code(), Some(i32::from(exit_code::FAILURE)));
+    home.say(&[("valetudo/other/StatusStateAttribute/status".to_owned(), "idle".to_owned(), true)]);
+    let several = home.command(&["init", "--replace", "--mqtt", &url, &folder]).output().unwrap();
+    let said = String::from_utf8(several.stderr).unwrap();
+    assert_eq!(several.status.code(), Some(i32::from(exit_code::USAGE)), "{said}");
+    assert!(said.contains("several robots") && said.contains("valetudo/other, valetudo/rocky"), "{said}");
+    let none =
+        home.command(&["init", "--home-assistant", "none", "--mqtt", "none", &home.at("empty")]).output().unwrap();
+    let said = String::from_utf8(none.stderr).unwrap();
+    assert!(said.contains("nothing tells of the home's rooms: give --home-assistant"), "{said}");
+    assert!(!Path::new(&home.at("empty")).exists());
+}
+
+/// `config --check` listens to nothing, and says all that is wrong at once: values, rooms, the broker; what is limited is a remark.
+#[test]
+fn a_check_of_the_configuration_names_what_the_map_does_not_have() {
+    let Some(home) = Home::new("checks") else { return };
+    home.good();
+    let check = || {
+        let mut command = home.command(&["config", "--check", &home.at("home/roomcast.toml")]);
+        // What the environment has in place of the file's would be remarked on.
+        command.env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN");
+        let output = command.output().unwrap();
+        (
+            output.status.code().unwrap(),
+            String::from_utf8(output.stdout).unwrap(),
+            String::from_utf8(output.stderr).unwrap(),
+        )
+    };
+    let (code, printed, remarks) = check();
+    assert_eq!((code, remarks.as_str()), (i32::from(exit_code::OK), ""));
+    assert!(printed.parse::<toml::Table>().is_ok(), "{printed}");
+    home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox.");
+    home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Bea\"]");
+    // Any name of the map's.
+    home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { Wohnzimmer = \"17\" }\n");
+    let (code, _, remarks) = check();
+    assert_eq!(code, i32::from(exit_code::OK), "{remarks}");
+    for remark in ["and the map has no \"mailbox\"", "the rules name Ada: not among persons.residents"] {
+        assert_eq!(remarks.matches(remark).count(), 1, "{remarks}");
+    }
+    home.edit("home.rules.toml", "\"living-room-17\"", "\"attic\"");
+    home.edit("roomcast.toml", "{ Wohnzimmer =", "{ cellar =");
+    home.edit("roomcast.toml", "[persons]", "[history]\nobservations = 0\n\n[persons]");
+    home.edit("roomcast.toml", "residents = [\"Bea\"]", "residents = [\"?!\"]\nasleep_s = -1");
+    home.edit("roomcast.toml", "mqtt://", "tcp://");
+    let (code, _, said) = check();
+    assert_eq!(code, i32::from(exit_code::CONFIG), "{said}");
+    let faults = [
+        "6 things are wrong",
+        "history.observations is 0",
+        "persons.residents is [\"?!\"]",
+        "persons.asleep_s is -1",
+        "names the room \"attic\", which the map does not have",
+        "names the room \"cellar\", which the map does not have",
+        "mqtt.broker: ",
+    ];
+    for fault in faults {
+        assert_eq!(said.matches(fault).count(), 1, "{fault}: {said}");
+    }
+}
+
+#[test]
+fn a_dry_run_says_what_the_map_does_not_have() {
+    let Some(mut home) = Home::new("dry") else { return };
+    home.good();
+    home.edit("home.rules.toml", "\"living-room-17\"", "\"attic\"");
+    let (shown, config) = (home.path("shown"), home.at("home/roomcast.toml"));
+    let mut command = home.command(&["narrate", "--mqtt", "--dry-run", "--config", &config]);
+    command.stdout(std::fs::File::create(&shown).unwrap()).stderr(Stdio::null());
+    home.children.push(command.spawn().unwrap());
+    let start = Instant::now();
+    let (mut is_on, mut said) = (false, String::new());
+    let beside = "\"on\":true,\"room\":\"attic\",\"sensor\":\"motion\"}\n    the map has no room \"attic\"; its rooms are kitchen-16, \
+        living-room-17, hallway-18\n";
+    while !said.contains(beside) {
+        assert!(start.elapsed() < Duration::from_secs(60), "{said}");
+        is_on = !is_on;
+        let state = if is_on { "on" } else { "off" };
+        home.say(&[("homeassistant/binary_sensor/living_room_motion/state".to_owned(), state.to_owned(), true)]);
+        std::thread::sleep(Duration::from_millis(200));
+        said = std::fs::read_to_string(&shown).unwrap();
+    }
+}
+
+/// Without questions those live here who would be offered at the question.
+#[test]
+fn residents_are_those_of_home_assistant_unless_they_are_given() {
+    let Some(home) = Home::new("persons") else { return };
+    let made = |more: &[&str]| {
+        let output = home.init(&[&["--replace", "--mqtt", "none", "--robot", "none"], more].concat());
+        let (said, error) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+        assert!(output.status.success(), "{said}{error}");
+        (std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap(), said)
+    };
+    let (config, said) = made(&[]);
+    assert!(config.contains("\nresidents = [\"Ada\"]\n"), "{config}");
+    assert!(said.contains("found Home Assistant's persons, who live here: Ada; --resident says otherwise"), "{said}");
+    assert!(config.contains("\n# not_persons = [\"Rocky\"]\n"), "pets and robots are thought of: {config}");
+    let (config, _) = made(&["--resident", "Mia, Jon ,", "--resident", " ,"]);
+    assert!(config.contains("\nresidents = [\"Mia\", \"Jon\"]\n"), "{config}");
+    let (config, _) = made(&["--resident", ","]);
+    assert!(config.contains("\nresidents = [\"Ada\"]\n"), "no name is none that is given: {config}");
+    let (config, _) = made(&["--resident", "none"]);
+    assert!(!config.contains("\nresidents"), "{config}");
+    // Persons that cannot all be told apart keep nobody from setting up.
+    let twice = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}, {"id": "p-2", "name": "ada"}]}}"#;
+    std::fs::write(home.path("config/.storage/person"), twice).unwrap();
+    let (config, said) = made(&[]);
+    assert!(!config.contains("\nresidents") && said.contains("Home Assistant's persons are no residents"), "{said}");
+}
+
+/// Rules that were written by hand are never lost.
+#[test]
+fn a_home_that_is_set_up_again_keeps_the_old_files_beside_the_new() {
+    let Some(home) = Home::new("again") else { return };
+    home.good();
+    let rules = home.path("home/home.rules.toml");
+    let made = std::fs::read_to_string(&rules).unwrap();
+    for old in ["home.rules.toml.old", "home.rules.toml.old-2"] {
+        std::fs::write(&rules, format!("# {old}\n")).unwrap();
+        let output = home.init(&["--replace"]);
+        let said = String::from_utf8(output.stdout).unwrap();
+        assert!(
+            output.status.success() && said.contains(&format!("is now {}", home.path("home").join(old).display())),
+            "{said}"
+        );
+        assert_eq!(std::fs::read_to_string(home.path("home").join(old)).unwrap(), format!("# {old}\n"));
+        assert_eq!(std::fs::read_to_string(&rules).unwrap(), made);
+    }
+    assert!(!home.path("home/home.json.old").exists(), "the map was the same");
+}
+
+#[test]
+fn a_home_has_a_folder_by_default_and_leaves_areas_out() {
+    let Some(home) = Home::new("out") else { return };
+    let config = home.at("config");
+    let all = ["init", "--yes", "--home-assistant", &config, "--mqtt", "none", "--robot", "none", "--leave-out"];
+    let init =
+        |more: &[&str]| home.command(&[&all[..], more].concat()).current_dir(home.directory.path()).output().unwrap();
+    let output = init(&["Wohnzimmer"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.contains("Areas left out: Wohnzimmer."), "{said}");
+    let rooms = |folder: &str| {
+        let map = std::fs::read_to_string(home.path(folder).join("home.json")).unwrap();
+        serde_json::from_str::<Value>(&map).unwrap()["rooms"].as_array().unwrap().len()
+    };
+    assert_eq!(rooms("home"), 1);
+    for (place, folder) in [(&["--out", "given"][..], "given"), (&["positional"], "positional")] {
+        assert!(init(&[&["kuche"][..], place].concat()).status.success());
+        assert_eq!(rooms(folder), 1);
+    }
+    let output = init(&["Attic", "--out", "other"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "{said}");
+    assert!(said.contains("has no area \"Attic\" to leave out; its areas are Küche, Wohnzimmer"), "{said}");
+}
+
+/// On a terminal it asks, says at once what is wrong with an answer, and asks again.
+#[test]
+fn init_asks_again_where_an_answer_leads_to_nothing() {
+    if !Path::new("/usr/bin/script").exists() {
+        skipped("script is not installed (apt-get install bsdutils)");
+        return;
+    }
+    let Some(home) = Home::new("asked") else { return };
+    let program = env!("CARGO_BIN_EXE_roomcast");
+    let on_terminal = |answers: &[&str]| {
+        let command = format!("stty -echo; {program} init {}", home.at("home"));
+        let mut script = Command::new("/usr/bin/script");
+        script.args(["--quiet", "--return", "--command", &command, "/dev/null"]).env("HOME", home.directory.path());
+        script.env("ROOMCAST_ROOT", home.domain.root()).env("ROOMCAST_DOMAIN", home.domain.name());
+        let mut child = script.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        for answer in answers {
+            writeln!(input, "{answer}").unwrap();
+        }
+        // The end of the answers ends the terminal's input.
+        input.write_all(b"\x04").unwrap();
+        drop(input);
+        let output = child.wait_with_output().unwrap();
+        (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap().replace("\r\n", "\n"))
+    };
+    let (url, config, map) = (home.url(), home.at("config"), home.at("map.json"));
+    let nobody = format!("mqtt://127.0.0.1:{}", free_port());
+    let wrong = [
+        "/nowhere",
+        "http://",
+        "http://127.0.0.1:1",
+        "/nowhere/token",
+        "none",
+        &config,
+        "broker",
+        &nobody,
+        &url,
+        "valetudo/other",
+        ROBOT,
+        "/nowhere.json",
+        &map,
+        "Ada, ada",
+        "Ada",
+        "10pm-7am",
+        "22:00-06:00; sat,sun 22:00-09:00",
+        "nowhere",
+        "floor",
+    ];
+    let (code, said) = on_terminal(&wrong);
+    assert_eq!(code, 0, "{said}");
+    // In lines that fit, so that a text may be broken anywhere.
+    let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in [
+        "/nowhere is neither a folder that is there nor an address",
+        "quiet hours are \"10pm-7am\", expected such as",
+        "nowhere is none of room, beside, floor, house, ignore",
+        "\"http://\" is no Home Assistant's address",
+        "the token file /nowhere/token",
+        "an address needs a token; give another one, a folder, or none",
+        "\"broker\" is no broker",
+        "no broker answers at 127.0.0.1",
+        "nothing was heard of a robot under valetudo/other",
+        "map /nowhere.json:",
+        "give each name or number once",
+        "home.json: 3 rooms",
+    ] {
+        assert!(words.contains(part), "{part} in {said}");
+    }
+    let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
+    for part in [format!("broker = {url:?}"), format!("topic = {ROBOT:?}"), "residents = [\"Ada\"]".to_owned()] {
+        assert!(config.contains(&part), "{part} in {config}");
+    }
+    // What is no answer overwrites nothing, nor does the end of all answers.
+    let (code, said) = on_terminal(&["maybe"]);
+    assert!(said.contains("answer yes or no") && said.contains("nothing was written"), "{said}");
+    assert_eq!(code, i32::from(exit_code::INTERRUPTED), "{said}");
+    let (code, said) = on_terminal(&["maybe", "no"]);
+    assert!(said.contains("stay as they are"), "{said}");
+    assert_eq!(code, i32::from(exit_code::FAILURE), "{said}");
+}
+
+fn publish_bytes(port: u16, topic: &str, payload: Vec<u8>) {
+    use rumqttc::v5::mqttbytes::{QoS, v5::Packet};
+    let (client, mut connection) =
+        rumqttc::v5::Client::new(rumqttc::v5::MqttOptions::new("packer", "127.0.0.1", port), 4);
+    client.publish(topic, QoS::AtLeastOnce, true, payload).unwrap();
+    while !matches!(connection.recv().unwrap().unwrap(), rumqttc::v5::Event::Incoming(Packet::PubAck(_))) {}
+}

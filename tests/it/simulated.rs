@@ -1,0 +1,2155 @@
+//! Narrators, daemon and planner in one process, without threads, clock or shared memory: a seed decides what is said, what runs
+//! when, what the transport drops, delays, doubles and reorders, and who is killed. After every step the invariants are checked:
+//!
+//! - every narration that was accepted is in the history, also after a restart, and none is in it twice;
+//! - what a stranger says in a narrator's name, and what costs more tokens than a window holds, is in no history, and costs the narrators
+//!   nothing;
+//! - scores are those of exactly the narration that they contain, and claim no other;
+//! - each person's scores are those that they would have alone, and all together say where somebody is;
+//! - scores and forecasts are of one map, the one that the last good step scored, also when steps fail after a change;
+//! - whoever is away or gone is in no room, nobody is known whom nobody named, and what lies before a gap is in no window;
+//! - a restarted daemon believes everybody where they were, to the last digits, and takes what named nobody for the same person's;
+//! - of no observation habits are learned twice, and where nothing was lost, of each once: whenever the daemon is killed, whether the file
+//!   of habits was written, could not be written, or is damaged or of another version;
+//! - no decision rests on scores past their deadline;
+//! - the coverage-aware planner never waits while a room that it has to do is free;
+//! - of a robot that reports, a room counts as done only when it has said so, and no room whose work it ended otherwise;
+//! - a robot at work is left alone until it says that it is done, falls silent, or somebody comes; one that charges is not sent out;
+//! - the wall clock may be set at any time, and the machine suspended: neither changes what is believed of where anybody is, but for the time
+//!   that has passed;
+//! - power that fails takes what no sync has reached, and nothing else;
+//! - a disk may refuse any call, lose what a sync fails with, keep names that were not synced as they were, and give a block of elsewhere or
+//!   of before: what was confirmed outlives the daemon all the same, but for what that block held;
+//! - a rotation of the journal drops the oldest alone, and nobody's place, no source and no port with it;
+//! - whoever invents sources takes nothing from the others;
+//! - where the transport is faithful, all that living narrators say is confirmed in the end.
+//!
+//! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's [`Writer`], [`Planner`].
+//! `ROOMCAST_SEEDS=10000` runs as many seeds, from `ROOMCAST_FIRST_SEED` on, `ROOMCAST_SEED=17` the one, with a trace of its last steps, 60 or
+//! `ROOMCAST_TRACE`, when it fails.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
+
+use std::cell::Cell;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::rc::Rc;
+use std::sync::Arc;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel};
+use roomcast_core::habits::HabitsOptions;
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
+use roomcast_core::label_trie::TokenTree;
+use roomcast_core::narration::{Event, HistoryLimits, Observation, Presence, Sentence, person_number};
+use roomcast_core::pipeline::{Pipeline, PipelineOptions};
+use roomcast_core::policy::PolicyName;
+use roomcast_core::prepared::{Answer, Preparer};
+use roomcast_core::scorer::table::TableModel;
+use roomcast_core::scorer::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
+use roomcast_core::semantic_map::SemanticMap;
+use roomcast_ipc::{
+    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, Sender,
+    action, decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
+};
+use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
+use roomcast_services::daemon::journal::Writer;
+use roomcast_services::daemon::{
+    Board, Cycle, Entry, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken, Zone,
+    decode_memory, encode_memory, journal,
+};
+use roomcast_services::narrator::{Account, Item, Who};
+use roomcast_services::planner::{Planner, ReportFault};
+use roomcast_services::reporter::{Kind, Report, Reporter};
+
+#[path = "../support/simulated_disk.rs"]
+mod simulated_disk;
+use simulated_disk::{DiskFault, DiskTally, SimulatedDisk};
+
+const MS: u64 = 1_000_000;
+const SEEDS: u64 = 1000;
+/// Seeds with each planted fault.
+const PLANTED_SEEDS: u64 = 2400;
+const STEPS: usize = 400;
+/// Every fourth seed is longer, so that its journal is rotated.
+const LONG_STEPS: usize = 2000;
+const HEARTBEAT_NS: u64 = 100 * MS;
+const DEADLINE_MS: u64 = 400;
+const NARRATORS: usize = 2;
+/// What the narration service keeps for a subscriber that joins, and the room scores' buffer.
+const HISTORY: usize = 32;
+const BUFFER: usize = 2;
+const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
+const BOOT: [u8; 16] = [7; 16];
+/// Silence after which a visitor is gone.
+const VISITOR_S: f64 = 0.4;
+/// Persons whom narrators name.
+const NAMES: [&str; 2] = ["ada", "ben"];
+const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two", "rooms": [
+  {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
+  {"id": "b", "label": "b", "box": {"min_m": [1, 0, 0], "max_m": [2, 1, 1]}}], "items": [
+  {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
+  {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}}]}"#;
+
+/// The same map with a room and a thing more.
+const LARGER_SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "three", "rooms": [
+  {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
+  {"id": "b", "label": "b", "box": {"min_m": [1, 0, 0], "max_m": [2, 1, 1]}},
+  {"id": "c", "label": "c", "box": {"min_m": [2, 0, 0], "max_m": [3, 1, 1]}}], "items": [
+  {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
+  {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}},
+  {"id": "3", "label": "pen", "position_m": [2.5, 0.5, 0.5], "box": {"min_m": [2.5, 0, 0], "max_m": [2.8, 0.5, 0.5]}}]}"#;
+/// A fault planted into the system, which the invariants must find.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Planted {
+    Nothing,
+    /// The intake forgets what it took.
+    NoDeduplication,
+    /// The planner accepts scores of any age.
+    NoDeadline,
+    /// Damage on the disk goes unnoticed, as without a checksum: the checksum is made to fit it.
+    NoChecksum,
+    /// Scores claim narration that the journal does not hold yet.
+    ClaimsBeforeJournal,
+    /// A restarted daemon does not read its journal.
+    NoJournal,
+    /// A restarted daemon reads the journal into the history and not into the intake.
+    NoDeduplicationAfterRestart,
+    /// A restarted daemon does not know when its narration was observed.
+    NoTimesAfterRestart,
+    /// A restarted daemon does not know for whose it took what named nobody.
+    NoAttributionsAfterRestart,
+    /// A restarted daemon does not know who has left.
+    NoPresenceAfterRestart,
+    /// The transport shows the rooms of a changed map before there are scores of it.
+    MapBeforeScores,
+    /// The daemon does not ask which port a message came by.
+    OnePort,
+    /// The intake does not ask what a sentence costs.
+    NoCost,
+    /// A restarted daemon does not know of which observations it has learned.
+    NoNamesOfLessons,
+    /// A restarted daemon does not know whose port each source is.
+    NoPortsAfterRestart,
+    /// A reader of the journal counts again what it is given again.
+    ReadsTwice,
+    /// A restarted daemon does not know who was given another name.
+    NoNamesAfterRestart,
+    /// The planner's clock stands still while the machine is suspended.
+    ClockStopsInSleep,
+    /// The disk, or what the journal asks of it.
+    Disk(DiskFault),
+}
+
+/// Ports of strangers: one speaks in others' names, one invents sources.
+const FORGER: Sender = Sender::simulated(u64::MAX);
+const INVENTOR: Sender = Sender::simulated(u64::MAX - 1);
+
+/// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
+#[derive(Debug)]
+struct WholePrompt {
+    table: TableModel,
+    failures: Rc<Cell<u32>>,
+}
+
+impl WholePrompt {
+    fn new(failures: &Rc<Cell<u32>>) -> Self {
+        Self { table: TableModel::new(0), failures: Rc::clone(failures) }
+    }
+}
+
+impl LanguageModel for WholePrompt {
+    fn info(&self) -> &ModelInfo {
+        self.table.info()
+    }
+
+    fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError> {
+        self.table.tokenise(text, start, out)
+    }
+
+    fn token_text(&self, token: Token) -> String {
+        self.table.token_text(token)
+    }
+
+    fn decode(
+        &mut self,
+        prompt: &[Token],
+        tree: &TokenTree,
+        want_prompt_row: bool,
+        visit: &mut dyn FnMut(usize, &[f32]),
+    ) -> Result<DecodeStats, ModelError> {
+        if self.failures.get() > 0 {
+            self.failures.set(self.failures.get() - 1);
+            return Err(ModelError::Decode { tokens: prompt.len(), reason: "told to fail".to_owned() });
+        }
+        let mix = |hash: u64, token: &Token| (hash ^ u64::from(token.0.cast_unsigned())).wrapping_mul(0x100_0000_01b3);
+        let seed = prompt.iter().fold(0xcbf2_9ce4_8422_2325, mix);
+        TableModel::new(seed).decode(prompt, tree, want_prompt_row, visit)
+    }
+
+    fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
+        Ok(Some(Self { table: self.table.clone(), failures: Rc::default() }))
+    }
+}
+
+/// What a sentence of the simulation may cost in tokens, of which a byte makes one.
+const TOKENS: usize = 300;
+/// What a stranger says holds this word.
+const FORGED: &str = "attic";
+
+/// Where the daemon's pieces are between two steps.
+struct Daemon {
+    intake: Intake,
+    cycle: Cycle<WholePrompt>,
+    /// Scores ahead, and what it has not handed over yet.
+    preparer: Preparer<WholePrompt>,
+    late: Vec<Answer>,
+    /// From the ear to the scoring loop.
+    queue: VecDeque<(Entry, u64)>,
+    /// To the journal's writer, and whether it is an observation from the ear.
+    records: VecDeque<(Vec<u8>, bool)>,
+    writer: Writer<SimulatedDisk>,
+    appended: u64,
+    written: u64,
+    /// Stopped until then, as by SIGSTOP.
+    hung_ns: u64,
+    /// How many of the accepted observations are from the journal, the cycle has entered, and the scores contain.
+    found: usize,
+    entered: usize,
+    scored: usize,
+    /// What the model read for the newest scores.
+    read: Vec<(PersonId, String)>,
+    /// Starts of narrators that this run of the daemon has heard, so that their ports are known.
+    heard: BTreeSet<(u64, u64)>,
+    /// Which of the maps is in use, and which one the scores are of.
+    map: usize,
+    scored_map: usize,
+    /// No scores were sent since the start.
+    restarted: bool,
+}
+
+/// A daemon that was killed when all that it knew was in the journal: what would it say now?
+struct Ghost {
+    board: Board<WholePrompt>,
+    accepted: usize,
+}
+
+struct Narrator {
+    name: String,
+    port: Sender,
+    account: Account,
+    /// What the service keeps for a daemon that joins.
+    history: VecDeque<NarrationV1>,
+    wire: VecDeque<NarrationV1>,
+    scores: VecDeque<RoomScoresV1>,
+}
+
+struct Robot {
+    planner: Planner,
+    /// The planner's start.
+    epoch: u64,
+    scores: VecDeque<RoomScoresV1>,
+    /// Per scores, when the newest message of them that arrived was sent, and whether it said that the scorer had failed.
+    heard: BTreeMap<(u64, u64), (u64, bool, u64)>,
+    /// The newest forecast: in each room the same chance at all times.
+    forecast: ForecastV1,
+    free: bool,
+    /// The last decision of this planner.
+    last: Option<DecisionV1>,
+    /// The last decision of the planner before it, where it goes on with what that one kept.
+    resumes: Option<DecisionV1>,
+    /// The rooms of the scores that it knows.
+    rooms: Vec<String>,
+}
+
+/// The machine itself, which outlives planners.
+struct Body {
+    /// None of a robot that says nothing.
+    reporter: Option<Reporter>,
+    /// What it was told last and works on, and whether it has said that it began.
+    work: Option<(DecisionV1, bool)>,
+    /// Every decision's room, by epoch and sequence.
+    told: BTreeMap<(u64, u64), String>,
+    /// What lies between it and the planner; and what the service keeps for one that joins.
+    wire: VecDeque<RobotReportV1>,
+    history: VecDeque<RobotReportV1>,
+    /// It says nothing more of what it does.
+    silent: bool,
+    /// Rooms of which it has said since the round's begin that they are done, and that it could not do them.
+    finished: BTreeSet<String>,
+    failed: BTreeSet<String>,
+    /// Of these, since the last decision.
+    just_failed: Vec<String>,
+    /// Rooms that a planner before this one asked for, and of which this one has heard that they were begun, and not how that ended.
+    begun: BTreeSet<String>,
+    /// The planner has heard that the battery is low, and nothing else since.
+    charges: bool,
+}
+
+impl Body {
+    /// The room that a report of its speaks of.
+    fn room_of(&self, report: &RobotReportV1) -> String {
+        let told = self.told.get(&(report.decision_epoch, report.decision_sequence));
+        if report.room().is_empty() { told.cloned().unwrap_or_default() } else { report.room().to_owned() }
+    }
+}
+
+struct World {
+    rng: ChaCha8Rng,
+    planted: Planted,
+    /// Whether the transport is iceoryx2's: in order, nothing lost between living participants.
+    faithful: bool,
+    persons: u32,
+    /// Who lives here; anybody else is a visitor, unless it is empty.
+    residents: Vec<String>,
+    /// The joint filter ran: it can move a person that was not named.
+    was_joint: bool,
+    maps: [SemanticMap; 2],
+    options: PipelineOptions,
+    failures: Rc<Cell<u32>>,
+    now_ns: u64,
+    /// The wall clock.
+    unix_ns: u64,
+    epochs: u64,
+    said: u64,
+    daemon: Option<Daemon>,
+    ghost: Option<Ghost>,
+    narrators: Vec<Narrator>,
+    robot: Robot,
+    body: Body,
+    last_sent: Option<RoomScoresV1>,
+    /// What strangers say, by ports of their own.
+    strangers: VecDeque<(NarrationV1, Sender)>,
+    /// Nobody is killed any more.
+    calm: bool,
+    disk: SimulatedDisk,
+    half_bytes: u64,
+    /// Since the last start the power has failed.
+    lost_power: bool,
+    /// What a sync has reached; and what the disk refused when it was last asked, which is kept in memory.
+    safe: BTreeSet<EventId>,
+    refused: BTreeSet<EventId>,
+    is_refused: bool,
+    /// All that was ever accepted, as it came; what rotations have dropped of it.
+    ever: BTreeMap<EventId, Observation>,
+    /// When each was accepted the last time, as a number: a start that misreads the journal has seen it in another order.
+    order: BTreeMap<EventId, u64>,
+    /// How many were accepted before each rotation.
+    rotated_at: Vec<u64>,
+    /// What was accepted more than once, since it was lost.
+    again: BTreeSet<EventId>,
+    rotated: BTreeSet<EventId>,
+    /// What a start was not given by a disk that has it, and what had happened to the disk then.
+    hidden: BTreeSet<EventId>,
+    hidden_at: DiskTally,
+    /// The machine was suspended for so long in all.
+    asleep_ns: u64,
+    /// The names that the home gave.
+    names: PersonsFile,
+    /// Persons whom the newest scores told of, and who were not gone.
+    told: BTreeSet<PersonId>,
+    /// Whether habits are learned, and the file that holds them.
+    learns: bool,
+    habits_disk: Option<Vec<u8>>,
+    /// Sentences that were ever accepted, and those of them that a killed daemon took with it and that nobody has said again.
+    lessons: BTreeSet<EventId>,
+    unheard: BTreeSet<EventId>,
+    /// What must be in the history, in order, as it came.
+    accepted: Vec<Observation>,
+    /// Whose the daemon said that is which named nobody, and of these what the journal has.
+    attributed: BTreeMap<EventId, PersonId>,
+    /// Of their own, so that they leave what happens as it is.
+    guesses: ChaCha8Rng,
+    /// The same of all times: a daemon that lost what it said may say it again of another, and a start may give back the first.
+    ever_attributed: BTreeSet<(EventId, PersonId)>,
+    taken: BTreeSet<EventId>,
+    /// What damage to the journal took, which may be lost, and be taken again.
+    damaged: BTreeSet<EventId>,
+    /// What scores were sent that contain and claim it: its narrator may have forgotten it.
+    claimed: BTreeSet<EventId>,
+    trace: VecDeque<String>,
+    trace_lines: usize,
+    tally: Tally,
+}
+
+/// What happened, to see that the seeds reach what they are to test.
+#[derive(Debug, Default, Clone, Copy)]
+struct Tally {
+    accepted: u64,
+    duplicates: u64,
+    missed: u64,
+    malformed: u64,
+    forged: u64,
+    costly: u64,
+    scored: u64,
+    held_back: u64,
+    failed: u64,
+    decisions: u64,
+    fallbacks: u64,
+    planned: u64,
+    daemon_kills: u64,
+    torn: u64,
+    damaged: u64,
+    several: u64,
+    map_changes: u64,
+    restored: u64,
+    by_fit: u64,
+    prepared: u64,
+    /// Persons of whom something came too late to count, and those whose state nobody can tell for that.
+    outdated: u64,
+    untold: u64,
+    away: u64,
+    nobody_home: u64,
+    visitors_gone: u64,
+    windows_ended: u64,
+    finished: u64,
+    failed_rooms: u64,
+    interrupted: u64,
+    silent: u64,
+    paused: u64,
+    kept: u64,
+    habits_written: u64,
+    habits_read: u64,
+    habits_lost: u64,
+    habits_whole: u64,
+    clocks_set: u64,
+    suspended: u64,
+    power_lost: u64,
+    lost_with_power: u64,
+    invented: u64,
+    rotated: u64,
+    renamed: u64,
+    lost_refused: u64,
+    misread: u64,
+    disk: DiskTally,
+}
+
+impl Tally {
+    /// Something was taken from the journal, or hidden, that nobody was to lose.
+    fn is_hurt(&self) -> bool {
+        self.damaged + self.lost_refused + self.misread > 0
+    }
+}
+
+type Check = Result<(), String>;
+
+fn ensure(holds: bool, what: impl FnOnce() -> String) -> Check {
+    if holds { Ok(()) } else { Err(what()) }
+}
+
+impl World {
+    fn new(seed: u64, planted: Planted) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let persons = rng.random_range(1..=2);
+        // With two persons the window is exact, so that the oracle need not know when it was compacted.
+        let slack = if persons == 1 { rng.random_range(0..4) } else { 0 };
+        let gap_s = rng.random_range(0..2);
+        let history = HistoryLimits { observations: rng.random_range(1..6), slack, gap_s, tokens: TOKENS };
+        let residents: &[&str] = if rng.random_bool(0.5) { &[] } else { &["0", "ada"] };
+        let mut world = Self {
+            planted,
+            faithful: rng.random_bool(0.5),
+            persons,
+            was_joint: false,
+            residents: residents.iter().map(|name| (*name).to_owned()).collect(),
+            maps: [SCENE, LARGER_SCENE].map(|scene| SemanticMap::from_json(scene).unwrap()),
+            options: PipelineOptions { history, ..Default::default() },
+            failures: Rc::default(),
+            now_ns: 1_000 * MS,
+            unix_ns: 1_700_000_000_000 * MS,
+            epochs: 0,
+            said: 0,
+            daemon: None,
+            ghost: None,
+            narrators: Vec::new(),
+            robot: Robot {
+                planner: Planner::new(&PlannerConfig::default(), 1),
+                epoch: 1,
+                scores: VecDeque::new(),
+                heard: BTreeMap::new(),
+                forecast: ForecastV1::default(),
+                free: true,
+                last: None,
+                resumes: None,
+                rooms: Vec::new(),
+            },
+            body: Body {
+                reporter: rng.random_bool(0.6).then(|| Reporter::new("robot", 1).unwrap()),
+                work: None,
+                told: BTreeMap::new(),
+                wire: VecDeque::new(),
+                history: VecDeque::new(),
+                silent: false,
+                finished: BTreeSet::new(),
+                failed: BTreeSet::new(),
+                just_failed: Vec::new(),
+                begun: BTreeSet::new(),
+                charges: false,
+            },
+            last_sent: None,
+            strangers: VecDeque::new(),
+            calm: false,
+            disk: SimulatedDisk::new(seed, if let Planted::Disk(fault) = planted { Some(fault) } else { None }),
+            half_bytes: 4096,
+            lost_power: false,
+            safe: BTreeSet::new(),
+            refused: BTreeSet::new(),
+            is_refused: false,
+            ever: BTreeMap::new(),
+            order: BTreeMap::new(),
+            rotated_at: Vec::new(),
+            again: BTreeSet::new(),
+            rotated: BTreeSet::new(),
+            hidden: BTreeSet::new(),
+            hidden_at: DiskTally::default(),
+            asleep_ns: 0,
+            names: PersonsFile::default(),
+            told: BTreeSet::new(),
+            learns: false,
+            habits_disk: None,
+            lessons: BTreeSet::new(),
+            unheard: BTreeSet::new(),
+            accepted: Vec::new(),
+            attributed: BTreeMap::new(),
+            guesses: ChaCha8Rng::seed_from_u64(seed),
+            ever_attributed: BTreeSet::new(),
+            taken: BTreeSet::new(),
+            damaged: BTreeSet::new(),
+            claimed: BTreeSet::new(),
+            trace: VecDeque::new(),
+            trace_lines: number("ROOMCAST_TRACE").map_or(60, |lines| usize::try_from(lines).unwrap()),
+            tally: Tally::default(),
+            rng,
+        };
+        for number in 0..NARRATORS {
+            let name = format!("narrator-{number}");
+            let epoch = world.epoch();
+            let account = Account::new(&name, epoch);
+            let (history, wire, scores) = Default::default();
+            world.narrators.push(Narrator { name, port: Sender::simulated(epoch), account, history, wire, scores });
+        }
+        world.start_planner();
+        world.learns = world.rng.random_bool(0.4);
+        // The least that may be configured, so that it is rotated often.
+        world.half_bytes = [4096, 4096, 8192, 1 << 20][world.rng.random_range(0..4)];
+        let fails = if world.rng.random_bool(0.5) { 0.05 } else { 0.0 };
+        let misreads = if world.rng.random_bool(0.25) { 0.5 } else { 0.0 };
+        world.disk.set_faults(fails, misreads);
+        world
+    }
+
+    fn epoch(&mut self) -> u64 {
+        self.epochs += 1;
+        self.epochs
+    }
+
+    fn note(&mut self, what: impl FnOnce() -> String) {
+        if self.trace.len() == self.trace_lines {
+            self.trace.pop_front();
+        }
+        let line = format!("{:>7.3} s  {}", self.now_ns as f64 / 1e9, what());
+        self.trace.push_back(line);
+    }
+
+    fn pipeline(&self, map: usize, history: HistoryLimits, failures: &Rc<Cell<u32>>) -> Pipeline<WholePrompt> {
+        let grounding = Grounding::new(&self.maps[map], &GROUNDING).unwrap();
+        let options = PipelineOptions { history, ..self.options.clone() };
+        Pipeline::new(WholePrompt::new(failures), grounding, options).unwrap()
+    }
+
+    /// One step of whoever the seed chooses.
+    fn step(&mut self) -> Check {
+        let ns = self.rng.random_range(0..8 * MS);
+        self.pass(ns);
+        match self.rng.random_range(0..1000) {
+            0..190 => self.narrate(),
+            190..199 => self.intrude(),
+            199 => self.invent(),
+            200..400 => return self.ingest(),
+            400..500 => return self.write(),
+            500..680 => return self.score(),
+            680..780 => self.confirm(),
+            780..900 => return self.plan(),
+            900..957 => self.act(),
+            957..959 => self.keep_habits(),
+            959 => self.disturb_clocks(),
+            960..970 => {
+                let ms = self.rng.random_range(0..600);
+                self.pass(ms * MS);
+            }
+            970..976 => self.hang(),
+            976..978 => self.failures.set(self.rng.random_range(1..4)),
+            978 => self.rename(),
+            979..981 => self.change_map(),
+            981..986 => return self.kill_daemon(),
+            986..988 => return self.lose_power(),
+            988..992 => self.kill_narrator(),
+            992..995 => self.start_planner(),
+            _ => return self.start_daemon(),
+        }
+        Ok(())
+    }
+
+    fn pass(&mut self, ns: u64) {
+        self.now_ns += ns;
+        self.unix_ns += ns;
+    }
+
+    /// The wall clock is set, forwards or back, or the machine sleeps, which both clocks count.
+    fn disturb_clocks(&mut self) {
+        let hours = self.rng.random_range(1..48) * 3_600_000 * MS;
+        // Far longer than anything here waits; what is told a minute late is no narration any more.
+        let asleep_ns = self.rng.random_range(1_000..20_000) * MS;
+        match self.rng.random_range(0..3) {
+            0 => self.unix_ns += hours,
+            1 => self.unix_ns -= hours,
+            _ => {
+                self.pass(asleep_ns);
+                self.asleep_ns += asleep_ns;
+                self.tally.suspended += 1;
+                self.note(|| "the machine was suspended".to_owned());
+                return;
+            }
+        }
+        self.tally.clocks_set += 1;
+        self.note(|| "the wall clock is set".to_owned());
+    }
+
+    fn narrate(&mut self) {
+        let who = self.rng.random_range(0..self.narrators.len());
+        if !self.narrators[who].account.may_send() {
+            return;
+        }
+        self.said += 1;
+        let (kind, text) = match self.rng.random_range(0..4) {
+            3 if self.rng.random_bool(0.4) => {
+                let statement = ["away", "gone", "present", "present in the a", "present in the b"];
+                (narration_kind::PRESENCE, statement[self.rng.random_range(0..5)].to_owned())
+            }
+            3 if self.rng.random_bool(0.1) => (narration_kind::PRESENCE, "away".to_owned()),
+            0 => (narration_kind::ACTION, format!("[Grab] <thing_{}> (1)", self.said)),
+            // Of nothing that is on the map it would bring nobody home.
+            1 => (narration_kind::DEVICE, format!("the pan {} is on", self.said)),
+            _ => {
+                let thing = ["pan", "pad", "pen"][self.rng.random_range(0..3)];
+                (narration_kind::SENTENCE, format!("They do thing {} with the {thing}.", self.said))
+            }
+        };
+        // By number, by name, or nobody in particular.
+        let who_did = match self.rng.random_range(0..10) {
+            0..6 => Who::Number(PersonId(self.rng.random_range(0..self.persons))),
+            6..8 => Who::Name(NAMES[self.rng.random_range(0..NAMES.len())].to_owned()),
+            _ => Who::Somebody,
+        };
+        let item = Item::new(kind, text, who_did);
+        let (now_ns, unix_ns) = (self.now_ns, self.unix_ns);
+        let narrator = &mut self.narrators[who];
+        let message = narrator.account.next(&item, BootNs(now_ns), UnixNs(unix_ns)).unwrap();
+        if narrator.history.len() == HISTORY {
+            narrator.history.pop_front();
+        }
+        narrator.history.push_back(message);
+        // Without a subscriber a message goes nowhere but into the history.
+        if self.daemon.is_some() {
+            self.narrators[who].wire.push_back(message);
+        }
+        self.note(|| format!("narrator {who} says {}: {:?}", message.sequence, message.text()));
+    }
+
+    /// Whether the daemon knows whose a start of a source is: it has heard it, or what it said is in the journal, which nothing has damaged
+    /// and which the disk and the power leave whole.
+    fn is_known(&self, start: (u64, u64)) -> bool {
+        let heard = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&start));
+        let is_whole = !self.tally.is_hurt() && !self.is_refused && !self.lost_power && !self.disk.lacks_pages();
+        heard || (is_whole && self.claimed.iter().any(|name| name.start() == start))
+    }
+
+    /// A stranger, with a port of its own, speaks in a narrator's name, or says what no window holds.
+    fn intrude(&mut self) {
+        let who = self.rng.random_range(0..self.narrators.len());
+        let Some(last) = self.narrators[who].history.back().copied() else { return };
+        let known = self.is_known((last.source, last.epoch));
+        let long = self.rng.random_bool(0.3);
+        let text = if long {
+            format!("They tidy the {FORGED}{}", " a b".repeat(90))
+        } else {
+            format!("They go to the {FORGED}.")
+        };
+        let message = NarrationV1::new(narration_kind::SENTENCE, &text).unwrap();
+        let sequence = [last.sequence + 1, u64::MAX][self.rng.random_range(0..2)];
+        let (source, epoch) = if known && !long { (last.source, last.epoch) } else { (99, 1 + self.said) };
+        if long || known {
+            let observed_ns = self.now_ns;
+            self.strangers.push_back((NarrationV1 { source, epoch, sequence, observed_ns, ..message }, FORGER));
+            self.note(|| format!("a stranger says {sequence} of source {source:x}, epoch {epoch}"));
+        }
+    }
+
+    /// A stranger invents sources, and each of them says something that may be.
+    fn invent(&mut self) {
+        // Where more are carried over than the least journal holds, all of them go.
+        let most = if self.half_bytes > 8192 { 100 } else { 6 };
+        for _ in 0..self.rng.random_range(1..most) {
+            self.said += 1;
+            let text = format!("They do thing {} with the pan.", self.said);
+            let message = NarrationV1::new(narration_kind::SENTENCE, &text).unwrap();
+            let person = if self.rng.random_bool(0.5) { 0 } else { PersonId::SOMEBODY.0 };
+            let (source, epoch, observed_ns) = (1_000_000 + self.said, self.said, self.now_ns);
+            let message = NarrationV1 { source, epoch, sequence: 1, observed_ns, person, ..message };
+            self.strangers.push_back((message, INVENTOR));
+        }
+        self.note(|| "a stranger invents sources".to_owned());
+    }
+
+    /// The next message of some narrator's wire, as the transport gives it, and the port that it comes by.
+    fn delivered(&mut self) -> Option<(NarrationV1, Sender)> {
+        if self.rng.random_bool(0.3)
+            && let Some(said) = self.strangers.pop_front()
+        {
+            return Some(said);
+        }
+        let who = self.rng.random_range(0..self.narrators.len());
+        let port = self.narrators[who].port;
+        self.transported(who).map(|message| (message, port))
+    }
+
+    fn transported(&mut self, who: usize) -> Option<NarrationV1> {
+        let wire = &mut self.narrators[who].wire;
+        if self.faithful || wire.is_empty() {
+            return wire.pop_front();
+        }
+        let place = if self.rng.random_bool(0.2) { self.rng.random_range(0..wire.len()) } else { 0 };
+        let message = wire.remove(place)?;
+        match self.rng.random_range(0..10) {
+            0 => None,
+            1 => {
+                wire.push_back(message);
+                Some(message)
+            }
+            2 => Some(NarrationV1 { text_bytes: self.rng.random(), ..message }),
+            _ => Some(message),
+        }
+    }
+
+    fn awake(&self) -> bool {
+        self.daemon.as_ref().is_some_and(|daemon| self.now_ns >= daemon.hung_ns)
+    }
+
+    /// What the daemon's ear does with one message.
+    fn ingest(&mut self) -> Check {
+        if !self.awake() {
+            return Ok(());
+        }
+        let Some((message, port)) = self.delivered() else { return Ok(()) };
+        let port = if self.planted == Planted::OnePort { Sender::simulated(0) } else { port };
+        let now_ns = self.now_ns;
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        if self.planted == Planted::NoDeduplication {
+            daemon.intake = Intake::new(IntakeLimits::default());
+        }
+        let checked = Message::check(&message).map(|()| &message);
+        if !daemon.intake.knows_port(port) {
+            daemon.intake.note_alive(self.narrators.iter().map(|narrator| narrator.port).chain([FORGER, INVENTOR]));
+        }
+        let taken = daemon.intake.receive(checked, port, BootNs(now_ns));
+        let counted = daemon.intake.counters();
+        let refused = counted.limited + counted.malformed + counted.forged + counted.costly;
+        ensure(counted.received == counted.accepted + counted.duplicates + refused, || {
+            format!("the counters do not add up: {counted:?}")
+        })?;
+        match taken {
+            Taken::Accepted { observation, missed, voice, leaves, binds, .. } => {
+                ensure(!observation.event.to_string().contains(FORGED), || {
+                    format!("a stranger is heard: {}", observation.event)
+                })?;
+                if binds {
+                    let record = journal::encode_port((observation.source, observation.epoch), port);
+                    daemon.appended += 1;
+                    daemon.records.push_back((record, false));
+                }
+                daemon.appended += 1;
+                daemon.records.push_back((journal::encode(&observation, &BOOT), true));
+                let after_gap = missed > 0;
+                let entry =
+                    Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, voice, leaves };
+                daemon.queue.push_back((entry, daemon.appended));
+                self.tally.accepted += 1;
+                self.tally.missed += missed;
+                daemon.heard.insert((observation.source, observation.epoch));
+                let name = observation.id();
+                // Damage may have taken that its source had said it, or hidden it.
+                let hidden = self.tally.is_hurt() && self.rotated.contains(&name);
+                ensure(self.taken.insert(name) || hidden, || format!("taken twice: {name:?}"))?;
+                self.order.insert(name, self.tally.accepted);
+                if self.ever.insert(name, observation.clone()).is_some() {
+                    self.again.insert(name);
+                }
+                self.rotated.remove(&name);
+                self.tally.invented += u64::from(port == INVENTOR);
+                if observation.sentence().is_some() {
+                    self.lessons.insert(name);
+                    self.unheard.remove(&name);
+                }
+                // Damage to the journal may have taken a narration that nobody sends again.
+                let lost = self.faithful && missed > self.damaged.len() as u64;
+                ensure(!lost, || format!("lost on a faithful transport: {missed} before {name:?}"))?;
+                self.accepted.push(observation);
+                self.note(|| format!("daemon accepts {name:?}"));
+            }
+            Taken::Duplicate => self.tally.duplicates += 1,
+            Taken::Malformed(_) => self.tally.malformed += 1,
+            Taken::Forged => self.tally.forged += 1,
+            Taken::Costly { .. } => {
+                self.tally.costly += 1;
+                daemon.cycle.pass_over(EventId::new(message.source, message.epoch, message.sequence));
+            }
+            Taken::Limited => {}
+        }
+        Ok(())
+    }
+
+    /// What was learned is written, if the disk is not full.
+    fn keep_habits(&mut self) {
+        if !self.awake() || !self.learns {
+            return;
+        }
+        let is_full = self.rng.random_bool(0.2);
+        let Some(daemon) = &mut self.daemon else { return };
+        let habits = daemon.cycle.board_mut().habits_mut();
+        match habits.memory_if_changed() {
+            Some(_) if is_full => habits.keep_changed(),
+            Some(memory) => {
+                self.habits_disk = Some(encode_memory(&memory));
+                self.tally.habits_written += 1;
+            }
+            None => {}
+        }
+    }
+
+    /// The file of habits is damaged while nobody runs, or another version has written it.
+    fn damage_habits(&mut self) {
+        let Some(bytes) = &mut self.habits_disk else { return };
+        match self.rng.random_range(0..3) {
+            0 => bytes.truncate(self.rng.random_range(0..bytes.len())),
+            1 => bytes[..8].copy_from_slice(b"RCHOME0\n"),
+            _ => {
+                let at = self.rng.random_range(0..bytes.len());
+                bytes[at] ^= 1 << self.rng.random_range(0..8);
+            }
+        }
+    }
+
+    /// What a starting daemon knows of the home.
+    fn memory(&mut self) -> Memory {
+        let options = HabitsOptions { learn: self.learns, half_life_days: 0.0, ..HabitsOptions::default() };
+        let Some(bytes) = self.habits_disk.take() else { return Memory::new(options) };
+        match decode_memory(&bytes, options) {
+            Ok(memory) => {
+                self.habits_disk = Some(bytes);
+                self.tally.habits_read += 1;
+                if self.planted == Planted::NoNamesOfLessons { Memory::of(memory.habits) } else { memory }
+            }
+            Err(_) => {
+                self.tally.habits_lost += 1;
+                Memory::new(options)
+            }
+        }
+    }
+
+    /// Each sentence was learned once at most; and once where `whole` says that none can have been lost.
+    fn check_habits(&mut self, whole: bool) -> Check {
+        let now_ns = self.now_ns;
+        let Some(daemon) = self.daemon.as_mut().filter(|_| self.learns) else { return Ok(()) };
+        // What is observed is learned with the next forecast.
+        daemon.cycle.board_mut().forecast(BootNs(now_ns));
+        let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
+        ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
+        // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
+        let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
+        let all = whole && !late && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
+        // What no person took teaches nothing.
+        let all = all && self.unheard.is_empty() && !self.was_joint;
+        self.tally.habits_whole += u64::from(all);
+        ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
+    }
+
+    /// The journal's writer hands some records to the system.
+    fn write(&mut self) -> Check {
+        if !self.awake() {
+            return Ok(());
+        }
+        let Some(waiting) = self.daemon.as_ref().map(|daemon| daemon.records.len()) else { return Ok(()) };
+        let count = self.rng.random_range(0..=waiting);
+        self.hand_over(count);
+        if self.rng.random_bool(0.2) {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    /// Hands so many records to the system, and with them what it has refused.
+    fn hand_over(&mut self, count: usize) {
+        let Some(daemon) = &mut self.daemon else { return };
+        let observations = daemon.records.iter().take(count).filter(|(_, is_observation)| *is_observation).count();
+        let before = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
+        let batch: Vec<u8> = daemon.records.drain(..count).flat_map(|(record, _)| record).collect();
+        daemon.written += count as u64;
+        if batch.is_empty() && !self.is_refused {
+            return;
+        }
+        let rotations = self.disk.tally().rotations;
+        self.is_refused = daemon.writer.write(&batch).is_err();
+        let (is_refused, rotated) = (self.is_refused, self.disk.tally().rotations - rotations);
+        self.rotated_at.extend((0..rotated).map(|_| self.tally.accepted));
+        self.note(|| format!("the journal takes {observations}, rotated {rotated} times, refused: {is_refused}"));
+        match self.is_refused {
+            true => self.refused.extend(self.accepted[before..before + observations].iter().map(Observation::id)),
+            false => self.refused.clear(),
+        }
+    }
+
+    /// Brings what was handed over to the disk.
+    fn sync(&mut self) -> Check {
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        if daemon.writer.sync().is_ok() {
+            let waiting = daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
+            // What a sync has lost that failed under a daemon that is dead counts as written, and no later one can know.
+            let known = if self.disk.lacks_pages() { daemon.found } else { 0 };
+            let written = &self.accepted[known..self.accepted.len() - waiting];
+            self.safe.extend(written.iter().map(Observation::id).filter(|name| !self.refused.contains(name)));
+            self.note(|| "the journal is synced".to_owned());
+        }
+        Ok(())
+    }
+
+    /// The power fails: all processes end, and what no sync has reached is gone.
+    fn lose_power(&mut self) -> Check {
+        self.kill_daemon()?;
+        for who in 0..self.narrators.len() {
+            self.restart_narrator(who, 0);
+        }
+        self.strangers.clear();
+        self.ghost = None;
+        self.disk.lose_power();
+        self.lost_power = true;
+        self.tally.power_lost += 1;
+        self.note(|| "the power fails".to_owned());
+        Ok(())
+    }
+
+    /// The home gives a person another name, which narrators do not use.
+    fn rename(&mut self) {
+        if !self.awake() {
+            return;
+        }
+        let name = NAMES[self.rng.random_range(0..NAMES.len())];
+        let Some(daemon) = &mut self.daemon else { return };
+        let board = daemon.cycle.board_mut();
+        let Some(person) = board.persons().find(name) else { return };
+        let given = format!("{name} the {}", self.said);
+        board.rename(person, &given).unwrap();
+        self.names = board.persons().file().clone();
+        if let Some(ghost) = &mut self.ghost {
+            ghost.board.rename(person, &given).unwrap();
+        }
+        self.tally.renamed += 1;
+        self.note(|| format!("{name} has another name"));
+    }
+
+    /// The map in use is changed, and the steps after it may fail.
+    fn change_map(&mut self) {
+        if !self.awake() {
+            return;
+        }
+        let failures = self.rng.random_range(0..4);
+        let Some(daemon) = &mut self.daemon else { return };
+        daemon.map = 1 - daemon.map;
+        daemon.cycle.board_mut().change_map(self.maps[daemon.map].clone()).unwrap();
+        daemon.cycle.score_again();
+        self.failures.set(failures);
+        self.tally.map_changes += 1;
+        self.note(|| format!("the map changes; the next {failures} steps fail"));
+    }
+
+    /// Guesses at what is narrated next, some of them right, are scored before it comes.
+    fn prepare(&mut self) {
+        let Some(daemon) = &mut self.daemon else { return };
+        if self.failures.get() > 0 || self.guesses.random_bool(0.5) {
+            return;
+        }
+        let board = daemon.cycle.board_mut();
+        let persons: Vec<PersonId> = board.pipeline().persons().map(|own| own.person).collect();
+        let waiting = daemon.queue.iter().filter_map(|(entry, _)| entry.observation.sentence());
+        let coming = self.narrators.iter().flat_map(|narrator| narrator.wire.front()).map(|message| message.text());
+        let guesses = waiting.chain(coming).filter_map(|text| Sentence::new(text).ok());
+        // Some are kept at once, and some when something else has happened meanwhile.
+        let late = std::mem::take(&mut daemon.late);
+        late.into_iter().for_each(|answer| board.keep_answer(answer));
+        let outlook = board.now().outlook;
+        for guess in guesses.take(3) {
+            for person in &persons {
+                let Some(ask) = daemon.preparer.ask(&outlook, *person, &guess) else { continue };
+                let answer = daemon.preparer.answer(ask).unwrap();
+                if self.guesses.random_bool(0.2) { daemon.late.push(answer) } else { board.keep_answer(answer) }
+            }
+        }
+    }
+
+    /// What the daemon's scoring thread does in one round.
+    fn score(&mut self) -> Check {
+        if !self.awake() {
+            return Ok(());
+        }
+        let (now_ns, unix_ns, failing) = (self.now_ns, self.unix_ns, self.failures.get() > 0);
+        self.prepare();
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        let contained = daemon.entered + daemon.queue.len();
+        for (entry, record) in daemon.queue.drain(..) {
+            daemon.cycle.enter(entry, record);
+        }
+        daemon.entered = contained;
+        if daemon.cycle.step_due(BootNs(now_ns)) {
+            match daemon.cycle.step(BootNs(now_ns), UnixNs(unix_ns)) {
+                Ok(()) => {
+                    self.tally.prepared += daemon.cycle.board().pipeline().scores().prepared as u64;
+                    daemon.scored = contained;
+                    let read = daemon.cycle.board().pipeline().inside().read_sentences();
+                    daemon.read = read.map(|(person, sentence)| (person, sentence.to_owned())).collect();
+                    daemon.scored_map = daemon.map;
+                    self.tally.scored += 1;
+                    let Daemon { cycle, records, appended, .. } = daemon;
+                    let mut attributed = 0;
+                    cycle.board_mut().tell_outcomes(|outcome| {
+                        *appended += 1;
+                        records.push_back((journal::encode_outcome(outcome), false));
+                        if outcome.by_fit {
+                            attributed = *appended;
+                            let name = outcome.event;
+                            self.attributed.insert(name, outcome.person);
+                            self.ever_attributed.insert((name, outcome.person));
+                            self.tally.by_fit += 1;
+                        }
+                    });
+                    cycle.rests_on(attributed);
+                }
+                Err(error) => {
+                    ensure(failing, || format!("scoring failed: {error}"))?;
+                    self.tally.failed += 1;
+                }
+            }
+        }
+        // The loop waits for the journal a moment; mostly that is enough.
+        if self.rng.random_bool(0.8) {
+            let waiting = daemon.records.len();
+            self.hand_over(waiting);
+        }
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        let written = if self.planted == Planted::ClaimsBeforeJournal { u64::MAX } else { daemon.written };
+        let mut message = daemon.cycle.message(BootNs(now_ns), written, self.rng.random_bool(0.1)).copied();
+        if self.planted == Planted::MapBeforeScores
+            && let Some(message) = &mut message
+        {
+            message.map_fingerprint = daemon.cycle.board().map().fingerprint();
+        }
+        self.tally.held_back += u64::from(message.is_some() && written < daemon.cycle.scored_record());
+        if self.rng.random_bool(0.3) {
+            while daemon.cycle.tidy() {}
+        }
+        let Some(message) = message else { return Ok(()) };
+        self.check_scores(&message)?;
+        self.check_persons(&message)?;
+        self.check_restored()?;
+        self.check_habits(false)?;
+        self.note(|| format!("daemon sends {} with {} claims", message.sequence, message.source_count));
+        if !self.calm && self.rng.random_bool(0.01) {
+            // Killed in the middle of a publish: some subscribers have it, some have not.
+            if self.rng.random_bool(0.5) {
+                self.sent(&message, 1);
+            }
+            return self.kill_daemon();
+        }
+        self.sent(&message, usize::MAX);
+        self.last_sent = Some(message);
+        Ok(())
+    }
+
+    /// Puts scores into the buffers of the first `subscribers`.
+    fn sent(&mut self, message: &RoomScoresV1, subscribers: usize) {
+        let scored = self.daemon.as_ref().map_or(0, |daemon| daemon.scored);
+        let covers = |o: &&Observation| {
+            let claim = message.included().iter().find(|claim| (claim.source, claim.epoch) == (o.source, o.epoch));
+            claim.is_some_and(|claim| o.sequence <= claim.sequence)
+        };
+        let claimed = self.accepted[..scored].iter().filter(covers);
+        self.claimed.extend(claimed.map(|o| o.id()));
+        let buffers = self.narrators.iter_mut().map(|narrator| &mut narrator.scores).chain([&mut self.robot.scores]);
+        for buffer in buffers.take(subscribers) {
+            // The transport delays; it keeps the newest.
+            if self.faithful || self.rng.random_bool(0.9) {
+                buffer.push_back(*message);
+                if buffer.len() > BUFFER {
+                    buffer.pop_front();
+                }
+            }
+        }
+    }
+
+    /// Scores equal those of exactly what they contain, and claim nothing beyond it.
+    fn check_scores(&mut self, message: &RoomScoresV1) -> Check {
+        let daemon = self.daemon.as_ref().unwrap();
+        let contained = &self.accepted[..daemon.scored];
+        for claim in message.included().iter().filter(|claim| claim.accepted > 0) {
+            let name = EventId::new(claim.source, claim.epoch, claim.sequence);
+            ensure(contained.iter().any(|o| o.id() == name), || {
+                format!("scores {} claim {claim:?}, which they do not contain", message.sequence)
+            })?;
+        }
+        let fingerprint = self.maps[daemon.scored_map].fingerprint();
+        ensure(message.map_fingerprint == fingerprint, || format!("scores {} of another map", message.sequence))?;
+        if daemon.entered != daemon.scored {
+            // Whose it is that names nobody is told with scores.
+            return Ok(());
+        }
+        // Every accepted narration that was entered is in the histories, as far as their windows reach.
+        let entered = &self.accepted[..daemon.entered];
+        for (person, history) in daemon.cycle.board().pipeline().inside().histories().iter() {
+            let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
+            let said: Vec<_> = entered.iter().filter(is_theirs).map(Observation::id).collect();
+            let held: Vec<_> = history.observations().map(Observation::id).collect();
+            // In their order, the newest among them; where one narrator speaks alone, the newest are all of them.
+            let mut rest = said.iter();
+            let alone = said.iter().all(|name| name.start() == said[0].start());
+            let right = held.iter().all(|held| rest.any(|said| said == held))
+                && (held.is_empty() || held.last() == said.last())
+                && (!alone || said.ends_with(&held));
+            ensure(right, || format!("the history of person {person} lacks accepted narration"))?;
+        }
+        Ok(())
+    }
+
+    /// Whose an observation is, as far as the daemon has said that of one that names nobody.
+    fn person_of(&self, observation: &Observation) -> Option<PersonId> {
+        match &observation.name {
+            Some(name) => Some(person_number(name)),
+            None if observation.person == PersonId::SOMEBODY => self.attributed.get(&observation.id()).copied(),
+            None => Some(observation.person),
+        }
+    }
+
+    /// Each person's scores are those that they would have alone, of as much of what they did as their window holds; all together say
+    /// where somebody is.
+    fn check_persons(&mut self, message: &RoomScoresV1) -> Check {
+        let (now_ns, limits) = (self.now_ns, self.options.history);
+        let history = HistoryLimits { observations: 1000, gap_s: 0, ..limits };
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
+        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
+        let forecasts = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
+        let (map, scored, all_read) = (daemon.scored_map, daemon.scored, daemon.read.clone());
+        self.was_joint |= daemon.cycle.board().is_joint();
+        let is_joint = self.was_joint;
+        for checked in [told.check(), forecast.check(), forecasts.check(), message.check()] {
+            checked.map_err(|error| format!("a message is malformed: {error}"))?;
+        }
+        ensure((told.epoch, told.sequence) == (message.epoch, message.sequence), || {
+            "persons of other scores".to_owned()
+        })?;
+        ensure(forecast.room_count == message.room_count, || "a forecast of other rooms".to_owned())?;
+        let rooms = message.rooms().len();
+        for own in forecasts.persons() {
+            for horizon in 0..forecasts.horizons_s().len() {
+                let sum: f32 = own.probability.iter().map(|row| row[horizon]).sum::<f32>() + own.elsewhere[horizon];
+                ensure((sum - 1.0).abs() < 1e-4, || format!("person {} is somewhere with {sum}", own.person))?;
+            }
+        }
+        let here = told.persons().iter().filter(|person| person.presence != presence::GONE);
+        self.told = here.map(|person| PersonId(person.person)).collect();
+        let contained = &self.accepted[..scored];
+        let named = contained.iter().any(|o| o.name.is_some() || o.person != PersonId::SOMEBODY);
+        let (mut nobody, mut present) = (vec![1.0; rooms], Vec::new());
+        for person in told.persons() {
+            let number = person.person;
+            let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(PersonId(number))).collect();
+            let told_by_name = |o: &&Observation| o.name.is_some() || o.person != PersonId::SOMEBODY;
+            // The joint filter gives an unnamed event to a resident, too, who was not observed yet.
+            let lives_here = is_joint && self.residents.iter().any(|who| number_of(who) == PersonId(number));
+            let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named || lives_here;
+            let all = own.len();
+            // Damage may have taken where they were named.
+            ensure(is_named || self.tally.is_hurt() || self.tally.rotated + self.tally.lost_with_power > 0, || {
+                format!("nobody named person {number}")
+            })?;
+            let is_visitor = person.has(person_flags::VISITOR);
+            let Some(own) = in_time(own, is_visitor) else {
+                self.tally.untold += 1;
+                if person.presence == presence::PRESENT {
+                    present.push(number);
+                    nobody.iter_mut().zip(person.probability).for_each(|(nobody, told)| *nobody *= 1.0 - told);
+                }
+                continue;
+            };
+            self.tally.outdated += u64::from(own.len() < all);
+            let last = own.last().map_or(Presence::Unknown, |o| o.event.person_presence());
+            let expired = person.presence == presence::GONE && last != Presence::Gone;
+            self.tally.visitors_gone += u64::from(expired);
+            let as_told = [presence::UNKNOWN, presence::PRESENT, presence::AWAY, presence::GONE];
+            // The joint filter can believe that a person left.
+            if is_joint && person.presence == presence::AWAY && last == Presence::Present {
+                self.tally.untold += 1;
+                continue;
+            }
+            ensure(expired || person.presence == as_told[last as usize], || {
+                format!("person {number} was last said to be {last:?}, and has the presence {}", person.presence)
+            })?;
+            let sentences: Vec<_> = own.iter().copied().filter(|o| o.sentence().is_some()).collect();
+            let since =
+                own.iter().rposition(|o| o.event.person_presence() != Presence::Present).map_or(0, |place| place + 1);
+            let window = usize::try_from(person.window).unwrap_or(usize::MAX);
+            let most = own[since..].iter().filter(|o| o.sentence().is_some()).count();
+            ensure(window <= most.min(limits.observations + limits.slack), || {
+                format!("the window of person {number} holds {window} of {most} sentences since they were away")
+            })?;
+            // Since then no sentence was said twice.
+            let read: BTreeSet<_> =
+                all_read.iter().filter(|(who, _)| *who == PersonId(number)).map(|(_, said)| &**said).collect();
+            let is_read = |o: &&Observation| o.sentence().is_some_and(|sentence| read.contains(sentence));
+            let shown: Vec<_> = own[since..].iter().copied().filter(is_read).collect();
+            ensure(shown.len() == window, || {
+                format!("the window of person {number} holds {window} sentences, of which {} are theirs", shown.len())
+            })?;
+            // What is told late does not lie after a gap when something else of its time was there, in the window or not any more.
+            let silent_s = |until_ns: BootNs, before: &[&Observation]| {
+                let newest_ns = before.iter().map(|o| o.observed_ns).max();
+                newest_ns.map_or(0.0, |newest_ns| until_ns.since(newest_ns) as f64 / 1e9)
+            };
+            let is_first = |o: &&Observation| shown.first().is_some_and(|first| first.id() == o.id());
+            let first = sentences.iter().position(is_first).unwrap_or(sentences.len());
+            let inner = first + 1..sentences.len();
+            let mut gaps = inner.map(|place| silent_s(sentences[place].observed_ns, &sentences[..place]));
+            let has_ended = window > 0 && limits.is_gap(silent_s(BootNs(message.computed_ns), &sentences));
+            ensure(!gaps.any(|gap_s| limits.is_gap(gap_s)) && !has_ended, || {
+                format!("the window of person {number} holds what lies before a gap")
+            })?;
+            self.tally.windows_ended += u64::from(window == 0 && most > 0);
+            if person.presence != presence::PRESENT {
+                self.tally.away += 1;
+                let nowhere = person.probability.iter().all(|p| *p == 0.0) && person.elsewhere == 1.0;
+                ensure(nowhere, || format!("person {number} is away, and in a room"))?;
+                continue;
+            }
+            ensure(person.elsewhere == 0.0, || format!("person {number} is here and elsewhere"))?;
+            let mut oracle = self.pipeline(map, history, &Rc::default());
+            let alone = oracle
+                .step(shown.iter().map(|o| Observation { person: PersonId(0), name: None, ..(*o).clone() }))
+                .unwrap();
+            for ((told, alone), nobody) in
+                person.probability.iter().zip(&alone.grounded.partition_probability).zip(&mut nobody)
+            {
+                ensure((told - alone).abs() < 1e-9, || {
+                    format!("scores {}: person {number} has {told}, alone {alone}, of {window}", message.sequence)
+                })?;
+                *nobody *= 1.0 - told;
+            }
+            present.push(number);
+        }
+        let known = told.persons().iter().filter(|person| person.presence != presence::GONE).count();
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
+        let nobody_home = known > 0 && present.is_empty() && self.residents.iter().all(is_told);
+        self.tally.nobody_home += u64::from(nobody_home);
+        ensure(message.has(score_flags::NOBODY_HOME) == nobody_home, || format!("the flags are {}", message.flags))?;
+        ensure(message.has(score_flags::NO_NARRATION) == (known == 0), || format!("the flags are {}", message.flags))?;
+        ensure(message.persons as usize == known && known <= MAX_PERSONS, || format!("{known} persons are known"))?;
+        if known > 0 {
+            for (room, nobody) in message.rooms().iter().zip(nobody) {
+                ensure((room.probability - (1.0 - nobody)).abs() < 1e-12, || {
+                    format!("scores {}: somebody is in {} with {}", message.sequence, room.id(), room.probability)
+                })?;
+            }
+        }
+        self.tally.several += u64::from(present.len() > 1);
+        Ok(())
+    }
+
+    /// A restarted daemon's first forecast is that of the one before it, had it lived on.
+    fn check_restored(&mut self) -> Check {
+        let (now_ns, unix_ns, failing) = (self.now_ns, self.unix_ns, self.failures.get() > 0);
+        let Some(daemon) = &mut self.daemon else { return Ok(()) };
+        if !std::mem::take(&mut daemon.restarted) {
+            return Ok(());
+        }
+        let forecast = *daemon.cycle.board_mut().forecast(BootNs(now_ns));
+        let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
+        let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
+        let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
+        // Nobody knows of a home with nobody in it where somebody who lives there was never observed.
+        let known = daemon.cycle.board().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
+        ensure(forecast.has(forecast_flags::NOT_KNOWN) != known, || {
+            format!("the first forecast after a start has the flags {}", forecast.flags)
+        })?;
+        let Some(mut ghost) = self.ghost.take() else { return Ok(()) };
+        // Where the map was changed meanwhile, the histories alone are understood by it.
+        if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
+            return Ok(());
+        }
+        ghost.board.step([], BootNs(now_ns), UnixNs(unix_ns)).unwrap();
+        let is_joint = self.was_joint || ghost.board.is_joint();
+        let before = *ghost.board.person_forecasts(BootNs(now_ns));
+        let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
+        // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
+        // was whose is not known any more.
+        let same_windows = ghost.board.pipeline().inside().read_sentences().eq(daemon
+            .cycle
+            .board()
+            .pipeline()
+            .inside()
+            .read_sentences());
+        // A visitor of whom something is told late was gone meanwhile, or not, depending on who looked.
+        let stays = |own: &&PersonForecastV1| own.presence != presence::GONE && own.flags & person_flags::VISITOR == 0;
+        for own in before.persons().iter().filter(stays) {
+            let again = after.persons().iter().find(|again| again.person == own.person);
+            let again = again.ok_or_else(|| format!("after a restart person {} is not known", own.person))?;
+            ensure((again.presence, again.name) == (own.presence, own.name), || {
+                format!(
+                    "after a restart person {} has the presence {}, before {}",
+                    own.person, again.presence, own.presence
+                )
+            })?;
+            let rows = own.probability.iter().zip(&again.probability).chain([(&own.elsewhere, &again.elsewhere)]);
+            for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
+                // What was learned since it was written is learned again in less detail.
+                // What was observed before what the journal holds says how long somebody stays.
+                let tolerance = if is_joint { 0.1 } else { 1e-4 };
+                // The joint filter moves persons by the local hour, and starts with the events that the journal kept.
+                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.disk.tally().rotations > 0);
+                let is_open = !same_windows || self.learns || self.disk.tally().rotations > 1 || is_moved;
+                ensure(is_open || (before - after).abs() < tolerance, || {
+                    format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
+                })?;
+            }
+        }
+        self.tally.restored += 1;
+        Ok(())
+    }
+
+    fn confirm(&mut self) {
+        let who = self.rng.random_range(0..self.narrators.len());
+        let narrator = &mut self.narrators[who];
+        if let Some(scores) = narrator.scores.pop_front() {
+            narrator.account.confirm(&scores);
+        }
+    }
+
+    fn hang(&mut self) {
+        let until_ns = self.now_ns + self.rng.random_range(0..1500) * MS;
+        if let Some(daemon) = &mut self.daemon {
+            daemon.hung_ns = until_ns;
+            self.note(|| "daemon hangs".to_owned());
+        }
+    }
+
+    fn kill_daemon(&mut self) -> Check {
+        let Some(daemon) = self.daemon.take() else { return Ok(()) };
+        self.tally.daemon_kills += 1;
+        // The record that was being written may be torn.
+        if let Some((record, _)) = daemon.records.front()
+            && self.rng.random_bool(0.5)
+        {
+            self.disk.tear(&record[..self.rng.random_range(0..record.len())]);
+            self.tally.torn += 1;
+        }
+        // What the journal did not get is lost, and may be: nothing claimed it, so its narrator still has it.
+        let kept = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
+        // Only what the journal has and scores contain is known to the next one, too.
+        let whole = daemon.records.is_empty()
+            && !self.is_refused
+            && !self.disk.lacks_pages()
+            && !self.disk.was_misread()
+            && daemon.scored == self.accepted.len()
+            && daemon.map == daemon.scored_map;
+        let accepted = self.accepted.len();
+        // What the model said on another map is of other rooms.
+        let ghost =
+            (whole && self.tally.map_changes == 0).then(|| Ghost { board: daemon.cycle.into_board(), accepted });
+        self.ghost = ghost;
+        for lost in self.accepted.split_off(kept) {
+            let name = lost.id();
+            ensure(!self.claimed.contains(&name), || {
+                format!("{name:?} was accepted and claimed, and did not survive the daemon")
+            })?;
+            self.taken.remove(&name);
+            // Its narrator may have ended, too.
+            self.unheard.extend(lost.sentence().map(|_| name));
+        }
+        // What the strangers' service keeps reaches the next daemon, as a narrator's does.
+        let known: Vec<bool> = (self
+            .strangers
+            .iter()
+            .map(|(said, port)| *port == INVENTOR || said.source == 99 || self.is_known((said.source, said.epoch))))
+        .collect();
+        let mut known = known.into_iter();
+        self.strangers.retain(|_| known.next().unwrap_or_default());
+        for narrator in &mut self.narrators {
+            narrator.wire.clear();
+        }
+        self.note(|| "daemon killed".to_owned());
+        if self.rng.random_bool(0.15) {
+            self.damage_disk();
+        }
+        if self.rng.random_bool(0.15) {
+            self.damage_habits();
+        }
+        Ok(())
+    }
+
+    /// One bit of the journal flips while nobody runs. The narration it belonged to is lost, and nothing else.
+    fn damage_disk(&mut self) {
+        let (place, bit, seals) =
+            (self.rng.random::<u32>(), self.rng.random_range(0..8), self.planted == Planted::NoChecksum);
+        let is_damaged = self.disk.damage(|bytes| {
+            let at = place as usize % bytes.len();
+            bytes[at] ^= 1 << bit;
+            if seals {
+                seal(bytes);
+            }
+        });
+        if !is_damaged {
+            return;
+        }
+        self.ghost = None;
+        // It may be the record of whose a source is.
+        self.strangers.clear();
+        self.tally.damaged += 1;
+        self.note(|| "a bit of the journal is damaged".to_owned());
+    }
+
+    fn start_daemon(&mut self) -> Check {
+        if self.daemon.is_some() || self.disk.start().is_err() {
+            return Ok(());
+        }
+        // A disk that cannot be read is an error, and the daemon is started again.
+        let Ok((writer, mut recovered)) = Writer::open(self.disk.clone(), self.half_bytes, &BOOT) else {
+            return Ok(());
+        };
+        let pipeline = self.pipeline(0, self.options.history, &self.failures);
+        let config =
+            PersonsConfig { residents: self.residents.clone(), visitor_s: VISITOR_S, ..PersonsConfig::default() };
+        let names =
+            if self.planted == Planted::NoNamesAfterRestart { PersonsFile::default() } else { self.names.clone() };
+        let persons = Persons::new(config, names);
+        let board = Board::new(pipeline, self.maps[0].clone(), GROUNDING, self.epoch()).unwrap().with_persons(persons);
+        let board = board.with_habits(HomeHabits::new(self.memory(), Zone::UTC));
+        let mut cycle = Cycle::new(board, HEARTBEAT_NS);
+        let mut intake = Intake::new(IntakeLimits::default());
+        if self.planted != Planted::NoCost {
+            intake = intake.with_cost(SentenceCost::new(Arc::new(str::len), Arc::new(TOKENS.into())));
+        }
+        if self.planted == Planted::NoJournal {
+            recovered = Recovered::default();
+        }
+        if self.planted == Planted::ReadsTwice {
+            let each = self.disk.read_record_by_record(&BOOT);
+            if each.len() > recovered.observations.len() {
+                recovered.observations = each;
+            }
+        }
+        let halves: Vec<_> = recovered.observations.iter().map(Observation::id).collect();
+        let back = recovered.clone().join().observations;
+        let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
+        self.note(|| format!("daemon starts with {} narrations{misread}", back.len()));
+        if self.disk.was_misread() {
+            // It may hold the record of whose a source is.
+            self.strangers.clear();
+        }
+        self.check_recovered(&back, &halves)?;
+        // What a start does not see it cannot believe, however many it accepts after it.
+        let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
+        self.ghost = self.ghost.take_if(is_whole);
+        self.accepted = back.iter().map(as_it_came).collect();
+        self.taken.extend(back.iter().map(Observation::id));
+        self.attributed.clear();
+        let by_fit = back.iter().filter(|o| o.by_fit);
+        self.attributed.extend(by_fit.map(|o| (o.id(), o.person)));
+        if self.planted == Planted::NoAttributionsAfterRestart {
+            // All of them are the same person's.
+            recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = PersonId(1));
+        }
+        if self.planted == Planted::NoPresenceAfterRestart {
+            let stays = || Event::Did(Sentence::new("They stay.").unwrap());
+            recovered.observations.iter_mut().filter(|o| o.sentence().is_none()).for_each(|o| o.event = stays());
+        }
+        let (entered, scored) = (self.accepted.len(), self.accepted.len());
+        let mut forgetful = Intake::new(IntakeLimits::default());
+        let known = if self.planted == Planted::NoDeduplicationAfterRestart { &mut forgetful } else { &mut intake };
+        if self.planted == Planted::NoTimesAfterRestart {
+            (recovered.observations.iter_mut())
+                .for_each(|o| (o.observed_ns, o.observed_unix_ns) = (BootNs(0), UnixNs(0)));
+        }
+        if self.planted == Planted::NoPortsAfterRestart {
+            recovered.ports.clear();
+        }
+        let costly = cycle.restore(recovered, known, BootNs(self.now_ns), UnixNs(self.unix_ns));
+        ensure(costly == 0, || format!("{costly} sentences of the journal cannot be scored"))?;
+        let learned = cycle.board().habits().learned().observations as usize;
+        let said = self.lessons.len();
+        ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
+        let (queue, records) = Default::default();
+        let preparer = cycle.board().pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
+        self.daemon = Some(Daemon {
+            intake,
+            cycle,
+            preparer,
+            late: Vec::new(),
+            queue,
+            records,
+            writer,
+            appended: 0,
+            written: 0,
+            hung_ns: 0,
+            entered,
+            scored,
+            read: Vec::new(),
+            heard: BTreeSet::new(),
+            found: entered,
+            map: 0,
+            scored_map: 0,
+            restarted: true,
+        });
+        for narrator in &mut self.narrators {
+            narrator.wire = narrator.history.clone();
+        }
+        Ok(())
+    }
+
+    /// What comes back is what was accepted, each once and in its order, but for what may be lost: what a rotation has dropped, which lies before
+    /// all that the `halves` hold themselves; what damaged bytes held; what the disk had refused, or no sync had reached when the power
+    /// failed. And nothing that was never said.
+    fn check_recovered(&mut self, back: &[Observation], halves: &[EventId]) -> Check {
+        let mut names = BTreeSet::new();
+        for again in back {
+            let name = again.id();
+            ensure(names.insert(name), || format!("{name:?} is in the history twice"))?;
+            ensure(self.ever.get(&name).is_some_and(|said| *said == as_it_came(again)), || {
+                format!("the journal gives back what was never accepted: {again:?}")
+            })?;
+            // What was claimed was said to be somebody's; damage may have taken that, or a sync that failed.
+            let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
+            // A kill between a failed sync and the next write loses what that sync did.
+            let is_lost = self.lost_power || self.is_refused || self.disk.lacks_pages();
+            let may_be = self.tally.is_hurt() || is_lost || self.disk.was_misread();
+            ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
+            let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
+            let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
+            ensure(!other || was_said, || format!("{name:?} is somebody else's after a restart"))?;
+        }
+        let in_order = self.accepted.iter().map(Observation::id).filter(|name| names.contains(name));
+        let before =
+            back.iter().map(Observation::id).filter(|name| self.accepted.iter().any(|said| said.id() == *name));
+        ensure(in_order.eq(before) || self.tally.misread > 0 || self.disk.was_misread(), || {
+            "the journal gives back what was accepted in another order".to_owned()
+        })?;
+
+        let once = halves.iter().find(|name| !self.again.contains(name));
+        let first = once.map_or(u64::MAX, |name| self.order[name]);
+        // What a disk has refused lies behind what was accepted after it, in the next half: the half before that may have gone without it.
+        let older_from = self.rotated_at.iter().rev().nth(1).copied().filter(|_| self.disk.tally().failed_calls > 0);
+        let first = first.max(older_from.unwrap_or(0));
+        let rotations = self.disk.tally().rotations;
+        let has_rotated = rotations > 1;
+        self.check_hidden(&names)?;
+        let (mut lost, mut rotated) = (Vec::new(), 0);
+        for said in self.accepted.iter().filter(|said| !names.contains(&said.id())) {
+            let name = said.id();
+            let unsafe_then = self.lost_power && !self.safe.contains(&name);
+            let refused = self.refused.contains(&name) || self.disk.lacks_pages();
+            if has_rotated && self.order[&name] < first {
+                self.rotated.insert(name);
+                rotated += 1;
+                continue;
+            }
+            self.taken.remove(&name);
+            self.claimed.remove(&name);
+            self.unheard.extend(said.sentence().map(|_| name));
+            if unsafe_then {
+                self.attributed.remove(&name);
+                self.tally.lost_with_power += 1;
+            } else if refused {
+                self.damaged.insert(name);
+                self.tally.lost_refused += 1;
+            } else {
+                lost.push(name);
+                self.damaged.insert(name);
+                self.hidden.extend(self.disk.was_misread().then_some(name));
+            }
+        }
+        self.hidden_at = self.disk.tally();
+        self.tally.rotated += rotated;
+        let is_whole = !self.tally.is_hurt() && !self.lost_power && !self.is_refused && !self.disk.was_misread();
+        for person in self.told.iter().filter(|_| is_whole && rotated > 0) {
+            let mut own = self.accepted.iter().filter(|said| self.person_of(said) == Some(*person)).peekable();
+            let is_kept = own.peek().is_none() || own.any(|said| names.contains(&said.id()));
+            ensure(is_kept, || format!("a rotation has dropped all of person {person}"))?;
+        }
+        let half = usize::try_from(self.half_bytes).unwrap_or(usize::MAX) / 2;
+        ensure(rotated == 0 || self.disk.bytes() >= half, || {
+            format!("a rotation has dropped {rotated}, and {} bytes are left", self.disk.bytes())
+        })?;
+        // Damage happens while the daemon is down; each flips a single bit. A block that is read wrongly holds some narrations.
+        let damages = self.tally.damaged as usize + if self.disk.was_misread() { 12 } else { 0 };
+        self.tally.misread += u64::from(self.disk.was_misread());
+        ensure(lost.len() <= damages, || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
+        // The daemon may say again whose it is, and claims it then.
+        for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
+            if self.attributed.remove(&unsaid).is_some() {
+                self.claimed.remove(&unsaid);
+            }
+        }
+        (self.lost_power, self.is_refused) = (false, false);
+        self.refused.clear();
+        // What a start reads is on the disk, or was hidden from it.
+        self.safe.retain(|name| names.contains(name));
+        Ok(())
+    }
+
+    /// What a start did not see for a block that was read wrongly, a later one sees: unless the disk has lost it since.
+    fn check_hidden(&mut self, back: &BTreeSet<EventId>) -> Check {
+        let (then, now) = (self.hidden_at, self.disk.tally());
+        let is_same = (then.rotations, then.failed_calls) == (now.rotations, now.failed_calls);
+        if !is_same || self.lost_power || self.tally.damaged > 0 {
+            // What was not on the disk for good, or went with a half, is gone, whatever the start between them saw.
+            self.hidden.clear();
+        }
+        if self.disk.was_misread() {
+            return Ok(());
+        }
+        let hidden = std::mem::take(&mut self.hidden);
+        let gone: Vec<_> = hidden.difference(back).collect();
+        ensure(gone.is_empty(), || format!("what a start did not see is not given back by the next: {gone:?}"))
+    }
+
+    fn kill_narrator(&mut self) {
+        let who = self.rng.random_range(0..self.narrators.len());
+        let reached = self.rng.random_range(0..=self.narrators[who].wire.len());
+        self.restart_narrator(who, reached);
+    }
+
+    /// Of what it has said the first `reached` are on their way still.
+    fn restart_narrator(&mut self, who: usize, reached: usize) {
+        let epoch = self.epoch();
+        let narrator = &mut self.narrators[who];
+        narrator.account = Account::new(&narrator.name, epoch);
+        narrator.port = Sender::simulated(epoch);
+        narrator.history.clear();
+        // What was sent and not received dies with its sender, from some message on.
+        narrator.wire.truncate(reached);
+        narrator.scores.clear();
+        narrator.scores.extend(self.last_sent.filter(|_| self.daemon.is_some()));
+        self.note(|| format!("narrator {who} restarts with epoch {epoch}"));
+    }
+
+    fn start_planner(&mut self) {
+        let room_time_s = self.rng.random_range(0.0..0.3);
+        let config = PlannerConfig {
+            policy: PolicyName::ALL[self.rng.random_range(0..PolicyName::ALL.len())],
+            seed: self.rng.random(),
+            room_time_s,
+            round_s: self.rng.random_bool(0.5).then(|| room_time_s * self.rng.random_range(1.0..5.0)),
+            deadline_ms: if self.planted == Planted::NoDeadline { 1 << 40 } else { DEADLINE_MS },
+            interrupt_after_s: 0.01,
+            report_timeout_s: 0.3,
+            ..Default::default()
+        };
+        let epoch = self.epoch();
+        let mut planner = Planner::new(&config, epoch);
+        // Most planners find what the one before has kept.
+        self.body.charges = false;
+        let mut resumes = None;
+        if let Some(kept) = self.robot.planner.kept("").filter(|_| self.rng.random_bool(0.7)) {
+            planner = planner.with_kept(kept);
+            resumes = self.robot.last;
+            self.tally.kept += 1;
+        } else {
+            self.body.failed.clear();
+            self.body.just_failed.clear();
+        }
+        self.body.begun.clear();
+        self.body.wire = self.body.history.clone();
+        let scores = self.last_sent.filter(|_| self.daemon.is_some()).into_iter().collect();
+        let forecast = ForecastV1::default();
+        let (heard, rooms) = (BTreeMap::new(), Vec::new());
+        self.robot = Robot { planner, epoch, scores, heard, forecast, free: true, last: None, resumes, rooms };
+        self.note(|| "planner starts".to_owned());
+    }
+
+    /// What the robot does of itself, and says of it.
+    fn act(&mut self) {
+        if self.body.reporter.is_none() {
+            return;
+        }
+        let low = Report { battery: Some(0.1), ..Report::new(Kind::Docked) };
+        let charged = Report { battery: Some(0.9), ..Report::new(Kind::Battery) };
+        let Some((decision, started)) = self.body.work else {
+            let report = if self.rng.random_bool(0.5) { charged } else { Report::new(Kind::Docked) };
+            self.report(&report, 0);
+            return;
+        };
+        let room = decision.to().to_owned();
+        let named = self.rng.random_bool(0.5);
+        let of =
+            |kind| Report { room: named.then(|| room.clone()), decision: Some(decision.sequence), ..Report::new(kind) };
+        match self.rng.random_range(0..10) {
+            0..3 if !started => {
+                self.body.work = Some((decision, true));
+                self.report(&of(Kind::Started), decision.epoch);
+            }
+            0..6 => {
+                self.body.work = None;
+                self.report(&of(Kind::Finished), decision.epoch);
+            }
+            6 => {
+                self.body.work = None;
+                self.report(&low, 0);
+            }
+            7 => {
+                self.body.silent = true;
+                self.note(|| "robot falls silent".to_owned());
+            }
+            _ => {
+                self.body.work = None;
+                let kind = [Kind::Failed, Kind::Blocked, Kind::Cancelled][self.rng.random_range(0..3)];
+                self.report(&of(kind), decision.epoch);
+            }
+        }
+    }
+
+    fn report(&mut self, report: &Report, decision_epoch: u64) {
+        let body = &mut self.body;
+        let (Some(reporter), false) = (&mut body.reporter, body.silent) else { return };
+        let message = reporter.message(report, BootNs(self.now_ns), UnixNs(self.now_ns)).unwrap();
+        // The decision is named whole, as a robot does that hears decisions.
+        let message = RobotReportV1 { decision_epoch, ..message };
+        if body.history.len() == 8 {
+            body.history.pop_front();
+        }
+        body.history.push_back(message);
+        body.wire.push_back(message);
+        self.note(|| format!("robot says {:?} {:?}", report.kind, report.room));
+    }
+
+    /// What the robot makes of a decision.
+    fn obey(&mut self, decision: &DecisionV1) {
+        self.body.work = (decision.action == action::GO).then_some((*decision, false));
+        self.body.told.insert((decision.epoch, decision.sequence), decision.to().to_owned());
+        if self.body.silent && self.rng.random_bool(0.3) {
+            self.body.silent = false;
+        }
+    }
+
+    /// What decisions may say of a robot that reports.
+    fn check_robot(&mut self, decision: &DecisionV1) -> Check {
+        let body = &mut self.body;
+        let before = self.robot.last;
+        let since = before.filter(|before| before.covered & !decision.covered == 0);
+        if let Some(before) = since.filter(|before| before.has(decision_flags::REPORTED)) {
+            for room in (0..64).filter(|room| decision.covered & !before.covered & (1 << room) != 0) {
+                let id = self.robot.rooms.get(room).cloned().unwrap_or_default();
+                ensure(body.finished.contains(&id), || {
+                    format!("the room {id} counts as done, and the robot has not said so: {:?}", body.finished)
+                })?;
+            }
+        }
+        // A planner that has started and knows no rooms yet covers none: what it covers next is compared with what the one before it did.
+        let is_blind = |decision: &DecisionV1| decision.has(decision_flags::FALLBACK) && decision.covered == 0;
+        let known = before.filter(|before| !is_blind(before) || self.robot.resumes.is_none()).or(self.robot.resumes);
+        if !is_blind(decision) && known.is_some_and(|known| known.covered & !decision.covered != 0) {
+            // Another round or map: what counts is what is said from now on.
+            body.failed.clear();
+        }
+        body.finished.clear();
+        if decision.has(decision_flags::ROBOT_SILENT) {
+            body.failed.extend(before.map(|before| before.to().to_owned()));
+            self.tally.silent += 1;
+        }
+        self.tally.interrupted += u64::from(decision.has(decision_flags::INTERRUPTED));
+        self.tally.paused += u64::from(decision.action == action::PAUSE);
+        ensure(decision.action != action::GO || !body.charges, || "a robot that charges is sent out".to_owned())?;
+        ensure(decision.cancels == 0 || before.is_some_and(|before| before.sequence >= decision.cancels), || {
+            format!("decision {} cancels {}, which was not taken", decision.sequence, decision.cancels)
+        })
+    }
+
+    /// What the planner does in one round.
+    fn plan(&mut self) -> Check {
+        let now_ns = self.now_ns;
+        let clock_ns = if self.planted == Planted::ClockStopsInSleep { now_ns - self.asleep_ns } else { now_ns };
+        let robot = &mut self.robot;
+        while let Some(scores) = robot.scores.pop_front() {
+            if let Err(error) = robot.planner.take(&scores, BootNs(clock_ns)) {
+                ensure(self.planted == Planted::ClockStopsInSleep, || format!("the daemon's scores are {error}"))?;
+                continue;
+            }
+            robot.rooms = scores.rooms().iter().map(|room| room.id().to_owned()).collect();
+            let name = (scores.epoch, scores.sequence);
+            let heard = robot.heard.entry(name).or_default();
+            if scores.published_ns >= heard.0 {
+                *heard = (scores.published_ns, scores.has(score_flags::SCORER_FAILED), scores.computed_ns);
+            }
+            let mut forecast = ForecastV1 {
+                epoch: scores.epoch,
+                computed_ns: scores.published_ns,
+                published_ns: scores.published_ns,
+                room_count: scores.room_count,
+                horizon_count: 1,
+                ..ForecastV1::default()
+            };
+            for (room, score) in scores.rooms().iter().enumerate() {
+                forecast.id[room] = score.id;
+                forecast.probability[room][0] = [0.0, 0.5, 1.0][self.rng.random_range(0..3)];
+            }
+            robot.planner.take_forecast(&forecast, BootNs(clock_ns)).unwrap();
+            robot.forecast = forecast;
+        }
+        while robot.planner.knows_rooms()
+            && let Some(report) = self.body.wire.pop_front()
+        {
+            let heard = robot.planner.take_report(&report, BootNs(clock_ns));
+            let room = self.body.room_of(&report);
+            self.body.begun.remove(&room);
+            match report.kind {
+                report_kind::FINISHED => self.tally.finished += u64::from(self.body.finished.insert(room)),
+                report_kind::STARTED if report.decision_epoch != robot.epoch => _ = self.body.begun.insert(room),
+                report_kind::STARTED => {}
+                report_kind::FAILED | report_kind::BLOCKED | report_kind::CANCELLED => {
+                    self.body.just_failed.push(room.clone());
+                    self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
+                }
+                _ => {
+                    // A planner that has just started and knows no rooms yet sends it nowhere: it does what the one before sent it to do.
+                    let sent = robot.last.filter(|last| !last.to().is_empty()).or(robot.resumes);
+                    self.body.just_failed.extend(sent.map(|last| last.to().to_owned()));
+                    self.body.just_failed.extend(std::mem::take(&mut self.body.begun));
+                    self.body.failed.extend(self.body.just_failed.iter().cloned());
+                }
+            }
+            if let Some(battery) = report.battery() {
+                self.body.charges = battery < 0.5;
+            }
+            // A room of a map that was is no room.
+            // Nor does a planner know all decisions of those before it.
+            let is_fault = heard.is_err() && !matches!(heard, Err(ReportFault::UnknownDecision { .. }));
+            ensure(!is_fault || self.tally.map_changes > 0 || self.tally.daemon_kills > 0, || format!("{heard:?}"))?;
+        }
+        let free = robot.planner.is_free(BootNs(clock_ns));
+        let Some(decision) = robot.planner.decide(BootNs(clock_ns), UnixNs(clock_ns)).unwrap() else { return Ok(()) };
+        // After a restart the planner says once more what the robot was sent to do, as soon as there are scores.
+        let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
+        let asks = ["goes on", "asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
+        let again = nothing_yet && asks;
+        let given_up = decision.has(decision_flags::ROBOT_SILENT | decision_flags::INTERRUPTED);
+        ensure(free || again || given_up || decision.cancels != 0, || {
+            format!("a robot that is not free is sent: {decision:?}")
+        })?;
+        // What was said since the last decision to have failed has, also where this one begins another round or knows another map.
+        self.check_robot(&decision)?;
+        self.body.failed.extend(self.body.just_failed.drain(..));
+        let robot = &mut self.robot;
+        let deadline_ns = DEADLINE_MS * MS;
+        self.tally.decisions += 1;
+        if decision.has(decision_flags::FALLBACK) {
+            self.tally.fallbacks += 1;
+            // A robot that pauses goes on pausing.
+            let stays = decision.action == action::STAY && decision.from == decision.to;
+            let pauses = decision.action == action::PAUSE && decision.to().is_empty();
+            ensure(stays || pauses, || format!("a fallback that moves the robot: {decision:?}"))?;
+        } else {
+            let name = (decision.scores_epoch, decision.scores_sequence);
+            let heard = robot.heard.get(&name);
+            let fresh = heard.is_some_and(|(sent_ns, failed, computed_ns)| {
+                now_ns - sent_ns <= deadline_ns && (!failed || now_ns - computed_ns <= deadline_ns)
+            });
+            ensure(fresh, || format!("a decision on stale scores {name:?}: {heard:?} at {now_ns}"))?;
+            let known = &robot.forecast;
+            let planned = !again
+                && decision.policy() == PolicyName::CoverageAware.as_str()
+                && decision.stay_ns > 0
+                && known.epoch == decision.scores_epoch
+                && now_ns - known.published_ns <= deadline_ns;
+            let rooms = (0..known.room_count as usize).map(|room| (room, known.probability[room][0]));
+            // A room that could not be done comes after the others, and not at once.
+            let failed = |room: usize| known.room(room).is_some_and(|(id, _)| self.body.failed.contains(id));
+            let mut to_do = rooms.filter(|(room, _)| decision.covered & (1 << room) == 0 && !failed(*room));
+            let waits = || (0..64).any(|room| decision.covered & (1 << room) != 0 && known.id[room] == decision.to);
+            let put_off = planned && to_do.any(|(_, probability)| probability == 0.0) && waits();
+            ensure(!put_off, || format!("free work is put off: {decision:?}"))?;
+            self.tally.planned += u64::from(planned);
+        }
+        robot.free = !decision.has(decision_flags::FALLBACK);
+        robot.last = Some(decision);
+        if !decision.has(decision_flags::FALLBACK) {
+            robot.resumes = None;
+        }
+        self.obey(&decision);
+        self.note(|| format!("planner decides {:?}: {}", decision.to(), decision.reason()));
+        Ok(())
+    }
+
+    /// Faults cease; on a faithful transport everything that living narrators said is confirmed, and the robot is not held back.
+    fn settle(&mut self) -> Check {
+        self.calm = true;
+        self.failures.set(0);
+        self.disk.set_faults(0.0, 0.0);
+        self.start_daemon()?;
+        for _ in 0..600 {
+            self.pass(5 * MS);
+            self.ingest()?;
+            self.write()?;
+            self.score()?;
+            self.confirm();
+            self.plan()?;
+        }
+        self.check_habits(self.faithful)?;
+        if !self.faithful {
+            return Ok(());
+        }
+        for (who, narrator) in self.narrators.iter().enumerate() {
+            let under_way = narrator.account.under_way();
+            ensure(under_way == 0, || format!("{under_way} narrations of narrator {who} are never confirmed"))?;
+            let outcome = narrator.account.outcome();
+            let lost = outcome.dropped as usize > self.damaged.len();
+            ensure(!lost, || format!("narrator {who} was not heard: {outcome:?}"))?;
+        }
+        ensure(self.robot.free, || "the planner never leaves its fallback".to_owned())
+    }
+}
+
+/// What is told of one person, without what came after something later had said otherwise of whether they are in the house. None where that
+/// depends on when somebody looked: whether who is gone, or a visitor who was silent, was forgotten before it came.
+fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>> {
+    let (mut newest_ns, mut presence, mut was_gone) = (0, Presence::Unknown, false);
+    let mut kept = Vec::with_capacity(own.len());
+    for observation in own {
+        let is_late = observation.observed_ns < BootNs(newest_ns);
+        if is_late && (is_visitor || was_gone) {
+            return None;
+        }
+        let said = observation.event.person_presence();
+        if is_late && presence != said {
+            continue;
+        }
+        (newest_ns, presence) = (newest_ns.max(observation.observed_ns.0), said);
+        was_gone |= said == Presence::Gone;
+        kept.push(observation);
+    }
+    Some(kept)
+}
+
+/// The number of somebody who is written as a name or number.
+fn number_of(who: &str) -> PersonId {
+    who.parse().unwrap_or_else(|_| person_number(who))
+}
+
+/// An observation without what the daemon made of it.
+fn as_it_came(observation: &Observation) -> Observation {
+    let person = if observation.by_fit { PersonId::SOMEBODY } else { observation.person };
+    Observation { person, by_fit: false, ..observation.clone() }
+}
+
+/// Makes every checksum of the journal fit what it holds, which is what a reader without checksums sees.
+fn seal(disk: &mut [u8]) {
+    let mut at = 0;
+    while let Some(header) = disk.get(at..at + 12) {
+        let length = u32::from_le_bytes(header[4..8].try_into().unwrap()) as usize;
+        match disk.get(at + 12..at + 12 + length) {
+            Some(payload) if header.starts_with(b"RCJ") => {
+                let checksum = crc32fast::hash(payload);
+                disk[at + 8..at + 12].copy_from_slice(&checksum.to_le_bytes());
+                at += 12 + length;
+            }
+            _ => at += 1,
+        }
+    }
+}
+
+/// Plays a seed; the error says what was violated, when, and what happened before.
+fn play(seed: u64, planted: Planted) -> Result<Tally, String> {
+    let mut world = World::new(seed, planted);
+    let steps = if is_long(seed) { LONG_STEPS } else { STEPS };
+    let result = (0..steps)
+        .try_for_each(|number| world.step().map_err(|what| format!("step {number}: {what}")))
+        .and_then(|()| world.settle().map_err(|what| format!("after the faults: {what}")));
+    match result {
+        Ok(()) => Ok(Tally { disk: world.disk.tally(), ..world.tally }),
+        Err(what) => {
+            let trace: Vec<_> = world.trace.iter().map(|line| format!("    {line}\n")).collect();
+            Err(format!(
+                "seed {seed}, {what}\n{}  again with: ROOMCAST_TRACE=1000 ROOMCAST_SEED={seed} cargo test --release --test it simulated",
+                trace.concat()
+            ))
+        }
+    }
+}
+
+fn is_long(seed: u64) -> bool {
+    seed % 4 == 3
+}
+
+fn number(variable: &str) -> Option<u64> {
+    let text = std::env::var(variable).ok()?;
+    Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
+}
+
+#[test]
+fn no_seed_violates_an_invariant() {
+    let first = number("ROOMCAST_FIRST_SEED").unwrap_or(0);
+    let several = first..first + number("ROOMCAST_SEEDS").unwrap_or(SEEDS);
+    let seeds = number("ROOMCAST_SEED").map_or(several, |seed| seed..seed + 1);
+    let played: Vec<_> = seeds.clone().into_par_iter().map(|seed| play(seed, Planted::Nothing)).collect();
+    let mut total = Tally::default();
+    let mut violated = Vec::new();
+    for result in played {
+        match result {
+            Ok(tally) => {
+                total.accepted += tally.accepted;
+                total.duplicates += tally.duplicates;
+                total.missed += tally.missed;
+                total.malformed += tally.malformed;
+                total.forged += tally.forged;
+                total.costly += tally.costly;
+                total.scored += tally.scored;
+                total.held_back += tally.held_back;
+                total.failed += tally.failed;
+                total.decisions += tally.decisions;
+                total.fallbacks += tally.fallbacks;
+                total.planned += tally.planned;
+                total.daemon_kills += tally.daemon_kills;
+                total.torn += tally.torn;
+                total.damaged += tally.damaged;
+                total.several += tally.several;
+                total.map_changes += tally.map_changes;
+                total.restored += tally.restored;
+                total.by_fit += tally.by_fit;
+                total.prepared += tally.prepared;
+                total.away += tally.away;
+                total.nobody_home += tally.nobody_home;
+                total.outdated += tally.outdated;
+                total.untold += tally.untold;
+                total.visitors_gone += tally.visitors_gone;
+                total.windows_ended += tally.windows_ended;
+                total.finished += tally.finished;
+                total.failed_rooms += tally.failed_rooms;
+                total.interrupted += tally.interrupted;
+                total.silent += tally.silent;
+                total.paused += tally.paused;
+                total.kept += tally.kept;
+                total.habits_written += tally.habits_written;
+                total.habits_read += tally.habits_read;
+                total.habits_lost += tally.habits_lost;
+                total.habits_whole += tally.habits_whole;
+                total.clocks_set += tally.clocks_set;
+                total.suspended += tally.suspended;
+                total.power_lost += tally.power_lost;
+                total.lost_with_power += tally.lost_with_power;
+                total.invented += tally.invented;
+                total.rotated += tally.rotated;
+                total.renamed += tally.renamed;
+                total.lost_refused += tally.lost_refused;
+                total.misread += tally.misread;
+                total.disk.rotations += tally.disk.rotations;
+                total.disk.failed_calls += tally.disk.failed_calls;
+                total.disk.failed_syncs += tally.disk.failed_syncs;
+                total.disk.stale_reads += tally.disk.stale_reads;
+                total.disk.misdirected_reads += tally.disk.misdirected_reads;
+                total.disk.names_lost += tally.disk.names_lost;
+            }
+            Err(what) => {
+                println!("{}", what.lines().next().unwrap_or_default());
+                violated.push(what);
+            }
+        }
+    }
+    println!("{} seeds: {total:?}", seeds.end - seeds.start);
+    assert!(violated.is_empty(), "{} seeds violate an invariant; the first:\n{}", violated.len(), violated[0]);
+    if seeds.end - seeds.start >= 100 {
+        // Seeds that reach none of this would prove nothing.
+        for reached in [
+            total.duplicates,
+            total.missed,
+            total.malformed,
+            total.forged,
+            total.costly,
+            total.held_back,
+            total.failed,
+            total.fallbacks,
+            total.planned,
+            total.finished,
+            total.failed_rooms,
+            total.interrupted,
+            total.silent,
+            total.paused,
+            total.kept,
+            total.habits_written,
+            total.habits_read,
+            total.habits_lost,
+            total.clocks_set,
+            total.suspended,
+            total.power_lost,
+            total.lost_with_power,
+            total.invented,
+            total.rotated,
+            total.renamed,
+            total.disk.failed_calls,
+            total.disk.failed_syncs,
+            total.disk.stale_reads,
+            total.disk.misdirected_reads,
+            total.disk.names_lost,
+        ] {
+            assert!(reached > 0, "{total:?}");
+        }
+        assert!(total.several > 0 && total.map_changes > 0 && total.restored > 0, "{total:?}");
+        let (by_fit, away, visitors_gone) = (total.by_fit, total.away, total.visitors_gone);
+        assert!(total.outdated > 0 && total.untold < total.several, "{total:?}");
+        assert!(by_fit > 0 && away > 0 && visitors_gone > 0 && total.prepared > 0, "{total:?}");
+        assert!(total.nobody_home > 0 && total.windows_ended > 0, "{total:?}");
+        assert!(total.torn > 0 && total.damaged > 0 && total.daemon_kills > 0, "{total:?}");
+    }
+}
+
+#[test]
+#[ignore = "full"]
+fn planted_faults_are_found() {
+    for (planted, violation) in [
+        (Planted::NoDeduplication, "taken twice"),
+        (Planted::NoDeadline, "stale scores"),
+        (Planted::NoChecksum, "never accepted"),
+        (Planted::ClaimsBeforeJournal, "did not survive the daemon"),
+        (Planted::NoJournal, "missing from the history"),
+        (Planted::NoDeduplicationAfterRestart, "taken twice"),
+        (Planted::NoTimesAfterRestart, "after a"),
+        (Planted::NoAttributionsAfterRestart, "after a restart"),
+        (Planted::NoPresenceAfterRestart, "was last said to be"),
+        (Planted::MapBeforeScores, "of another map"),
+        (Planted::OnePort, "a stranger is heard"),
+        (Planted::NoCost, "a stranger is heard"),
+        (Planted::NoNamesOfLessons, "sentences were learned, of"),
+        (Planted::NoPortsAfterRestart, "a stranger is heard"),
+        (Planted::ReadsTwice, "in the history twice"),
+        (Planted::NoNamesAfterRestart, "after a restart person"),
+        (Planted::ClockStopsInSleep, "stale scores"),
+        (Planted::Disk(DiskFault::NamesNotSynced), "missing from the history"),
+        (Planted::Disk(DiskFault::SyncErrorsHidden), "missing from the history"),
+        (Planted::Disk(DiskFault::FullHalfGoes), "missing from the history"),
+        (Planted::Disk(DiskFault::WordsNotCarried), "a rotation has dropped all of person"),
+        (Planted::Disk(DiskFault::PortsNotCarried), "a stranger is heard"),
+        (Planted::Disk(DiskFault::ReadsWrittenBack), "is not given back by the next"),
+    ] {
+        // What only shows with a rotation, or seldom, takes a long seed.
+        let takes_long = matches!(planted, Planted::Disk(_) | Planted::ReadsTwice | Planted::NoNamesAfterRestart);
+        let seeds: Vec<u64> = (0..4 * PLANTED_SEEDS).filter(|seed| is_long(*seed) == takes_long).collect();
+        let found = seeds.par_iter().find_map_any(|seed| {
+            let what = play(*seed, planted).err()?;
+            what.lines().next().unwrap_or("").contains(violation).then_some(what)
+        });
+        let what = found.unwrap_or_else(|| panic!("{planted:?} is found by no seed"));
+        println!("{planted:?}: {}", what.lines().next().unwrap_or(""));
+    }
+}

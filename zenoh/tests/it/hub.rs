@@ -1,0 +1,109 @@
+//! A hub alone, whose router is away: what it says and does by itself.
+
+use std::path::Path;
+
+use roomcast_zenoh::spool::{Dated, Spool};
+use roomcast_zenoh::wire::{Kind, Observation, Who};
+use rustix::process::Signal;
+
+use crate::support::{Process, bridge, eventually, free_port};
+
+/// A hub that has one narration to send, and nobody to send it to.
+fn hub(folder: &Path, input: &Path) -> Process {
+    let spool = folder.join("spool");
+    let observation =
+        Observation { text: "They sit.".to_owned(), kind: Kind::Sentence, person: Who::Somebody, count: 0 };
+    Spool::open(&spool, 10).unwrap().append(vec![Dated::new(observation, 0, None)]).unwrap();
+    let port = free_port();
+    let config = format!(
+        "[router]\nconnect = \"tcp/127.0.0.1:{port}\"\n[hub]\nname = \"hall-camera\"\nrobots = [\"robot-1\"]\nspool = {spool:?}\n"
+    );
+    let (file, input) = (folder.join("hub.toml"), input.to_owned());
+    std::fs::write(&file, config).unwrap();
+    Process::start(folder.join("hub.log"), move || {
+        let mut command = bridge();
+        command.arg("hub").arg("--config").arg(&file).arg("--input").arg(&input);
+        command
+    })
+}
+
+#[test]
+fn an_input_that_fails_is_told_while_narration_is_still_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    // It can be opened, and not be read: nothing is at the start of a process's memory.
+    let mut hub = hub(folder.path(), Path::new("/proc/self/mem"));
+    eventually("the log tells of the input", || hub.said().contains("the input cannot be read any more").then_some(()));
+    assert!(hub.is_alive(), "the robot has not confirmed what was read before");
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 1);
+    assert!(hub.said().contains("cannot read"), "{}", hub.said());
+}
+
+/// It waits for no writer, and loses none.
+#[test]
+fn a_hub_with_a_fifo_starts_reads_its_first_writer_and_stops() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    rustix::fs::mkfifoat(rustix::fs::CWD, &input, rustix::fs::Mode::from_raw_mode(0o600)).unwrap();
+    let mut hub = hub(folder.path(), &input);
+    let misses_router = |hub: &Process| hub.said().contains("router").then_some(());
+    eventually("it misses the router", || misses_router(&hub));
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0, "nobody has written yet");
+    hub.restart();
+    let mut writer = std::process::Command::new("sh");
+    writer.args(["-c", "echo \"They walk to the kitchen.\" > \"$0\""]).arg(&input);
+    assert!(writer.status().unwrap().success());
+    let is_kept = || {
+        let files = std::fs::read_dir(folder.path().join("spool")).unwrap().flatten();
+        let mut texts = files.filter_map(|file| std::fs::read_to_string(file.path()).ok());
+        texts.any(|text| text.contains("They walk to the kitchen.")).then_some(())
+    };
+    eventually("the line is kept", is_kept);
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+    assert!(hub.said().contains(r#"{"last":2,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
+}
+
+/// A spool that was removed gave the hub a new start, from the first line of its input on: the robots had each of them twice.
+#[test]
+fn a_hub_whose_spool_was_emptied_says_nothing_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    std::fs::write(&input, "").unwrap();
+    let mut hub = hub(folder.path(), &input);
+    let spool = folder.path().join("spool/narration");
+    let has = |text: &str| std::fs::read_to_string(&spool).unwrap().contains(text);
+    // A hub that starts at the end may not have found it yet.
+    let say = |text: &str| {
+        eventually("the line is kept", || {
+            let mut lines = std::fs::OpenOptions::new().append(true).open(&input).unwrap();
+            std::io::Write::write_all(&mut lines, format!("{text}\n").as_bytes()).unwrap();
+            has(text).then_some(())
+        });
+    };
+    say("They stand up.");
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+    std::fs::write(&spool, "").unwrap();
+    hub.restart();
+    say("They open the fridge.");
+    assert!(!has("They stand up."), "{}", hub.said());
+    hub.signal(Signal::TERM);
+    assert_eq!(hub.wait(), 0);
+}
+
+/// `timeout` and terminals signal a process and then its group.
+#[test]
+fn a_doubled_signal_is_one_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = folder.path().join("lines");
+    std::fs::write(&input, "").unwrap();
+    let mut hub = hub(folder.path(), &input);
+    // Its handlers are there before it looks for the router.
+    eventually("it misses the router", || hub.said().contains("router").then_some(()));
+    hub.signal(Signal::INT);
+    hub.signal(Signal::INT);
+    assert_eq!(hub.wait(), 0);
+    assert!(hub.said().contains(r#"{"last":1,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
+}
