@@ -217,15 +217,15 @@ impl Intake {
         self
     }
 
-    /// Takes note of an observation that a former run of the daemon took, so that it is not taken twice; they come in their order, and
-    /// of too many sources those count that were heard last.
-    pub fn restore(&mut self, observation: &Observation) {
-        let name = (observation.source, observation.epoch);
+    /// Takes note of an observation that a former run of the daemon took, by its source, epoch and sequence, so that it is not taken twice; they
+    /// come in their order, and of too many sources those count that were heard last.
+    pub fn restore(&mut self, (number, epoch, sequence): (u64, u64, u64)) {
+        let name = (number, epoch);
         self.make_room_for_source(name);
         self.turns += 1;
-        let (trust, turn) = (self.trust(observation.source), self.turns);
+        let (trust, turn) = (self.trust(number), self.turns);
         let source = self.source(name, trust, turn);
-        source.follower.take(observation.epoch, observation.sequence);
+        source.follower.take(epoch, sequence);
         source.turn = turn;
     }
 
@@ -547,6 +547,10 @@ mod tests {
     use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
     use super::*;
 
+    fn name_of(observation: &Observation) -> (u64, u64, u64) {
+        (observation.source, observation.epoch, observation.sequence)
+    }
+
     const S: u64 = 1_000_000_000;
 
     const PORT: Sender = Sender::simulated(1);
@@ -777,7 +781,7 @@ mod tests {
         let (first, said) = binds(intake.take(&message(7, 1, 1, "They sit."), PORT, 1));
         assert!(first && !binds(intake.take(&message(7, 1, 2, "They sit."), PORT, 2)).0, "it is told once");
         let mut restarted = Intake::new(IntakeLimits::default());
-        restarted.restore(&said);
+        restarted.restore(name_of(&said));
         restarted.restore_port((7, 1), PORT);
         restarted.restore_port((8, 1), PORT);
         assert_eq!(restarted.sources(), 1);
@@ -788,7 +792,7 @@ mod tests {
         assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
         // A journal from before says nothing of ports: then it is told at once.
         let mut older = Intake::new(IntakeLimits::default());
-        older.restore(&said);
+        older.restore(name_of(&said));
         assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, 3), Taken::Duplicate);
         assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, 4)).0);
     }
@@ -814,9 +818,9 @@ mod tests {
         assert!(intake.former.len() <= FORMER_SOURCES_MAX);
         // And after a restart, in whose journal the invented ones come last.
         let mut restarted = Intake::new(IntakeLimits::default());
-        restarted.restore(&said);
+        restarted.restore(name_of(&said));
         for source in 1000..1100 {
-            restarted.restore(&Observation { source, ..said.clone() });
+            restarted.restore((source, said.epoch, said.sequence));
         }
         restarted.restore_port((7, 1), PORT);
         assert_eq!(restarted.take(&message(7, 1, 6, "They hide."), OTHER, 3), Taken::Forged);
@@ -904,7 +908,7 @@ mod tests {
                 assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, 0), Taken::Forged);
                 // So does one after a restart of the daemon, to which the journal has said whose it was.
                 let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
-                next.restore(&first);
+                next.restore(name_of(&first));
                 next.restore_port((hall, 1), PORT);
                 next.note_alive([third]);
                 accepted(next.take(&message(hall, 1, 2, "B."), third, 0));
@@ -939,7 +943,7 @@ mod tests {
         let (said, ..) = accepted(Intake::default().take(&message(1, 1, 1, "A."), PORT, 0));
         let mut restarted = Intake::new(IntakeLimits::default());
         for source in 1..=100 {
-            restarted.restore(&Observation { source, ..said.clone() });
+            restarted.restore((source, said.epoch, said.sequence));
         }
         assert_eq!(restarted.sources(), SOURCES_MAX);
         assert_eq!(restarted.take(&message(100, 1, 1, "A."), PORT, 8), Taken::Duplicate);
@@ -971,7 +975,7 @@ mod tests {
         // What nobody living holds, the named keep longest.
         let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), 0));
         for source in 0..100 {
-            intake.restore(&Observation { source: 50 + source, ..said.clone() });
+            intake.restore((50 + source, said.epoch, said.sequence));
         }
         assert_eq!(intake.take(&message(hall, 1, 99, "A."), PORT, 0), Taken::Duplicate);
     }
