@@ -243,9 +243,9 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     let mut world = World::new("disk");
     let state = world.path("state");
     fs::create_dir(&state).unwrap();
-    // The disk holds 1 MiB, of which something else has taken all but some pages.
+    // The disk holds 2 MiB, of which something else has taken all but some pages.
     let mount = format!(
-        "mount -t tmpfs -o size=1m,mode=0700 tmpfs {0} && head -c 800k /dev/zero > {0}/other && exec \"$@\"",
+        "mount -t tmpfs -o size=2m,mode=0700 tmpfs {0} && head -c 1800k /dev/zero > {0}/other && exec \"$@\"",
         state.display()
     );
     let prefix = ["unshare", "-m", "sh", "-c", &mount, "sh"];

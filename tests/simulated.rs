@@ -234,6 +234,8 @@ struct Daemon {
     /// To the journal's writer, and whether it is an observation from the ear.
     records: VecDeque<(Record, bool)>,
     writer: Writer,
+    /// Events that it has deleted, as far as the world knows.
+    trimmed: usize,
     appended: u64,
     written: u64,
     /// Stopped until then, as by SIGSTOP.
@@ -924,6 +926,8 @@ impl World {
             return;
         }
         self.is_refused = daemon.writer.write(batch).is_err();
+        self.trimmed += daemon.writer.trimmed() - daemon.trimmed;
+        daemon.trimmed = daemon.writer.trimmed();
         let is_refused = self.is_refused;
         self.note(|| format!("the database takes {observations}, refused: {is_refused}"));
         match self.is_refused {
@@ -935,10 +939,9 @@ impl World {
     /// Brings what was handed over to the disk.
     fn sync(&mut self) -> Check {
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        let before = daemon.writer.trimmed();
         let is_synced = daemon.writer.sync().is_ok();
-        let trimmed = daemon.writer.trimmed() - before;
-        self.trimmed += trimmed;
+        let trimmed = daemon.writer.trimmed() - daemon.trimmed;
+        (daemon.trimmed, self.trimmed) = (daemon.writer.trimmed(), self.trimmed + trimmed);
         if let Some(statement) = self.planted.after_trim().filter(|_| trimmed > 0) {
             daemon.writer.plant(statement);
         }
@@ -1527,6 +1530,7 @@ impl World {
             queue,
             records,
             writer,
+            trimmed: 0,
             appended: 0,
             written: 0,
             hung_ns: 0,
@@ -2113,7 +2117,7 @@ fn planted_faults_are_found() {
         (Planted::NoJournal, "missing from the history"),
         (Planted::NoDeduplicationAfterRestart, "taken twice"),
         (Planted::NoTimesAfterRestart, "after a"),
-        (Planted::NoAttributionsAfterRestart, "after a restart"),
+        (Planted::NoAttributionsAfterRestart, "lacks accepted narration"),
         (Planted::NoPresenceAfterRestart, "was last said to be"),
         (Planted::MapBeforeScores, "of another map"),
         (Planted::OnePort, "a stranger is heard"),

@@ -178,8 +178,10 @@ impl Database {
         let damaged =
             Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        let version =
-            |connection: &Connection| connection.pragma_query_value(None, "user_version", |row| row.get::<_, i64>(0));
+        let version = |connection: &Connection| -> rusqlite::Result<[i64; 2]> {
+            let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
+            Ok([number("application_id")?, number("user_version")?])
+        };
         if version(&damaged)? != version(self.connection()?)? {
             return Ok(0);
         }
@@ -363,6 +365,14 @@ impl Database {
         self.connection()?.execute_batch("VACUUM")?;
         self.checkpoint("TRUNCATE")?;
         self.require_name()
+    }
+
+    /// Copies the log into the file, so that the next commits use its space again: a full disk may have no other.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn make_room(&self) -> rusqlite::Result<()> {
+        self.checkpoint("PASSIVE")
     }
 
     fn wal_bytes(&self) -> u64 {

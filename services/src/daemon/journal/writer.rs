@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use roomcast_database::rusqlite::{self, Error};
+use roomcast_database::rusqlite::{self, Error, ErrorCode};
 use roomcast_database::{Database, DatabaseError, SetAside, is_damage};
 
 use super::forget::{self, IsTheirs};
@@ -224,6 +224,17 @@ impl Writer {
         for (number, record) in records {
             self.unsynced.push(number, record, self.bytes_max);
         }
+        // A flood does not wait for the next sync.
+        if self.bytes > self.bytes_max + self.bytes_max / 4 { self.trim() } else { Ok(()) }
+    }
+
+    /// Deletes the oldest events if there are too many.
+    fn trim(&mut self) -> Result<(), Error> {
+        if self.bytes > self.bytes_max {
+            let bytes_max = self.bytes_max;
+            let (trimmed, bytes) = self.database.write(|transaction| store::trim(transaction, bytes_max))?;
+            (self.trimmed, self.bytes) = (self.trimmed + trimmed, bytes);
+        }
         Ok(())
     }
 
@@ -261,6 +272,10 @@ impl Writer {
             }
         }
         self.lacks_pages |= is_damage(error) || self.database.connection().is_err();
+        if error.sqlite_error_code() == Some(ErrorCode::DiskFull) && !self.lacks_pages {
+            // A failure is as good as the error itself.
+            let _tried = self.database.make_room();
+        }
     }
 
     /// Brings all commits to the disk, and deletes the oldest events first if there are too many.
@@ -275,11 +290,7 @@ impl Writer {
 
     fn sync_all(&mut self) -> Result<(), Error> {
         self.rewrite()?;
-        if self.bytes > self.bytes_max {
-            let bytes_max = self.bytes_max;
-            let (trimmed, bytes) = self.database.write(|transaction| store::trim(transaction, bytes_max))?;
-            (self.trimmed, self.bytes) = (self.trimmed + trimmed, bytes);
-        }
+        self.trim()?;
         if let Err(error) = self.database.sync() {
             self.lacks_pages = true;
             return Err(error);
@@ -306,7 +317,7 @@ impl Writer {
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
         if is_changed {
-            self.bytes = self.database.write(|transaction| store::bytes(transaction))?;
+            self.bytes = self.database.write(store::bytes)?;
         }
         Ok(theirs)
     }
