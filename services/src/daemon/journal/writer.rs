@@ -273,8 +273,8 @@ impl Writer {
         }
         self.lacks_pages |= is_damage(error) || self.database.connection().is_err();
         if error.sqlite_error_code() == Some(ErrorCode::DiskFull) && !self.lacks_pages {
-            // A failure is as good as the error itself.
-            let _tried = self.database.make_room();
+            // It syncs: a failure may have lost pages.
+            self.lacks_pages = self.database.make_room().is_err();
         }
     }
 
