@@ -1452,6 +1452,8 @@ impl World {
         let (writer, mut recovered) = match opened {
             Ok(opened) => opened,
             Err(reason) => {
+                // A sync that fails here may lose pages that a killed daemon has left.
+                self.lost_pages = true;
                 self.note(|| format!("the daemon does not start: {reason}"));
                 return Ok(());
             }

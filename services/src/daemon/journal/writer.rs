@@ -271,7 +271,9 @@ impl Writer {
                 Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
             }
         }
-        self.lacks_pages |= is_damage(error) || self.database.connection().is_err();
+        // SQLite syncs in some writes, too, and a failed sync may have lost pages.
+        let is_failed = error.sqlite_error_code() == Some(ErrorCode::SystemIoFailure);
+        self.lacks_pages |= is_failed || is_damage(error) || self.database.connection().is_err();
         if error.sqlite_error_code() == Some(ErrorCode::DiskFull) && !self.lacks_pages {
             // It syncs: a failure may have lost pages.
             self.lacks_pages = self.database.make_room().is_err();
