@@ -1,5 +1,5 @@
 //! A household for a day and a night with real processes and the real model: two residents, one of whom works outside, a visitor, a
-//! night's sleep, two narrators, one of which names persons in its sentences alone, a journal that is rotated, and a daemon and a planner that are
+//! night's sleep, two narrators, one of which names persons in its sentences alone, a database whose oldest events go, and a daemon and a planner that are
 //! killed twice each. A simulated robot does what the planner says and reports.
 //!
 //! The day is played `SPEED` times faster, and every time of the configuration is as many times shorter. At every minute the
@@ -19,6 +19,7 @@ use roomcast_ipc::{
     DecisionV1, Domain, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber, action, clock,
     decision_flags, report_kind, score_flags, sequence, text,
 };
+use roomcast_services::daemon::journal;
 
 const SPEED: f64 = 480.0;
 const MINUTE: Duration = Duration::from_millis(125);
@@ -401,7 +402,8 @@ fn nobody_is_lost_over_a_day_a_night_and_two_restarts() {
         assert!(person.right_minutes * 10 >= person.minutes * 9, "{resident}: {person:?}");
     }
     let state = house.directory.path().join("state");
-    assert!(state.join("narration.journal.old").exists(), "the journal was never rotated: {:?}", fs::read_dir(&state));
+    let recovered = journal::look(&state).unwrap();
+    assert!(!recovered.settled.is_empty(), "no events went: {}", recovered.observations.len());
     // The visitor left without a word, and is forgotten.
     assert!(newest.persons().iter().all(|known| known.name() != "cara"), "the visitor is still there");
     assert!(
