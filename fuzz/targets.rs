@@ -25,7 +25,7 @@ use roomcast_ipc::{
 };
 use roomcast_llama::gguf::Header;
 use roomcast_services::config::{Config, IntakeLimits, PersonsConfig, PlannerConfig};
-use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
+use roomcast_services::daemon::{Intake, Taken, journal};
 use roomcast_services::dry_run::DryRun;
 use roomcast_services::mqtt::{Listener, Rules};
 use roomcast_services::narrator::{Who, line_item};
@@ -196,18 +196,9 @@ pub fn configuration(bytes: &[u8]) {
     }
 }
 
-/// Any bytes can be read as a journal, and what is read from them comes back the same when it is written and read again.
+/// Any bytes can be read as a journal of earlier versions.
 pub fn journal(bytes: &[u8]) {
-    let mut recovered = Recovered::default();
-    let boot_id = [7; 16];
-    journal::read_records(bytes, &boot_id, &mut recovered);
-    for observation in &recovered.observations {
-        let record = journal::encode(observation, &boot_id);
-        let mut again = Recovered::default();
-        journal::read_records(&record, &boot_id, &mut again);
-        assert_eq!((again.observations.as_slice(), again.damaged_bytes), (std::slice::from_ref(observation), 0));
-    }
-    assert!(recovered.damaged_bytes <= bytes.len() as u64);
+    let _records = journal::old_records(&[bytes.to_vec(), Vec::new()], &[7; 16]);
 }
 
 /// The image of a message: as many bytes as it has, the rest zero.

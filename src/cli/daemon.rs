@@ -18,7 +18,7 @@ pub struct Args {
     /// The GGUF model, in place of the configuration's.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// The state directory with the narration journal, in place of the configuration's.
+    /// The state directory with the state database, in place of the configuration's.
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
     /// Score without a model, every word as likely as every other: for `roomcast latency`.

@@ -24,7 +24,7 @@ pub struct Args {
 enum Action {
     /// Say who is known: number, name, whether they are in the house, and since when.
     List(Common),
-    /// Forget a person: what they did, where they are, their name, their habits, and what the journal has of them.
+    /// Forget a person: what they did, where they are, their name, their habits, and what the state database has of them.
     Forget {
         /// A name or a number.
         who: String,

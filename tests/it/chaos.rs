@@ -30,7 +30,7 @@ use roomcast_ipc::{
 };
 use roomcast_llama::LlamaModel;
 use roomcast_services::config::Config;
-use roomcast_services::daemon::{PersonAnswer, PersonQuestion, Recovered, journal};
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, journal};
 use roomcast_services::moment::{Moment, PersonLabels};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 use roomcast_services::setup;
@@ -852,12 +852,7 @@ fn survives(household: bool) {
     let took_s = start.elapsed().as_secs_f64();
 
     // The history, as the daemon's successor would find it.
-    let mut recovered = Recovered::default();
-    for name in ["narration.journal.old", "narration.journal"] {
-        let bytes = fs::read(world.directory.path().join("state").join(name)).unwrap_or_default();
-        journal::read_records(&bytes, &[0; 16], &mut recovered);
-    }
-    let history = recovered.observations;
+    let history = journal::look(&world.directory.path().join("state")).unwrap().observations;
     let narrator = sequence::source_of_name(NARRATOR);
     let honest = || history.iter().filter(|o| o.source == narrator);
     let texts: HashSet<(Option<&str>, &str)> =

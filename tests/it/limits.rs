@@ -37,7 +37,7 @@ const FOOT: &str = "
 These numbers are written by hand, and no test compares them with the code:
 
 - A line of a sensor log has at most 8192 bytes. A longer one is reported and skipped.
-- `persons.json` has at most 1 MiB, read or written. A change that would make it longer is refused.
+- The home gives at most 10 000 persons a name. A change that would make more is refused.
 - `roomcast model pull` fetches at most 64 GiB. A larger file is refused.
 - An answer of Home Assistant has at most 64 MiB, and all questions of one connection take at most 60 s. Beyond that the command ends with an error.
 - The ports of `metrics` and `view` each serve 16 connections at a time, with 16 KiB before the body and 5 s for each (`metrics.md`).

@@ -61,7 +61,7 @@ pub const BRIDGE_HORIZONS_MAX: usize = 8;
 /// Most entries of `persons.not_persons`.
 const NOT_PERSONS_MAX: usize = 256;
 
-/// Least bytes of the journal: either half holds a few of the longest sentences.
+/// Least bytes of events: a few of the longest sentences fit.
 const JOURNAL_BYTES_MIN: u64 = 8192;
 
 /// A configuration that cannot be used.
@@ -547,7 +547,7 @@ impl Config {
             within("scoring.prepare_share", scoring.prepare_share, 0.01..=1.0),
             row("scoring.effort", &effort, scoring.method.allows(effort), "give \"exact\", or scoring.method = \"trie\", which alone can end early"),
             within("ipc.spin_us", ipc.spin_us, 0..=SPIN_US_MAX),
-            row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no journal"),
+            row("daemon.state", &"empty", daemon.state.as_ref().is_none_or(is_free), "give a directory, or leave the key out for no database"),
             row("daemon.journal_bytes", &daemon.journal_bytes, daemon.journal_bytes >= JOURNAL_BYTES_MIN, &format!("give {JOURNAL_BYTES_MIN} or more")),
             within("daemon.heartbeat_ms", daemon.heartbeat_ms, 10..=HEARTBEAT_MS_MAX),
             row("daemon.hang_s", &daemon.hang_s, daemon.hang_s >= 1, "give 1 or more"),

@@ -15,12 +15,12 @@ use roomcast_core::text::odd_name;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaemonConfig {
-    /// The state directory with the narration journal; without one, systemd's `$STATE_DIRECTORY`, and without that no journal. In a file a relative
+    /// The state directory with the state database; without one, systemd's `$STATE_DIRECTORY`, and without that no database. In a file a relative
     /// one gives way to systemd's.
     pub state: Option<PathBuf>,
-    /// Most bytes of the journal on disk.
+    /// About how many bytes the events in the state database have at most.
     pub journal_bytes: u64,
-    /// Milliseconds between two syncs of the journal.
+    /// Milliseconds between two syncs of the state database.
     pub journal_sync_ms: u64,
     /// Milliseconds between two heartbeats.
     pub heartbeat_ms: u64,

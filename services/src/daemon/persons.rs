@@ -10,8 +10,9 @@ use roomcast_core::narration::{
 };
 use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
 
+use super::journal::KeptPerson;
 use super::person_question::PersonLine;
-use super::persons_file::{KeptPerson, PersonsFile};
+use super::persons_file::PersonsFile;
 use crate::config::PersonsConfig;
 
 /// A visitor on a bed is gone only after this silence: a night's sleep.

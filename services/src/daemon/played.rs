@@ -8,7 +8,7 @@ use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
 use roomcast_llama::LlamaModel;
 
-use super::{Cycle, Entry, Intake, Journal, Loaded, SentenceCost, Taken, Zone, journal_options, load};
+use super::{Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal_options, load};
 use crate::config::Config;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
@@ -28,11 +28,13 @@ struct Daemon {
 
 impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
-        let Loaded { board, token_counter, .. } = load(config, setup::configured_model, Arc::new(|| true)).unwrap();
+        let (journal, mut recovered) = Journal::open(&journal_options(&config.daemon).unwrap()).unwrap();
+        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
+        let Loaded { board, token_counter, .. } =
+            load(config, names, setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));
-        let (journal, recovered) = Journal::open(&journal_options(&config.daemon).unwrap()).unwrap();
         cycle.restore(recovered, &mut intake, now_ns, now_unix_ns);
         let (scores, forecast, persons) = Default::default();
         Self { cycle, intake, journal, scores, forecast, persons }

@@ -273,7 +273,8 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
         return Finding::wrong(check, found, "its log says why; roomcast model check");
     }
     if status.journal_failures > 0 {
-        let found = format!("its journal could not be written {} times since it started", status.journal_failures);
+        let found =
+            format!("its state database could not be written {} times since it started", status.journal_failures);
         return Finding::limited(check, found, "its log says why; a restart would know less of who is where");
     }
     if let Some(finding) = fast_clock(status.ahead, status.ahead_ns) {

@@ -215,9 +215,7 @@ fn a_guard_ends() {
 }
 
 fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
-    let mut recovered = Recovered::default();
-    recovered.observations = observations.into_iter().collect();
-    recovered
+    Recovered { observations: observations.into_iter().collect(), ..Recovered::default() }
 }
 
 /// A power cut may take the record of whose an observation is and leave what the model said after it.
