@@ -19,9 +19,10 @@ pub struct Reasons {
 }
 
 impl Reasons {
+    /// Opens the question's service.
     ///
     /// # Errors
-    /// If the question's service cannot be opened.
+    /// If the service cannot be opened.
     pub fn new(node: &Node) -> Result<Self, IpcError> {
         Ok(Self { port: node.question_port(question::PERSON)?, asked: None, lines: BTreeMap::new() })
     }

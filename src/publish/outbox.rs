@@ -155,7 +155,7 @@ impl Outbox {
         news.or_else(|| entity().or_else(other).map(|topic| (topic, "")))
     }
 
-    /// Whether nothing is left to send or to remove.
+    /// Whether all messages are sent and all removals done.
     pub(super) fn is_done(&self) -> bool {
         let is_listed = |list: &List| list.heard && list.said.as_ref() == Some(&self.list_payload(list));
         self.next().is_none() && self.stale().next().is_none() && self.list.as_ref().is_none_or(is_listed)

@@ -221,7 +221,7 @@ impl Input {
             let (file, place) = follow(path, from)?;
             return Ok((Self::Followed(file), place));
         }
-        // With a writer of its own, a FIFO opens before another writer comes and does not end when the last one leaves.
+        // If the hub itself is a writer, the FIFO opens before another writer comes and does not end when the last one leaves.
         let stream = File::options().read(true).write(kind.is_fifo()).open(path)?;
         Ok((Self::Stream(Box::new(BufReader::new(stream))), Place::default()))
     }
