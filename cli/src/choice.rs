@@ -36,10 +36,10 @@ fn first_sentence(documentation: &str) -> String {
 /// Options of the correction of scores.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct CorrectionArgs {
-    /// Competitors of a label's tokens after the first; the default is the model file's.
+    /// The tokens that compete with a label's tokens after the first; by default as the model file recommends.
     #[arg(long, value_parser = choice::<Continuation>())]
     continuation: Option<Continuation>,
-    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; the default is the model file's.
+    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; by default as the model file recommends.
     #[arg(long, value_name = "WEIGHT", value_parser = prior_weight)]
     prior: Option<f64>,
 }

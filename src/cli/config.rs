@@ -18,7 +18,7 @@ use roomcast_services::setup;
 
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Check this file and the files that it names, and print it with every default, instead of the commented defaults.
+    /// Check this file and everything that it names on this machine, and print it with every default, instead of the commented defaults.
     #[arg(long, value_name = "FILE")]
     check: Option<PathBuf>,
 }

@@ -1,7 +1,7 @@
 //! `roomcast init`: writes a home's map, rules and configuration from the home's own data.
 //!
-//! Missing sources are searched (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal they are asked for.
-//! Everything is read and checked before the first file is written, and no existing file is overwritten without consent.
+//! Sources that are not given are searched for (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal the
+//! user is asked. Everything is read and checked before the first file is written, and no existing file is overwritten without consent.
 
 use std::fmt::Write as _;
 use std::io::Read as _;
@@ -44,8 +44,8 @@ const OWN_FOLDER: &str = ".homeassistant";
 /// Valetudo's topics of state and map, after its prefix and identifier.
 const STATUS: &str = "/StatusStateAttribute/status";
 const MAP: &str = "/MapData/map-data";
-/// Files and folder beside the configuration. It names them relative to itself, so that all can be moved together to the place where the units read
-/// them.
+/// Files and folder in the configuration's folder. It names them relative to itself, so that all can be moved together to the place where the units
+/// read them.
 const SCENE_FILE: &str = "home.json";
 const RULES_FILE: &str = "home.rules.toml";
 const STATE_FOLDER: &str = "state";
@@ -94,8 +94,8 @@ pub struct Args {
     /// The robot's topic at the broker: Valetudo's prefix and identifier, or homeassistant/vacuum/NAME; `none` for a home without.
     #[arg(long, value_name = "TOPIC|none")]
     robot: Option<String>,
-    /// A resident's name; once for each, or with commas between. Other persons are visitors. Without it, the persons of Home Assistant; `none` if
-    /// nobody is to count as a visitor.
+    /// A resident's name; once for each, or with commas between. Other persons are visitors. Without it, the persons of Home Assistant; `none` for no
+    /// list, so that no person counts as a visitor.
     #[arg(long, value_name = "NAME|none")]
     resident: Vec<String>,
     /// Hours in which no robot works, such as `22:00-07:00` or `sat,sun 22:00-09:00`; once for each, or with semicolons between; `none` for none.
@@ -210,7 +210,7 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
     Err(Failure::new(exit_code::FAILURE, text))
 }
 
-/// Takes the given values, searches the others, and asks.
+/// Takes the given values, searches for the others, and asks.
 fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
     let (mut home_assistant, token) = find_home_assistant(args, asker, &mut notes)?;
@@ -374,7 +374,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
             ));
             Ok((None, Seen::default()))
         }
-        // The map should come from there.
+        // The user wants the map from the broker.
         Err(error) if args.valetudo.as_deref() == Some(Path::new("mqtt")) => Err(input(told(error))),
         Err(error) => {
             let no_robot = match args.robot {

@@ -40,7 +40,7 @@ pub struct Args {
     seconds: Option<u64>,
 }
 
-/// Period of reading the services. Room scores have a buffer of 2, and arrive a few milliseconds apart at least.
+/// Period of reading the services. Room scores have a buffer of 2, and may arrive a few milliseconds apart.
 const POLL: Duration = Duration::from_millis(2);
 /// Period of flushing the file: a crash loses at most this much.
 const FLUSH: Duration = Duration::from_secs(5);

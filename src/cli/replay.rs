@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = ranges::positive)]
     speed: f64,
     /// Replay scores, forecasts, decisions and robots' reports too. The domain must have no daemon, planner, robot and bridge, which would act on
-    /// them. Without it only the narration is replayed, and a daemon without it scores it again.
+    /// them. Without this option only the narration is replayed, and a daemon that does not have it yet scores it again.
     #[arg(long)]
     all: bool,
     /// Seconds to wait at the end until a daemon has taken in the last narration.
@@ -154,7 +154,7 @@ pub fn run(args: &Args) -> CommandResult {
         newest = heard.newest().map_err(ipc)?.or(newest);
         let mut included = newest.iter().flat_map(RoomScoresV1::included);
         if included.any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2) {
-            // A recorder with slow polls gets them too.
+            // A recorder with slow polls gets the last messages too.
             std::thread::sleep(TICK);
             return Ok(());
         }

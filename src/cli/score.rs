@@ -93,7 +93,7 @@ impl Args {
         GroundingOptions { level: self.level.unwrap_or_default(), room_labels: !self.no_room_labels }
     }
 
-    /// Scene, model and its options, for commands that score another narration.
+    /// Scene, model and its options, for commands that do not score a given narration.
     pub(super) fn scene_and_model(&self) -> (Option<&Path>, Option<&Path>, LlamaOptions) {
         (self.scene.as_deref(), self.model.as_deref(), self.llama_options())
     }

@@ -173,7 +173,7 @@ fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Gr
     Some(Finding::limited("things of rules", found, remedy))
 }
 
-/// Reports a line with a text that begins with a name of no person.
+/// Reports a line with a text that begins with a name that belongs to no person.
 pub(in crate::cli) fn no_person(line: &str, persons: &Persons) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let text = line.get("text")?.as_str()?;
