@@ -7,7 +7,6 @@ use roomcast_services::{daemon, logging};
 
 use crate::exit_code;
 
-/// Arguments of `roomcast daemon`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -26,11 +25,6 @@ pub struct Args {
     no_model: bool,
 }
 
-/// Runs the daemon until it is asked to stop.
-///
-/// # Errors
-///
-/// When it cannot begin: configuration, model, scene, shared memory, another daemon.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();
@@ -45,7 +39,7 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // Before each of its files is read, and fails by itself.
+    // The later readers of its files would report this fault less clearly.
     if let Some(fault) = config.state_fault() {
         return Err(Failure::new(exit_code::CONFIG, fault));
     }

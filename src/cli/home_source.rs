@@ -1,4 +1,4 @@
-//! Where a home's rooms and rules come from: a Home Assistant's configuration folder, or its WebSocket API.
+//! Reads a home's rooms and rules: from a Home Assistant's configuration folder, or over its WebSocket API.
 
 use std::path::Path;
 
@@ -8,13 +8,12 @@ use super::scene_files::{in_file, input, read, write};
 use crate::home_assistant;
 use roomcast_core::semantic_map::import::{self, Home, Registries};
 
-/// Whether a source is an address, and no folder.
 pub(super) fn is_url(source: &Path) -> bool {
     let schemes = ["http://", "https://", "ws://", "wss://"];
     source.to_str().is_some_and(|source| schemes.iter().any(|scheme| source.starts_with(scheme)))
 }
 
-/// The options of reading a Home Assistant. `registries` has the options alone.
+/// Options for reading a Home Assistant.
 #[derive(Clone, Copy, Default)]
 pub(super) struct HomeOptions<'a> {
     pub(super) token_file: Option<&'a Path>,
@@ -22,7 +21,6 @@ pub(super) struct HomeOptions<'a> {
     pub(super) registries: Registries<'a>,
 }
 
-/// Reads the registries of a Home Assistant from a configuration folder or over its API.
 pub(super) fn home_assistant(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     if is_url(source) {
         return over_network(source, name, options);
@@ -66,7 +64,6 @@ fn over_network(source: &Path, _: &str, _: HomeOptions<'_>) -> Result<Home, Fail
     )))
 }
 
-/// Reads the registries of a configuration folder, or of its `.storage`.
 fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Home, Failure> {
     let inner = folder.join(".storage");
     let storage = if inner.is_dir() { &inner } else { folder };
@@ -95,7 +92,7 @@ fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Hom
     import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
 }
 
-/// Whether rules can be used by `narrate --mqtt`.
+/// Checks rules for `narrate --mqtt`.
 pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
     #[cfg(feature = "mqtt")]
     roomcast_services::mqtt::Rules::parse(rules)
@@ -105,7 +102,7 @@ pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes rules where none are: somebody may have edited those that are there.
+/// Writes rules unless the file exists: a user may have edited it.
 pub(super) fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
     if path.exists() {
         let path = path.display();

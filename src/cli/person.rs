@@ -1,4 +1,4 @@
-//! `roomcast person`: the persons that the daemon knows, their names, and corrections of the belief about them.
+//! `roomcast person`: lists, corrects, renames and forgets the persons that the daemon knows.
 
 use std::time::Duration;
 
@@ -13,7 +13,6 @@ use roomcast_core::text::{odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 use roomcast_services::narrator::{self, Input, Item, Pace, Who};
 
-/// Arguments of `roomcast person`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -22,9 +21,9 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Say who is known: number, name, whether they are in the house, and since when.
+    /// List the known persons: number, name, presence in the house, and since when.
     List(Common),
-    /// Forget a person: what they did, where they are, their name, their habits, and what the state database has of them.
+    /// Forget a person: events, place, name, habits, and the entries of the state database.
     Forget {
         /// A name or a number.
         who: String,
@@ -53,7 +52,6 @@ enum Action {
     },
 }
 
-/// Options of every action.
 #[derive(Debug, clap::Args)]
 struct Common {
     #[command(flatten)]
@@ -66,10 +64,6 @@ struct Common {
     patience: u64,
 }
 
-/// Asks the running daemon.
-///
-/// # Errors
-/// When no daemon answers, or it refuses.
 pub fn run(args: &Args) -> CommandResult {
     let id = service::question_name();
     let (common, question) = match &args.action {
@@ -112,10 +106,9 @@ pub fn run(args: &Args) -> CommandResult {
     print(&format!("{}{after_restart}", listed(&answer)))
 }
 
-/// The narrator of corrections.
 const CORRECTIONS: &str = "roomcast-person";
 
-/// Sends a presence and says how the daemon understood it.
+/// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
     let person: Who = who.parse().map_err(|error: WhoError| usage(error.to_string()))?;
@@ -164,7 +157,6 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     }
 }
 
-/// The persons as a table.
 fn listed(answer: &PersonAnswer) -> String {
     if answer.persons.is_empty() {
         return "Nobody is known.\n".to_owned();
