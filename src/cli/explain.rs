@@ -27,7 +27,8 @@ use roomcast_simulation::drawing::{self, Heat};
 
 /// Options that affect only the scores of a given narration. They exclude `--recording`, which `--at` and `--sequence` require. clap drops a
 /// requirement if another option excludes it, so `--at` and `--sequence` exclude these options too.
-const OF_A_NARRATION: [&str; 10] = [
+const OF_A_NARRATION: [&str; 11] = [
+    "text",
     "narration",
     "program",
     "steps",

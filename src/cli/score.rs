@@ -28,13 +28,16 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
     /// The last actions, as sentences or VirtualHome actions; several stand on separate lines, or end with a full stop and a space.
-    #[arg(long, value_name = "TEXT", conflicts_with = "program")]
+    #[arg(value_name = "TEXT", conflicts_with = "program")]
+    text: Option<String>,
+    /// The same as TEXT.
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["program", "text"])]
     narration: Option<String>,
     /// An activity program, or a shipped one's name; its first steps are the narration.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
     /// How many steps of the program were done; by default all.
-    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration", value_parser = ranges::whole(0..=usize::MAX))]
+    #[arg(long, value_name = "N", requires = "program", conflicts_with_all = ["text", "narration"], value_parser = ranges::whole(0..=usize::MAX))]
     steps: Option<usize>,
     /// The binding sequence: default, p0 to p5, or your own text.
     #[arg(long, value_name = "TEXT")]
@@ -171,7 +174,7 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
         }
     }
-    for line in args.narration.as_deref().unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
+    for line in args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
         if line.trim_start().starts_with('[') {
             let action = Action::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
