@@ -28,8 +28,8 @@ use roomcast_simulation::trace::DAYS_MAX;
 
 const HEAD: &str = "# Limits
 
-What Roomcast accepts at most. `tests/limits.rs` writes the tables from the constants of the code. `roomcast config` states the limits of configured values,
-and [fleet](fleet.md) those of `roomcast-zenoh`. A source is one start of a narrator.
+What Roomcast accepts at most. `tests/limits.rs` writes the tables from the constants of the code. `roomcast config` states the limits of
+configured values, and [fleet](fleet.md) those of `roomcast-zenoh`. A source is one start of a narrator.
 ";
 
 /// Limits with constants in the program, or private ones.
