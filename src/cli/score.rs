@@ -174,7 +174,9 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
         }
     }
-    for line in args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
+    for line in
+        args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty())
+    {
         if line.trim_start().starts_with('[') {
             let action = Action::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
