@@ -55,11 +55,13 @@ fn unshared_segment(
         return number
             .ok_or_else(|| "the robot's list of segments is empty; name the segment in [robot.segments]".to_owned());
     }
-    let stem = numbered.map_or(room, |(stem, _)| stem);
+    // Home Assistant's ids of areas have underscores.
+    let plain = |name: &str| name.to_lowercase().replace([' ', '_'], "-");
+    let (whole, stem) = (plain(room), plain(numbered.map_or(room, |(stem, _)| stem)));
     let kind = |name: &str| Names::built_in().room(name).map(|kind| kind.replace(' ', "-"));
     let means = |name: &str| {
-        let plain = name.to_lowercase().split([' ', '_', '-']).collect::<Vec<_>>().join("-");
-        plain == room || plain == stem || kind(name).as_deref() == Some(stem)
+        let name_of = plain(name);
+        name_of == whole || name_of == stem || kind(name).as_deref() == Some(&*stem)
     };
     // A name that is in no table may well be this room's: "Lenas Zimmer" is a bedroom.
     let means_another = |name: &str| !means(name) && kind(name).is_some();
@@ -98,6 +100,7 @@ mod tests {
         assert_eq!(of("kitchen").unwrap(), "1");
         assert_eq!(of("kitchen-1").unwrap(), "1");
         assert_eq!(of("living-room").unwrap(), "2");
+        assert_eq!(of("living_room").unwrap(), "2", "an area of Home Assistant");
         assert!(of("bathroom").unwrap_err().contains("several"));
         assert!(of("garage").unwrap_err().contains("no segment"));
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
