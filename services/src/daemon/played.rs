@@ -8,7 +8,9 @@ use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
 use roomcast_llama::LlamaModel;
 
-use super::{Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal_options, load};
+use super::{
+    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, journal_options, load,
+};
 use crate::config::Config;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
@@ -199,8 +201,9 @@ fn each_person_is_found_over_a_day_a_night_and_two_restarts() {
     let narrators = ["sensors", "camera"].map(|name| (name, Account::new(name, 1)));
     let mut house = Played { brain, narrators, now_ns: BEGIN_NS };
     live(&mut house, household::END_MIN);
-    let rotated = house.brain.folder.path().join("state/narration.journal.old");
-    assert!(rotated.exists(), "the journal was never rotated");
+    house.brain.daemon = None;
+    let recovered = journal::look(&house.brain.folder.path().join("state")).unwrap();
+    assert!(!recovered.settled.is_empty(), "no events went: {}", recovered.observations.len());
 }
 
 /// One day of two robots, which hear the decisions of each other or do not.
