@@ -4,7 +4,7 @@
 //! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another one's program. Without one it is skipped.
 
 use std::fs::File;
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
