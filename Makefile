@@ -84,9 +84,8 @@ unit:
 .PHONY: full
 full:
 	@echo "test-full: the tests that are marked as full, and more seeds"
-	cargo build --release --locked --package roomcast-lab
 	.ci/tests full $(TESTS)
-	ROOMCAST_FIRST_SEED=250 ROOMCAST_SEEDS=750 .ci/tests fast $(TESTS) --test it -- simulated::no_seed
+	ROOMCAST_FIRST_SEED=250 ROOMCAST_SEEDS=750 cargo test $(TESTS) --test it simulated::no_seed
 
 # A workspace of its own, in the same target folder (zenoh/Cargo.toml says why). Its tests start the robot's program, and zenoh's router from PyPI.
 .PHONY: zenoh

@@ -6,10 +6,11 @@ use std::fs;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
+use crate::eventually::eventually;
 use crate::skipped::skipped;
 
 /// No step of a page or of a process takes longer, also on a busy machine.
@@ -114,11 +115,7 @@ impl Browser {
 
     /// Waits until a script says yes.
     fn until(&self, what: &str, script: &str) {
-        let start = Instant::now();
-        while self.run(script) != json!(true) {
-            assert!(start.elapsed() < PATIENCE, "{what}: {}", self.text("body"));
-            std::thread::sleep(Duration::from_millis(100));
-        }
+        eventually(what, || (self.run(script) == json!(true)).then_some(()));
     }
 
     /// Presses a key, as on a keyboard.
@@ -298,11 +295,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let file = root.join("day.mcap").display().to_string();
     let mut record = roomcast(root, &["record", &file]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     // It makes its file when it listens, and what was said before is not of it.
-    let start = Instant::now();
-    while !root.join("day.mcap").exists() {
-        assert!(start.elapsed() < PATIENCE, "nothing is recorded");
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    eventually("the recording is there", || root.join("day.mcap").exists().then_some(()));
     let mut narrator = roomcast(root, &["narrate", "-"]).stdin(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
     narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();

@@ -4,7 +4,7 @@
 //! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another one's program. Without one it is skipped.
 
 use std::fs::File;
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
 use crate::eventually::within;
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 
 /// Far longer than anything here takes; the first start of Home Assistant installs what it needs.
@@ -25,10 +25,6 @@ const NO_HOME_ASSISTANT: &str = "Home Assistant is not installed (make test-home
 
 fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
     within(PATIENCE, what, attempt)
-}
-
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// The program of an installed Home Assistant.

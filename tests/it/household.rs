@@ -13,7 +13,7 @@ use crate::world::World;
 
 const SPEED: f64 = 480.0;
 const MINUTE: Duration = Duration::from_millis(125);
-const END_MIN: u32 = BEGIN_MIN + 100;
+const END_MIN: u32 = BEGIN_MIN + 90;
 
 struct Processes {
     world: World,

@@ -19,7 +19,7 @@ use roomcast_cli::exit_code;
 use crate::eventually::eventually;
 use crate::fake_valetudo::{Doing, FakeValetudo};
 use crate::lived_day::{HOURS, ROOM_S, mean, person_at, plain_schedules, segments};
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::robot_map::robot_map;
 use crate::skipped::skipped;
 use crate::world::{Process, World};
@@ -96,8 +96,7 @@ fn is(kept: &BTreeMap<String, String>, topic: &str, value: &str) -> bool {
 }
 
 fn broker() -> Option<Mosquitto> {
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY);
+    let broker = Mosquitto::start(free_port(), tempfile::tempdir().unwrap(), ANYBODY);
     if broker.is_none() {
         skipped(NO_BROKER);
     }

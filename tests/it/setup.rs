@@ -16,7 +16,8 @@ use tungstenite::Message;
 
 use roomcast_cli::exit_code;
 
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::eventually::eventually;
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::robot_map::robot_map;
 use crate::skipped::skipped;
 
@@ -68,10 +69,6 @@ struct Home {
     port: u16,
     broker: Option<Mosquitto>,
     children: Vec<Child>,
-}
-
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 impl Home {
@@ -596,11 +593,9 @@ static MISTAKES: [Mistake; 35] = [
             let config = home.at("home/roomcast.toml");
             home.start(&["planner", "--config", &config]);
             let node = home.domain.open("test").unwrap();
-            let start = Instant::now();
-            while !node.participants().unwrap().iter().any(|name| name.starts_with("roomcast-planner")) {
-                assert!(start.elapsed() < Duration::from_secs(60), "the planner does not come");
-                std::thread::sleep(Duration::from_millis(50));
-            }
+            eventually("the planner joins", || {
+                node.participants().unwrap().into_iter().find(|name| name.starts_with("roomcast-planner"))
+            });
         },
         check: "daemon",
         verdict: "wrong",
@@ -1147,18 +1142,15 @@ fn a_dry_run_says_what_the_map_does_not_have() {
     let mut command = home.command(&["narrate", "--mqtt", "--dry-run", "--config", &config]);
     command.stdout(std::fs::File::create(&shown).unwrap()).stderr(Stdio::null());
     home.children.push(command.spawn().unwrap());
-    let start = Instant::now();
-    let (mut is_on, mut said) = (false, String::new());
+    let mut is_on = false;
     let beside = "\"on\":true,\"room\":\"attic\",\"sensor\":\"motion\"}\n    the map has no room \"attic\"; its rooms are kitchen-16, \
         living-room-17, hallway-18\n";
-    while !said.contains(beside) {
-        assert!(start.elapsed() < Duration::from_secs(60), "{said}");
+    eventually("the dry run names the room that the map lacks", || {
         is_on = !is_on;
         let state = if is_on { "on" } else { "off" };
         home.say(&[("homeassistant/binary_sensor/living_room_motion/state".to_owned(), state.to_owned(), true)]);
-        std::thread::sleep(Duration::from_millis(200));
-        said = std::fs::read_to_string(&shown).unwrap();
-    }
+        std::fs::read_to_string(&shown).unwrap().contains(beside).then_some(())
+    });
 }
 
 /// Without questions those live here who would be offered at the question.

@@ -21,6 +21,8 @@ use roomcast_ipc::{DecisionV1, Domain};
 use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::eventually::eventually;
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 use roomcast_cli::exit_code;
 
@@ -113,7 +115,7 @@ struct World {
     directory: tempfile::TempDir,
     domain: Domain,
     helpers: Vec<Child>,
-    broker: Option<u16>,
+    broker: Option<Mosquitto>,
     said: usize,
     /// Runs in which the process ended by itself.
     ended: usize,
@@ -182,30 +184,17 @@ impl World {
     }
 
     fn wait_for_log(&self, log: &str, words: &str) {
-        let start = Instant::now();
-        while !self.log(log).contains(words) {
-            assert!(start.elapsed() < PATIENCE, "{log} does not say {words:?}: {}", self.log(log));
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        eventually(&format!("{log} says {words:?}"), || self.log(log).contains(words).then_some(()));
     }
 
-    /// A broker that keeps what nobody has fetched; none where mosquitto is not installed.
+    /// A broker that keeps messages until they are fetched. `None` if mosquitto is not installed.
     fn start_broker(&mut self) -> Option<u16> {
-        let program =
-            ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"].into_iter().find(|path| Path::new(path).exists())?;
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let text = format!("listener {port} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\nuser root\n");
-        fs::write(self.path("mosquitto.conf"), text).unwrap();
-        let mut command = Command::new(program);
-        command.arg("-c").arg(self.path("mosquitto.conf"));
-        self.start_helper(command, "mosquitto");
-        self.broker = Some(port);
-        let start = Instant::now();
-        while TcpStream::connect(("127.0.0.1", port)).is_err() {
-            assert!(start.elapsed() < PATIENCE, "mosquitto does not listen: {}", self.log("mosquitto"));
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        Some(port)
+        self.broker = Mosquitto::start(free_port(), tempfile::tempdir().unwrap(), ANYBODY);
+        self.broker.as_ref().map(|broker| broker.port)
+    }
+
+    fn port(&self) -> u16 {
+        self.broker.as_ref().unwrap().port
     }
 
     /// What the journal holds.
@@ -312,14 +301,14 @@ impl World {
     }
 
     fn mqtt(&mut self, prefix: &[String], lasting: bool) -> Result<Ended, String> {
-        let (address, rules) = (format!("mqtt://127.0.0.1:{}", self.broker.unwrap()), self.path("rules.toml"));
+        let (address, rules) = (format!("mqtt://127.0.0.1:{}", self.port()), self.path("rules.toml"));
         let arguments = ["narrate", "--mqtt", &address, "--rules", rules.to_str().unwrap(), "--linger", "5"];
         let mut child = self.spawn(self.command(prefix, &arguments), "tested");
         // Before its first session the broker keeps nothing for it.
         if self.confirmed.is_empty() {
             let met = |world: &mut Self| {
                 let probe = world.lines();
-                publish(world.broker.unwrap(), &probe[..1]);
+                publish(world.port(), &probe[..1]);
                 std::thread::sleep(Duration::from_millis(100));
                 !world.kept().is_empty()
             };
@@ -329,7 +318,7 @@ impl World {
         }
         let lines = self.lines();
         // The broker keeps them for the narrator's session, whether it is there or not.
-        publish(self.broker.unwrap(), &lines);
+        publish(self.port(), &lines);
         self.confirmed.extend_from_slice(&lines);
         let heard = |world: &mut Self| {
             std::thread::sleep(Duration::from_millis(10));
@@ -537,7 +526,7 @@ fn whatever_fails(role: Role) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut world = World::new(role);
     if role == Role::Mqtt && world.start_broker().is_none() {
-        skipped("mosquitto is not installed (apt-get install mosquitto)");
+        skipped(NO_BROKER);
         return;
     }
     // What it calls without any fault. The loader's calls are none of ours.

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::eventually::eventually;
 use crate::skipped::skipped;
 
 const UNITS: [&str; 9] = [
@@ -503,18 +504,13 @@ fn every_service_makes_only_calls_that_its_unit_allows() {
         let is_name = |word: &str| {
             !word.is_empty() && word.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
         };
-        let start = Instant::now();
-        let made: BTreeSet<String> = loop {
+        let made: BTreeSet<String> = eventually("strace lists the calls", || {
             let text = std::fs::read_to_string(&seen).unwrap_or_default();
             // Between the head of the column and its foot.
-            if let Some(("syscall", names)) =
-                text.trim().strip_suffix("total").and_then(|all| all.trim().split_once('\n'))
-            {
-                break names.lines().map(str::trim).filter(|line| is_name(line)).map(str::to_owned).collect();
-            }
-            assert!(start.elapsed() < Duration::from_secs(30), "{unit}: strace says nothing");
-            std::thread::sleep(Duration::from_millis(50));
-        };
+            let list = text.trim().strip_suffix("total").and_then(|all| all.trim().split_once('\n'));
+            let (_, names) = list.filter(|(head, _)| *head == "syscall")?;
+            Some(names.lines().map(str::trim).filter(|line| is_name(line)).map(str::to_owned).collect())
+        });
         assert!(made.contains("execve") && made.len() > 20, "{unit}: {made:?}");
         if unit == UNITS[0] {
             assert!(made.contains("sched_setaffinity") && made.contains("setpriority"), "{made:?}");

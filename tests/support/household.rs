@@ -256,7 +256,7 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
             beside += u32::from(!is_empty && robot.working.as_ref().is_some_and(|(own, _)| own == room));
         }
         let (forecasts, scores) = house.newest();
-        let is_out = persons.values().all(|person| person.truth == ELSEWHERE);
+        let is_out = !persons.is_empty() && persons.values().all(|person| person.truth == ELSEWHERE);
         all_out += u32::from(is_out);
         said_all_out += u32::from(is_out && scores.has(score_flags::NOBODY_HOME));
         for (name, person) in &mut persons {

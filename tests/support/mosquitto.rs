@@ -13,6 +13,10 @@ pub(crate) const NO_BROKER: &str = "mosquitto is not installed (apt-get install 
 /// Anybody may come in.
 pub(crate) const ANYBODY: &str = "allow_anonymous true";
 
+pub(crate) fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
 pub(crate) struct Mosquitto {
     child: Child,
     pub(crate) port: u16,

@@ -14,6 +14,7 @@ use roomcast_ipc::{
 };
 
 use crate::Private;
+use crate::eventually::eventually;
 
 /// Kills by default.
 const KILLS: usize = 300;
@@ -185,12 +186,8 @@ fn memory_that_never_got_its_size_keeps_nobody_waiting() {
         services
     };
     let mut child = start("daemon", domain);
-    let began = Instant::now();
     // A daemon has seven ports, each with its service.
-    while services(domain).len() < 7 {
-        assert!(began.elapsed() < Duration::from_secs(60), "the child opens nothing: {:#?}", files(domain));
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    eventually("the child opens its ports", || (services(domain).len() >= 7).then_some(()));
     child.kill().unwrap();
     child.wait().unwrap();
     for memory in services(domain) {
@@ -231,11 +228,7 @@ fn a_participant_without_its_monitor_leaves_its_services() {
     let node = domain.open("stays").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let mut child = start("daemon", domain);
-    let began = Instant::now();
-    while received(&scores).is_none() {
-        assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(domain));
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    eventually("the child sends its first message", || received(&scores));
     child.kill().unwrap();
     child.wait().unwrap();
     for entry in entries_of(&child, domain).iter().filter(|entry| entry.is_file()) {
@@ -272,17 +265,11 @@ fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
     let node = domain.open("stays").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let child = start("daemon", domain);
-    let began = Instant::now();
-    while received(&scores).is_none() {
-        assert!(began.elapsed() < Duration::from_secs(60), "the child sends nothing: {:#?}", files(domain));
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    eventually("the child sends its first message", || received(&scores));
     end_without_entry(child, domain);
     let next = node.publisher::<RoomScoresV1>().unwrap();
     next.send_unchecked(&RoomScoresV1 { sequence: 77, ..RoomScoresV1::default() }).unwrap();
-    while received(&scores).is_none_or(|scores| scores.sequence != 77) {
-        assert!(began.elapsed() < Duration::from_secs(60), "the next one's scores do not arrive");
-    }
+    eventually("the scores of the next publisher arrive", || received(&scores).filter(|scores| scores.sequence == 77));
     drop((scores, next, node));
     assert!(domain.clean_up().unwrap());
 }
@@ -295,11 +282,7 @@ fn a_place_of_nobody_comes_free_among_those_of_the_living() {
     let node = domain.open("stays").unwrap();
     let heard = node.subscriber::<NarrationV1>().unwrap();
     let child = start("narrator", domain);
-    let began = Instant::now();
-    while received(&heard).is_none() {
-        assert!(began.elapsed() < Duration::from_secs(60), "the child says nothing: {:#?}", files(domain));
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    eventually("the child sends its first message", || received(&heard));
     let living: Vec<_> =
         (1..NarrationV1::SERVICE.publishers).map(|_| node.publisher::<NarrationV1>().unwrap()).collect();
     end_without_entry(child, domain);
@@ -360,12 +343,10 @@ fn a_service_that_nobody_is_in_is_removed() {
     let own = files(domain);
     leave_service_behind(domain, false);
     assert_eq!(files(domain).len(), own.len() + 4);
-    let began = Instant::now();
-    while files(domain) != own {
-        assert!(began.elapsed() < Duration::from_secs(60), "{:#?}", files(domain));
+    eventually("the service is removed", || {
         node.clean_up_dead();
-        std::thread::sleep(Duration::from_millis(100));
-    }
+        (files(domain) == own).then_some(())
+    });
     drop(node);
     assert!(files(domain).is_empty(), "{:#?}", files(domain));
 }

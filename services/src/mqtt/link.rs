@@ -412,7 +412,7 @@ impl Turning {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
     use crate::skipped::skipped;
 
     /// Far longer than anything here takes.
@@ -431,10 +431,6 @@ mod tests {
         let broker = Broker { address, client: client.to_owned(), ..Broker::default() };
         let will = Will { topic: format!("will/{client}"), payload: "gone".to_owned() };
         Link::start(&broker, vec![filter.to_owned()], Some(will)).unwrap()
-    }
-
-    fn free_port() -> u16 {
-        std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
     }
 
     /// What a link hears until it has heard a payload.

@@ -238,7 +238,7 @@ fn is_of_network(kind: ErrorKind) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+    use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
     use crate::skipped::skipped;
     use std::io::{Read, Write};
     use std::net::TcpListener;
@@ -247,10 +247,6 @@ mod tests {
 
     fn broker(port: u16) -> Broker {
         Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "look".to_owned(), ..Broker::default() }
-    }
-
-    fn free_port() -> u16 {
-        TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
     }
 
     /// Answers the first bytes of a connection with these, and ends it.

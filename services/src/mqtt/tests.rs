@@ -17,7 +17,7 @@ use super::rehearsal::report;
 use super::rules::{covers, matches};
 use super::*;
 use crate::line::{Who, line_item};
-use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER};
+use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 
 const RULES: &str = r#"
@@ -749,7 +749,7 @@ fn refusal(broker: &Broker) -> String {
 /// TLS with certificates of an own authority, and credentials from a file.
 #[test]
 fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let port = free_port();
     let folder = tempfile::tempdir().unwrap();
     let (authority, own, key) = certificates();
     let authority = pem(folder.path(), "authority.pem", &authority);
@@ -803,7 +803,7 @@ fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
 /// Two clients of one name at a real broker: whoever loses its place is told what it may be.
 #[tokio::test]
 async fn a_client_whose_place_is_taken_says_so() {
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let port = free_port();
     let Some(_broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
         skipped(NO_BROKER);
         return;
@@ -825,7 +825,7 @@ async fn a_client_whose_place_is_taken_says_so() {
 /// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
 #[test]
 fn nothing_is_lost_over_a_restart_of_the_broker() {
-    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let port = free_port();
     let Some(broker) = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY) else {
         skipped(NO_BROKER);
         return;
@@ -902,10 +902,6 @@ impl Listening {
         let rest = self.lines.map(Result::unwrap).collect();
         (rest, self.thread.join().unwrap().unwrap())
     }
-}
-
-fn free_port() -> u16 {
-    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// What a stand-in for a broker greets with.

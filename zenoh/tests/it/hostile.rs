@@ -137,7 +137,7 @@ proptest! {
     fn a_damaged_configuration_is_refused_or_checked(changes in damage()) {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("zenoh.toml");
-        fs::write(&file, damaged(include_bytes!("../src/default.toml"), &changes)).unwrap();
+        fs::write(&file, damaged(include_bytes!("../../src/default.toml"), &changes)).unwrap();
         if let Ok(config) = Config::load(&file) {
             let _checked = (config.check_hub(), config.check_robot(), config.check_watch());
             let _domain = config.domain();

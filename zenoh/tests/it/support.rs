@@ -1,16 +1,16 @@
 //! Real processes for tests: a router, robots with daemon, planner and bridge, hubs. All on loopback, each in a folder of its own.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-pub use crate::eventually::{PATIENCE, eventually};
-pub use crate::skipped::skipped;
+pub(crate) use crate::eventually::{PATIENCE, eventually};
+pub(crate) use crate::skipped::skipped;
 use roomcast_ipc::Domain;
 use rustix::process::{Pid, Signal, kill_process};
 
