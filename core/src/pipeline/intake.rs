@@ -13,7 +13,7 @@ pub struct Intake<'a, M>(pub(super) &'a mut Pipeline<M>);
 
 impl<M: LanguageModel> Intake<'_, M> {
     /// Adds observations to the histories without scoring; each source is its own voice. It cannot fail, and a later failure of scoring loses no
-    /// observation. A person who leaves home loses the window, and a person who is gone is forgotten. Returns the number of sentences that were left
+    /// observation. Persons who leave home lose their window; persons reported as gone are forgotten. Returns the number of sentences that were left
     /// out because each takes more tokens than a window holds.
     pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
         self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
