@@ -64,6 +64,7 @@ impl Default for GroundingOptions {
     }
 }
 
+/// A map or scores that cannot be grounded.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GroundingError {
@@ -190,6 +191,7 @@ pub enum Placement {
     Outside,
 }
 
+/// The reason why an item is in no partition.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reason {
     /// Box and position are outside all partitions.
@@ -220,7 +222,7 @@ pub struct Grounding {
     /// Per item.
     pub(crate) item_placement: Vec<Placement>,
     pub(crate) unassigned: Vec<(ItemId, Reason)>,
-    /// Labels x partitions; see [`Grounding::weights`].
+    /// Labels x partitions; see [`Grounding::weights()`].
     pub(crate) weights: DMatrix<f64>,
     /// Weights of like things by the person's room.
     pub(crate) like_things: LikeThings,

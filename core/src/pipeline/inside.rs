@@ -36,6 +36,7 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         &self.0.options
     }
 
+    /// The histories of all persons.
     pub fn histories(self) -> &'a Histories {
         &self.0.histories
     }

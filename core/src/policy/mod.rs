@@ -48,6 +48,7 @@ pub struct Choice {
     pub reason: String,
 }
 
+/// A failure to decide.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
