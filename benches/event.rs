@@ -8,7 +8,7 @@
 //! - llama.cpp alone in a context with the same parameters: one decoder call with the same new tokens and the same inner nodes of the
 //!   label trie, and one with the new tokens alone. Only the call is timed, neither filling its batch nor reading its rows.
 //!
-//! The bench compares the scores of both, which proves that both do the same work.
+//! The bench compares the scores of both, to check that they do the same work.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -322,7 +322,7 @@ fn tell(
             bare_exact.hold(&prompt[..keep]);
             bare_new.hold(&prompt[..keep]);
             for turn in 0..4 {
-                // Rotate the order.
+                // Rotate the order, so that each goes first equally often.
                 match (turn + number) % 4 {
                     0 => sample.exact = exact.event(sentence),
                     1 => sample.bare_exact = bare_exact.decode(&prompt, &tree),

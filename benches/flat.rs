@@ -92,7 +92,7 @@ fn main() {
     for (number, sentence) in (0..args.events).zip(sentences.iter().cycle()) {
         let (mut old_us, mut young_us) = ([f64::NAN; 2], [f64::NAN; 2]);
         for turn in 0..2 {
-            // Rotate the order.
+            // Alternate the order, so that each goes first equally often.
             match (turn + number) % 2 {
                 0 => old_us = event(&mut old, number + 1, sentence),
                 _ if args.alone => {}

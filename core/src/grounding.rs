@@ -12,8 +12,8 @@
 //!    are equal, so that rounding does not decide.
 //! 3. If the box overlaps with no partition (flat, empty or outside): to the last partition that contains the
 //!    item's position.
-//! 4. At the level of parts: else to the nearest part of the room that rules 1 to 3 give at the level of rooms. 5. Else to none: the item is listed
-//! in [`Grounding::unassigned`]. It still counts in n_l, so the score of its label is
+//! 4. At the level of parts: else to the nearest part of the room that rules 1 to 3 give at the level of rooms.
+//! 5. Else to none: the item is listed in [`Grounding::unassigned`]. It still counts in n_l, so the score of its label is
 //!    not moved into rooms of other items with that label.
 
 use std::collections::HashMap;

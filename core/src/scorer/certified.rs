@@ -3,12 +3,13 @@
 //! Let `q(n)` be the probability of the path from the prompt to trie node `n`, and `w(c, r)` the share of label `c`'s items in partition `r`. A label
 //! that ends at `n` scores exactly `q(n)`, which is known once `n`'s parent is decoded.
 //!
-//! **Theorem.** Let `own(m, r)` be the sum of `w(c, r)` over the labels that end at `m`, and `B(n, r) = max over children m of n of own(m, r) + B(m,
-//! r)`, 0 for a leaf. Then the labels strictly below `n` add at most `q(n) B(n, r)` to the score of `r`, and at least 0.
+//! **Theorem.** Let `own(m, r)` be the sum of `w(c, r)` over the labels that end at `m`, and
+//! `B(n, r) = max over children m of n of own(m, r) + B(m, r)`, 0 for a leaf. Then the labels strictly below `n` add at most `q(n) B(n, r)` to the
+//! score of `r`, and at least 0.
 //!
 //! *Proof.* By induction from the leaves. The children `m` of `n` have conditional probabilities `p_m >= 0` with `sum p_m <= 1`. The labels below `n`
-//! add `sum_m q(n) p_m own(m, r)` plus the contribution of the labels below the children, at most `sum_m q(n) p_m B(m, r)`; together at most `q(n)
-//! sum_m p_m (own(m, r) + B(m, r)) <= q(n) B(n, r)`. ∎
+//! add `sum_m q(n) p_m own(m, r)` plus the contribution of the labels below the children, at most `sum_m q(n) p_m B(m, r)`; together at most
+//! `q(n) sum_m p_m (own(m, r) + B(m, r)) <= q(n) B(n, r)`. ∎
 //!
 //! Under [`Continuation::Labels`] the `p_m` sum to exactly 1, which makes the differences below tighter still. A prior multiplies label `c`'s score
 //! by its gain, which is part of `w(c, r)`, and all scores by one scale `k`: the labels' sum without gains over their sum with gains. Both sums are
@@ -18,8 +19,8 @@
 //! choices because mass may go to no label at all, bounds the *difference* of two partitions' scores far more tightly than their two intervals do; a
 //! ranking is certified by these differences.
 //!
-//! So with `F` the undecoded nodes whose parents are decoded, `S_r` lies between `L_r`, the sum over decided labels, and `L_r + sum over F of q(n)
-//! B(n, r)`.
+//! So with `F` the undecoded nodes whose parents are decoded, `S_r` lies between `L_r`, the sum over decided labels, and
+//! `L_r + sum over F of q(n) B(n, r)`.
 
 use nalgebra::DMatrix;
 
