@@ -1,7 +1,7 @@
 //! One step of the flow: observations in, scores of labels, items and partitions out.
 //!
-//! Every person is scored and grounded independently. The combined score of a partition is the probability that at least one person is there next: `1
-//! - prod over persons (1 - p)`, which is `p` for one person.
+//! Every person is scored and grounded independently. The combined score of a partition is the probability that at least one person is there next:
+//! `1 - prod over persons (1 - p)`, which is `p` for one person.
 //!
 //! A person out of the house is in no partition: their probabilities are 0, and they do not affect the others' scores. After they return,
 //! their earlier events are not used.
