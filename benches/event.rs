@@ -265,7 +265,6 @@ fn nanoseconds(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// Measurements of one event.
 struct Sample {
     new_tokens: usize,
     nodes: usize,

@@ -1,6 +1,5 @@
 """Two numbers fitted after training on held-out activities: a temperature, so that the model's confidence matches its accuracy, and the weight
-with which scores are divided by those of a blank narration (the prior weight of `src/scorer/correction.rs`).
-"""
+with which scores are divided by those of a blank narration (the prior weight of `src/scorer/correction.rs`)."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ class Fit:
 
 def fit(model: Household, encoder: Encoder, programs: list[Program], graphs: list[Path]) -> Fit:
     """The temperature and the prior weight with the lowest mean negative log-likelihood of the next object over the labels of the given scenes.
-    The temperature is multiplied by `SOFTER`.
-    """
+    The temperature is multiplied by `SOFTER`."""
     number = 0
     total = np.zeros((len(TEMPERATURES), len(PRIORS)))
     for path in graphs:

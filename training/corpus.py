@@ -67,8 +67,7 @@ class Sequence:
 
 def scene_labels(shared: Path, own: Path) -> dict[str, dict[str, str]]:
     """Labels of the VirtualHome graphs and of the project's own maps, by scene. Keys are the labels and their other words in the map; values are
-    labels.
-    """
+    labels."""
     scenes = {}
     for path in data.scene_graphs(shared):
         scenes[path.stem.removesuffix("_graph")] = {label: label for label in data.graph_labels(path)}
@@ -314,8 +313,7 @@ class Encoder:
 
 def pack(encoder: Encoder, corpus: Corpus, rng: random.Random, rows: int, length: int) -> dict[str, np.ndarray]:
     """One batch: `rows` rows of `length` tokens, each filled with whole sequences. In addition to the arrays of `encode`: each token's `sequence`
-    in the row, 0 for padding, and its `place` in it. `train.visible` computes the mask from them.
-    """
+    in the row, 0 for padding, and its `place` in it. `train.visible` computes the mask from them."""
     out = {n: np.zeros((rows, length), np.int64) for n in ("token", "position", "branch", "sees", "target", "sequence", "place")}
     out["weight"] = np.zeros((rows, length), np.float32)
     for row in range(rows):

@@ -18,8 +18,7 @@ STEPS = 5
 
 def orthogonalised(matrices: torch.Tensor, half: bool = False) -> torch.Tensor:
     """[number, rows, columns], with no more rows than columns: replaces the singular values of each by about 1, without computing them; in
-    bfloat16 if `half`, which is exact enough.
-    """
+    bfloat16 if `half`, which is exact enough."""
     a, b, c = COEFFICIENTS
     x = matrices / matrices.norm(dim=(1, 2), keepdim=True).clamp(min=1e-7)
     x = x.bfloat16() if half else x

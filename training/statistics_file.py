@@ -66,8 +66,7 @@ def contexts(visited: list[str]) -> list[tuple[tuple[str, ...], str]]:
 
 class KneserNey:
     """Modified Kneser-Ney, interpolated, of third order (Chen and Goodman 1999): shorter contexts count the distinct longer ones before an object,
-    and counts of one, two and more have separate discounts.
-    """
+    and counts of one, two and more have separate discounts."""
 
     def __init__(self, third: Table, objects: list[str]) -> None:
         self.tables: list[dict[tuple[str, ...], Counter]] = [{tuple(key.split(">")): Counter(counts) for key, counts in third.items()}]
@@ -80,8 +79,7 @@ class KneserNey:
 
     def counts(self, context: tuple[str, ...], following: str) -> list[Counted]:
         """Per length of context, the empty one first: the object's count, the total count, and how many objects followed once, twice and more
-        often. Lengths without any count are left out.
-        """
+        often. Lengths without any count are left out."""
         out = []
         for order in range(ORDERS):
             counts = self.tables[3 - order].get(context[3 - order :])
@@ -130,8 +128,7 @@ def bound(third: Table, labels: Iterable[str]) -> Table:
 
 def cases_in(programs: list[Program], labels: set[str], model: KneserNey) -> Iterator[tuple[list[Counted], list[Counted] | None, float, str, list[str]]]:
     """Yields for every step with a next thing in the map: the counts of that thing and of the one in hand, the even probability, the thing, and
-    the map's earlier things; the last of these is in hand, whether in the map or not.
-    """
+    the map's earlier things; the last of these is in hand, whether in the map or not."""
     for program in programs:
         turned: list[str] = []
         for step, target in zip(program.steps, next_targets(program.steps)):
@@ -148,8 +145,7 @@ def cases_in(programs: list[Program], labels: set[str], model: KneserNey) -> Ite
 
 def fit(third: Table, calibration: list[Program], maps: list[set[str]]) -> dict[str, object]:
     """Discounts by order and count, and weight and decay of the recency cache, that maximise the likelihood of the calibration split over the
-    labels of `maps`, as for the model's temperature: the next thing at every step, given that it differs from the one in hand.
-    """
+    labels of `maps`, as for the model's temperature: the next thing at every step, given that it differs from the one in hand."""
     cases = [case for labels in maps for case in cases_in(calibration, labels, KneserNey(bound(third, labels), sorted(labels)))]
 
     def chances(discounts: Discounts) -> list[tuple[float, float]]:

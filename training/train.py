@@ -50,8 +50,7 @@ class Schedule:
 
     def within(self, until: int) -> Schedule:
         """The schedule for another number of steps, with the rate's fall and the averages in proportion. The warm-up stays the same, so below some
-        600 steps the rate falls less.
-        """
+        600 steps the rate falls less."""
         part = until / self.until
         return replace(self, steps=max(1, round(self.steps * part)), until=until, apart=max(1, round(self.apart * part)))
 
@@ -76,8 +75,7 @@ def loss_of(model: Household, batch: dict[str, torch.Tensor]) -> torch.Tensor:
 
 def visible(batch: dict[str, torch.Tensor]) -> torch.Tensor:
     """[rows, 1, length, length]: whether a token sees another one. It sees earlier tokens of its sequence: the trunk as far as its branch does,
-    and its own branch.
-    """
+    and its own branch."""
     branch, sequence, place = batch["branch"], batch["sequence"], batch["place"]
     row, column = (lambda value: value[:, :, None]), (lambda value: value[:, None, :])
     trunk = (column(branch) == 0) & (column(place) < row(batch["sees"]))

@@ -73,8 +73,7 @@ LEARNT_PIECES = 2000
 
 def texts() -> Iterator[str]:
     """Narrations and labels of Roomcast's data: words that a general vocabulary has as a whole. Documents are left out, because their words would
-    displace the labels', and every new page would change the trie.
-    """
+    displace the labels', and every new page would change the trie."""
     labels = sorted({item["label"] for path in ROOT.glob("scenes/*.json") for item in json.loads(path.read_text())["items"]})
     actions = tomllib.loads((ROOT / "core/src/narration/actions.toml").read_text())
     for action in actions.values():

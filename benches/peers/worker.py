@@ -29,8 +29,7 @@ def key_type(c, cache: str) -> int:
 
 def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
     """CAPPr with its best settings: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
-    the labels follow one by one, or all at once if each is a single token.
-    """
+    the labels follow one by one, or all at once if each is a single token."""
     # CAPPr imports its other back end if transformers is installed, and does not support its newest versions.
     sys.modules["transformers"] = None
     from cappr.llama_cpp.classify import cache_model, log_probs_conditional
@@ -56,8 +55,7 @@ def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[
 
 def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
     """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on its own sequence, repeated for every
-    task. llama-perplexity supports only four endings per task, so this makes its calls through llama-cpp-python.
-    """
+    task. llama-perplexity supports only four endings per task, so this makes its calls through llama-cpp-python."""
     import ctypes
 
     import llama_cpp as c
@@ -128,8 +126,7 @@ def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], to
 
 def transformers(model: str, _: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
     """Hugging Face transformers with a prefix cached from event to event, followed by a batch of all labels with several tokens. llama.cpp's
-    vocabulary tokenises the text, at negligible cost.
-    """
+    vocabulary tokenises the text, at negligible cost."""
     import copy
 
     import torch

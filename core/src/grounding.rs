@@ -217,9 +217,7 @@ pub struct Grounding {
     pub(crate) partitions: Vec<Partition>,
     /// The items' labels, sorted; then room names without items, in the rooms' order. After [`Grounding::regroup`] the previous labels come first.
     pub(crate) scored_labels: Vec<ScoredLabel>,
-    /// Per item.
     pub(crate) item_partition: Vec<Option<PartitionId>>,
-    /// Per item.
     pub(crate) item_placement: Vec<Placement>,
     pub(crate) unassigned: Vec<(ItemId, Reason)>,
     /// Labels x partitions; see [`Grounding::weights()`].
@@ -429,7 +427,6 @@ impl Grounding {
         })
     }
 
-    /// Whether the list contains labels without items.
     #[must_use]
     pub(crate) fn has_idle_labels(&self) -> bool {
         self.idle_labels
@@ -665,7 +662,6 @@ fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<S
     (labels, place_of)
 }
 
-/// Finds items' partitions.
 struct Placer {
     /// Scratch: volumes above zero.
     shared_m3: Vec<(u32, f64)>,

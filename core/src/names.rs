@@ -76,22 +76,18 @@ pub(crate) struct EntityWords {
 }
 
 impl EntityWords {
-    /// Whether a bare word distinguishes lamps.
     pub(crate) fn is_lamp(&self, word: &str) -> bool {
         self.lamps.contains(word)
     }
 
-    /// Whether a thing has a door.
     pub(crate) fn is_opened(&self, thing: &str) -> bool {
         self.opened.contains(thing)
     }
 
-    /// Whether a bare word is about a setting, counter or alarm.
     pub(crate) fn is_setting(&self, word: &str) -> bool {
         self.settings.contains(word)
     }
 
-    /// Whether a bare word is for something other than a person.
     pub(crate) fn is_creature(&self, word: &str) -> bool {
         self.creatures.contains(word)
     }
@@ -103,7 +99,6 @@ impl EntityWords {
         self.nouns.get(word).is_some_and(|own| own == kind) || end()
     }
 
-    /// Whether a bare word selects one of several doors or windows.
     pub(crate) fn is_which(&self, word: &str) -> bool {
         self.which.contains(word)
     }
@@ -199,7 +194,6 @@ impl Names {
         })
     }
 
-    /// Adds the names of rooms by language and kind.
     fn with_rooms(mut self, text: &str) -> Result<Self, toml::de::Error> {
         let languages: BTreeMap<String, BTreeMap<String, Vec<String>>> = toml::from_str(text)?;
         for (kind, names) in languages.values().flatten() {

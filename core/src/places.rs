@@ -60,10 +60,8 @@ const NO_ADJECTIVES: [&str; 12] = ["and", "or", "is", "are", "was", "of", "with"
 /// Words for the subject of a sentence; a verb follows.
 const PRONOUNS: [&str; 10] = ["they", "he", "she", "i", "we", "you", "somebody", "someone", "who", "person"];
 
-/// Verbs of leaving.
 const LEAVES: [&str; 8] = ["leave", "leaves", "left", "leaving", "exit", "exits", "exited", "exiting"];
 
-/// The words of a text or of a name.
 fn words_of(text: &str) -> impl Iterator<Item = &str> {
     text.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|word| !word.is_empty())
 }

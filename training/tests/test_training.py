@@ -183,8 +183,7 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
 
 def test_calibration_finds_what_was_put_in(monkeypatch):
     """With fake scores, 1.5 times too confident and with 0.6 of the blank narration's scores, the fit finds both numbers; the temperature is
-    multiplied by `SOFTER`.
-    """
+    multiplied by `SOFTER`."""
     rng = np.random.default_rng(1)
     labels = [f"label {i}" for i in range(30)]
     blank, told = rng.normal(0, 1.5, 30), rng.normal(0, 1.5, (3000, 30))

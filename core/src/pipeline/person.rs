@@ -27,7 +27,6 @@ pub(super) struct Unscored {
     pub(super) voice: u64,
 }
 
-/// One person: scores, and the narration behind them.
 #[derive(Debug)]
 pub(super) struct Person {
     pub(super) id: PersonId,
@@ -99,7 +98,6 @@ impl Person {
         (self.due, self.waits_until) = (Due::Scoring, turn);
     }
 
-    /// Writes the prompt for the person's history.
     pub(super) fn write_prompt(&mut self, history: Option<&History>, options: &PipelineOptions) {
         let trailing_space = options.tokenisation == Tokenisation::Paper;
         let sentences = || history.into_iter().flat_map(History::sentences);
@@ -125,7 +123,6 @@ impl Person {
         self.partial().map_or(Effort::Exact, |bounds| bounds.reached)
     }
 
-    /// Sums the label scores per partition.
     pub(super) fn ground(&mut self, grounding: &Grounding) -> Result<(), GroundingError> {
         if self.at_home {
             grounding.ground(&self.scores.log_prob_nats, &mut self.grounded)?;

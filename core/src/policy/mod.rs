@@ -207,7 +207,6 @@ fn uniform(partitions: &[usize], rng: &mut dyn Rng) -> Option<usize> {
     partitions.get(index).copied()
 }
 
-/// The candidates with the least score.
 fn least(candidates: impl Iterator<Item = usize> + Clone, scores: &[f64]) -> Vec<usize> {
     let best = candidates.clone().map(|p| scores[p]).fold(f64::INFINITY, f64::min);
     candidates.filter(|p| scores[*p] == best).collect()

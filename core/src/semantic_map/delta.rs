@@ -199,7 +199,6 @@ impl SemanticMap {
     }
 }
 
-/// Items by id while they change.
 struct Items {
     list: Vec<Option<ItemEntry>>,
     place_of: HashMap<String, usize>,
@@ -375,7 +374,6 @@ mod tests {
     }
 
     proptest! {
-        /// After any changes, the regrouped scores equal those of a fresh grounding of the new map.
         #[test]
         fn regrouping_agrees_with_grounding_afresh(moves in prop::collection::vec((0..9usize, 0.0..9.0f64, 0.0..3.0f64), 0..12), gone in 0..9usize) {
             let before = map();

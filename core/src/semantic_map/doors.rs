@@ -243,7 +243,6 @@ mod tests {
         assert!(dense > MOST_LOOKS, "these rooms need the bound: {dense}");
     }
 
-    /// A building with many rooms is sampled as densely as one with two.
     #[test]
     fn rooms_of_a_large_building_are_looked_at_densely() {
         let room = |index: usize| {

@@ -47,7 +47,6 @@ fn signed_area_m2(ring: &[[f64; 2]]) -> f64 {
     ring.windows(2).map(|pair| turn(ring[0], pair[0], pair[1])).sum::<f64>() / 2.0
 }
 
-/// Distance in metres from the point to the edge.
 fn edge_distance_m(point: [f64; 2], (a, b): Edge) -> f64 {
     let ([ux, uy], [px, py]) = (minus(b, a), minus(point, a));
     let length = ux * ux + uy * uy;
@@ -533,7 +532,6 @@ pub(crate) mod tests {
         hits as f64 / (STEPS * STEPS) as f64 * (max[0] - min[0]) * (max[1] - min[1])
     }
 
-    /// Too many corners are refused before the edges are tested.
     #[test]
     fn a_footprint_of_too_many_corners_is_refused_at_once() {
         let zigzag = |count: usize| -> Vec<[f64; 2]> {
@@ -604,7 +602,6 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        /// The area in a rectangle agrees with sampling a grid, within the grid's resolution.
         #[test]
         fn areas_agree_with_sampling(rings in any_rings(), min in prop::array::uniform2(-9.0..5.0f64), size in prop::array::uniform2(0.2..9.0f64)) {
             let room = space(&rings);
@@ -628,7 +625,6 @@ pub(crate) mod tests {
             }
         }
 
-        /// The areas in the pieces of a divided rectangle add up.
         #[test]
         fn areas_add_up(rings in any_rings(), min in prop::array::uniform2(-9.0..5.0f64), size in prop::array::uniform2(0.2..9.0f64), cut in 0.1..0.9f64) {
             let footprint = Footprint::new(&rings).unwrap();

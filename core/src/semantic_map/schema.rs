@@ -107,7 +107,6 @@ fn listed(faults: &[SceneError]) -> String {
     faults.iter().map(|fault| format!("\n- {fault}")).collect()
 }
 
-/// The faults found so far.
 #[derive(Default)]
 struct Faults(Vec<SceneError>);
 
@@ -304,7 +303,6 @@ fn within(element: &str) -> String {
     if element == "." { String::new() } else { format!(", within {element}") }
 }
 
-/// Location of an element, for errors.
 #[derive(Clone, Copy)]
 struct Place<'a> {
     list: &'static str,
@@ -925,7 +923,6 @@ mod tests {
         message(&SemanticMap::from_json(&scene.to_string()).unwrap_err())
     }
 
-    /// If the file is wrong or damaged, the error does not repeat its contents.
     #[test]
     fn an_error_does_not_repeat_the_scene() {
         let long = || "k".repeat(1 << 20);

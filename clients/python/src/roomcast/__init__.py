@@ -447,8 +447,7 @@ class Narrator(_Participant):
 
     def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> int:
         """A person's presence from a sensor: "present", with or without a room, "away" or "gone"; or "empty" for a room, which is about all
-        persons and takes none. It updates the daemon's beliefs; the language model does not read it.
-        """
+        persons and takes none. It updates the daemon's beliefs; the language model does not read it."""
         said = presence.name.lower() if isinstance(presence, Presence) else presence
         if said not in ("present", "away", "gone", "empty"):
             raise ValueError(f"presence {said!r}: give 'present', 'away', 'gone' or 'empty'")
@@ -478,8 +477,7 @@ class Narrator(_Participant):
         """The state of a sensor: "motion", "presence", "bed", "door", "phone", "appliance" or "camera". `id` is the device, the same in each
         report; `room` is the room it observes, and a phone has none. `on` is None if the device is unavailable. `person` is the owner of a bed
         or a phone; the narrator's default person does not apply. `beyond` is the other room of a door between two rooms. The other keys are
-        those of a JSON line.
-        """
+        those of a JSON line."""
         if kind not in SENSOR_KINDS:
             raise ValueError(f"sensor {kind!r}: give one of {', '.join(SENSOR_KINDS)}")
         if not any(character.isalnum() for character in id) or len(id.encode()) > SENSOR_ID_BYTES_MAX:
@@ -524,15 +522,13 @@ class Narrator(_Participant):
 
     def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
         """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`, `place`,
-        `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events.
-        """
+        `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
         question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
         return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 
     def confirmed(self, timeout_s: float = 10) -> dict[str, Any]:
         """Waits until the daemon's scores contain all events, and returns its interpretation of the newest one, as `understood` does.
-        NotIncludedError after the timeout, or if the daemon dropped an event.
-        """
+        NotIncludedError after the timeout, or if the daemon dropped an event."""
         deadline = time.monotonic() + timeout_s
         if self.wait_until_included(timeout_s) is not None:
             for event in self.understood(self.sequence, max(0.1, deadline - time.monotonic())):
@@ -575,8 +571,7 @@ class Narrator(_Participant):
 
     def wait_until_included(self, timeout_s: float = 10) -> RoomScores | None:
         """Waits for scores that contain all events; None after the timeout. Without any events it returns the newest scores, if any, at once.
-        NotIncludedError if the daemon has handled all events and not accepted all.
-        """
+        NotIncludedError if the daemon has handled all events and not accepted all."""
         if not self.sequence:
             return self.newest()
         deadline, sure = ports.deadline_of(timeout_s), math.inf
@@ -623,8 +618,7 @@ class Narrator(_Participant):
 
 class Planner(_Participant):
     """Follows forecasts and scores, and publishes decisions for the robot with its name. A context manager: leaving closes it. Threads may share
-    it.
-    """
+    it."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
         super().__init__(name, ports.DECISION, domain)
@@ -688,8 +682,7 @@ class Planner(_Participant):
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> int:
         """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of an earlier decision of this planner that ends
         early. Returns the number of participants that received the decision: 0 if no robot listens. ValueError if the newest scores lack the
-        room. A decision for the same room as before tells the robot to stay, so a planner may decide at each forecast.
-        """
+        room. A decision for the same room as before tells the robot to stay, so a planner may decide at each forecast."""
         with self._publisher.alone():
             self.newest()
             known = self._last or self._forecast
@@ -858,8 +851,7 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
 
 def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
     """The data behind the newest scores: the map in use, the narration that the model read, every label's tokens, and the prior's contribution to
-    their sum (`prior_nats`).
-    """
+    their sum (`prior_nats`)."""
     node = _join(domain, "python-moment")
     return _ask(node, ports.MOMENT, {}, timeout_s)
 

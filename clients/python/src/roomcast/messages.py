@@ -370,8 +370,7 @@ class RoomForecast:
 @dataclass(frozen=True)
 class Forecast:
     """The probability that each room is occupied, at `computed_ns` and each of `horizons_s` seconds later. For one person, rooms and `elsewhere`
-    add up to 1 at each horizon.
-    """
+    add up to 1 at each horizon."""
 
     SERVICE: ClassVar[ports.Service] = ports.FORECAST
 
@@ -393,8 +392,7 @@ class Forecast:
 
     def occupied(self, room: str, ahead_s: float = 0) -> float | None:
         """The probability that people are in a room `ahead_s` seconds from now; None if the map has no such room. The forecast's age counts.
-        Between two horizons the probability is interpolated. After the last horizon it stays the same.
-        """
+        Between two horizons the probability is interpolated. After the last horizon it stays the same."""
         row = next((each.probabilities for each in self.rooms if each.id == room), None)
         if row is None:
             return None
@@ -637,8 +635,7 @@ class ItemScore:
 @dataclass(frozen=True)
 class ItemScores:
     """The scores of the map's items, which add up to the room scores of the same epoch and sequence. For a map with more than 1 024 items, only
-    the best. `of` is the number of items of the map.
-    """
+    the best. `of` is the number of items of the map."""
 
     epoch: int
     sequence: int

@@ -228,8 +228,7 @@ class Domain:
     def remove_counter(self, leaving: frozenset[str] = frozenset()) -> None:
         """Removes iceoryx2's counter of participants if no participant, dead or alive, is in the domain except for `leaving` (numbers of
         participants). If that is unknown, the counter stays. A participant that joins at this moment has its number already, and the next one
-        begins a new counter.
-        """
+        begins a new counter."""
 
         def is_there(entry: pathlib.Path) -> bool:
             number = entry.name.removeprefix(self.prefix).partition(".")[0]
@@ -277,8 +276,7 @@ class Domain:
 
 def _open_own(file: pathlib.Path, access: int) -> int | None:
     """Opens a file of the domain in shared memory, if it is a plain file of this user. Another user could have put a pipe there, which would
-    block, or a link to another place.
-    """
+    block, or a link to another place."""
     try:
         descriptor = os.open(file, access | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY)
     except OSError:
@@ -446,8 +444,7 @@ def _event(node: Node, service: Service) -> Any:
 
 def _wake(node: Node, service: str) -> None:
     """Wakes the process that serves a service after a participant has joined or asked. That process sleeps on the events of another service; a
-    notifier that is created and deleted there is an event. If waking fails, a newcomer waits for some hundred milliseconds.
-    """
+    notifier that is created and deleted there is an event. If waking fails, a newcomer waits for some hundred milliseconds."""
     if service == NARRATION.name:
         return
     with contextlib.suppress(Exception):  # iceoryx2's bindings have an exception type per operation
@@ -501,8 +498,7 @@ class Port(_Held):
 
     def close(self) -> None:
         """Frees the place, at once or when no thread uses it any more. Closing again does nothing, nor does closing a port from before a fork: the
-        place is the parent's.
-        """
+        place is the parent's."""
         if self.inherited:
             return
         self._linger()
@@ -681,8 +677,7 @@ def _client_builder(node: Node, service: str, request: Any, response: Any) -> An
 
 def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, deadline: float, timeout_s: float) -> T:
     """Sends a request and waits for the answer until the deadline. Sends it again from time to time, because a daemon that starts later never gets
-    the first one. If `read` finds no answer, sends it again at once.
-    """
+    the first one. If `read` finds no answer, sends it again at once."""
     while time.monotonic() < deadline:
         pending = send()
         again = time.monotonic() + again_s
