@@ -1,7 +1,7 @@
-//! Enums whose variants are chosen by a word.
+//! Enums with one word per variant.
 
-/// Defines enums whose variants have the same word in files, on the command line and in messages: their names in kebab case. The crate that
-/// uses it depends on `serde` and `strum`.
+/// Defines enums: each variant has the same word in files, on the command line and in messages: the name in kebab case. The crate that uses it
+/// depends on `serde` and `strum`.
 #[macro_export]
 macro_rules! choices {
     ($($choice:item)*) => {$(

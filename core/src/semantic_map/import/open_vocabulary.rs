@@ -37,7 +37,7 @@ const OFF_GRID: f64 = 0.1;
 const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
-/// What captioners say when they see nothing.
+/// Captions of captioners for an unrecognised object.
 const NOTHING: [&str; 6] = ["invalid", "unknown", "none", "object", "item", "n/a"];
 
 crate::choices! {
