@@ -8,9 +8,10 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ServiceName;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
+use crate::IpcError;
 use crate::domain::{Flavour, Node};
 use crate::port::port;
-use crate::{IpcError, Message};
+use crate::raw::Message;
 
 /// Sends payloads of `M`'s layout, unchecked.
 #[derive(Debug)]

@@ -166,8 +166,6 @@ pub use port::{
     StatusServer, Subscriber, wait_for_any,
 };
 pub use question::{AnswerPort, QuestionPort};
-#[doc(hidden)]
-pub use raw::*;
 pub use robot::{Report, Robot};
 pub use sensor::{SENSOR_ID_BYTES_MAX, Sensor, SensorKind};
 pub use who::Who;

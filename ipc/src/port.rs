@@ -1087,7 +1087,8 @@ impl Node {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Domain, report_kind};
+    use crate::Domain;
+    use crate::raw::report_kind;
 
     /// A planner that was started again within one tick was not noticed, and heard of one other robot alone.
     #[test]

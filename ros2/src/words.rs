@@ -1,6 +1,6 @@
 //! Narration, decisions and reports in words, for `std_msgs/String`.
 
-use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
 use crate::types::Text;
 
@@ -74,7 +74,8 @@ fn add(data: &mut String, between: &str, words: &str) {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{report_flags, text};
+    use roomcast_ipc::raw::report_flags;
+    use roomcast_ipc::text;
 
     use super::*;
 

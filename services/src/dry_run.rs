@@ -8,7 +8,7 @@ use roomcast_core::narration::{Observation, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::narration_kind;
+use roomcast_ipc::raw::narration_kind;
 use serde::Serialize;
 
 use crate::config::Config;
@@ -200,7 +200,7 @@ impl DryRun {
     fn places(&mut self) -> Vec<(PersonId, Vec<(String, f32)>)> {
         let rooms: Vec<String> = self.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
         let forecasts = self.board.person_forecasts(self.now_ns);
-        let of = |own: &roomcast_ipc::PersonForecastV1| {
+        let of = |own: &roomcast_ipc::raw::PersonForecastV1| {
             let places = rooms.iter().cloned().zip(own.probability.iter().map(|row| row[0]));
             (PersonId(own.person), places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())
         };

@@ -5,7 +5,7 @@ use std::fmt;
 use roomcast_core::habits::{RoomShares, Shares};
 use roomcast_core::ids::PersonId;
 use roomcast_core::text::count;
-use roomcast_ipc::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
+use roomcast_ipc::raw::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
 
 /// Elsewhere among the places of a set.

@@ -271,7 +271,7 @@ mod tests {
     use roomcast_core::pipeline::{Pipeline, PipelineOptions};
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::semantic_map::SemanticMap;
-    use roomcast_ipc::narration_kind;
+    use roomcast_ipc::raw::narration_kind;
 
     use super::*;
     use crate::sensor_log::SensorRules;
@@ -382,8 +382,8 @@ mod tests {
 
     #[cfg(feature = "recording")]
     fn message(sequence: u64, observed_unix_ns: UnixNs) -> Recorded {
-        let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
-        Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 {
+        let narration = roomcast_ipc::raw::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
+        Recorded::Narration(Box::new(roomcast_ipc::raw::NarrationV1 {
             sequence,
             observed_unix_ns: observed_unix_ns.0,
             ..narration

@@ -10,7 +10,8 @@ use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
 pub use roomcast_core::narration::line::{Who, WhoError};
-use roomcast_ipc::{MessageError, NarrationV1, text};
+use roomcast_ipc::raw::NarrationV1;
+use roomcast_ipc::{MessageError, text};
 
 /// The clock that dated an event is fast if the time lies further ahead than this. Less is rounding and transport.
 pub(crate) const FAST_NS: u64 = 1_000_000_000;
@@ -18,7 +19,7 @@ pub(crate) const FAST_NS: u64 = 1_000_000_000;
 /// One narration to be.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Item {
-    /// One of [`roomcast_ipc::narration_kind`].
+    /// One of [`roomcast_ipc::raw::narration_kind`].
     pub kind: u32,
     /// The text, in the notation of its kind.
     pub text: String,
@@ -189,7 +190,7 @@ pub(crate) fn item_by(
 #[cfg(test)]
 mod tests {
     use roomcast_core::ids::PersonId;
-    use roomcast_ipc::{ALL_PERSONS, narration_kind};
+    use roomcast_ipc::raw::{ALL_PERSONS, narration_kind};
     use serde_json::{Value, json};
 
     use super::*;

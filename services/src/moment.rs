@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{NAME_BYTES, RoomScoresV1};
+use roomcast_ipc::raw::{NAME_BYTES, RoomScoresV1};
 use serde::{Deserialize, Serialize};
 
 use crate::habits_reason::PersonHabits;

@@ -12,10 +12,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use roomcast_ipc::{
-    Domain, IpcError, Message, MessageError, NAME_BYTES, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber,
-    narration_kind, sequence, text,
-};
+use roomcast_ipc::raw::{Message, NAME_BYTES, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::{Domain, IpcError, MessageError, Node, Publisher, Subscriber, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::clock;
@@ -626,7 +624,7 @@ mod tests {
         let scores = |daemon, sequence, accepted| {
             let mut scores = RoomScoresV1 { epoch: daemon, source_count: 1, ..Default::default() };
             let source = sequence::source_of_name("test");
-            scores.included[0] = roomcast_ipc::IncludedV1 { source, epoch: 5, sequence, accepted, observed_ns: 0 };
+            scores.included[0] = roomcast_ipc::raw::IncludedV1 { source, epoch: 5, sequence, accepted, observed_ns: 0 };
             scores
         };
         let figures = |account: &Account| (account.outcome.confirmed, account.outcome.dropped, account.under_way());
@@ -722,7 +720,7 @@ mod tests {
                 let mut confirms = RoomScoresV1 { epoch: 1, sequence: newest.sequence, ..Default::default() };
                 (confirms.room_count, confirms.source_count) = (1, 1);
                 confirms.room[0].id = text::encode("id", "kitchen").unwrap();
-                confirms.included[0] = roomcast_ipc::IncludedV1 {
+                confirms.included[0] = roomcast_ipc::raw::IncludedV1 {
                     source: newest.source,
                     epoch: newest.epoch,
                     sequence: newest.sequence,

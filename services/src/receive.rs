@@ -1,6 +1,7 @@
 //! Messages from a port, one after the other; what is malformed is logged.
 
-use roomcast_ipc::{IpcError, Message, Subscriber};
+use roomcast_ipc::raw::Message;
+use roomcast_ipc::{IpcError, Subscriber};
 
 use crate::clock;
 use crate::logging::Limiter;

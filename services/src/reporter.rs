@@ -2,7 +2,8 @@
 
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::parsing::{Keyed, json_of_one_line_says, word};
-use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
+use roomcast_ipc::raw::{Message, RobotReportV1, report_flags, report_kind};
+use roomcast_ipc::{MessageError, sequence, text};
 
 /// Longest line of input, in bytes.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -153,7 +154,7 @@ impl Report {
 #[derive(Debug)]
 pub struct Reporter {
     robot: u64,
-    name: [u8; roomcast_ipc::NAME_BYTES],
+    name: [u8; roomcast_ipc::raw::NAME_BYTES],
     epoch: u64,
     sequence: u64,
 }

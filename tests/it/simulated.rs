@@ -50,9 +50,10 @@ use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_database::Database;
-use roomcast_ipc::{
-    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, Sender,
-    action, decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
+use roomcast_ipc::Sender;
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, action,
+    decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
 };
 use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::journal::{Record, SCHEMA, Writer};

@@ -12,7 +12,7 @@ use roomcast_core::narration::Event;
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::narration_kind;
+use roomcast_ipc::raw::narration_kind;
 use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::chart::{Chart, Mark, Series};

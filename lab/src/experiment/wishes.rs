@@ -9,10 +9,10 @@ use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::PolicyError;
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
-use roomcast_ipc::{
-    ForecastV1, MAX_HORIZONS, MessageError, PersonForecastsV1, RoomScoresV1, action, forecast_flags, person_flags,
-    presence, text,
+use roomcast_ipc::raw::{
+    ForecastV1, MAX_HORIZONS, PersonForecastsV1, RoomScoresV1, action, forecast_flags, person_flags, presence,
 };
+use roomcast_ipc::{MessageError, text};
 use roomcast_services::config::{OnlyWhen, PlannerConfig, QuietHours, RoomNeeds, WhileAsleep};
 use roomcast_services::daemon::Zone;
 use roomcast_services::planner::Planner;

@@ -6,7 +6,8 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::own_file::require_own_folder;
-use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use roomcast_ipc::raw::NAME_BYTES;
+use roomcast_ipc::{Domain, IpcError};
 use rustix::fs::Access;
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
@@ -581,7 +582,7 @@ impl Config {
             within("planner.min_absence_s", planner.min_absence_s, 0.0..=86_400.0),
             row("planner.min_absence_s", &planner.min_absence_s, planner.min_absence_s == 0.0 || planner.only_when.is_some(), "give planner.only_when too: it says what is to be empty for so long"),
             within("planner.min_absence_at", planner.min_absence_at, 0.0..=1.0),
-            row("planner.room.id", &needs, planner.room.len() <= roomcast_ipc::MAX_ROOMS && each_room_once, &format!("give at most {} rooms, each once, with ids of {plain}", roomcast_ipc::MAX_ROOMS)),
+            row("planner.room.id", &needs, planner.room.len() <= roomcast_ipc::raw::MAX_ROOMS && each_room_once, &format!("give at most {} rooms, each once, with ids of {plain}", roomcast_ipc::raw::MAX_ROOMS)),
             row("planner.room.every_s", &every, of_needs(&|room| room.every_s.is_none_or(|every_s| (1.0..=SECONDS_MAX).contains(&every_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
             row("planner.room.priority", &priority, of_needs(&|room| (0.01..=100.0).contains(&room.priority)), "give 0.01 to 100"),
             row("planner.room.time_s", &time, of_needs(&|room| room.time_s.is_none_or(|time_s| (1.0..=SECONDS_MAX).contains(&time_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
@@ -608,7 +609,7 @@ impl Config {
             within("robot.start_s", vacuum.start_s, 0.1..=3600.0),
             row("robot.least_s", &vacuum.least_s, (0.0..=vacuum.most_s).contains(&vacuum.least_s), "give 0 to robot.most_s"),
             within("robot.most_s", vacuum.most_s, 1.0..=86_400.0),
-            row("robot.segments", &vacuum.segments.len(), vacuum.segments.len() <= roomcast_ipc::MAX_ROOMS && vacuum.segments.iter().all(|(room, segment)| is_name(room) && is_name(segment)), &format!("give at most {} rooms, each with a segment of {plain}", roomcast_ipc::MAX_ROOMS)),
+            row("robot.segments", &vacuum.segments.len(), vacuum.segments.len() <= roomcast_ipc::raw::MAX_ROOMS && vacuum.segments.iter().all(|(room, segment)| is_name(room) && is_name(segment)), &format!("give at most {} rooms, each with a segment of {plain}", roomcast_ipc::raw::MAX_ROOMS)),
             within("bridge.interval_s", bridge.interval_s, 0.1..=3600.0),
             within("narrator.linger_s", narrator.linger_s, seconds),
         ];

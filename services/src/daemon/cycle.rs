@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
+use roomcast_ipc::raw::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake, Recovered};
 use roomcast_core::ids::{BootNs, EventId, UnixNs};

@@ -20,7 +20,8 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, limits, sequence, text};
+use roomcast_ipc::raw::{NarrationV1, StatusResponseV1};
+use roomcast_ipc::{Domain, IpcError, Node, limits, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::awake::Awake;

@@ -5,7 +5,8 @@ use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
+use roomcast_ipc::Sender;
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1};
 use roomcast_llama::LlamaModel;
 
 use super::{

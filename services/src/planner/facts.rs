@@ -3,7 +3,7 @@
 use roomcast_core::ids::BootNs;
 use roomcast_core::narration::same_but_for_accents;
 use roomcast_ipc::raw::probability_at;
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     MAX_ROOMS, PersonForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, person_flags, presence,
 };
 

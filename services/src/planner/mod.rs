@@ -16,10 +16,10 @@ use std::time::Duration;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::{
-    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags, sequence,
-    text,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags,
 };
+use roomcast_ipc::{sequence, text};
 
 use crate::config::{Config, Forced, PlannerConfig, is_room};
 use crate::daemon::Zone;

@@ -8,7 +8,8 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags, text};
+use roomcast_ipc::raw::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags};
+use roomcast_ipc::text;
 
 /// Robots that are followed; of more, the one whose room is free first gives way.
 const ROBOTS_MAX: usize = 16;

@@ -2,7 +2,7 @@
 
 use roomcast_core::ids::BootNs;
 use roomcast_ipc::raw::probability_at;
-use roomcast_ipc::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
+use roomcast_ipc::raw::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
 
 /// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
 #[derive(Debug, Clone, Copy)]

@@ -2,7 +2,7 @@
 
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::{Door, SemanticMap, Storeys};
-use roomcast_ipc::{RoomScoresV1, RoomV1};
+use roomcast_ipc::raw::{RoomScoresV1, RoomV1};
 
 use super::facts::Near;
 

@@ -1,7 +1,7 @@
 //! What becomes of the robot's reports.
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{RobotReportV1, report_kind};
+use roomcast_ipc::raw::{RobotReportV1, report_kind};
 
 use super::robot::{Work, note_newest};
 use super::rules::Hold;
@@ -244,7 +244,7 @@ impl Planner {
         let by_name = || self.places.as_ref().filter(|places| places.fits(scores))?.named(name, scores);
         by_id.or_else(by_name).map(Some).ok_or_else(|| ReportFault::UnknownRoom {
             room: name.to_owned(),
-            known: scores.rooms().iter().map(roomcast_ipc::RoomV1::id).collect::<Vec<_>>().join(", "),
+            known: scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id).collect::<Vec<_>>().join(", "),
         })
     }
 

@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{
-    Awaited, DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1,
-    RoomScoresV1, decision_flags, report_kind, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, Message, PersonForecastsV1, RobotReportV1, RoomScoresV1, decision_flags, report_kind,
 };
+use roomcast_ipc::{Awaited, Domain, IpcError, Publisher, sequence};
 use sd_notify::NotifyState;
 
 use super::orders::OrdersFile;

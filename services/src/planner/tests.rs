@@ -1,7 +1,7 @@
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::places::PlaceMatcher;
-use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
+use roomcast_ipc::raw::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
 
 use super::*;
 use crate::config::Reports;

@@ -16,10 +16,11 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError};
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    Presence, RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
+    RobotReportV1, RoomScoresV1, person_flags, presence,
 };
+use roomcast_ipc::{Presence, Sender};
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
 
@@ -832,7 +833,8 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 mod tests {
     use super::*;
     use roomcast_core::ids::UnixNs;
-    use roomcast_ipc::{IncludedV1, text};
+    use roomcast_ipc::raw::IncludedV1;
+    use roomcast_ipc::text;
 
     fn messages() -> Vec<(u64, Recorded)> {
         let mut narration = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
@@ -902,7 +904,7 @@ mod tests {
     #[test]
     fn scores_contain_what_was_heard_before_them_also_where_they_do_not_claim_it() {
         let narration = |sequence: u64, text: &str| {
-            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
             Recorded::Narration(Box::new(NarrationV1 { source: 7, epoch: 1, sequence, ..message }))
         };
         let mut scores =
@@ -934,7 +936,7 @@ mod tests {
         let (ada, ben) = (person_number("ada"), person_number("ben"));
         let (mut windows, mut messages) = ([0_u64, 0], Vec::new());
         let mut tell = |at: u64, sequence: u64, who: usize, text: &str, name: &str| {
-            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
             let person_name = text::encode("name", name).unwrap();
             let observed_ns = at * 1_000_000_000;
             let person = PersonId::SOMEBODY.0;
@@ -989,7 +991,7 @@ mod tests {
         let mut messages = Vec::new();
         let mut tell = |sequence: u64, texts: &[&str], windows: [u64; 2], presences: [u32; 2], observed: [u64; 2]| {
             for (text, number) in texts.iter().zip(sequence..) {
-                let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+                let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
                 let person = PersonId::SOMEBODY.0;
                 let narration = NarrationV1 {
                     source: 7,

@@ -98,7 +98,7 @@ fn sensors_say_who_is_where() {
             ("away", ada, 710.0),
         ]
     );
-    assert!(said.iter().all(|item| item.kind == roomcast_ipc::narration_kind::PRESENCE));
+    assert!(said.iter().all(|item| item.kind == roomcast_ipc::raw::narration_kind::PRESENCE));
     assert_eq!((log.unfit, log.silent), (0, 3));
 }
 

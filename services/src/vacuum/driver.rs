@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
+use roomcast_ipc::raw::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
 
 use super::dialect::{Order, Sensed, Status};
 use super::rooms::segment_of;

@@ -2,9 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, MessageError, Publisher, Subscriber, sequence};
 use sd_notify::NotifyState;
 
 use super::dialect::{Dialect, Order};
@@ -149,7 +148,7 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     while !stop.requested() {
         decisions.wait(TICK)?;
         if let Some(scores) = scores.newest()? {
-            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id));
         }
         let now_ns = clock::monotonic_ns();
         // Before what the robot says: what it is at may be what it was told by this.

@@ -10,7 +10,8 @@ use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_core::parsing::{Keyed, json_says};
-use roomcast_ipc::{NAME_BYTES, Sender as Port};
+use roomcast_ipc::Sender as Port;
+use roomcast_ipc::raw::NAME_BYTES;
 
 use super::record::{Expectation, KeptPerson, Move, Moved, Record};
 use crate::state_file;

@@ -1,6 +1,6 @@
 //! The rules of the house, orders of persons and needs of rooms, played with the planner.
 
-use roomcast_ipc::{NOTE_TEXT_BYTES, person_flags, presence};
+use roomcast_ipc::raw::{NOTE_TEXT_BYTES, person_flags, presence};
 
 use super::*;
 use crate::config::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};

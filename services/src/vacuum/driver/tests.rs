@@ -8,7 +8,8 @@ use crate::vacuum::Dialect;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::ids::UnixNs;
 use roomcast_core::policy::PolicyName;
-use roomcast_ipc::{ForecastV1, RoomScoresV1, sequence, text};
+use roomcast_ipc::raw::{ForecastV1, RoomScoresV1};
+use roomcast_ipc::{sequence, text};
 
 const S: u64 = 1_000_000_000;
 const ROOMS: [&str; 4] = ["bedroom-1", "hall-2", "kitchen-3", "office-4"];
@@ -626,7 +627,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             let (scores, forecast) = tell(&forecaster, second);
             planner.take(&scores, BootNs(now_ns)).unwrap();
             planner.take_forecast(&forecast, BootNs(now_ns)).unwrap();
-            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id));
         }
         if let Some(decision) = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap() {
             acts.extend(driver.decide(&decision, BootNs(now_ns)));
