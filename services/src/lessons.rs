@@ -206,7 +206,7 @@ impl Lessons {
 /// A board that continues earlier habits, with the model, map and persons of the configuration.
 ///
 /// # Errors
-/// When something of it cannot be set up, or what was learned before is malformed.
+/// When the set-up fails, or the earlier habits are malformed.
 pub fn board(config: &Config, before: &str, zone: Zone) -> Result<Board<LlamaModel>, LessonError> {
     let (pipeline, map) = setup::open(config)?;
     let options = HabitsOptions { learn: true, ..config.habits.options() };
@@ -402,7 +402,7 @@ mod tests {
         assert_eq!(times, [NOW_NS - 9, NOW_NS - 7]);
     }
 
-    /// A recording of a machine whose clock was ahead.
+    /// The recording machine's clock was ahead.
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_of_the_future_teaches_nothing() {

@@ -33,7 +33,7 @@ impl OfRobot {
         format!("{} {robot} {:016x}", self.0, sequence::source_of_name(robot))
     }
 
-    /// The number of the robot with the service `participant`; `None` if it is no such service.
+    /// The number of the robot with the service `participant`; `None` for another participant.
     #[must_use]
     pub fn robot_of(self, participant: &str) -> Option<u64> {
         self.read(participant).map(|(_, number)| number)

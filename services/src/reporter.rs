@@ -171,7 +171,7 @@ impl Reporter {
     /// The next message: a report about the time `now_ns`.
     ///
     /// # Errors
-    /// [`ReporterError`] names what is missing, or what the contract refuses.
+    /// [`ReporterError`] names the missing key, or the value that the contract rejects.
     pub fn message(
         &mut self,
         report: &Report,

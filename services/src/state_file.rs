@@ -122,7 +122,7 @@ pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// When it cannot be written or is refused; an old file is as it was.
 pub fn write_out(path: &Path, bytes: &[u8]) -> io::Result<()> {
     if path.starts_with("/dev") && !path.starts_with("/dev/shm") {
-        // The given name is opened: an open pipe has no path of its own.
+        // The given name is opened: an open pipe has no path.
         return OpenOptions::new().write(true).open(path)?.write_all(bytes);
     }
     require_out(path)?;
