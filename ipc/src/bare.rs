@@ -1,5 +1,5 @@
-//! iceoryx2 without the contract, for `roomcast latency` to compare with. It has no checks, no settings and no history:
-//! publish, notify, wake, receive.
+//! iceoryx2 without the contract, for `roomcast latency` to compare with. It has no checks, no settings and no history: publish, notify,
+//! wake, receive.
 
 use std::time::{Duration, Instant};
 

@@ -4,8 +4,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// `CLOCK_BOOTTIME` in nanoseconds, for ages. All processes of a machine share it, it is never set back, and it counts
-/// the time of suspension.
+/// `CLOCK_BOOTTIME` in nanoseconds, for ages. All processes of a machine share it, it is never set back, and it counts the time of
+/// suspension.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Boottime);

@@ -37,14 +37,13 @@ pub(crate) type Flavour = ipc_threadsafe::Service;
 const PREFIX_LIMIT: usize = 25;
 /// Most bytes of the root path, for the same reason.
 const ROOT_LIMIT: usize = 40;
-/// The longest time for opening a service: a participant that starts, stops or has just died is in the way for moments
-/// only.
+/// The longest time for opening a service: a participant that starts, stops or has just died is in the way for moments only.
 const OPEN_FOR: Duration = Duration::from_secs(8);
 /// Longer obstacles are searched for and removed.
 const LIKELY_WITHIN: Duration = Duration::from_millis(200);
 const SHARED_MEMORY: &str = "/dev/shm";
-/// Shared memory that must be free before a participant joins or opens a port, more than the largest port takes.
-/// iceoryx2 maps memory before the system provides it; touching a missing page ends the process by SIGBUS.
+/// Shared memory that must be free before a participant joins or opens a port, more than the largest port takes. iceoryx2 maps memory
+/// before the system provides it; touching a missing page ends the process by SIGBUS.
 const FREE_BYTES: u64 = 8 << 20;
 /// More files than one port opens.
 const OPEN_BY_A_PORT_MAX: u64 = 32;
@@ -59,8 +58,8 @@ const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
 const ONLY_FILE: &str = ".only";
 /// An incomplete participant is joining or leaving, or was killed while it did so. After this time it counts as killed.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
-/// An unfinished service is being created, or its creator was killed. After this time the creator counts as killed. The
-/// time is less than [`OPEN_FOR`], so that other participants can open the service.
+/// An unfinished service is being created, or its creator was killed. After this time the creator counts as killed. The time is less than
+/// [`OPEN_FOR`], so that other participants can open the service.
 const MADE_WITHIN: Duration = Duration::from_secs(2);
 /// The interval of the guardian's looks.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
@@ -75,8 +74,8 @@ fn name_limit() -> usize {
 
 /// A separate set of services: participants with the same root path and name see one another.
 ///
-/// The root path holds sockets and service files and belongs to one user, mode 0700. Shared memory is in `/dev/shm`
-/// under the domain's name and the user's number, mode 0600. That user id is the boundary: there are no access lists.
+/// The root path holds sockets and service files and belongs to one user, mode 0700. Shared memory is in `/dev/shm` under the domain's name
+/// and the user's number, mode 0600. That user id is the boundary: there are no access lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     root: PathBuf,
@@ -93,8 +92,8 @@ impl Domain {
     /// The name of the default domain.
     pub const DEFAULT_NAME: &str = "roomcast";
 
-    /// The domain `name` (`a-z`, `0-9`, `-`; 15 characters for every user, up to 22 with a short user number) at `root`
-    /// (absolute, at most 40 bytes). The first participant creates the folder `root`; its parent folder must exist.
+    /// The domain `name` (`a-z`, `0-9`, `-`; 15 characters for every user, up to 22 with a short user number) at `root` (absolute, at most
+    /// 40 bytes). The first participant creates the folder `root`; its parent folder must exist.
     ///
     /// # Errors
     ///
@@ -117,8 +116,7 @@ impl Domain {
         Ok(Self { root, name: name.to_owned() })
     }
 
-    /// The default domain of all commands: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN`, else [`Self::DEFAULT_NAME`] at
-    /// [`Self::default_root`].
+    /// The default domain of all commands: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN`, else [`Self::DEFAULT_NAME`] at [`Self::default_root`].
     ///
     /// # Errors
     ///
@@ -163,13 +161,12 @@ impl Domain {
 
     /// Joins under `participant`, a name for people (at most 100 characters).
     ///
-    /// Creates the root directory if it is missing, and cleans up after dead participants. It leaves signal handlers
-    /// alone.
+    /// Creates the root directory if it is missing, and cleans up after dead participants. It leaves signal handlers alone.
     ///
     /// # Errors
     ///
-    /// [`IpcError::BadRoot`] if another user owns the root or may write to it, [`IpcError::ForeignSharedMemory`] if
-    /// another user's files are in the way, [`IpcError::Join`] if iceoryx2 cannot create the node.
+    /// [`IpcError::BadRoot`] if another user owns the root or may write to it, [`IpcError::ForeignSharedMemory`] if another user's files
+    /// are in the way, [`IpcError::Join`] if iceoryx2 cannot create the node.
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         if !participant.chars().any(char::is_alphanumeric) {
             let text =
@@ -210,9 +207,8 @@ impl Domain {
         })
     }
 
-    /// Removes the remains of dead participants. If no participant is alive, it removes everything of the domain: its
-    /// shared memory, its files in the root directory, and that directory unless it holds other files. Returns whether
-    /// the domain is gone.
+    /// Removes the remains of dead participants. If no participant is alive, it removes everything of the domain: its shared memory, its
+    /// files in the root directory, and that directory unless it holds other files. Returns whether the domain is gone.
     ///
     /// # Errors
     ///
@@ -232,13 +228,13 @@ impl Domain {
         Ok(true)
     }
 
-    /// Removes the remains of processes that were killed while they joined, opened a service, or cleaned up. iceoryx2
-    /// leaves them, and an unfinished service rejects all participants.
+    /// Removes the remains of processes that were killed while they joined, opened a service, or cleaned up. iceoryx2 leaves them, and an
+    /// unfinished service rejects all participants.
     ///
-    /// A participant has a folder with its details, and a monitor that is created after it. iceoryx2 does not see a
-    /// folder without a monitor. Without details, which are cleaned up last, it looks for the rest in its default root
-    /// path instead of this one. A service's file is writable until it is finished. Each of these states is normal for
-    /// moments, so files that changed within [`JOINED_WITHIN`] and [`MADE_WITHIN`] stay.
+    /// A participant has a folder with its details, and a monitor that is created after it. iceoryx2 does not see a folder without a
+    /// monitor. Without details, which are cleaned up last, it looks for the rest in its default root path instead of this one. A service's
+    /// file is writable until it is finished. Each of these states is normal for moments, so files that changed within [`JOINED_WITHIN`]
+    /// and [`MADE_WITHIN`] stay.
     fn repair(&self, config: &Config) {
         let prefix = self.prefix();
         let nodes = self.root.join("nodes");
@@ -254,8 +250,8 @@ impl Domain {
         for id in &participants {
             let folder = nodes.join(id);
             let monitor = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
-            // An unfinished monitor is write-only. A process that is killed in this state has opened no service, and
-            // iceoryx2 takes it for joining for ever.
+            // An unfinished monitor is write-only. A process that is killed in this state has opened no service, and iceoryx2 takes it for
+            // joining for ever.
             let made = |file: &PathBuf| fs::metadata(file).is_ok_and(|about| about.permissions().mode() & 0o400 != 0);
             let whole = folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(made);
             let youngest = monitor.iter().chain([&folder]).filter_map(|path| age(path)).min();
@@ -276,19 +272,18 @@ impl Domain {
             let name = entry.file_name().to_string_lossy().into_owned();
             if name.starts_with(&prefix) && name.ends_with(ONLY_FILE) {
                 let locked = fs::File::open(entry.path()).and_then(|file| Only::lock(file, entry.path()));
-                // The lock means that the holder was killed; the drop removes the file. If locking fails, another
-                // process holds the file, or it is gone.
+                // The lock means that the holder was killed; the drop removes the file. If locking fails, another process holds the file,
+                // or it is gone.
                 drop(locked);
             }
         }
     }
 
-    /// Removes the files of ports without a participant: the process was killed after it created a file and before it
-    /// recorded that.
+    /// Removes the files of ports without a participant: the process was killed after it created a file and before it recorded that.
     ///
-    /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest
-    /// bits up 32 of seconds, of nanoseconds, of the process id, of a counter). No port outlives its participant's
-    /// entry, which is cleaned up last. A connection has two participants and is of no use to one alone.
+    /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest bits up 32 of
+    /// seconds, of nanoseconds, of the process id, of a counter). No port outlives its participant's entry, which is cleaned up last. A
+    /// connection has two participants and is of no use to one alone.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process_of(id)).collect();
         let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -309,8 +304,7 @@ impl Domain {
         }
     }
 
-    /// Whether the domain has no entry of a participant, dead or alive. If the folder cannot be read, it counts as
-    /// having one.
+    /// Whether the domain has no entry of a participant, dead or alive. If the folder cannot be read, it counts as having one.
     fn is_deserted(&self) -> bool {
         let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
         let details = format!("{prefix}node.details");
@@ -325,8 +319,8 @@ impl Domain {
         }
     }
 
-    /// Removes shared memory that has been unfinished for [`MADE_WITHIN`]: without a size, or not readable, since its
-    /// creator makes it readable last.
+    /// Removes shared memory that has been unfinished for [`MADE_WITHIN`]: without a size, or not readable, since its creator makes it
+    /// readable last.
     fn remove_unmade_memory(&self) {
         for file in self.shared_memory().unwrap_or_default() {
             let Ok(about) = fs::symlink_metadata(&file) else { continue };
@@ -337,9 +331,9 @@ impl Domain {
         }
     }
 
-    /// Takes a participant out of its services, then removes its entry. Only the entry says in which services it is, so
-    /// without this order its places would stay taken for ever. iceoryx2 may leave such an entry: if it cannot leave
-    /// one service, it still removes the monitor. The next [`Domain::repair`] removes the files of its ports.
+    /// Takes a participant out of its services, then removes its entry. Only the entry says in which services it is, so without this order
+    /// its places would stay taken for ever. iceoryx2 may leave such an entry: if it cannot leave one service, it still removes the
+    /// monitor. The next [`Domain::repair`] removes the files of its ports.
     fn remove_entry(&self, id: &str, config: &Config) {
         let Some(_alone) = self.alone() else { return };
         let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
@@ -362,8 +356,8 @@ impl Domain {
         }
     }
 
-    /// The lock for taking other participants out of services. iceoryx2 uses the participant's entry as the lock, which
-    /// may be gone. `None` while another process holds it.
+    /// The lock for taking other participants out of services. iceoryx2 uses the participant's entry as the lock, which may be gone. `None`
+    /// while another process holds it.
     fn alone(&self) -> Option<fs::File> {
         let root = fs::File::open(&self.root).ok()?;
         rustix::fs::flock(&root, FlockOperation::NonBlockingLockExclusive).ok()?;
@@ -413,9 +407,8 @@ impl Domain {
         if listed.is_err() { alive.max(1) } else { alive }
     }
 
-    /// The prefix of the names of all the domain's files: its name and the user's number in hexadecimal digits,
-    /// `roomcast-3e8_`. It keeps domains of one name but different users apart. No domain's prefix begins another's,
-    /// since a name has no underscore.
+    /// The prefix of the names of all the domain's files: its name and the user's number in hexadecimal digits, `roomcast-3e8_`. It keeps
+    /// domains of one name but different users apart. No domain's prefix begins another's, since a name has no underscore.
     #[must_use]
     pub fn prefix(&self) -> String {
         format!("{}-{}_", self.name, user())
@@ -428,8 +421,8 @@ impl Domain {
         Ok(ours.map(fs::DirEntry::path).collect())
     }
 
-    /// Whether another process uses files of this domain's name. No process of this root does so at the time of the
-    /// call, so it is in a domain of the same name in another root.
+    /// Whether another process uses files of this domain's name. No process of this root does so at the time of the call, so it is in a
+    /// domain of the same name in another root.
     fn is_used_elsewhere(&self) -> bool {
         let (prefix, own) = (self.prefix(), std::process::id());
         self.shared_memory().unwrap_or_default().iter().any(|file| {
@@ -452,8 +445,7 @@ impl Domain {
         Ok(())
     }
 
-    /// All users may create files in `/dev/shm`. Another user's file of this domain's name would let that user read and
-    /// write the messages.
+    /// All users may create files in `/dev/shm`. Another user's file of this domain's name would let that user read and write the messages.
     fn refuse_foreign_shared_memory(&self) -> Result<(), IpcError> {
         // iceoryx2 reports a list that fails.
         for file in self.shared_memory().unwrap_or_default() {
@@ -467,8 +459,8 @@ impl Domain {
         Ok(())
     }
 
-    /// Makes the system provide every page of the domain's shared memory now. Otherwise memory could run out at the
-    /// first touch of a page, during a publish.
+    /// Makes the system provide every page of the domain's shared memory now. Otherwise memory could run out at the first touch of a page,
+    /// during a publish.
     fn commit_shared_memory(&self) -> Result<(), IpcError> {
         for file in self.shared_memory().unwrap_or_default() {
             // The file is gone again, or is being created.
@@ -546,8 +538,7 @@ impl Domain {
     }
 }
 
-/// A participant by its number. iceoryx2 creates such an id only from a complete entry, so this deserialises its two
-/// halves.
+/// A participant by its number. iceoryx2 creates such an id only from a complete entry, so this deserialises its two halves.
 fn participant_of(number: u128) -> Option<UniqueNodeId> {
     let halves = SeqDeserializer::<_, ValueError>::new([number as u64, (number >> 64) as u64].into_iter());
     UniqueNodeId::deserialize(SeqDeserializer::new(std::iter::once(halves))).ok()
@@ -558,8 +549,8 @@ pub(crate) fn process_in(number: u128) -> u32 {
     (number >> 64) as u32
 }
 
-/// The process in a number of a file's name. `None` for a small number, which counts something else: memory that grows
-/// has a file `PORT__0` for its first segment.
+/// The process in a number of a file's name. `None` for a small number, which counts something else: memory that grows has a file `PORT__0`
+/// for its first segment.
 fn process_of(number: &str) -> Option<u32> {
     Some(process_in(number.parse().ok()?)).filter(|process| *process != 0)
 }
@@ -569,8 +560,8 @@ fn processes_of(stem: &str) -> Vec<u32> {
     stem.split('_').filter(|part| part.len() < 40).filter_map(process_of).collect()
 }
 
-/// Whether a process runs; if this cannot be read, it counts as running. A zombie does not run: a container's first
-/// process may never wait for its children.
+/// Whether a process runs; if this cannot be read, it counts as running. A zombie does not run: a container's first process may never wait
+/// for its children.
 pub(crate) fn is_running(process: u32) -> bool {
     let has_ended = || {
         let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
@@ -581,8 +572,8 @@ pub(crate) fn is_running(process: u32) -> bool {
     process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH)) && !has_ended()
 }
 
-/// Opens only a plain file of this user. Any user may put a pipe into shared memory, which would block the open, or a
-/// link to another place.
+/// Opens only a plain file of this user. Any user may put a pipe into shared memory, which would block the open, or a link to another
+/// place.
 fn open_own(file: &Path, access: OFlags) -> Option<(fs::File, fs::Metadata)> {
     let flags = access | OFlags::NONBLOCK | OFlags::NOFOLLOW | OFlags::CLOEXEC | OFlags::NOCTTY;
     let open = fs::File::from(rustix::fs::open(file, flags, Mode::empty()).ok()?);
@@ -598,9 +589,8 @@ fn age(path: &Path) -> Option<Duration> {
     Some(ages.age(path, changed, SystemTime::now(), Duration::from_nanos(clock::monotonic_ns())))
 }
 
-/// Ages of files. Their dates are from the wall clock, which may be set. A date in the future, or from before the clock
-/// was set, says nothing. Then the age counts from the time when this process first saw the file, or when the clock was
-/// set.
+/// Ages of files. Their dates are from the wall clock, which may be set. A date in the future, or from before the clock was set, says
+/// nothing. Then the age counts from the time when this process first saw the file, or when the clock was set.
 #[derive(Debug)]
 struct Ages {
     /// The boot time since which the wall clock has not been set, and the difference between the two clocks.
@@ -668,11 +658,10 @@ pub struct Node {
     _guardian: Guardian,
 }
 
-/// Removes iceoryx2's counter of participants when the last one leaves, so that a clean stop leaves nothing in shared
-/// memory.
+/// Removes iceoryx2's counter of participants when the last one leaves, so that a clean stop leaves nothing in shared memory.
 ///
-/// The counter keeps participants' numbers distinct, together with the process and the nanosecond in which they joined.
-/// A participant that is joining at this moment already has its number, and the next one starts a new counter.
+/// The counter keeps participants' numbers distinct, together with the process and the nanosecond in which they joined. A participant that
+/// is joining at this moment already has its number, and the next one starts a new counter.
 #[derive(Debug)]
 struct LastOut(Domain);
 
@@ -689,8 +678,7 @@ impl Drop for LastOut {
     }
 }
 
-/// The lock of the only participant of a name, held while its process runs. The kernel releases it when the process is
-/// killed.
+/// The lock of the only participant of a name, held while its process runs. The kernel releases it when the process is killed.
 ///
 /// A list of participants is not enough: a participant that is just joining is not in it.
 #[derive(Debug)]
@@ -708,8 +696,7 @@ impl Only {
             Err(TryLockError::Error(error)) => return Err(error),
         }
         let only = Self { file, path };
-        // The previous holder may have removed the file after it was opened here. A lock on it would then exclude no
-        // other process.
+        // The previous holder may have removed the file after it was opened here. A lock on it would then exclude no other process.
         Ok(Some(only).filter(Self::is_in_place))
     }
 
@@ -730,10 +717,9 @@ impl Drop for Only {
 
 /// Removes unfinished shared memory.
 ///
-/// A process that is killed between creating shared memory and setting its size leaves an empty file. iceoryx2 waits
-/// for such memory without end: when it opens a service, cleans up after the dead, or sends. So a thread of every
-/// participant removes these files when they are [`MADE_WITHIN`] old, and the waiting call goes on with a temporary
-/// error.
+/// A process that is killed between creating shared memory and setting its size leaves an empty file. iceoryx2 waits for such memory
+/// without end: when it opens a service, cleans up after the dead, or sends. So a thread of every participant removes these files when they
+/// are [`MADE_WITHIN`] old, and the waiting call goes on with a temporary error.
 #[derive(Debug)]
 struct Guardian {
     stop: Option<mpsc::Sender<()>>,
@@ -765,19 +751,20 @@ impl Drop for Guardian {
 }
 
 impl Node {
-    /// Calls `tell` once for each port when another participant is in the way and this one waits. It may take 8 s until
-    /// that becomes an error.
+    /// Calls `tell` once for each port when another participant is in the way and this one waits. It may take 8 s until that becomes an
+    /// error.
     #[must_use]
     pub fn telling_of_waits(self, tell: fn(&IpcError)) -> Self {
         Self { tell: Some(tell), ..self }
     }
 
-    /// Makes this participant the only one of its name that has called this, while this node lives. If several call it
-    /// at once, one succeeds.
+    /// Makes this participant the only one of its name that has called this, while this node lives. If several call it at once, one
+    /// succeeds.
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be locked.
+    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be
+    /// locked.
     pub fn be_the_only_one(self) -> Result<Self, IpcError> {
         let name = self.node.name().to_string();
         let file = format!("{}{:016x}{ONLY_FILE}", self.domain.prefix(), sequence::source_of_name(&name));
@@ -830,8 +817,8 @@ impl Node {
         Ok(names)
     }
 
-    /// Removes the remains of dead participants. iceoryx2 does so when it opens something, and a long-running process
-    /// calls this now and then.
+    /// Removes the remains of dead participants. iceoryx2 does so when it opens something, and a long-running process calls this now and
+    /// then.
     pub fn clean_up_dead(&self) {
         self.remove_dead_participants();
         self.remove_unused_services(false);
@@ -879,14 +866,13 @@ impl Node {
         }
     }
 
-    /// Frees the places of a service whose participants have no entry any more. iceoryx2 removes the port tag of a dead
-    /// participant before its place. If the process that cleans up is killed in between, iceoryx2 skips the place
-    /// without a tag (`PortCleanupAction::SkipPort`) and still removes the participant. The place would be taken for
-    /// ever.
+    /// Frees the places of a service whose participants have no entry any more. iceoryx2 removes the port tag of a dead participant before
+    /// its place. If the process that cleans up is killed in between, iceoryx2 skips the place without a tag
+    /// (`PortCleanupAction::SkipPort`) and still removes the participant. The place would be taken for ever.
     pub(crate) fn free_places_of_nobody(&self, places: &[Place], service: &ServiceHash) {
         let Some(_alone) = self.domain.alone() else { return };
-        // A participant's entry exists before it takes a place and until it gives the place up. So the participants
-        // listed now are all that may hold any of these.
+        // A participant's entry exists before it takes a place and until it gives the place up. So the participants listed now are all that
+        // may hold any of these.
         let mut participants = Vec::new();
         let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
             participants.push(match state {
@@ -1106,8 +1092,7 @@ mod tests {
         }
     }
 
-    /// A joining participant is in no list at first. Two planners that started together both stayed, and one vacuum had
-    /// two drivers.
+    /// A joining participant is in no list at first. Two planners that started together both stayed, and one vacuum had two drivers.
     #[test]
     fn of_those_that_come_at_once_one_is_the_only_one() {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();

@@ -68,8 +68,7 @@ pub enum MessageError {
 /// The error of iceoryx2 or of the system that caused an [`IpcError`].
 pub type Cause = Box<dyn std::error::Error + Send + Sync>;
 
-/// A service, port or domain cannot be used. `Debug` prints the text for people, so `fn main() -> Result<(), Error>`
-/// shows the remedy.
+/// A service, port or domain cannot be used. `Debug` prints the text for people, so `fn main() -> Result<(), Error>` shows the remedy.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum IpcError {

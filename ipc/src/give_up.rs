@@ -1,5 +1,5 @@
-//! Ends the process with an error when iceoryx2 panics. iceoryx2 panics if it cannot remove a socket file, or if a
-//! participant that it took for dead is alive.
+//! Ends the process with an error when iceoryx2 panics. iceoryx2 panics if it cannot remove a socket file, or if a participant that it took
+//! for dead is alive.
 
 use std::io::Write;
 use std::panic::{self, PanicHookInfo};
@@ -8,8 +8,8 @@ use std::path::{Component, Path};
 /// Limit on iceoryx2's reason, which follows the participant that it prints first.
 const REASON_CHARS_MAX: usize = 200;
 
-/// From now on a panic in iceoryx2 ends this process with a one-line error and this exit code. Confirmed data stays,
-/// and other participants clean up after the process, as after a kill. Other panics stay unchanged.
+/// From now on a panic in iceoryx2 ends this process with a one-line error and this exit code. Confirmed data stays, and other participants
+/// clean up after the process, as after a kill. Other panics stay unchanged.
 pub fn end_where_iceoryx2_panics(program: &'static str, code: u8) {
     let before = panic::take_hook();
     panic::set_hook(Box::new(move |panicked| {

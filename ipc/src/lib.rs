@@ -32,8 +32,8 @@
 //! | follow decisions | [`Domain::decisions`] | `Decisions` |
 //! | ask about persons, habits, the map | [`Domain::persons`], [`Domain::habits`], [`Domain::moment`], [`Domain::change_map`] | `persons`, `habits`, `moment`, `change_map` |
 //!
-//! [`Domain::for_user`] is the domain of the `roomcast` program: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` choose another one, as they do for the
-//! program.
+//! [`Domain::for_user`] is the domain of the `roomcast` program: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` choose another one, as they do for
+//! the program.
 //!
 //! A planner sends a robot to the calmest room. Its name is the robot's name:
 //!
@@ -98,9 +98,9 @@
 //! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/habits` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //!
-//! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and overwritten messages
-//! show as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a
-//! subscriber sleeps until there is news ([`Subscriber::wait`]).
+//! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and overwritten messages show as a gap in
+//! the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a subscriber sleeps until there is news
+//! ([`Subscriber::wait`]).
 //!
 //! # Every message
 //!

@@ -4,14 +4,11 @@ use std::fs;
 
 use rustix::process::{Resource, getrlimit};
 
-/// Stack that the main thread needs, in bytes. With less than a quarter of this it overflows, and a signal ends the
-/// process.
+/// Stack that the main thread needs, in bytes. With less than a quarter of this it overflows, and a signal ends the process.
 const STACK_BYTES_MIN: u64 = 512 << 10;
-/// Address space that a process needs in addition to its program, in bytes. When an allocation fails, Rust aborts the
-/// process.
+/// Address space that a process needs in addition to its program, in bytes. When an allocation fails, Rust aborts the process.
 const ADDRESS_SPACE_BYTES_MIN: u64 = 68 << 20;
-/// Address space that a daemon needs in addition to its program and its model, in bytes: shared memory, and threads
-/// with their stacks.
+/// Address space that a daemon needs in addition to its program and its model, in bytes: shared memory, and threads with their stacks.
 pub const DAEMON_BYTES_MIN: u64 = 352 << 20;
 /// Address space that one step may need, in bytes: shared memory, or a thread with its stack.
 const ADDRESS_SPACE_BYTES: u64 = 128 << 20;

@@ -83,9 +83,8 @@ impl Planner {
         Ok(next.map(|message| &*self.newest.insert(RoomScores(message))))
     }
 
-    /// Publishes that the robot goes to `room`. If the previous decision names the same room, it publishes that the
-    /// robot stays, so a planner may decide at each forecast. Returns the number of participants that received it: 0 if
-    /// no robot listens.
+    /// Publishes that the robot goes to `room`. If the previous decision names the same room, it publishes that the robot stays, so a
+    /// planner may decide at each forecast. Returns the number of participants that received it: 0 if no robot listens.
     ///
     /// # Errors
     ///

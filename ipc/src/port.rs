@@ -45,12 +45,11 @@ const DROPPED: usize = 3;
 const DEAD: usize = 4;
 /// Most participants that have one service open at once.
 pub(crate) const MAX_NODES: usize = 32;
-/// Spare notifiers of a service, in addition to those of its publishers. iceoryx2 keeps the place of a notifier if its
-/// process was killed at an unlucky moment, and without spare places the next publisher could never join. The limit on
-/// publishers is separate.
+/// Spare notifiers of a service, in addition to those of its publishers. iceoryx2 keeps the place of a notifier if its process was killed
+/// at an unlucky moment, and without spare places the next publisher could never join. The limit on publishers is separate.
 const LEFT_BEHIND: usize = 64;
-/// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake,
-/// and a notifier that is paused between two of its steps could make it believe that of a sleeping listener.
+/// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake, and a notifier that
+/// is paused between two of its steps could make it believe that of a sleeping listener.
 const SLICE: Duration = Duration::from_millis(250);
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
@@ -60,8 +59,8 @@ const STATUS_CLIENTS: usize = 8;
 /// The pause before a failed connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
 
-/// Failed connections, for example for lack of file descriptors or memory. iceoryx2 retries only when ports come or go,
-/// so without this the two ends would stay disconnected.
+/// Failed connections, for example for lack of file descriptors or memory. iceoryx2 retries only when ports come or go, so without this the
+/// two ends would stay disconnected.
 #[derive(Debug, Default)]
 struct Connections {
     failed: Arc<AtomicBool>,
@@ -99,15 +98,14 @@ type Factory<P, H> = publish_subscribe::PortFactory<Flavour, P, H>;
 
 /// Sends messages of one kind. Never blocks on a slow subscriber.
 ///
-/// A subscriber notices a new publisher at its next receive. Until then the publisher's messages are lost if it is
-/// dropped. So a publisher that wants to leave waits for a sign: a narrator waits until scores contain its events.
+/// A subscriber notices a new publisher at its next receive. Until then the publisher's messages are lost if it is dropped. So a publisher
+/// that wants to leave waits for a sign: a narrator waits until scores contain its events.
 #[derive(Debug)]
 pub struct Publisher<M: Message> {
     publisher: iceoryx2::port::publisher::Publisher<Flavour, M, ()>,
     factory: Factory<M, ()>,
     notifier: Notifier<Flavour>,
-    /// The subscribers at the last tick, as the sum of their ports' numbers: a count does not change if one comes as
-    /// another goes.
+    /// The subscribers at the last tick, as the sum of their ports' numbers: a count does not change if one comes as another goes.
     known: Cell<u128>,
     connections: Connections,
 }
@@ -155,16 +153,14 @@ impl<M: Message> Publisher<M> {
         Ok(receivers)
     }
 
-    /// Sends the history to new subscribers; to be called about every 100 ms. Returns whether any subscriber joined or
-    /// left.
+    /// Sends the history to new subscribers; to be called about every 100 ms. Returns whether any subscriber joined or left.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
     pub fn tick(&self) -> Result<bool, IpcError> {
         if self.connections.are_due() {
-            // iceoryx2 checks all connections when a subscriber comes or goes. If this one cannot be created, another
-            // will come.
+            // iceoryx2 checks all connections when a subscriber comes or goes. If this one cannot be created, another will come.
             drop(self.factory.subscriber_builder().create());
         }
         let joined = joined(&self.factory);
@@ -227,8 +223,8 @@ pub struct Subscriber<M: Message> {
 /// Whether a copied message is good, or the reason why it is malformed, and its port.
 pub type Judged = (Result<(), MessageError>, Sender);
 
-/// The port of a message. Each publisher ever opened in a domain has another one, and so has each process. It separates
-/// senders only if participants use this crate. The user id is the boundary for all others.
+/// The port of a message. Each publisher ever opened in a domain has another one, and so has each process. It separates senders only if
+/// participants use this crate. The user id is the boundary for all others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Sender(u128);
 
@@ -245,8 +241,8 @@ impl Sender {
         self.0.to_le_bytes()
     }
 
-    /// Whether the sender's process runs. iceoryx2 lists a killed process's port until another participant cleans up.
-    /// If this cannot be read, the process counts as running.
+    /// Whether the sender's process runs. iceoryx2 lists a killed process's port until another participant cleans up. If this cannot be
+    /// read, the process counts as running.
     #[must_use]
     pub fn is_running(self) -> bool {
         is_running(process_in(self.0))
@@ -284,8 +280,8 @@ impl<M: Message> Subscriber<M> {
         Ok(Self { subscriber, former, connections, factory, listener, woken, history, malformed })
     }
 
-    /// Sleeps until there is news (a message; a publisher that comes, goes or dies) or `timeout` is over. Returns
-    /// whether there was news; in rare cases the news was already handled. A signal ends the sleep too.
+    /// Sleeps until there is news (a message; a publisher that comes, goes or dies) or `timeout` is over. Returns whether there was news;
+    /// in rare cases the news was already handled. A signal ends the sleep too.
     ///
     /// # Errors
     ///
@@ -338,8 +334,8 @@ impl<M: Message> Subscriber<M> {
         Ok(self.receive_into(&mut message)?.then_some(message))
     }
 
-    /// As [`Subscriber::receive`], into the caller's memory: a loop that reuses it saves copies of some thousand bytes.
-    /// Returns whether there was a message. If not, the memory may hold a malformed message.
+    /// As [`Subscriber::receive`], into the caller's memory: a loop that reuses it saves copies of some thousand bytes. Returns whether
+    /// there was a message. If not, the memory may hold a malformed message.
     ///
     /// # Errors
     ///
@@ -360,8 +356,7 @@ impl<M: Message> Subscriber<M> {
         self.malformed.get()
     }
 
-    /// Takes the oldest waiting message, malformed or not, with its port. The fields of a malformed message must not be
-    /// used.
+    /// Takes the oldest waiting message, malformed or not, with its port. The fields of a malformed message must not be used.
     ///
     /// # Errors
     ///
@@ -382,17 +377,16 @@ impl<M: Message> Subscriber<M> {
             None => self.subscriber.borrow().receive().map_err(fail)?,
         };
         Ok(sample.map(|sample| {
-            // The sender can still write to the sample, and the check must see the data that is used. So this copies
-            // first, and the black box keeps the compiler from reading the shared memory a second time.
+            // The sender can still write to the sample, and the check must see the data that is used. So this copies first, and the black
+            // box keeps the compiler from reading the shared memory a second time.
             *message = *sample.payload();
             // The number is from the connection: the sender can write to the number in the sample's header.
             (black_box(message).check(), Sender(sample.origin().value()))
         }))
     }
 
-    /// Replaces the subscriber, so that all connections are made again. Publishers send the new one as much of their
-    /// history as it asks for. Messages that the former one has received are read first; those in the history come
-    /// twice.
+    /// Replaces the subscriber, so that all connections are made again. Publishers send the new one as much of their history as it asks
+    /// for. Messages that the former one has received are read first; those in the history come twice.
     fn connect_again(&self) {
         if self.former.borrow().is_some() {
             self.connections.failed.store(true, Ordering::Relaxed);
@@ -474,8 +468,8 @@ impl<M: Message> Sleeper for Subscriber<M> {
 
     #[expect(unsafe_code, reason = "iceoryx2 gives the number of its descriptor and no safe form of it")]
     fn descriptor(&self) -> BorrowedFd<'_> {
-        // SAFETY: the descriptor belongs to the listener, which is borrowed for longer than this and closes it when it
-        // is dropped. The number is not stored.
+        // SAFETY: the descriptor belongs to the listener, which is borrowed for longer than this and closes it when it is dropped. The
+        // number is not stored.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
 
@@ -596,8 +590,8 @@ impl ItemScoresPublisher {
         Ok(())
     }
 
-    /// Sends the history to new subscribers. Returns whether the first subscriber joined. It may find no history, since
-    /// nothing was sent before.
+    /// Sends the history to new subscribers. Returns whether the first subscriber joined. It may find no history, since nothing was sent
+    /// before.
     ///
     /// # Errors
     ///
@@ -734,9 +728,9 @@ impl StatusClient {
     }
 }
 
-/// Wakes the participant that serves a service when another one joins or asks, so that it need not look for newcomers
-/// all the time. It sleeps on the news of another service. `None` if no participant serves it; then, or if waking
-/// fails, a newcomer waits some hundred milliseconds.
+/// Wakes the participant that serves a service when another one joins or asks, so that it need not look for newcomers all the time. It
+/// sleeps on the news of another service. `None` if no participant serves it; then, or if waking fails, a newcomer waits some hundred
+/// milliseconds.
 pub(crate) fn waker(node: &Node, service: &'static str) -> Option<Notifier<Flavour>> {
     let heard = match service {
         name if name == DecisionV1::SERVICE.name => RoomScoresV1::SERVICE,
@@ -789,8 +783,8 @@ fn open_item_scores(node: &Node) -> Result<Factory<[ItemScoreV1], ItemScoresHead
     opened.map_err(|error| publish_subscribe_failure(node, ITEM_SCORES, &ours, error))
 }
 
-/// A service with one server; all its options are in one place. This is a macro because iceoryx2's builders of fixed
-/// and of dynamic payloads have no trait in common.
+/// A service with one server; all its options are in one place. This is a macro because iceoryx2's builders of fixed and of dynamic
+/// payloads have no trait in common.
 macro_rules! request_response {
     ($node:expr, $service:expr, $request:ty, $response:ty, $clients:expr) => {
         $node
@@ -978,8 +972,7 @@ fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory
     places
 }
 
-/// The subscribers as the sum of their ports' numbers: a count does not change if one comes as another goes, and a list
-/// takes memory.
+/// The subscribers as the sum of their ports' numbers: a count does not change if one comes as another goes, and a list takes memory.
 fn joined<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> u128 {
     let mut sum = 0_u128;
     factory.dynamic_config().list_subscribers(|subscriber| {
@@ -1051,8 +1044,8 @@ impl Node {
         self.retry(|| ItemScoresSubscriber::open(self))
     }
 
-    /// As [`Node::item_scores_subscriber`] with a single try, for optional use. `None` if all places are taken or
-    /// another temporary failure occurs.
+    /// As [`Node::item_scores_subscriber`] with a single try, for optional use. `None` if all places are taken or another temporary failure
+    /// occurs.
     ///
     /// # Errors
     ///

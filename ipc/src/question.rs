@@ -7,16 +7,15 @@
 //! | `roomcast/v1/person` | list the known persons, forget or name a person | the known persons afterwards, and the result |
 //! | `roomcast/v1/habits` | show, forget or replace the learned habits | their size afterwards, and the result |
 //!
-//! All are request-response services of `[u8]`, UTF-8, with the daemon as the one server. A client may repeat a
-//! question without an answer. So each question for a change has an id, and the daemon makes the change of one id once.
+//! All are request-response services of `[u8]`, UTF-8, with the daemon as the one server. A client may repeat a question without an answer.
+//! So each question for a change has an id, and the daemon makes the change of one id once.
 //!
-//! Shared memory for every possible answer, each of the greatest length, is allocated in advance: later the memory may
-//! be full, and the system kills a process that touches a missing page. So an answer of more than [`ANSWER_BYTES_MAX`]
-//! bytes goes to a file in the domain's root path, and the service carries `{"answer":"in-file","name":"NAME"}`. The
-//! file's name is `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME
-//! is sixteen hexadecimal digits, random for each answer, so clients do not read each other's answers. The client that
-//! has read the file removes it, since it may contain personal data. The newest [`ANSWER_FILES_MAX`] unread files stay.
-//! If the file cannot be written, the service carries `{"answer":"none","reason":"..."}`.
+//! Shared memory for every possible answer, each of the greatest length, is allocated in advance: later the memory may be full, and the
+//! system kills a process that touches a missing page. So an answer of more than [`ANSWER_BYTES_MAX`] bytes goes to a file in the domain's
+//! root path, and the service carries `{"answer":"in-file","name":"NAME"}`. The file's name is `DOMAIN_SERVICE-NAME.answer`, with the
+//! domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random for each answer, so clients do not
+//! read each other's answers. The client that has read the file removes it, since it may contain personal data. The newest
+//! [`ANSWER_FILES_MAX`] unread files stay. If the file cannot be written, the service carries `{"answer":"none","reason":"..."}`.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -56,8 +55,8 @@ pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 /// Most bytes of an answer in shared memory.
 pub const ANSWER_BYTES_MAX: usize = 1 << 12;
 
-/// Most files of long answers of a service: each of its clients waits for one answer at a time. A client that comes too
-/// late for its file asks again.
+/// Most files of long answers of a service: each of its clients waits for one answer at a time. A client that comes too late for its file
+/// asks again.
 pub const ANSWER_FILES_MAX: usize = CLIENTS;
 
 /// The name of the file follows.
@@ -147,8 +146,8 @@ impl AnswerPort {
         format!("{IN_FILE}{name}{END}")
     }
 
-    /// Answers all waiting questions, each copied out of shared memory and checked. Returns their number. `respond`
-    /// also answers a question that is too long or not UTF-8.
+    /// Answers all waiting questions, each copied out of shared memory and checked. Returns their number. `respond` also answers a question
+    /// that is too long or not UTF-8.
     ///
     /// # Errors
     ///
@@ -201,8 +200,8 @@ impl QuestionPort {
     ///
     /// # Errors
     ///
-    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::NotGiven`] with the daemon's reason, [`IpcError::Refused`]
-    /// for a question that is too long or an answer that is not UTF-8, [`IpcError::Port`].
+    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::NotGiven`] with the daemon's reason, [`IpcError::Refused`] for a question that
+    /// is too long or an answer that is not UTF-8, [`IpcError::Port`].
     pub fn ask(&self, question: &str, timeout: Duration) -> Result<String, IpcError> {
         let service = self.service;
         let refused = |source| IpcError::Refused { service, source };
@@ -231,8 +230,8 @@ impl QuestionPort {
                         let file = self.files.of(name);
                         copy = match fs::read(&file) {
                             Ok(long) => long,
-                            // Newer answers replaced the file, or the daemon removed all of them when it forgot a
-                            // person. The question is repeated.
+                            // Newer answers replaced the file, or the daemon removed all of them when it forgot a person. The question is
+                            // repeated.
                             Err(error) if error.kind() == io::ErrorKind::NotFound => break,
                             Err(error) => {
                                 let operation = "read the answer of";
@@ -258,8 +257,8 @@ impl QuestionPort {
     }
 }
 
-/// Copies a text out of shared memory, since its sender can still change it: the check must see the text that is used.
-/// The sender can also change the length, so its limit is checked first.
+/// Copies a text out of shared memory, since its sender can still change it: the check must see the text that is used. The sender can also
+/// change the length, so its limit is checked first.
 fn copied(field: &'static str, text: &[u8]) -> Result<Vec<u8>, MessageError> {
     let (bytes, limit) = (text.len(), QUESTION_BYTES_MAX);
     if bytes > limit { Err(MessageError::TextTooLong { field, bytes, limit }) } else { Ok(text.to_vec()) }

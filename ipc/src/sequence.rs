@@ -12,8 +12,8 @@ pub enum Arrival {
     },
     /// The message was seen before, or is older than the newest one: to be ignored.
     Duplicate,
-    /// The number is more than [`JUMP_MAX`] ahead. No source loses so many messages, and if it counted, all later
-    /// messages would be duplicates. The follower ignores it.
+    /// The number is more than [`JUMP_MAX`] ahead. No source loses so many messages, and if it counted, all later messages would be
+    /// duplicates. The follower ignores it.
     TooFar,
 }
 

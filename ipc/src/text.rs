@@ -61,8 +61,8 @@ pub(crate) fn checked(bytes: &[u8]) -> &str {
     decode("", bytes).unwrap_or("")
 }
 
-/// Whether a character must not occur in a sentence or name: control characters, which would reach terminals and logs,
-/// and invisible characters, which make text look like other text (directions, zero width, line ends, tags).
+/// Whether a character must not occur in a sentence or name: control characters, which would reach terminals and logs, and invisible
+/// characters, which make text look like other text (directions, zero width, line ends, tags).
 #[must_use]
 pub fn is_hidden(character: char) -> bool {
     character.is_control()

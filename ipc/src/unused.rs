@@ -1,5 +1,4 @@
-//! Removes services without participants. The last participant removes its service when it leaves, but may be killed
-//! while it does.
+//! Removes services without participants. The last participant removes its service when it leaves, but may be killed while it does.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,8 +15,8 @@ use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::static_config::StaticConfig;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern;
 
-/// Services seen without participants, with their file and the time since when. This state is normal for moments, while
-/// a service is created or left.
+/// Services seen without participants, with their file and the time since when. This state is normal for moments, while a service is
+/// created or left.
 #[derive(Debug, Default)]
 pub(crate) struct Unused {
     seen: BTreeMap<PathBuf, (File, Instant)>,
@@ -30,24 +29,23 @@ type File = (u64, i64);
 
 #[derive(Debug)]
 enum Rest {
-    /// The service has no memory: its creator failed or was killed between file and memory, or the last participant
-    /// could remove only the memory. iceoryx2 treats it as unfinished and rejects all participants.
+    /// The service has no memory: its creator failed or was killed between file and memory, or the last participant could remove only the
+    /// memory. iceoryx2 treats it as unfinished and rejects all participants.
     File,
     /// The service has memory and no participants.
     Whole(Box<StaticConfig>),
 }
 
 impl Unused {
-    /// Whether a look may find something new: each participant that joins, leaves or is cleaned up changes one of the
-    /// folders.
+    /// Whether a look may find something new: each participant that joins, leaves or is cleaned up changes one of the folders.
     pub(crate) fn is_due(&mut self, changed: [Option<SystemTime>; 2]) -> bool {
         let before = std::mem::replace(&mut self.changed, changed);
         before != changed || !self.seen.is_empty()
     }
 
-    /// Removes services that are older than `long` and have been without participants for a quarter of that. `age`
-    /// gives the age of a file; the files are in `folder` and begin with `prefix`. Returns the name endings of the
-    /// memory files of closed services: they have no participants, and the next look removes the rest of them.
+    /// Removes services that are older than `long` and have been without participants for a quarter of that. `age` gives the age of a file;
+    /// the files are in `folder` and begin with `prefix`. Returns the name endings of the memory files of closed services: they have no
+    /// participants, and the next look removes the rest of them.
     pub(crate) fn remove(
         &mut self,
         node: &iceoryx2::node::Node<Flavour>,
@@ -84,8 +82,7 @@ impl Unused {
                     // Another participant may remove it at the same moment, so an error is ignored.
                     let _removed = fs::remove_file(path);
                 }
-                // A participant may join at this moment. So iceoryx2 removes the service: the last participant that
-                // leaves closes it first.
+                // A participant may join at this moment. So iceoryx2 removes the service: the last participant that leaves closes it first.
                 Rest::Whole(service) => {
                     if is_closed_or_leave(node, &service) {
                         // The domain's prefix and the type's prefix precede the service's number.
@@ -98,8 +95,8 @@ impl Unused {
     }
 }
 
-/// Joins a service of any type and leaves it at once. Returns whether the service is closed to all participants. Other
-/// errors pass, or the participant that needs the service reports them.
+/// Joins a service of any type and leaves it at once. Returns whether the service is closed to all participants. Other errors pass, or the
+/// participant that needs the service reports them.
 #[expect(
     unsafe_code,
     reason = "iceoryx2 has no other way to open a service whose type is not known when this is compiled"

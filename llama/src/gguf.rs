@@ -1,12 +1,11 @@
 //! Reads and checks the header of a GGUF model file without llama.cpp.
 //!
-//! llama.cpp trusts a model file further than a service may: some broken vocabularies end the process. So safe code
-//! with a limit on everything reads every file first. llama.cpp gets only a file with consistent metadata, vocabulary
-//! and tensor extents. The same header feeds `roomcast model info`.
+//! llama.cpp trusts a model file further than a service may: some broken vocabularies end the process. So safe code with a limit on
+//! everything reads every file first. llama.cpp gets only a file with consistent metadata, vocabulary and tensor extents. The same header
+//! feeds `roomcast model info`.
 //!
-//! Format: GGUF versions 2 and 3, little-endian, as llama.cpp writes them: magic, version, tensor count, metadata
-//! count, metadata (key, type, value), tensor descriptions (name, shape, type, offset), padding to the alignment,
-//! tensor data.
+//! Format: GGUF versions 2 and 3, little-endian, as llama.cpp writes them: magic, version, tensor count, metadata count, metadata (key,
+//! type, value), tensor descriptions (name, shape, type, offset), padding to the alignment, tensor data.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs::File;
@@ -166,8 +165,7 @@ pub struct Header {
     vocabulary: Vec<Vec<u8>>,
 }
 
-/// Name, elements per block and bytes per block of a ggml tensor type; `None` for a number that ggml has retired or not
-/// assigned.
+/// Name, elements per block and bytes per block of a ggml tensor type; `None` for a number that ggml has retired or not assigned.
 fn tensor_type(number: u32) -> Option<(&'static str, u64, u64)> {
     Some(match number {
         0 => ("F32", 1, 4),
@@ -234,8 +232,7 @@ const VOCABULARY_KEY: &str = "tokenizer.ggml.tokens";
 const PARTS_MAX: u64 = 65_535;
 const JOIN: &str = "join them with llama.cpp's `llama-gguf-split --merge`";
 
-/// A reader that knows its place in the file, so that every error can name it and each length is checked before it is
-/// used.
+/// A reader that knows its place in the file, so that every error can name it and each length is checked before it is used.
 struct Cursor<'a> {
     input: BufReader<File>,
     path: &'a Path,
@@ -476,8 +473,7 @@ impl Header {
         let mut placed = Vec::with_capacity(tensors.len());
         for (mut tensor, offset) in tensors {
             let place = format!("tensor {:?}", tensor.name);
-            // llama.cpp expects the tensors in the order of their descriptions, without gaps. Other offsets overlap or
-            // leave holes.
+            // llama.cpp expects the tensors in the order of their descriptions, without gaps. Other offsets overlap or leave holes.
             if offset != expected_offset {
                 return Err(
                     cursor.malformed(&place, format!("its data starts at {offset}, expected {expected_offset}"))
@@ -499,9 +495,8 @@ impl Header {
         Ok(Self { path: path.to_owned(), version, size_bytes, metadata, tensors: placed, vocabulary })
     }
 
-    /// Reads the header and also checks that it describes a language model with a vocabulary that llama.cpp can load. A
-    /// fault that would end the process there is an error here. If the model has several parts, all must be there;
-    /// their tensors and sizes count together.
+    /// Reads the header and also checks that it describes a language model with a vocabulary that llama.cpp can load. A fault that would
+    /// end the process there is an error here. If the model has several parts, all must be there; their tensors and sizes count together.
     ///
     /// # Errors
     ///
@@ -621,8 +616,7 @@ impl Header {
             }
         }
         if self.text("tokenizer.ggml.model") == Some("llama") {
-            // A sentencepiece tokenizer spells unknown characters in bytes, and looks up their tokens without a check
-            // that they exist.
+            // A sentencepiece tokenizer spells unknown characters in bytes, and looks up their tokens without a check that they exist.
             for byte in 0..=u8::MAX {
                 if !seen.contains(format!("<0x{byte:02X}>").as_bytes()) && !seen.contains([byte].as_slice()) {
                     return refuse(format!("its sentencepiece vocabulary has no token for the byte 0x{byte:02X}"));
@@ -859,8 +853,7 @@ mod tests {
         assert!(matches!(Header::read(&folder.path().join("none")).unwrap_err(), GgufError::Io { .. }));
     }
 
-    /// Each entry is within the limits, but their sum is not: of bytes that become three times as many, or of tokens
-    /// without a byte.
+    /// Each entry is within the limits, but their sum is not: of bytes that become three times as many, or of tokens without a byte.
     #[test]
     fn metadata_is_bounded_in_sum() {
         let mut many = b"GGUF".to_vec();

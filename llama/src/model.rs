@@ -1,11 +1,10 @@
 //! llama.cpp as a [`LanguageModel`]. No other file calls it.
 //!
-//! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only
-//! the difference and decodes only the rest.
+//! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only the difference and
+//! decodes only the rest.
 //!
-//! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call. A token carries the ids of
-//! all paths through it, and a prompt token the ids of all paths, which needs the unified cache. Trees with more paths
-//! than sequences go in several calls.
+//! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call. A token carries the ids of all paths through
+//! it, and a prompt token the ids of all paths, which needs the unified cache. Trees with more paths than sequences go in several calls.
 
 use std::cell::RefCell;
 use std::io::Read;
@@ -41,8 +40,8 @@ pub const SEQUENCES_MAX: u32 = 256;
 /// Most threads of one decoder call; with more, llama.cpp accesses memory out of bounds.
 pub const THREADS_MAX: usize = 256;
 
-/// Tokens times parameters of a call in the background. A new event waits for its end, or shares the memory with it. A
-/// core of some years ago takes 20 to 60 ms for it. A call reads all weights, so smaller calls take more time in all.
+/// Tokens times parameters of a call in the background. A new event waits for its end, or shares the memory with it. A core of some years
+/// ago takes 20 to 60 ms for it. A call reads all weights, so smaller calls take more time in all.
 const SMALL_CALL: u64 = 2_000_000_000;
 /// Most tokens of such a call: llama.cpp allocates memory for them.
 const SMALL_CALL_TOKENS: usize = 64;
@@ -109,8 +108,8 @@ const BLOCK: u64 = 32;
 pub struct LlamaOptions {
     /// Threads of one decoder call, 1 to [`THREADS_MAX`].
     pub threads: usize,
-    /// Most positions in the cache: prompt and tree together. The model's training length limits them, and memory is
-    /// allocated when it is needed ([`LanguageModel::reserve`]).
+    /// Most positions in the cache: prompt and tree together. The model's training length limits them, and memory is allocated when it is
+    /// needed ([`LanguageModel::reserve`]).
     pub context_tokens: u32,
     /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
     pub sequences: u32,
@@ -122,8 +121,8 @@ pub struct LlamaOptions {
 
 impl Default for LlamaOptions {
     fn default() -> Self {
-        // One core stays free for the rest of the robot, even of two. The threads of a call wait for one another a
-        // hundred times, so a core in other use delays all of them.
+        // One core stays free for the rest of the robot, even of two. The threads of a call wait for one another a hundred times, so a core
+        // in other use delays all of them.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             threads: cores.saturating_sub(1).max(1),
@@ -156,8 +155,7 @@ impl LlamaOptions {
             .with_n_threads_batch(threads)
             .with_type_k(keys)
             .with_type_v(values)
-            // The fused kernels sum half or single precision in half precision. Only Q8 uses them, so that the
-            // arithmetic stays the same.
+            // The fused kernels sum half or single precision in half precision. Only Q8 uses them, so that the arithmetic stays the same.
             .with_flash_attention_policy(if fused {
                 llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_ENABLED
             } else {
@@ -214,8 +212,8 @@ impl std::fmt::Debug for LlamaModel {
     }
 }
 
-/// Sets up llama.cpp's process-wide state once; its log goes to `tracing`. This is public for programs that also run
-/// llama.cpp directly, to compare: a second set-up fails.
+/// Sets up llama.cpp's process-wide state once; its log goes to `tracing`. This is public for programs that also run llama.cpp directly, to
+/// compare: a second set-up fails.
 ///
 /// # Errors
 /// Why it cannot be set up.
@@ -264,8 +262,8 @@ pub fn build_features() -> Result<Vec<String>, ModelError> {
     backend().map_err(fail)?;
     let guard = ASKING.lock().map_err(|_| fail("asking for its features failed before".into()))?;
     #[expect(unsafe_code, reason = "llama-cpp-2 has no safe function for it")]
-    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites. The lock keeps other
-    // calls away until it is copied, and the backend is set up.
+    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites. The lock keeps other calls away until it
+    // is copied, and the backend is set up.
     let text =
         unsafe { std::ffi::CStr::from_ptr(llama_cpp_sys_2::llama_print_system_info()) }.to_string_lossy().into_owned();
     drop(guard);
@@ -297,15 +295,14 @@ fn head_widths(header: &Header) -> [Option<u64>; 2] {
     [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)]
 }
 
-/// A head width that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp rejects other widths that it cannot
-/// store.
+/// A head width that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp rejects other widths that it cannot store.
 fn broken_blocks(header: &Header) -> Option<u64> {
     head_widths(header).into_iter().flatten().find(|width| width % BLOCK != 0)
 }
 
-/// Whether texts may be tokenised sentence by sentence with this SentencePiece vocabulary. It merges two neighbours
-/// only to a token that it has, best score first. So it merges nothing across the end of a sentence and a space if no
-/// token contains both. User-defined tokens follow other rules, and NaN scores have no order.
+/// Whether texts may be tokenised sentence by sentence with this SentencePiece vocabulary. It merges two neighbours only to a token that it
+/// has, best score first. So it merges nothing across the end of a sentence and a space if no token contains both. User-defined tokens
+/// follow other rules, and NaN scores have no order.
 fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
     let joins = |token| {

@@ -43,8 +43,8 @@ pub fn of_person(
     Classification { header, results: rows.map(hypothesis).collect() }
 }
 
-/// The parts of topics that name the persons of a message, in its order: `ada`, `anne_marie`, and `person_3` for the
-/// person with the number 3 and no name. If two persons have the same part, the second one's number follows it.
+/// The parts of topics that name the persons of a message, in its order: `ada`, `anne_marie`, and `person_3` for the person with the number
+/// 3 and no name. If two persons have the same part, the second one's number follows it.
 #[must_use]
 pub fn person_topics(persons: &[PersonForecastV1]) -> Vec<String> {
     let mut topics: Vec<String> = Vec::new();
@@ -61,8 +61,7 @@ pub fn person_topics(persons: &[PersonForecastV1]) -> Vec<String> {
     topics
 }
 
-/// A name in lower-case letters, digits and single underscores, the only characters of ROS 2. A topic begins with a
-/// letter.
+/// A name in lower-case letters, digits and single underscores, the only characters of ROS 2. A topic begins with a letter.
 fn topic_of(person: &PersonForecastV1) -> String {
     let words = name_words(person.name());
     let plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();

@@ -1,6 +1,6 @@
-//! The ROS 2 messages, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh
-//! distinguishes types. A test computes every hash from the definition in [`crate::schema`]; the bridge's tests compute
-//! them, and decode every message, with other implementations.
+//! The ROS 2 messages, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh distinguishes types.
+//! A test computes every hash from the definition in [`crate::schema`]; the bridge's tests compute them, and decode every message, with
+//! other implementations.
 
 pub use cdr_encoding::Error as CdrError;
 use cdr_encoding::{from_bytes, to_vec};
@@ -61,8 +61,7 @@ pub fn decode<M: Message + DeserializeOwned>(bytes: &[u8]) -> Result<M, Malforme
 /// [`Malformed`] for bytes that are none.
 pub fn decode_string(bytes: &[u8]) -> Result<String, Malformed> {
     let text = decode::<Text>(bytes)?.data;
-    // The decoder accepts any last byte in place of the zero that ends a string. The encoding and the length precede
-    // the text.
+    // The decoder accepts any last byte in place of the zero that ends a string. The encoding and the length precede the text.
     if bytes.get(ENCAPSULATION.len() + size_of::<u32>() + text.len()) == Some(&0) {
         Ok(text)
     } else {

@@ -24,8 +24,7 @@ impl Awake {
         self.until = (!self.spin.is_zero()).then(|| Instant::now() + self.spin);
     }
 
-    /// Calls `wait` until there is news, for at most `patience`. `wait` sleeps for at most its argument and returns
-    /// whether there was news.
+    /// Calls `wait` until there is news, for at most `patience`. `wait` sleeps for at most its argument and returns whether there was news.
     ///
     /// # Errors
     /// As `wait`.

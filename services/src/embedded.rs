@@ -1,6 +1,5 @@
-//! Embedded files, so that the binary runs without a network and without a data folder: the household model, the
-//! scenes, their activity programs and the statistics of the training split. Each is a `static`: the program would
-//! contain a `const` once per use.
+//! Embedded files, so that the binary runs without a network and without a data folder: the household model, the scenes, their activity
+//! programs and the statistics of the training split. Each is a `static`: the program would contain a `const` once per use.
 
 use std::fs::File;
 use std::io::Write;
@@ -39,8 +38,7 @@ pub static SCENES: [EmbeddedText; 7] = [
     EmbeddedText { name: "warehouse", text: include_str!("../scenes/warehouse.json") },
 ];
 
-/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation. Every apartment has all their
-/// objects.
+/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation. Every apartment has all their objects.
 pub static PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText {
         name: "p0-breakfast-and-television",
@@ -94,8 +92,8 @@ pub fn program(name: &str) -> Option<EmbeddedText> {
     PROGRAMS.into_iter().chain(WORK_PROGRAMS).find(|program| program.name == name)
 }
 
-/// The embedded model as an anonymous file in memory, since llama.cpp loads files. It leaves no file behind, is never
-/// out of date, and needs no writable folder.
+/// The embedded model as an anonymous file in memory, since llama.cpp loads files. It leaves no file behind, is never out of date, and
+/// needs no writable folder.
 #[derive(Debug)]
 pub struct ModelFile {
     file: File,

@@ -90,7 +90,7 @@ pub struct PersonHabits {
 
 #[cfg_attr(not(feature = "recording"), allow(dead_code, reason = "only recordings have it"))]
 impl PersonHabits {
-    /// The learned parts in a published forecast, for each person who has any.
+    /// The learned parts in a published forecast, for each person with any.
     #[must_use]
     pub(crate) fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
         let learned = forecasts.persons().iter().filter(|own| own.set_coverage > 0.0 || own.observations > 0.0);
@@ -144,8 +144,7 @@ fn from(observations: &[f64; 4], place: &str) -> String {
     )
 }
 
-/// The name of habit's part. Without an observation it is the prior: repetition, and the habits of other persons of the
-/// home.
+/// The name of habit's part. Without an observation it is the prior: repetition, and the habits of other persons of the home.
 fn habit(observations: &[f64; 4]) -> &'static str {
     if observations.iter().all(|count| *count < 0.5) { "what habit begins with" } else { "habit" }
 }

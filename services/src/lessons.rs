@@ -1,5 +1,5 @@
-//! Learns habits from the past: a recording, a sensor log, or lines with times. A board with its own model gets all
-//! events in their own time, minute by minute, and returns what it has learned. It has no ports and no clock.
+//! Learns habits from the past: a recording, a sensor log, or lines with times. A board with its own model gets all events at their times,
+//! minute by minute, and returns what it has learned. It has no ports and no clock.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -76,8 +76,8 @@ fn in_words(length_ns: u64) -> String {
     }
 }
 
-/// Events to learn from, from any input. All inputs share this check: an event without a time or in the future is not
-/// learned. A future event would not fade until its time, and events in between would have no effect.
+/// Events to learn from, from any input. All inputs share this check: an event without a time or in the future is not learned. A future
+/// event would not fade until its time, and events in between would have no effect.
 #[derive(Debug)]
 pub struct Lessons {
     lessons: Vec<Lesson>,
@@ -93,15 +93,13 @@ impl Lessons {
         Self { lessons: Vec::new(), zone, now_ns: now_unix_ns, faults: Faults::default() }
     }
 
-    /// No lessons yet. Times are local times of `zone` without a time zone, as in logs; the wall clock is at
-    /// `now_unix_ns`.
+    /// No lessons yet. Times are local times of `zone` without a time zone, as in logs; the wall clock is at `now_unix_ns`.
     #[must_use]
     pub fn of_local_time(zone: &Zone, now_unix_ns: UnixNs) -> Self {
         Self::of_wall_clock(Zone::UTC, UnixNs((zone.local_s(now_unix_ns).max(0.0) * 1e9) as u64))
     }
 
-    /// Takes an event at `at_s` seconds since 1970, or else at its own time. If it cannot be learned, this adds a fault
-    /// at `place`.
+    /// Takes an event at `at_s` seconds since 1970, or else at its own time. If it cannot be learned, this adds a fault at `place`.
     pub fn take(&mut self, place: impl Display, item: &Item, at_s: Option<f64>) {
         let at_ns = match at_s {
             Some(at_s) if at_s < 0.0 => return self.faults.add_at(place, Unfit::Early),

@@ -1,11 +1,11 @@
 //! Roomcast's processes: the daemon that scores rooms, the planner that sends the robot elsewhere, and narrators.
 //!
-//! Data flows one way: a narrator publishes events, the daemon publishes room scores, the planner publishes decisions.
-//! The deciding parts ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) are separate from threads, ports
-//! and clocks, so that faults can be simulated.
+//! Data flows one way: a narrator publishes events, the daemon publishes room scores, the planner publishes decisions. The deciding parts
+//! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) are separate from threads, ports and clocks, so that faults can be
+//! simulated.
 //!
-//! The crate is the program's library: its signatures contain types of its dependencies (`crossbeam`, `rumqttc`,
-//! `sd-notify`). Other programs build on `roomcast-ipc` and `roomcast-core`.
+//! The crate is the program's library: its signatures contain types of its dependencies (`crossbeam`, `rumqttc`, `sd-notify`). Other
+//! programs build on `roomcast-ipc` and `roomcast-core`.
 //!
 //! ```
 //! use roomcast_services::config::Config;

@@ -1,5 +1,4 @@
-//! Turns one line of narration into an item to send. `docs/json-lines.md` is the manual;
-//! [`roomcast_core::narration::line`] reads it.
+//! Turns one line of narration into an item to send. `docs/json-lines.md` is the manual; [`roomcast_core::narration::line`] reads it.
 
 use std::fmt;
 use std::io;
@@ -161,8 +160,7 @@ impl Faults {
     }
 }
 
-/// Reads one line as an item, as [`Line::read`] does. It rejects lines that the daemon would reject, so that their
-/// writer sees the fault.
+/// Reads one line as an item, as [`Line::read`] does. It rejects lines that the daemon would reject, so that their writer sees the fault.
 ///
 /// # Errors
 ///

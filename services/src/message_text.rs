@@ -52,8 +52,7 @@ mod tests {
         assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::NAME_BYTES);
     }
 
-    /// Row "bidirectional and zero-width labels" of the attacks: messages, maps and sentences reject the same
-    /// characters.
+    /// Row "bidirectional and zero-width labels" of the attacks: messages, maps and sentences reject the same characters.
     #[test]
     fn messages_and_maps_refuse_the_same_characters() {
         for character in (0..=u32::from(char::MAX)).filter_map(char::from_u32) {

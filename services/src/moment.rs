@@ -1,9 +1,8 @@
 //! One moment of a running system: all data behind its scores, as the daemon and recordings have it.
 //!
-//! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model
-//! read, and each label's tokens with their log-probabilities. The pure functions of [`roomcast_core::grounding`] and
-//! [`roomcast_core::explanation`] compute everything else (items, rooms) from these, so a reader of a moment can
-//! recompute every number of it.
+//! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and each label's
+//! tokens with their log-probabilities. The pure functions of [`roomcast_core::grounding`] and [`roomcast_core::explanation`] compute
+//! everything else (items, rooms) from these, so a reader of a moment can recompute every number of it.
 
 use std::collections::BTreeMap;
 
@@ -104,8 +103,7 @@ pub struct LabelScore {
     pub label: String,
     /// ln s_c in nats; `None` for a probability of zero, since JSON has no infinity.
     pub log_prob_nats: Option<f64>,
-    /// Its tokens; empty if the scorer does not know their probabilities one by one (several persons, other methods
-    /// than the exact trie).
+    /// Its tokens; empty if the scorer does not know their probabilities one by one (several persons, other methods than the exact trie).
     pub tokens: Vec<TokenReason>,
     /// The prior's part, in nats.
     #[serde(default)]

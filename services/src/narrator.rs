@@ -1,8 +1,7 @@
 //! The narrator: publishes events from activity programs, JSON lines or plain lines.
 //!
-//! While a narrator runs, none of its narrations are lost. Unconfirmed ones are at most as many as the service's
-//! history holds (32), so a restarted daemon receives each of them. Room scores confirm narrations: they name the
-//! newest one of each source that they contain.
+//! While a narrator runs, none of its narrations are lost. Unconfirmed ones are at most as many as the service's history holds (32), so a
+//! restarted daemon receives each of them. Room scores confirm narrations: they name the newest one of each source that they contain.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -35,8 +34,8 @@ use roomcast_core::text::odd_name;
 /// Most unconfirmed narrations: the size of the service's history, which a restarted daemon receives.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
 const TICK: Duration = Duration::from_millis(100);
-/// The log names this many rejected lines at once, for files that a person writes, and then one in this time, since a
-/// broker may send any number.
+/// The log names this many rejected lines at once, for files that a person writes, and then one in this time, since a broker may send any
+/// number.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
 /// The log mentions an odd name of a person once in this time.
@@ -78,13 +77,13 @@ pub enum Input {
     },
 }
 
-/// Receives the number of settled lines from the first on. The daemon has confirmed or dropped them, or they are not
-/// narrations. Their sender may discard them.
+/// Receives the number of settled lines from the first on. The daemon has confirmed or dropped them, or they are not narrations. Their
+/// sender may discard them.
 pub type Settled = Box<dyn FnMut(u64) + Send>;
 
 impl Input {
-    /// `-` is standard input, line by line. A FIFO is read for ever. A file with a title and actions is a program; any
-    /// other file is read line by line. The bare name of a shipped program opens that.
+    /// `-` is standard input, line by line. A FIFO is read for ever. A file with a title and actions is a program; any other file is read
+    /// line by line. The bare name of a shipped program opens that.
     ///
     /// # Errors
     ///
@@ -202,8 +201,7 @@ pub struct Account {
     source_name: [u8; NAME_BYTES],
     epoch: u64,
     outcome: Outcome,
-    /// The newest confirmation: epoch, highest processed number, and the number of narrations of this epoch in the
-    /// scores.
+    /// The newest confirmation: epoch, highest processed number, and the number of narrations of this epoch in the scores.
     named: Option<(u64, u64, u64)>,
 }
 
@@ -261,8 +259,8 @@ impl Account {
                 continue;
             }
             let (dealt_with, dropped) = (sequence - before, sequence.saturating_sub(included.accepted));
-            // Narrations that earlier scores have named are settled. A restarted daemon may know fewer of them. Then
-            // only later narrations are known to be taken.
+            // Narrations that earlier scores have named are settled. A restarted daemon may know fewer of them. Then only later narrations
+            // are known to be taken.
             let dropped = dropped.saturating_sub(before.saturating_sub(taken_before));
             let dropped = if same_daemon || dropped <= dealt_with { dropped.min(dealt_with) } else { 0 };
             self.outcome.dropped += dropped;
@@ -290,11 +288,9 @@ impl Account {
     }
 }
 
-/// Keeps a narrator below the daemon's rate limit for one source, since the daemon drops the excess. Pure: time is an
-/// argument.
+/// Keeps a narrator below the daemon's rate limit for one source, since the daemon drops the excess. Pure: time is an argument.
 ///
-/// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are
-/// sent.
+/// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
 #[derive(Debug, Clone)]
 pub struct Throttle(TokenBucket);
 
@@ -398,8 +394,7 @@ impl Narrator {
     }
 }
 
-/// Publishes all of `input`, no faster than a daemon with these limits accepts, and stays until it is confirmed or
-/// `linger_s` is over.
+/// Publishes all of `input`, no faster than a daemon with these limits accepts, and stays until it is confirmed or `linger_s` is over.
 ///
 /// # Errors
 ///
@@ -465,8 +460,7 @@ pub fn run(
         while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
-        // A wait for the daemon must not delay the time of the event. An item of a recorded input is observed at its
-        // turn.
+        // A wait for the daemon must not delay the time of the event. An item of a recorded input is observed at its turn.
         let observed_ns = read_ns.filter(|_| pause.is_zero()).unwrap_or_else(clock::monotonic_ns);
         loop {
             let wait = sender.throttle.wait(clock::monotonic_ns());
@@ -498,8 +492,7 @@ pub fn run(
         sender.confirm(TICK)?;
     }
     sender.account.outcome.is_whole = is_read && (sender.account.under_way() == 0 || !stop.requested());
-    // The daemon has every narration. A slow recorder may not, and sent messages are lost when their publisher leaves,
-    // so this waits.
+    // The daemon has every narration. A slow recorder may not, and sent messages are lost when their publisher leaves, so this waits.
     if sender.account.outcome.sent > 0 && !stop.requested() {
         sender.confirm(Duration::ZERO)?;
         std::thread::sleep(TICK);
@@ -685,8 +678,7 @@ mod tests {
         }
     }
 
-    /// Without a daemon, a narrator waits with items that it has read. Their time is when they were read, not when they
-    /// are sent.
+    /// Without a daemon, a narrator waits with items that it has read. Their time is when they were read, not when they are sent.
     #[test]
     fn what_waited_for_a_daemon_was_observed_before() {
         use std::sync::atomic::Ordering::SeqCst;

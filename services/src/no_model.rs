@@ -1,5 +1,5 @@
-//! A scorer without a language model: all words are equally likely. A step then costs only Roomcast's own work around
-//! the model, which `roomcast latency --scorer none` measures.
+//! A scorer without a language model: all words are equally likely. A step then costs only Roomcast's own work around the model, which
+//! `roomcast latency --scorer none` measures.
 
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::scorer::correction::Correction;

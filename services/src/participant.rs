@@ -39,8 +39,7 @@ impl OfRobot {
         self.read(participant).map(|(_, number)| number)
     }
 
-    /// The robot's name, if it is complete: participants' names have question marks in place of characters that are not
-    /// ASCII.
+    /// The robot's name, if it is complete: participants' names have question marks in place of characters that are not ASCII.
     #[must_use]
     pub fn robot_name(self, participant: &str) -> Option<&str> {
         let (name, number) = self.read(participant)?;

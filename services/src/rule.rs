@@ -72,8 +72,8 @@ pub(crate) enum Class {
     Sensor(SensorKind),
 }
 
-/// The event of a rule: a sentence, a presence or the state of a sensor. Names in braces are placeholders for values of
-/// its message or interval.
+/// The event of a rule: a sentence, a presence or the state of a sensor. Names in braces are placeholders for values of its message or
+/// interval.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Saying {
     pub(crate) class: Class,
@@ -182,16 +182,14 @@ impl Saying {
         self.line_within(usize::MAX, &value_of).unwrap_or_default()
     }
 
-    /// As [`Self::line`], but `None` if the line exceeds the limit of a line of narration. It stops before the line
-    /// grows.
+    /// As [`Self::line`], but `None` if the line exceeds the limit of a line of narration. It stops before the line grows.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
         self.line_within(most, &value_of).filter(|line| line.len() <= most)
     }
 
-    /// The line of JSON for a sensor's state; `None` if it exceeds the limit of a line. A rule without an id has the
-    /// default one.
+    /// The line of JSON for a sensor's state; `None` if it exceeds the limit of a line. A rule without an id has the default one.
     pub(crate) fn report(&self, on: State, id: &str, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
         let mut keys = self.filled_keys(most, &value_of)?;
@@ -279,8 +277,8 @@ fn inside(value: &str) -> String {
     out
 }
 
-/// The next name in braces: the text before it, the name, and the text after it. `None` without a brace, an error for a
-/// brace without its partner.
+/// The next name in braces: the text before it, the name, and the text after it. `None` without a brace, an error for a brace without its
+/// partner.
 fn next_name(text: &str) -> Option<Result<(&str, &str, &str), ()>> {
     let (before, rest) = text.split_at(text.find(['{', '}'])?);
     let inner = rest.strip_prefix('{').and_then(|rest| rest.split_once('}')).filter(|(name, _)| !name.contains('{'));

@@ -140,8 +140,7 @@ pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), Setu
     Ok((open_with(config, &map, configured_model)?, map))
 }
 
-/// Sets up the pipeline of a configuration with another map, and with the model that `model` loads
-/// ([`configured_model`]).
+/// Sets up the pipeline of a configuration with another map, and with the model that `model` loads ([`configured_model`]).
 ///
 /// # Errors
 /// The first part that cannot be set up.

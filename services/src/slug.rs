@@ -17,8 +17,8 @@ fn has_sum(name: &str) -> bool {
     sum.len() == SUM && sum.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
 }
 
-/// A name that is safe in a topic and in an id, and the same at every start. A safe name stays. From any other name the
-/// safe characters stay, with a checksum of the whole name. Two names never give the same result.
+/// A name that is safe in a topic and in an id, and the same at every start. A safe name stays. From any other name the safe characters
+/// stay, with a checksum of the whole name. Two names never give the same result.
 ///
 /// ```
 /// use roomcast_services::slug::slug;
@@ -32,8 +32,7 @@ pub fn slug(name: &str) -> String {
     if is_plain { name.to_owned() } else { summed(name, name) }
 }
 
-/// The safe characters of a name, with a checksum of `text`. It is for safe names that would have another meaning in
-/// their place.
+/// The safe characters of a name, with a checksum of `text`. It is for safe names that would have another meaning in their place.
 #[must_use]
 pub fn summed(name: &str, text: &str) -> String {
     let lower = name.to_lowercase();

@@ -77,8 +77,8 @@ impl<T: PartialEq + Serialize> Kept<T> {
         &self.path
     }
 
-    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with
-    /// `loss`, the cost and the remedy, once a minute.
+    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with `loss`, the cost and the
+    /// remedy, once a minute.
     pub(crate) fn keep(&mut self, value: T, loss: &str) {
         if self.written.as_ref() == Some(&value) {
             return;
@@ -96,8 +96,7 @@ impl<T: PartialEq + Serialize> Kept<T> {
     }
 }
 
-/// Replaces a file atomically. Only its owner may read it. It survives a crash of this process, but perhaps not a power
-/// loss.
+/// Replaces a file atomically. Only its owner may read it. It survives a crash of this process, but perhaps not a power loss.
 ///
 /// # Errors
 /// When the directory cannot be written or [`require_own`] refuses the file; the old file is as it was.
@@ -115,8 +114,8 @@ pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write(path, bytes, OWNER_ALONE, true)
 }
 
-/// Writes an output. A plain file is replaced atomically, and all users may read it if the umask allows. A symbolic
-/// link and a FIFO are rejected: another user may have put them there. A file of `/dev` gets the bytes.
+/// Writes an output. A plain file is replaced atomically, and all users may read it if the umask allows. A symbolic link and a FIFO are
+/// rejected: another user may have put them there. A file of `/dev` gets the bytes.
 ///
 /// # Errors
 /// When it cannot be written or is refused; an old file is as it was.

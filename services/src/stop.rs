@@ -39,16 +39,14 @@ impl Stop {
         Self { asked: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
     }
 
-    /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code
-    /// `second_signal`.
+    /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code `second_signal`.
     ///
     /// # Errors
     ///
     /// If the system rejects the handlers, or the thread that waits for further signals.
     pub fn on_signals(second_signal: u8) -> io::Result<Self> {
         let stop = Self::new();
-        // At a limit on file sizes, a write then fails as on a full disk. Without a handler the signal would end the
-        // process.
+        // At a limit on file sizes, a write then fails as on a full disk. Without a handler the signal would end the process.
         flag::register(SIGXFSZ, Arc::default())?;
         for signal in [SIGINT, SIGTERM] {
             flag::register(signal, Arc::clone(&stop.asked))?;

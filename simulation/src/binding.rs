@@ -1,8 +1,8 @@
 //! Binds the objects of an activity program to items of a map.
 //!
-//! An object's name binds to a label through the map's aliases and the built-in table of names
-//! ([`SemanticMap::find_label`]), or to a room of that name. A program does not say which of the label's items it
-//! means: [`ItemChoice`] decides. One identifier (name and number) keeps its item throughout a program.
+//! An object's name binds to a label through the map's aliases and the built-in table of names ([`SemanticMap::find_label`]), or to a room
+//! of that name. A program does not say which of the label's items it means: [`ItemChoice`] decides. One identifier (name and number) keeps
+//! its item throughout a program.
 
 use std::collections::HashMap;
 
@@ -87,8 +87,7 @@ impl<'a> Binder<'a> {
         self.candidates(name).and_then(|candidates| candidates.label)
     }
 
-    /// The place of an object; `None` if the map has no label for it. `from_m` is the person's position, for
-    /// [`ItemChoice::Nearest`].
+    /// The place of an object; `None` if the map has no label for it. `from_m` is the person's position, for [`ItemChoice::Nearest`].
     pub fn bind(&mut self, object: &ObjectRef, from_m: [f64; 3]) -> Option<Place> {
         if let Some(known) = self.bound.get(object) {
             return *known;

@@ -1,7 +1,7 @@
 //! The clairvoyant optimum: the least disturbance of a robot that knows the person's whole timeline.
 //!
-//! It is computed by dynamic programming over (slot, set of rooms still to do). With the feature `solver` the paper's
-//! mixed-integer program (`mixed_integer.rs`) checks it.
+//! It is computed by dynamic programming over (slot, set of rooms still to do). With the feature `solver` the paper's mixed-integer program
+//! (`mixed_integer.rs`) checks it.
 
 use roomcast_core::policy::plan;
 
@@ -45,8 +45,8 @@ fn cheapest_after(slots: &[f64], rooms: usize, whole: usize) -> f64 {
     last.iter().copied().reduce(f64::min).unwrap_or(0.0)
 }
 
-/// The least mean D_T over runs at a given share of failed coverage: the front of the clairvoyant robot. The failures
-/// are in the runs where they save most. `None` if coverage is not possible that often.
+/// The least mean D_T over runs at a given share of failed coverage: the front of the clairvoyant robot. Failures are spent on the runs
+/// with the greatest saving. `None` if coverage is not possible that often.
 #[must_use]
 pub fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
     let n = optima.len().max(1) as f64;

@@ -13,8 +13,7 @@ use roomcast_core::text::count;
 
 /// The font of all drawings; `png.rs` compiles it in.
 pub const FONT: &str = "DejaVu Sans";
-/// Sizes of a room's name, in pixels; the first that fits the room's width is used. With many rooms, the first two are
-/// left out.
+/// Sizes of a room's name, in pixels; the first that fits the room's width is used. With many rooms, the first two are left out.
 const NAME_PX: [f64; 5] = [17.0, 14.0, 12.0, 10.5, 9.0];
 /// Least space between a room's width and its name, in pixels.
 const NAME_MARGIN_PX: f64 = 24.0;
@@ -55,8 +54,7 @@ const FURNITURE_FROM_M: f64 = 0.42;
 const DOOR_M: f64 = 0.84;
 /// Largest distance between a door and the wall with its gap; metres. A robot's map has unseen space between two rooms.
 const WALL_M: f64 = 0.4;
-/// Things that begin above this height hang from the ceiling; metres. They are drawn as dots, so that no lamp or
-/// cupboard hides the floor.
+/// Things that begin above this height hang from the ceiling; metres. They are drawn as dots, so that no lamp or cupboard hides the floor.
 const OVERHEAD_M: f64 = 1.85;
 
 /// The scores that a drawing shows.
@@ -538,8 +536,7 @@ impl<'a> Plan<'a> {
     fn furniture_order(&self) -> Vec<usize> {
         let things = &self.things;
         let mut order: Vec<usize> = (0..things.len()).filter(|&index| self.is_furniture(index)).collect();
-        // A headboard is higher than the blanket on its bed, so the lower edge counts first, in steps that tolerate a
-        // millimetre.
+        // A headboard is higher than the blanket on its bed, so the lower edge counts first, in steps that tolerate a millimetre.
         let key = |index: usize| ((things[index].bounds.min_m[2] * 20.0).round(), things[index].bounds.max_m[2]);
         let compare = |(a0, a1): (f64, f64), (b0, b1): (f64, f64)| a0.total_cmp(&b0).then(a1.total_cmp(&b1));
         order.sort_by(|&a, &b| compare(key(a), key(b)));

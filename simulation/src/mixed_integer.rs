@@ -23,9 +23,8 @@ pub enum SolverError {
     Refused(String),
 }
 
-/// The optimum as a mixed-integer program. Binary x(k, r) says that the robot spends slot k in room r. Every slot has
-/// one room, the first is in the start room, and with `cover` every room has at least one whole slot. `None` if that is
-/// not possible.
+/// The optimum as a mixed-integer program. Binary x(k, r) says that the robot spends slot k in room r. Every slot has one room, the first
+/// is in the start room, and with `cover` every room has at least one whole slot. `None` if that is not possible.
 ///
 /// # Errors
 /// When the solver fails.
@@ -55,8 +54,8 @@ pub fn optimum_s(cost: &Cost, room_time_s: usize, start: usize, cover: bool) -> 
     let mut model =
         problem.try_optimise(Sense::Minimise).map_err(|status| SolverError::Refused(format!("{status:?}")))?;
     model.make_quiet();
-    // The relaxation is nearly whole-numbered, so a search for a first solution takes longer than the program itself.
-    // The cells already run in parallel. Neither option changes the optimum.
+    // The relaxation is nearly whole-numbered, so a search for a first solution takes longer than the program itself. The cells already run
+    // in parallel. Neither option changes the optimum.
     let _faster = model.try_set_option("mip_heuristic_run_feasibility_jump", false);
     let _faster = model.try_set_option("parallel", "off");
     let solved = model.solve();

@@ -1,8 +1,7 @@
 //! Label scores for experiments: the product's scorer with a cache on disk.
 //!
-//! A score depends on the model, the labels, the scoring options, and the prompt. The cache has a file per model,
-//! labels and scoring options, and in it a record per prompt. Records have a checksum, so that a run can continue the
-//! cache of an interrupted one.
+//! A score depends on the model, the labels, the scoring options, and the prompt. The cache has a file per model, labels and scoring
+//! options, and in it a record per prompt. Records have a checksum, so that a run can continue the cache of an interrupted one.
 
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions};
@@ -207,8 +206,8 @@ impl<M: LanguageModel> ScoreSource<M> {
         Ok(scores)
     }
 
-    /// Scores after no sentence and after each of `sentences`, one by one, as the daemon computes them with these
-    /// limits: `sentences.len() + 1` rows.
+    /// Scores after no sentence and after each of `sentences`, one by one, as the daemon computes them with these limits: `sentences.len()
+    /// + 1` rows.
     ///
     /// # Errors
     /// As [`ScoreSource::score`].

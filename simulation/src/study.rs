@@ -50,8 +50,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The person takes the nearest item; the paper's person takes any. The restarts are enough for a mean that can be
-    /// compared.
+    /// The person takes the nearest item; the paper's person takes any. The restarts are enough for a mean that can be compared.
     fn default() -> Self {
         Self {
             history: HistoryLimits::default(),
@@ -491,8 +490,7 @@ fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 /// The quality of the forecast at a horizon, next to simpler forecasts.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HorizonRow {
-    /// The predictor: `joined` (the forecast module), `persistence` (each person stays in place) or `scores` (the
-    /// paper's).
+    /// The predictor: `joined` (the forecast module), `persistence` (each person stays in place) or `scores` (the paper's).
     pub predictor: &'static str,
     /// The horizon in seconds.
     pub horizon_s: usize,
@@ -511,8 +509,8 @@ fn persistence(rooms: usize, here: usize) -> Vec<f64> {
     (0..rooms).map(|room| if room == here { 1.0 - other * others as f64 } else { other }).collect()
 }
 
-/// Evaluates the forecast after every completed action at each horizon. Persistence puts 0.95 on the likeliest present
-/// room, since a certain forecast that is wrong once has no finite likelihood.
+/// Evaluates the forecast after every completed action at each horizon. Persistence puts 0.95 on the likeliest present room, since a
+/// certain forecast that is wrong once has no finite likelihood.
 #[must_use]
 pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usize]) -> Vec<HorizonRow> {
     const PREDICTORS: [&str; 3] = ["joined", "persistence", "scores"];

@@ -1,9 +1,8 @@
 //! The person: an activity program carried out in a map, second by second.
 //!
-//! The person begins in the middle of a room, walks to the place of each action along straight lines through doors, and
-//! acts there for the time in `src/narration/actions.toml`. An object in the hand needs no walk. Looking at, pointing
-//! at or listening to something is possible from anywhere in its room. An action is skipped if the map lacks its first
-//! object. An action becomes observable when it is complete.
+//! The person begins in the middle of a room, walks to the place of each action along straight lines through doors, and acts there for the
+//! time in `src/narration/actions.toml`. An object in the hand needs no walk. Looking at, pointing at or listening to something is possible
+//! from anywhere in its room. An action is skipped if the map lacks its first object. An action becomes observable when it is complete.
 
 use std::collections::HashMap;
 
@@ -54,16 +53,16 @@ pub enum TimelineError {
 pub struct PersonOptions {
     /// Walking speed in metres per second.
     pub speed_m_s: f64,
-    /// Longest time of one action in seconds, without walking and stretching. A demonstration shows an act in seconds,
-    /// as VirtualHome's animations do, however long it takes in life.
+    /// Longest time of one action in seconds, without walking and stretching. A demonstration shows an act in seconds, as VirtualHome's
+    /// animations do, however long it takes in life.
     pub action_s_max: f64,
     /// Stretches or shortens the timeline to this mean time of an action, with walking; `None` leaves it.
     pub mean_action_s: Option<f64>,
 }
 
 impl Default for PersonOptions {
-    /// The paper's pace. The paper does not give T. Its naive policy shares 205.1 s with the person on average over
-    /// three programs of 18, 16 and 42 actions in homes of three rooms. So T is 615 s on average, 24 s per action.
+    /// The paper's pace. The paper does not give T. Its naive policy shares 205.1 s with the person on average over three programs of 18,
+    /// 16 and 42 actions in homes of three rooms. So T is 615 s on average, 24 s per action.
     fn default() -> Self {
         Self { speed_m_s: 1.0, action_s_max: 10.0, mean_action_s: Some(24.0) }
     }
@@ -221,8 +220,8 @@ impl Timeline {
         person.carry_out(steps, program.title.clone(), options.mean_action_s)
     }
 
-    /// Carries out a household's day at its own times, from its first action on. An action begins when the previous one
-    /// is complete, and its time includes the walk to it.
+    /// Carries out a household's day at its own times, from its first action on. An action begins when the previous one is complete, and
+    /// its time includes the walk to it.
     ///
     /// # Errors
     /// As [`Timeline::of_program`].
@@ -278,8 +277,8 @@ fn person<'a, 'b>(
 }
 
 impl Person<'_, '_> {
-    /// Carries out the actions that the map allows, one after the other. With `mean_action_s`, it stretches them to
-    /// that mean time, with walking.
+    /// Carries out the actions that the map allows, one after the other. With `mean_action_s`, it stretches them to that mean time, with
+    /// walking.
     fn carry_out<'s>(
         mut self,
         steps: impl Iterator<Item = (&'s Action, Lasts)>,

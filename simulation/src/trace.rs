@@ -57,9 +57,8 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Days of activities, one after the other. An object with the number of an item of the map is that item. Others
-    /// are bound as `items` says, the same for all days. The person is in the room of the last thing until the next
-    /// one.
+    /// Days of activities, one after the other. An object with the number of an item of the map is that item. Others are bound as `items`
+    /// says, the same for all days. The person is in the room of the last thing until the next one.
     ///
     /// # Errors
     /// When an action makes no sentence, or there are more than [`DAYS_MAX`] days.
@@ -90,8 +89,8 @@ impl Trace {
                 unseen.extend(activity.iter().map(|_| new));
             }
             for (timed, unseen) in day.actions.iter().zip(unseen) {
-                // A day may end after the next one has begun, but times must not decrease. Simultaneous events get the
-                // smallest possible difference: an event does not reveal the next place before its own time.
+                // A day may end after the next one has begun, but times must not decrease. Simultaneous events get the smallest possible
+                // difference: an event does not reveal the next place before its own time.
                 let at_s =
                     (begin_s + 60.0 * timed.done_min).max(trace.steps.last().map_or(0.0, |step| step.at_s.next_up()));
                 let place = timed.action.objects().first().and_then(|object| {
@@ -132,10 +131,9 @@ impl Trace {
         Ok(trace)
     }
 
-    /// A sensor log: its sentences, and a person's places by its intervals. At each moment the person is in the room of
-    /// the interval that covers it (of several, the one that began last), else elsewhere if `away` covers it, else in
-    /// the room of the last interval that began. The home is watched from the first sentence or interval to the last;
-    /// absences before and after that do not count.
+    /// A sensor log: its sentences, and a person's places by its intervals. At each moment the person is in the room of the interval that
+    /// covers it (of several, the one that began last), else elsewhere if `away` covers it, else in the room of the last interval that
+    /// began. The home is watched from the first sentence or interval to the last; absences before and after that do not count.
     ///
     /// # Errors When it lasts longer than [`DAYS_MAX`].
     pub fn of_sensors(

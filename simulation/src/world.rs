@@ -43,8 +43,8 @@ pub enum Disturbance {
     SameRoom,
     /// They are closer than this, in metres; the robot works in the middle of its room.
     Near(f64),
-    /// The person sees the robot: both are in the same room, or the line between them passes within half a metre of a
-    /// door that joins their rooms.
+    /// The person sees the robot: both are in the same room, or the line between them passes within half a metre of a door that joins their
+    /// rooms.
     InSight,
 }
 
@@ -61,8 +61,7 @@ pub struct Cost {
 const DOOR_M: f64 = 0.5;
 
 impl Cost {
-    /// Adds up several persons. The horizon T is the longest of their timelines. After the end of a timeline its person
-    /// is away.
+    /// Adds up several persons. The horizon T is the longest of their timelines. After the end of a timeline its person is away.
     ///
     /// # Errors When there are no persons or no rooms.
     pub fn new(
@@ -164,8 +163,8 @@ fn distance_to_line_m(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     (from[0] + share * dx - point[0]).hypot(from[1] + share * dy - point[1])
 }
 
-/// F of the naive policy in closed form: the chance that `slots` uniform draws out of `rooms` do not include all, by
-/// inclusion and exclusion over the missing rooms.
+/// F of the naive policy in closed form: the chance that `slots` uniform draws out of `rooms` do not include all, by inclusion and
+/// exclusion over the missing rooms.
 #[cfg(test)]
 fn naive_failure(rooms: usize, slots: usize) -> f64 {
     let mut binomial = 1.0;
@@ -183,8 +182,7 @@ fn naive_failure(rooms: usize, slots: usize) -> f64 {
 pub struct Knowledge {
     /// The room probabilities of each slot.
     pub scores: Vec<Vec<f64>>,
-    /// For each slot, the expected disturbance of the slots from it on: slots left times rooms. Rows are empty without
-    /// a forecast.
+    /// For each slot, the expected disturbance of the slots from it on: slots left times rooms. Rows are empty without a forecast.
     pub expected_shared_s: Vec<Vec<f64>>,
 }
 
@@ -210,8 +208,8 @@ pub struct Stay {
     pub works: bool,
 }
 
-/// D_T and t_c of a robot with these `stays`, in their order, simulated or real. A room that the next stay or the
-/// horizon cuts short is not done.
+/// D_T and t_c of a robot with these `stays`, in their order, simulated or real. A room that the next stay or the horizon cuts short is not
+/// done.
 #[must_use]
 pub fn tally(cost: &Cost, room_time_s: usize, stays: &[Stay]) -> (f64, Option<usize>) {
     let ends = stays.iter().skip(1).map(|next| next.from_s).chain([cost.steps]);
@@ -236,8 +234,8 @@ pub fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Runs the robot through the horizon: it begins in a random room, works T_r in it, asks its policy, and goes on. A
-/// room that the horizon cuts short is not done.
+/// Runs the robot through the horizon: it begins in a random room, works T_r in it, asks its policy, and goes on. A room that the horizon
+/// cuts short is not done.
 ///
 /// # Errors
 /// When T_r does not fit the horizon or the policy refuses.

@@ -20,7 +20,6 @@ const RESIDENTS_MAX: usize = 4;
 /// Most days of one row.
 const DAYS_MAX: usize = 10_000;
 
-/// Arguments of `roomcast-lab persons`.
 #[derive(Debug, clap::Args)]
 pub(super) struct PersonsArgs {
     /// Days per row. A home lives for ten days, then another begins.

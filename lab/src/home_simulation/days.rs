@@ -6,7 +6,6 @@ use super::plan::Plan;
 use super::{Act, DAY_S, Life, Truth, lognormal, normal};
 use roomcast_core::tracker::RoomUse;
 
-/// What keeps a resident out on weekdays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Job {
     Outside,
@@ -28,7 +27,6 @@ struct Character {
     bedroom: u8,
 }
 
-/// An appointment of a day.
 #[derive(Debug, Clone, Copy)]
 enum What {
     Out(usize),
@@ -130,7 +128,6 @@ fn agendas(characters: &[Character], day: usize, random: &mut impl RngExt) -> Ve
     agendas
 }
 
-/// Crosses the home to a room, then to the next; each room takes some seconds.
 struct Body<'a> {
     plan: &'a Plan,
     life: Life,
@@ -165,7 +162,6 @@ impl<'a> Body<'a> {
         self.stay(random.random_range(5..60), Act::Busy);
     }
 
-    /// Free time until a second: one activity after another.
     fn pass(&mut self, until: usize, own: &Character, random: &mut impl RngExt) {
         while self.life.len() + 60 < until {
             let left = until - self.life.len();

@@ -9,9 +9,9 @@ use roomcast_core::tracker::{RoomUse, SensorKind, SensorSpec};
 /// One report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// When, in seconds.
+    /// The time, in seconds.
     pub at_s: f64,
-    /// What.
+    /// The content.
     pub said: Said,
 }
 

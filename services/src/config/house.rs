@@ -35,8 +35,7 @@ impl QuietHours {
         self.rooms.is_empty() || self.rooms.iter().any(|own| is_room(own, room))
     }
 
-    /// The end of the quiet hours that overlap a stay of `stay_s` seconds from `local_s` on. Times are seconds since
-    /// 1970 in local time.
+    /// The end of the quiet hours that overlap a stay of `stay_s` seconds from `local_s` on. Times are seconds since 1970 in local time.
     #[must_use]
     pub fn meets(&self, local_s: f64, stay_s: f64) -> Option<f64> {
         let day = |at_s: f64| (at_s / DAY_S).floor() as i64;
@@ -50,8 +49,8 @@ impl QuietHours {
     }
 }
 
-/// Whether a room of the configuration is the room with this id: by the id, or by its words without the number that an
-/// import adds, so that "Living room" is `living-room-12`.
+/// Whether a room of the configuration is the room with this id: by the id, or by its words without the number that an import adds, so that
+/// "Living room" is `living-room-12`.
 #[must_use]
 pub fn is_room(own: &str, id: &str) -> bool {
     let base = id.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches(|c: char| !c.is_alphanumeric());

@@ -1,5 +1,5 @@
-//! The configuration: one TOML file for daemon, planner and narrator. `default.toml` in this folder is the manual:
-//! every key with its default, its limits and its cost.
+//! The configuration: one TOML file for daemon, planner and narrator. `default.toml` in this folder is the manual: every key with its
+//! default, its limits and its cost.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -45,8 +45,8 @@ pub const FILE_BYTES_MAX: u64 = 1 << 20;
 pub const DEADLINE_MS_MAX: u64 = 60_000;
 /// Longest time that daemon and planner poll after a message, in microseconds.
 pub const SPIN_US_MAX: u64 = 10_000_000;
-/// Longest time between two heartbeats, in milliseconds: views and bridges treat a daemon as gone after 1.5 s of
-/// silence, which is at least three heartbeats.
+/// Longest time between two heartbeats, in milliseconds: views and bridges treat a daemon as gone after 1.5 s of silence, which is at least
+/// three heartbeats.
 const HEARTBEAT_MS_MAX: u64 = 500;
 
 /// Most entries of `[[daemon.narrator]]`.
@@ -388,8 +388,8 @@ impl Config {
         Ok(config)
     }
 
-    /// Makes relative paths absolute, except `ipc.root`, which is never relative. A state directory in the file's
-    /// folder is for a start by hand. A service has a directory from systemd, and may not write to the file's folder.
+    /// Makes relative paths absolute, except `ipc.root`, which is never relative. A state directory in the file's folder is for a start by
+    /// hand. A service has a directory from systemd, and may not write to the file's folder.
     fn begin_paths_at(&mut self, folder: &Path, state_of_service: Option<PathBuf>) {
         if let (Some(state), Some(of_service)) = (&mut self.daemon.state, state_of_service)
             && state.is_relative()
@@ -434,8 +434,8 @@ impl Config {
         values.chain(others.into_iter().flatten()).collect()
     }
 
-    /// The fault of the domain's root path on this machine, as far as it can be seen. It does not check permission to
-    /// create the path, since systemd creates it for a service.
+    /// The fault of the domain's root path on this machine, as far as it can be seen. It does not check permission to create the path,
+    /// since systemd creates it for a service.
     #[must_use]
     pub fn root_fault(&self) -> Option<ConfigError> {
         let root = self.ipc.root.as_ref()?;

@@ -15,8 +15,8 @@ use roomcast_core::text::odd_name;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaemonConfig {
-    /// The state directory with the narration journal; by default systemd's `$STATE_DIRECTORY`, and without that no
-    /// journal. For a service, systemd's directory replaces a relative one in a file.
+    /// The state directory with the narration journal; by default systemd's `$STATE_DIRECTORY`, and without that no journal. For a service,
+    /// systemd's directory replaces a relative one in a file.
     pub state: Option<PathBuf>,
     /// Most bytes of the journal on disk.
     pub journal_bytes: u64,
@@ -137,14 +137,12 @@ pub struct KnownNarrator {
     /// The narrator's part of a person's window, relative to a narrator of share 1; 1 to 100.
     #[serde(default = "one")]
     pub share: u32,
-    /// The events that it may send: `did`, `presence`, or both. If any narrator is named, unknown narrators may send
-    /// `did` only.
+    /// The events that it may send: `did`, `presence`, or both. If any narrator is named, unknown narrators may send `did` only.
     #[serde(default)]
     pub may: May,
     /// Replaces `daemon.intake.rate_per_s`.
     pub rate_per_s: Option<f64>,
-    /// Its narration comes through `roomcast-zenoh`. When that restarts, the new port continues where the closed one
-    /// stopped.
+    /// Its narration comes through `roomcast-zenoh`. When that restarts, the new port continues where the closed one stopped.
     #[serde(default)]
     pub relayed: bool,
 }
@@ -165,8 +163,8 @@ pub struct PersonsConfig {
     pub visitor_s: f64,
     /// Seconds of silence after which a person last seen on a bed is possibly asleep.
     pub asleep_s: f64,
-    /// Seconds after an event of a known narrator in which unknown narrators' events about that person are ignored; 0
-    /// for none. Without known narrators, no events are ignored.
+    /// Seconds after an event of a known narrator in which unknown narrators' events about that person are ignored; 0 for none. Without
+    /// known narrators, no events are ignored.
     pub guard_s: f64,
 }
 
@@ -260,16 +258,14 @@ pub struct PlannerConfig {
     pub policy: PolicyName,
     /// Seed of the policy's random choices.
     pub seed: u64,
-    /// T_r: seconds that the robot must spend in every room. 0 decides again with every new score, which `roomcast
-    /// robot` rejects.
+    /// T_r: seconds that the robot must spend in every room. 0 decides again with every new score, which `roomcast robot` rejects.
     pub room_time_s: f64,
-    /// Seconds from the start of a round to its deadline. By default two stays for each room, and a completed round
-    /// ends early.
+    /// Seconds from the start of a round to its deadline. By default two stays for each room, and a completed round ends early.
     pub round_s: Option<f64>,
     /// Milliseconds after which unconfirmed scores are stale for the planner.
     pub deadline_ms: u64,
-    /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the
-    /// robot stays when every room is covered.
+    /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the robot stays when every
+    /// room is covered.
     pub repeat: bool,
     /// The action if the deadline leaves no later time for a room that is probably occupied.
     pub forced: Forced,
@@ -294,8 +290,7 @@ pub struct PlannerConfig {
     pub room: Vec<RoomNeeds>,
     /// A person who comes into the robot's room ends its work there.
     pub interrupt: bool,
-    /// The probability of people in a room, 0 to 1, that interrupts the robot, and that keeps it out under `forced =
-    /// "skip"`.
+    /// The probability of people in a room, 0 to 1, that interrupts the robot, and that keeps it out under `forced = "skip"`.
     pub interrupt_at: f64,
     /// Seconds of that probability before the robot is interrupted.
     pub interrupt_after_s: f64,
@@ -415,8 +410,8 @@ pub struct RobotConfig {
     pub topic: String,
     /// A topic with the battery's level in percent, if the robot's own topics lack it.
     pub battery: Option<String>,
-    /// If a vacuum of Home Assistant leaves its work with a battery at this level or less, 0 to 1, it has to charge and
-    /// has not finished the room.
+    /// If a vacuum of Home Assistant leaves its work with a battery at this level or less, 0 to 1, it has to charge and has not finished
+    /// the room.
     pub recharge_at: f64,
     /// Whether the robot gets commands; otherwise they are only printed.
     pub obey: bool,

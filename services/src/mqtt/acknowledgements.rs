@@ -32,8 +32,7 @@ pub(super) struct Acknowledgements {
 }
 
 impl Acknowledgements {
-    /// Adds a message. If a broker sends too far ahead, the oldest entry is dropped, and the broker sends that message
-    /// again.
+    /// Adds a message. If a broker sends too far ahead, the oldest entry is dropped, and the broker sends that message again.
     pub(super) fn put(&mut self, message: &Publish, line: u64) {
         if message.qos == QoS::AtMostOnce {
             return;

@@ -5,8 +5,8 @@ use rumqttc::v5::{ConnectionError, EventLoop, MqttState, StateError};
 
 use super::{KEEP_ALIVE, MESSAGES_AHEAD_MAX};
 
-/// The text for a broken connection. A broker that gives it to another client of the same name reports that by MQTT 5,
-/// or only closes it, as mosquitto 2.0.11 does.
+/// The text for a broken connection. A broker that gives it to another client of the same name reports that by MQTT 5, or only closes it,
+/// as mosquitto 2.0.11 does.
 pub(super) fn broken(error: &ConnectionError) -> String {
     const REMEDY: &str = "another client has this one's name: give each narrator a narrator.name of its own, and start one bridge, and one robot \
         service for each robot";

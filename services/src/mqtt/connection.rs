@@ -170,9 +170,8 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(self.listener.heard)
     }
 
-    /// The next event; `None` if `is_over` or the broker did not answer a probe, an error if the reader is gone. The
-    /// checks, the acknowledgements and the lines after a silence do not cancel the poll: a slow broker has the
-    /// client's own time limit.
+    /// The next event; `None` if `is_over` or the broker did not answer a probe, an error if the reader is gone. The checks, the
+    /// acknowledgements and the lines after a silence do not cancel the poll: a slow broker has the client's own time limit.
     async fn next(
         &mut self,
         is_over: impl Fn(&Acknowledgements) -> bool,
@@ -276,8 +275,8 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Processes queued messages, oldest first, while `may` allows it. Its argument says whether there is room for one
-    /// more, or the queue is too large.
+    /// Processes queued messages, oldest first, while `may` allows it. Its argument says whether there is room for one more, or the queue
+    /// is too large.
     fn say_held(&mut self, connections: u64, may: impl Fn(&Publish, bool) -> bool) -> Result<Turn, MqttError> {
         while let Some(held) = self.held.pop_front() {
             let room = self.acknowledgements.have_room() || self.held_bytes > HELD_BYTES_MAX;
@@ -331,8 +330,8 @@ impl<'a, W: Write> Connection<'a, W> {
         lines.iter().try_for_each(|line| write_line(&mut self.out, line))
     }
 
-    /// Processes the messages that were read before the connection broke: the broker sends them again, and they are
-    /// recognised. Then a pause.
+    /// Processes the messages that were read before the connection broke: the broker sends them again, and they are recognised. Then a
+    /// pause.
     async fn lost(&mut self, error: &impl Display, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
         // After a request to stop there is no new try.
         if !stop.requested()
@@ -367,15 +366,13 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Waits until the lines are settled and acknowledged, sends a farewell, and stays until the broker closes the
-    /// connection, which shows that it has read everything. Later or unsettled messages are not acknowledged, and come
-    /// again in the next session.
+    /// Waits until the lines are settled and acknowledged, sends a farewell, and stays until the broker closes the connection, which shows
+    /// that it has read everything. Later or unsettled messages are not acknowledged, and come again in the next session.
     async fn leave(&mut self, connections: &mut u64) -> Result<(), MqttError> {
         if !self.connected {
             return Ok(());
         }
-        // Messages read with an event are still processed. Queued messages come again, except those that the broker
-        // does not keep.
+        // Messages read with an event are still processed. Queued messages come again, except messages that the broker does not store.
         if matches!(self.drain(connections)?, Turn::Unread) {
             return Ok(());
         }

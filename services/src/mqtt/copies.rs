@@ -11,12 +11,11 @@ const REMEMBERED: usize = 256;
 /// Subscriptions that are remembered per message. Copies of more subscriptions are read again.
 const SUBSCRIPTIONS_MAX: usize = 64;
 
-/// The latest messages, oldest first. If filters overlap, a broker may send a message once for each matching filter,
-/// with the subscription's identifier. Each subscription delivers the messages of a topic in order, and each once. So a
-/// message is a copy if an equal one was read after the last message of its subscription.
+/// The latest messages, oldest first. If filters overlap, a broker may send a message once for each matching filter, with the
+/// subscription's identifier. Each subscription delivers the messages of a topic in order, and each once. So a message is a copy if an
+/// equal one was read after the last message of its subscription.
 ///
-/// A missing copy does no harm, since no code waits for it. Nor does a broker that sends one copy with all identifiers,
-/// or with none.
+/// A missing copy does no harm, since no code waits for it. Nor does a broker that sends one copy with all identifiers, or with none.
 #[derive(Debug, Default)]
 pub(super) struct Copies(VecDeque<Read>);
 

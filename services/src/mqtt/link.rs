@@ -1,9 +1,8 @@
-//! A link to a broker for programs that send and receive. It runs in its own thread, with bounded memory, and
-//! reconnects for ever.
+//! A link to a broker for programs that send and receive. It runs in its own thread, with bounded memory, and reconnects for ever.
 //!
-//! Without a connection a message is rejected, not queued: the sender knows the current state, and an order must not be
-//! carried out an hour later. The undelivered messages of a broken connection are dropped for the same reason. The
-//! number of the connection then changes, so that the sender repeats current messages.
+//! Without a connection a message is rejected, not queued: the sender knows the current state, and an order must not be carried out an hour
+//! later. The undelivered messages of a broken connection are dropped for the same reason. The number of the connection then changes, so
+//! that the sender repeats current messages.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Display;
@@ -114,8 +113,7 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 impl Link {
-    /// Connects, and subscribes to `filters` at every connection. A fault of the set-up is an error; the link waits for
-    /// an absent broker.
+    /// Connects, and subscribes to `filters` at every connection. A fault of the set-up is an error; the link waits for an absent broker.
     ///
     /// # Errors
     ///
@@ -168,9 +166,9 @@ impl Link {
         lock(&self.shared).turned_ns
     }
 
-    /// Sends a message; returns whether it was accepted. Without a connection, or with a full queue, it is not. A
-    /// message that exceeds the broker's limit is left out, since it would end the connection and lose the others.
-    /// `keep` is MQTT's retain; `for_s` is the time that the broker may store it for absent clients.
+    /// Sends a message; returns whether it was accepted. Without a connection, or with a full queue, it is not. A message that exceeds the
+    /// broker's limit is left out, since it would end the connection and lose the others. `keep` is MQTT's retain; `for_s` is the time that
+    /// the broker may store it for absent clients.
     pub fn say(&self, topic: &str, payload: &str, keep: bool, for_s: Option<u32>) -> bool {
         let mut shared = lock(&self.shared);
         if shared.connection == 0 {

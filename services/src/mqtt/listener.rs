@@ -21,7 +21,7 @@ pub struct Heard {
     pub unfit: u64,
     /// Messages that repeated a value, or only gave a state.
     pub silent: u64,
-    /// Messages whose line would not be narration.
+    /// Messages with a line that would not be narration.
     pub unsayable: u64,
     /// Messages that are larger than [`PAYLOAD_BYTES_MAX`].
     pub oversized: u64,

@@ -1,5 +1,4 @@
-//! Tests a broker: whether it can be reached, whether it accepts the login, and which topics it has or receives in a
-//! time.
+//! Tests a broker: whether it can be reached, whether it accepts the login, and which topics it has or receives in a time.
 //!
 //! For commands that look once and end. The broker keeps no session, and time, topics and bytes are bounded.
 
@@ -124,7 +123,7 @@ impl Seen {
 ///
 /// # Errors
 ///
-/// [`LookError`] when the broker cannot be reached or refuses; a connection that breaks later gives what was seen until then.
+/// [`LookError`] when the broker cannot be reached or refuses; a connection that breaks later gives a partial result.
 pub fn look(
     broker: &Broker,
     filters: &[String],

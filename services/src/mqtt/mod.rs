@@ -37,19 +37,17 @@
 //! quiet_s = 600.0                                  # sent after so many seconds without another line
 //! ```
 //!
-//! Each value that rules read in a message (the payload, or a `field`) gives at most one sentence, one presence and one
-//! sensor's state: of the matching rules the first one counts. Each matching rule with `quiet_s` also begins to wait. A
-//! message without a matching rule is counted. A repeated value of a topic is skipped, unless the rule has `repeats =
-//! true`, as for buttons. A retained message is a state, not an event. At the first connection it is remembered and
-//! gives no line, unless its rule has `retained = true`. After a reconnection it gives a line if it differs from the
-//! last value.
+//! Each value that rules read in a message (the payload, or a `field`) gives at most one sentence, one presence and one sensor's state: of
+//! the matching rules the first one counts. Each matching rule with `quiet_s` also begins to wait. A message without a matching rule is
+//! counted. A repeated value of a topic is skipped, unless the rule has `repeats = true`, as for buttons. A retained message is a state,
+//! not an event. At the first connection it is remembered and gives no line, unless its rule has `retained = true`. After a reconnection it
+//! gives a line if it differs from the last value.
 //!
-//! The session is persistent: the broker keeps messages while this process or the connection is away, and it decides
-//! their order. A message is acknowledged when its lines are settled: confirmed by the daemon, or rejected for good
-//! ([`listen_until_settled`]). So the broker keeps every message that this process could lose, however it ends. After a
-//! kill, the next process repeats confirmed messages without an acknowledgement. They are at most
-//! [`MESSAGES_AHEAD_MAX`], since later messages wait for the acknowledgements. MQTT 5 gives the broker the number of
-//! messages that it may send ahead, and their largest size. mosquitto 2.0.11 sends more, and those wait here. A silent
+//! The session is persistent: the broker keeps messages while this process or the connection is away, and it decides their order. A message
+//! is acknowledged when its lines are settled: confirmed by the daemon, or rejected for good ([`listen_until_settled`]). So the broker
+//! keeps every message that this process could lose, however it ends. After a kill, the next process repeats confirmed messages without an
+//! acknowledgement. They are at most [`MESSAGES_AHEAD_MAX`], since later messages wait for the acknowledgements. MQTT 5 gives the broker
+//! the number of messages that it may send ahead, and their largest size. mosquitto 2.0.11 sends more, and those wait here. A silent
 //! connection is probed, and renewed if the broker does not answer.
 
 use std::fmt::Display;
@@ -89,12 +87,10 @@ use tally::Tally;
 
 /// Most messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
-/// Bytes of messages beyond that number. If there are more, the oldest is processed at once, and more messages are
-/// unacknowledged.
+/// Bytes of messages beyond that number. If there are more, the oldest is processed at once, and more messages are unacknowledged.
 pub const HELD_BYTES_MAX: usize = 8 << 20;
-/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It drops larger messages by
-/// itself. mosquitto up to 2.0.11 then counts each of them against the receive maximum, so the limit is far above the
-/// messages of homes.
+/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It drops larger messages by itself. mosquitto up to
+/// 2.0.11 then counts each of them against the receive maximum, so the limit is far above the messages of homes.
 pub const PACKET_BYTES_MAX: u32 = 16 << 20;
 /// The largest payload, in bytes. A larger one is dropped, counted and acknowledged, and the log names its topic.
 pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
@@ -188,8 +184,8 @@ pub enum MqttError {
     },
 }
 
-/// Receives messages and writes narration as lines of JSON to `out`, until a stop is requested or `out` is closed. It
-/// reconnects for ever. At the end the broker has the acknowledgements of all written messages.
+/// Receives messages and writes narration as lines of JSON to `out`, until a stop is requested or `out` is closed. It reconnects for ever.
+/// At the end the broker has the acknowledgements of all written messages.
 ///
 /// # Errors
 ///
@@ -199,8 +195,8 @@ pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) 
     runtime.block_on(Connection::new(options, rules, out).listen(stop))
 }
 
-/// As [`listen`], but a message is acknowledged only after its lines are settled, so that the broker repeats lost ones.
-/// Counts the matches of each rule if there is a tally.
+/// As [`listen`], but a message is acknowledged only after its lines are settled, so that the broker repeats lost ones. Counts the matches
+/// of each rule if there is a tally.
 ///
 /// # Errors
 ///
@@ -220,9 +216,8 @@ pub fn listen_until_settled(
     runtime.block_on(connection.listen(stop))
 }
 
-/// Receives messages as [`listen`] does, and writes a report about each: the rule, and its line with the text of
-/// `remark` about it. It sends no narration. The client has another name and its session ends with the connection, so
-/// the narrator's session stays unchanged.
+/// Receives messages as [`listen`] does, and writes a report about each: the rule, and its line with the text of `remark` about it. It
+/// sends no narration. The client has another name and its session ends with the connection, so the narrator's session stays unchanged.
 ///
 /// # Errors
 ///

@@ -1,12 +1,11 @@
 //! Checks that a broker still delivers messages: a broker that answers pings may have stopped.
 //!
-//! mosquitto up to 2.0.11 counts a message that is too large for the client against the receive maximum for ever. After
-//! 32 of them it delivers no message of quality 1 over this connection. A new connection begins a new count.
+//! mosquitto up to 2.0.11 counts a message that is too large for the client against the receive maximum for ever. After 32 of them it
+//! delivers no message of quality 1 over this connection. A new connection begins a new count.
 
 use std::time::{Duration, Instant};
 
-/// A retained message that mosquitto has and never changes. Each subscription to it delivers it in the same way as
-/// other messages.
+/// A retained message that mosquitto has and never changes. Each subscription to it delivers it in the same way as other messages.
 pub(super) const TOPIC: &str = "$SYS/broker/version";
 /// A connection that is silent for this long is probed.
 const SILENCE: Duration = Duration::from_secs(10);

@@ -13,16 +13,15 @@ use super::rules::Fingerprint;
 /// If a broker's identifiers have risen this far, it uses all in turn before it repeats one.
 const RISEN_LONG: u64 = 8 * MESSAGES_AHEAD_MAX as u64;
 
-/// Messages that a broker may send again after a connection broke: those whose acknowledgement it may not have. There
-/// are no more than packet identifiers.
+/// Messages that a broker may send again after a connection broke: it may lack their acknowledgement. There are no more than packet
+/// identifiers.
 ///
-/// A message without an acknowledgement certainly comes again. After an acknowledgement there are two cases that look
-/// the same. Either it was lost with the connection, and the message comes again. Or it arrived, the identifier is
-/// free, and a new message has it, whose first sending was lost. So an identifier is free when the broker is known to
-/// have the acknowledgement: by the answer to a later ping, a new session, or another message of that identifier. If in
-/// doubt, the message is processed again, unless the broker cannot have reused the identifier. A broker uses either the
-/// lowest free one, or all from 1 to some end in turn. In both cases it uses at least as many as its highest so far, so
-/// fewer new messages do not reuse one.
+/// A message without an acknowledgement certainly comes again. After an acknowledgement there are two cases that look the same. Either it
+/// was lost with the connection, and the message comes again. Or it arrived, and a new message has the free identifier, but its first
+/// sending was lost. So an identifier is free when the broker is known to have the acknowledgement: by the answer to a later ping, a new
+/// session, or another message of that identifier. If in doubt, the message is processed again, unless the broker cannot have reused the
+/// identifier. A broker uses either the lowest free one, or all from 1 to some end in turn. In both cases it uses at least as many as its
+/// highest so far, so fewer new messages do not reuse one.
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     messages: HashMap<u16, Remembered>,

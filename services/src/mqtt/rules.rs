@@ -177,8 +177,7 @@ pub(super) struct Said<'a> {
     /// The rule's number, from 1.
     pub(super) number: usize,
     pub(super) rule: &'a Rule,
-    /// A line of JSON. `None` if the rule is for other values: the value is remembered, so that the next matching value
-    /// is new.
+    /// A line of JSON. `None` if the rule is for other values: the value is remembered, so that the next matching value is new.
     pub(super) line: Option<Line>,
     pub(super) value: Rc<Value>,
     /// The state that decides whether it is new, if that is not the value.
@@ -309,8 +308,8 @@ impl Rules {
         self.readings(topic, payload).iter().map(|said| (said.number, said.line.is_some())).collect()
     }
 
-    /// The number of a rule for the topic, and the defect of the payload, as in "is no JSON". `None` if a rule can read
-    /// the message, or no rule is for the topic.
+    /// The number of a rule for the topic, and the defect of the payload, as in "is no JSON". `None` if a rule can read the message, or no
+    /// rule is for the topic.
     #[must_use]
     pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
         let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| rule.places(topic).is_some())?;

@@ -9,9 +9,8 @@ use rumqttc::v5::mqttbytes::v5::{ConnAck, SubAck, SubscribeProperties, Subscribe
 use super::MqttError;
 use super::rules::{covers, fingerprint};
 
-/// Subscribes to one filter after the other, so that each answer has its filter. A filter that another one covers is
-/// left out while the broker grants the other: for an absent client the broker would store two copies. Each has an
-/// identifier, if the broker supports them.
+/// Subscribes to one filter after the other, so that each answer has its filter. A filter that another one covers is left out while the
+/// broker grants the other: for an absent client the broker would store two copies. Each has an identifier, if the broker supports them.
 #[derive(Debug)]
 pub(super) struct Subscriptions {
     filters: Vec<String>,
@@ -89,7 +88,7 @@ impl Subscriptions {
         }
     }
 
-    /// Requests the next filter. After the last one it ends those that are left out, if the client has room.
+    /// Requests the next filter. After the last one it ends the left-out ones, if the client has room.
     pub(super) fn send(&mut self, client: &AsyncClient) {
         if self.due {
             let Some(filter) = self.filters.get(self.answered) else {
@@ -171,10 +170,10 @@ impl Subscriptions {
     }
 }
 
-/// A filter has the same identifier in every configuration: messages that a broker stored for an earlier one name their
-/// filter. Two filters with one identifier are rare and do no harm: a message that matches both may be narrated twice.
-/// All have four bytes. The client's library counts a byte too many for each identifier, and with up to five of that
-/// length in one message it still reads the message correctly.
+/// A filter has the same identifier in every configuration: messages that a broker stored for an earlier one name their filter. Two filters
+/// with one identifier are rare and do no harm: a message that matches both may be narrated twice. All have four bytes. The client's
+/// library counts a byte too many for each identifier, and with up to five of that length in one message it still reads the message
+/// correctly.
 fn identifier(filter: &str) -> usize {
     const LONG: u32 = 1 << 27;
     let [a, b, c, d, ..] = fingerprint(filter.as_bytes());

@@ -1,5 +1,5 @@
-//! Counts the matches of each rule of a narrator's rules file, in the state directory, so that `doctor` can name the
-//! rules that never matched.
+//! Counts the matches of each rule of a narrator's rules file, in the state directory, so that `doctor` can name the rules that never
+//! matched.
 //!
 //! A rule's key is its content, not its number: an edited rule begins at zero, the others keep their count.
 

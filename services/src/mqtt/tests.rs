@@ -728,8 +728,7 @@ fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// An authority that signs a certificate for this machine. Returns the authority's certificate, and the other with its
-/// key.
+/// An authority that signs a certificate for this machine. Returns the authority's certificate, and the other with its key.
 fn certificates() -> (String, String, String) {
     use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
     let mut params = CertificateParams::new(Vec::new()).unwrap();
@@ -913,8 +912,7 @@ const CONNACK: [u8; 5] = [0x20, 3, 0, 0, 0];
 
 const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
 
-/// A rehearsal at the same time as the narrator of the same name: it reports the lines, and the narrator's session
-/// keeps every message.
+/// A rehearsal at the same time as the narrator of the same name: it reports the lines, and the narrator's session keeps every message.
 #[test]
 fn a_rehearsal_takes_nothing_from_the_narrator() {
     let port = free_port();
@@ -983,8 +981,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
         let backlog: Vec<_> = (published..published + BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
         broker.publish(&backlog);
         published += BACKLOG;
-        // One narrator is stopped in the middle of the backlog, and the next one continues; now and then the broker
-        // restarts, too.
+        // One narrator is stopped in the middle of the backlog, and the next one continues; now and then the broker restarts, too.
         if restart % 3 == 2 {
             broker = broker.restart();
         }
@@ -1003,8 +1000,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
             if middle.is_some_and(|middle| now >= middle) {
                 middle = None;
                 broker = broker.restart();
-                // This message follows everything that the broker sends again: a narrator that has processed it has
-                // acknowledged the rest.
+                // This message follows everything that the broker sends again: a narrator that has processed it has acknowledged the rest.
                 broker.publish(&[("home/step", published.to_string(), false)]);
                 published += 1;
             }
@@ -1125,8 +1121,7 @@ fn oversized_messages_are_refused_by_name_and_passed_over() {
     assert!(more < 128 << 20, "{more} bytes more");
 }
 
-/// More messages of 1.2 MB than the broker may send ahead: mosquitto 2.0.11 delivers no more messages if it has to drop
-/// so many.
+/// More messages of 1.2 MB than the broker may send ahead: mosquitto 2.0.11 delivers no more messages if it has to drop so many.
 fn images(topic: &'static str, count: usize) -> Vec<(&'static str, String, bool)> {
     vec![(topic, "x".repeat(1_200_000), false); count]
 }
@@ -1182,8 +1177,7 @@ fn a_connection_over_which_the_broker_delivers_nothing_is_renewed() {
     assert_eq!(listening.end().1.oversized, 0, "the broker has dropped them");
 }
 
-/// Row "a refused subscription" of the attacks. mosquitto's own access list grants every subscription, so the broker is
-/// a stand-in.
+/// Row "a refused subscription" of the attacks. mosquitto's own access list grants every subscription, so the broker is a stand-in.
 #[test]
 fn a_refused_subscription_is_an_error_with_its_name() {
     const NOT_AUTHORIZED: u8 = 0x87;
@@ -1512,8 +1506,8 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     listening.end();
 }
 
-/// A new narrator in the middle of a session with a broker that counts. The broker ends before it has stored any
-/// acknowledgement, and sends everything again.
+/// A new narrator in the middle of a session with a broker that counts. The broker ends before it has stored any acknowledgement, and sends
+/// everything again.
 #[test]
 fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     let (mut broker, port) = Liar::new();
@@ -1621,8 +1615,7 @@ fn what_fits_two_filters_is_said_once() {
     let said: Vec<_> = (0..8).map(|_| first.next().unwrap()).collect();
     assert_eq!(said, expected);
     assert_eq!(first.end(), (Vec::new(), Heard { said: 9, ..Heard::default() }));
-    // The broker stores messages for an absent narrator, also over its own restart, and also if that narrator then has
-    // another filter.
+    // The broker stores messages for an absent narrator, also over its own restart, and also if that narrator then has another filter.
     press(&broker);
     broker = broker.restart();
     let other = "[[rule]]\ntopic = \"zigbee/#\"\nrepeats = true\nsay = \"They press {value}.\"\n\

@@ -53,7 +53,7 @@ impl Interruption {
         self.stay = None;
     }
 
-    /// Begins another stay, or none. The planner knew a person who is in the room at the start.
+    /// Begins another stay, or none. The planner knew about a person in the room at the start.
     pub(super) fn new_stay(&mut self, begun: Option<(usize, f64)>) {
         self.stay = begun.map(|(room, likely)| (room, likely < self.at));
         self.since_ns = None;
@@ -70,7 +70,7 @@ impl Interruption {
     }
 
     /// Updates with the probability of a person in each room, while the robot works in `room`. Returns whether this interrupts it. Only a
-    /// person who comes later does.
+    /// later arrival does.
     pub(super) fn look(&mut self, now_ns: BootNs, likely: &[f64], room: Option<usize>) -> bool {
         for (held, likely) in self.held.iter_mut().zip(likely) {
             *held &= *likely > self.resume_at;
@@ -141,7 +141,7 @@ mod tests {
         robot.new_stay(Some((0, 0.0)));
         robot.forget(Some(0));
         assert!(!robot.look(BootNs(0), &[0.98, 0.0], Some(0)) && robot.look(BootNs(3 * S), &[0.98, 0.0], Some(0)));
-        // A person who was known to be there when the robot was sent does not interrupt.
+        // A person already known in the room when the robot was sent does not interrupt.
         robot.new_stay(Some((1, 0.98)));
         assert!(!robot.look(BootNs(4 * S), &[0.0, 0.98], Some(1)) && !robot.look(BootNs(9 * S), &[0.0, 0.98], Some(1)));
     }

@@ -12,8 +12,8 @@ pub fn by_ids(configured: &BTreeMap<String, String>, map: &SemanticMap) -> BTree
 }
 
 /// The segment of a room: the configured one, else the one with the number at the end of the room's id, as in an imported map, else the
-/// only one whose name fits the room. If the robot's list is empty, the number in the id counts. `rooms` are all rooms of the map: two of
-/// them never share a segment, and a segment that is configured for another room is not used.
+/// only one with a matching name. If the robot's list is empty, the number in the id counts. `rooms` are all rooms of the map: two of them
+/// never share a segment, and a segment that is configured for another room is not used.
 ///
 /// # Errors
 ///
