@@ -50,9 +50,7 @@ const OPEN_BY_A_PORT_MAX: u64 = 32;
 const FOLDERS: [&str; 2] = ["nodes", "services"];
 /// iceoryx2's files of a participant in `nodes`, in addition to its folder.
 const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"];
-/// The ending of iceoryx2's counter of participants.
 const COUNTER_FILE: &str = "global_mgmt";
-/// Endings of the files of ports.
 const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
 /// The ending of the locked file of a participant with a unique name.
 const ONLY_FILE: &str = ".only";
@@ -907,7 +905,6 @@ impl Node {
         &self.config
     }
 
-    /// Tries once; `None` if the failure may pass.
     pub(crate) fn try_once<T>(&self, open: impl FnOnce() -> Result<T, OpenFailure>) -> Result<Option<T>, IpcError> {
         refuse_too_little_memory()?;
         match open() {

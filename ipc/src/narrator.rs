@@ -57,7 +57,6 @@ pub struct Narrator {
     epoch: u64,
     sequence: u64,
     account: Account,
-    /// The newest event that scores contain.
     included: u64,
 }
 

@@ -56,7 +56,6 @@ const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
 const STATUS_CLIENTS: usize = 8;
 
-/// The pause before a failed connection is tried again.
 const RECONNECT: Duration = Duration::from_secs(1);
 
 /// Failed connections, for example for lack of file descriptors or memory. iceoryx2 retries only when ports come or go, so without this the
@@ -505,7 +504,6 @@ pub fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool,
     }
 }
 
-/// Returns whether a listener has an event.
 fn sleep(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, Errno> {
     let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
     let descriptors: Vec<BorrowedFd<'_>> = awaited.iter().map(|one| one.descriptor()).collect();

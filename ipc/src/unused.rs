@@ -32,7 +32,6 @@ enum Rest {
     /// The service has no memory: its creator failed or was killed between file and memory, or the last participant could remove only the
     /// memory. iceoryx2 treats it as unfinished and rejects all participants.
     File,
-    /// The service has memory and no participants.
     Whole(Box<StaticConfig>),
 }
 

@@ -337,18 +337,15 @@ fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
     Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
 }
 
-/// The split that the model of a manifest was trained on.
 const TRAINED: &str = "train";
 /// The split that only `roomcast-lab sealed` opens.
 const SEALED: &str = "sealed";
 
-/// A manifest that the training writes.
 #[derive(Debug, serde::Deserialize)]
 struct Manifest {
     #[serde(skip)]
     path: PathBuf,
     splits: BTreeMap<String, Split>,
-    /// The command that trained the model.
     #[serde(default)]
     command: String,
     /// Similar titles, by the name of their activity.
@@ -528,7 +525,6 @@ fn forecast_text(report: &Report) -> String {
     text
 }
 
-/// The number of programs without a case, if there are any.
 fn left_out(report: &Report) -> String {
     match report.programs_without_case {
         0 => String::new(),

@@ -238,7 +238,6 @@ struct Cursor<'a> {
     path: &'a Path,
     position: u64,
     size_bytes: u64,
-    /// The size of the stored metadata so far.
     kept_bytes: u64,
 }
 

@@ -183,9 +183,7 @@ pub struct LlamaModel {
     batch_tokens: usize,
     info: ModelInfo,
     options: LlamaOptions,
-    /// The size of the context; its limit is in `info`.
     positions: u32,
-    /// Tokens of a background call.
     small_tokens: usize,
     /// Set on the prefetcher's copy.
     is_stopped: Option<IsStopped>,
@@ -494,7 +492,6 @@ impl LlamaModel {
         result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
     }
 
-    /// Puts a token into the batch. Sends a full batch first.
     fn push(
         &mut self,
         token: Token,

@@ -106,7 +106,6 @@ mod tests {
         [own].into_iter().chain(others).collect()
     }
 
-    /// A type as REP 2016 describes it.
     fn described((name, fields): &(String, Vec<(String, String)>)) -> String {
         let fields = fields.iter().map(|(kind, name)| {
             let (one, more) = kind.strip_suffix("[]").map_or((kind.as_str(), 0), |one| (one, 144));
@@ -131,7 +130,6 @@ mod tests {
         format!("{{\"type_name\": \"{name}\", \"fields\": [{}]}}", fields.join(", "))
     }
 
-    /// The hash that ROS 2 computes from a definition.
     fn hash<M: Message>() -> String {
         let types = types::<M>();
         let others: BTreeMap<_, _> = types[1..].iter().map(|one| (one.0.clone(), described(one))).collect();

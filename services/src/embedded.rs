@@ -67,13 +67,11 @@ pub static WORK_PROGRAMS: [EmbeddedText; 6] = [
     EmbeddedText { name: "g2-end-of-shift", text: include_str!("../scenes/programs/g2-end-of-shift.txt") },
 ];
 
-/// The names of the embedded scenes, for messages.
 #[must_use]
 pub(crate) fn scene_names() -> String {
     SCENES.map(|scene| scene.name).join(", ")
 }
 
-/// The names of the embedded activity programs, for messages.
 #[must_use]
 pub(crate) fn program_names() -> String {
     let names: Vec<_> = PROGRAMS.iter().chain(&WORK_PROGRAMS).map(|program| program.name).collect();

@@ -126,7 +126,6 @@ fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// Seconds in the largest unit that fits.
 fn ahead(seconds: f64) -> String {
     match seconds {
         s if s >= 3_600.0 => format!("{:.0} h", s / 3_600.0),

@@ -53,7 +53,6 @@ pub struct Lesson {
     event: Event,
 }
 
-/// The reason why an event cannot be learned.
 #[derive(Debug, thiserror::Error)]
 enum Unfit {
     #[error("it has no time: give \"observed_unix_s\"")]

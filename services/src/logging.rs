@@ -115,7 +115,6 @@ impl Drop for Writer {
     }
 }
 
-/// Starts the thread; `None` if the system gives no thread.
 fn writer() -> Option<(Lines, Writer)> {
     let (lines, waiting) = bounded::<Vec<u8>>(LINES_MAX);
     let (end, ended) = bounded::<()>(1);

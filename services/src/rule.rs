@@ -21,13 +21,11 @@ const FILLED_KIND: &str = "device";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Whereabouts {
-    /// In the house.
     Present,
     /// Out of the house, and expected back.
     Away,
     /// Out of the house, and not expected back.
     Gone,
-    /// The room has no people in it.
     Empty,
 }
 
@@ -77,7 +75,6 @@ pub(crate) enum Class {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Saying {
     pub(crate) class: Class,
-    /// The device does not report "off".
     pub(crate) only_on: bool,
     keys: Map<String, Value>,
     quiet: Option<Duration>,
@@ -160,7 +157,6 @@ impl Saying {
         Ok(saying)
     }
 
-    /// The required silence before it is sent; `None` for at once.
     pub(crate) fn quiet(&self) -> Option<Duration> {
         self.quiet
     }
@@ -225,7 +221,6 @@ impl Saying {
     }
 }
 
-/// Checks the sensor keys that are not part of its report.
 fn check_sensor(kind: SensorKind, keys: &Keys<'_>) -> Result<(), String> {
     let has_person = keys.person.is_some_and(|person| !person.is_somebody());
     if kind == SensorKind::Phone && !has_person {

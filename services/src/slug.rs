@@ -2,7 +2,6 @@
 
 use sha2::{Digest, Sha256};
 
-/// Most characters of a name.
 const LENGTH_MAX: usize = 40;
 /// Characters of the checksum that keeps similar names apart.
 const SUM: usize = 8;

@@ -20,7 +20,6 @@ impl TokenBucket {
         Self { limits, tokens: limits.burst, refilled_ns: now_ns }
     }
 
-    /// Whether a token is there.
     pub(crate) fn has_one(&mut self, now_ns: BootNs) -> bool {
         let IntakeLimits { rate_per_s, burst } = self.limits;
         if rate_per_s <= 0.0 {

@@ -19,7 +19,6 @@ const NAME_PX: [f64; 5] = [17.0, 14.0, 12.0, 10.5, 9.0];
 const NAME_MARGIN_PX: f64 = 24.0;
 /// Factor of the width of bold letters.
 const BOLDER: f64 = 1.17;
-/// Largest size of the plan, in pixels.
 const PLAN_PX: [f64; 2] = [1_120.0, 860.0];
 const MARGIN_PX: f64 = 36.0;
 const TITLE_PX: f64 = 76.0;
@@ -202,7 +201,6 @@ impl<'a> Label<'a> {
         Self { text, size_px, colour: INK, bold: false, anchor: "start", halo: false }
     }
 
-    /// Sets the baseline so that the text is centred on `y`.
     fn at(&self, x: f64, y: f64) -> Text {
         let text = Text::new(self.text)
             .set("x", rounded(x))
@@ -265,7 +263,6 @@ struct Plan<'a> {
     scale: f64,
     /// West and north end of the plan, in metres.
     origin_m: [f64; 2],
-    /// The top of the plan, in pixels.
     top_px: f64,
     size_px: [f64; 2],
     taken: Vec<Area>,
@@ -423,7 +420,6 @@ impl<'a> Plan<'a> {
             .add(Label { colour: QUIET, ..Label::new(&line, 13.0) }.at(MARGIN_PX, 54.0))
     }
 
-    /// The partitions' floors, warmer with a higher probability.
     fn floors(&self) -> Group {
         let mut floors = Group::new();
         for room in &self.rooms {
@@ -757,7 +753,6 @@ impl<'a> Plan<'a> {
             .add(Label { colour: QUIET, anchor: "end", ..Label::new("north", 12.0) }.at(north - 12.0, y - 5.0))
     }
 
-    /// The panel on the right, and the pixel at its end.
     fn panel(&self, left: f64) -> (Group, f64) {
         let mut panel = Group::new();
         let mut y = TITLE_PX + 8.0;
@@ -888,7 +883,6 @@ fn floor_m2(space: &Space) -> f64 {
 }
 
 struct Wall {
-    /// Distance from the door.
     distance_m: f64,
     from_m: [f64; 2],
     /// Its direction, of length 1.
@@ -919,7 +913,6 @@ fn wall(space: &Space, position_m: &[f64; 2]) -> Wall {
     nearest
 }
 
-/// Indices of the largest positive values, the largest first.
 fn warmest(values: &[f64], count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..values.len()).filter(|&index| values[index] > 0.0).collect();
     order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));

@@ -39,7 +39,6 @@ pub enum ScoresError {
 
 type Key = [u8; 32];
 
-/// Label scores on disk.
 #[derive(Debug)]
 struct Cache {
     file: BufWriter<File>,

@@ -72,7 +72,6 @@ struct Track {
     scores: Vec<Vec<f64>>,
     /// After each number of completed actions: ln s_c per label, in nats.
     labels: Vec<Vec<f64>>,
-    /// The mention in the sentence of each completed action.
     mentions: Vec<Option<Mention>>,
 }
 

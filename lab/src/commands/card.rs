@@ -39,7 +39,6 @@ const WORKPLACES: [(&str, [&str; 3]); 2] = [
     ("ward", ["w0-medication-round", "w1-cleaning-and-fresh-beds", "w2-patients-morning"]),
     ("warehouse", ["g0-receiving-a-delivery", "g1-picking-and-packing", "g2-end-of-shift"]),
 ];
-/// Days of each household of HOMER+.
 const DAYS: [&str; 3] = ["000", "001", "002"];
 const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
 

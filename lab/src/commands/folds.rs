@@ -80,7 +80,6 @@ pub(super) struct SealedArgs {
     model: ModelArgs,
 }
 
-/// A model and its held-out programs.
 struct Trained {
     folder: PathBuf,
     manifest: Manifest,
@@ -198,7 +197,6 @@ pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
     args.asked.print(&[report])
 }
 
-/// The folders below `folder` that contain `file`, in order.
 fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
     let failed = |error: std::io::Error| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(failed)?;

@@ -224,7 +224,6 @@ fn missing(steps: &[Step]) -> Option<&'static str> {
     )
 }
 
-/// Reports the intervals that count as absences.
 fn tell_absences(Absences { intervals, labels, others }: &Absences) {
     if labels.is_empty() {
         return;
@@ -324,7 +323,6 @@ fn cleaning(report: &Report) -> Table {
     cleaning
 }
 
-/// The loss of each day, for the most interesting predictors.
 fn curve(report: &Report, target: &str) -> Chart {
     let shown = ["mixture", "without-model", "model", "counts", "stay", "persistence"];
     let series = PREDICTORS.iter().filter(|name| shown.contains(name)).map(|name| {

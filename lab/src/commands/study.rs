@@ -33,7 +33,6 @@ use roomcast_simulation::timeline::{PersonOptions, TimelineError};
 use roomcast_simulation::world::Disturbance;
 use roomcast_simulation::{ScoreSource, StudyError};
 
-/// The paper's pace, in seconds per action.
 const PACE_S: f64 = 24.0;
 
 /// Arguments of all simulations, with a robot or without.
@@ -181,7 +180,6 @@ pub(super) struct ParetoArgs {
 }
 
 type Scene = (SemanticMap, Grounding);
-/// Names of files and SVG text.
 type Pictures = Vec<(String, String)>;
 
 struct Named {
@@ -230,7 +228,6 @@ struct Setup<'a> {
 }
 
 impl StudyArgs {
-    /// The activities of a file, a folder or the binary.
     fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
         let input = |error: roomcast_core::narration::ProgramError| Failure::new(exit_code::INPUT, error);
         if let Some(shipped) = setup::shipped_program(path) {
@@ -349,7 +346,6 @@ impl Setup<'_> {
         Ok(homes)
     }
 
-    /// Every home of every scene, with one binding sequence.
     fn all_homes(
         &self,
         sources: &mut [ScoreSource<LlamaModel>],
@@ -416,7 +412,6 @@ impl Setup<'_> {
         )]
     }
 
-    /// The origin of scores and activities.
     fn origin(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> String {
         let computed: usize = sources.iter().map(ScoreSource::computed).sum();
         let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();

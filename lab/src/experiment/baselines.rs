@@ -199,7 +199,6 @@ impl Baselines {
         self.kneser_ney.with_cache(chain, visited, here)
     }
 
-    /// The frequency of each label.
     #[must_use]
     pub(crate) fn frequency(&self) -> &[f64] {
         &self.frequency
@@ -237,7 +236,6 @@ impl Baselines {
 /// distinct longer ones before a label, and counts of one, two and more have separate discounts.
 #[derive(Debug, Clone)]
 struct KneserNey {
-    /// By the length of their contexts.
     tables: [HashMap<String, Counts>; ORDER + 1],
     labels: usize,
     fit: KneserNeyFit,

@@ -44,7 +44,6 @@ const RIGHT: f64 = 210.0;
 const TOP: f64 = 44.0;
 const BOTTOM: f64 = 58.0;
 
-/// Most dots on a line.
 const DOTS_MAX: usize = 60;
 
 /// Colours that colour-blind people can distinguish, in the order of the series.

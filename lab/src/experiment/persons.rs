@@ -17,10 +17,8 @@ use roomcast_core::tracker::{
     Forecast, Observation, Options as TrackerOptions, SensorKind, SensorSpec, Tracker, TrackerError,
 };
 
-/// Days of one home.
 const HOME_DAYS: usize = 10;
 const TRUST: f64 = 0.9;
-/// Bins of the calibration error.
 const BINS: usize = 20;
 /// How far ahead the forecast is scored, in seconds, and how many minutes apart.
 const AHEAD_S: usize = 900;
@@ -148,7 +146,6 @@ impl Sums {
     }
 }
 
-/// Belief about persons and rooms, by any method.
 trait Believer {
     fn report(&mut self, report: &Report);
     fn advance(&mut self, now_s: f64);
@@ -228,7 +225,6 @@ fn believer(plan: &Plan, setup: &Setup, method: Method) -> Result<Box<dyn Believ
     })
 }
 
-/// Plays the reports of one home and scores each minute.
 fn play(
     plan: &Plan,
     truth: &Truth,

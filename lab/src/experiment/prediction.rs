@@ -204,14 +204,12 @@ pub(crate) fn plain_title(title: &str) -> String {
     title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
 }
 
-/// Next objects that give no cases.
 #[derive(Debug, Default)]
 struct LeftOut {
     unbound: BTreeMap<String, usize>,
     same_label: usize,
 }
 
-/// The case of a program, after binding.
 struct Case {
     /// The number of completed actions.
     done: usize,
@@ -329,7 +327,6 @@ impl Listener {
 /// Sums by predictor and target, and by program of a part.
 type Groups = Vec<Vec<Sums>>;
 
-/// Evaluates one part in one map with one binding.
 fn evaluate<M: LanguageModel>(
     (map, grounding): &(SemanticMap, Grounding),
     source: &mut ScoreSource<M>,

@@ -125,7 +125,6 @@ impl Totals {
         Self { deciders, pairs, of }
     }
 
-    /// The number of homes or activities.
     fn count(&self, which: usize) -> usize {
         self.pairs.iter().map(|pair| pair[which] + 1).max().unwrap_or(0)
     }

@@ -337,7 +337,6 @@ fn map() -> Result<SemanticMap, SceneError> {
     SemanticMap::from_json(&scene.to_string())
 }
 
-/// The messages of the daemon.
 fn tell(
     planner: &mut Planner,
     (minute, map_fingerprint): (usize, [u8; 32]),

@@ -93,7 +93,6 @@ fn character(number: usize, bedroom: u8, random: &mut impl RngExt) -> Character 
     }
 }
 
-/// Appointments per resident of a day, by time.
 fn agendas(characters: &[Character], day: usize, random: &mut impl RngExt) -> Vec<Vec<(usize, What)>> {
     let is_weekday = day % 7 < 5;
     let mut agendas: Vec<Vec<(usize, What)>> = vec![Vec::new(); characters.len()];
@@ -199,7 +198,6 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// Sleeps until a second, with visits of the bathroom.
     fn sleep(&mut self, until: usize, bedroom: u8, random: &mut impl RngExt) {
         self.go(bedroom, random);
         self.stay(random.random_range(30..240), Act::Busy);
@@ -219,7 +217,6 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// One day from the end of the last.
     fn live(&mut self, own: &Character, midnight: usize, agenda: &[(usize, What)], random: &mut impl RngExt) {
         self.pace_s = random.random_range(2..=5);
         let wakes = midnight + normal(random, own.wakes, 1_200.0).clamp(4.0 * HOUR, 11.0 * HOUR) as usize;

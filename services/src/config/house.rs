@@ -18,7 +18,6 @@ pub struct QuietHours {
     days: [bool; 7],
     from_min: u32,
     to_min: u32,
-    /// The ids of the rooms; empty for the whole house.
     rooms: Vec<String>,
 }
 

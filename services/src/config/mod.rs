@@ -59,7 +59,6 @@ const SENSOR_TOPIC_BYTES_MAX: usize = 256;
 /// Most horizons of the bridge.
 pub const BRIDGE_HORIZONS_MAX: usize = 8;
 
-/// Most entries of `persons.not_persons`.
 const NOT_PERSONS_MAX: usize = 256;
 
 /// Fewest bytes of the journal: each half holds a few of the longest sentences.
@@ -172,7 +171,6 @@ fn folder_fault(key: &'static str, folder: &Path, fault: NoFolder) -> ConfigErro
     ConfigError::Value { key, value: folder.display().to_string(), remedy }
 }
 
-/// Longest time of a key, in seconds.
 const SECONDS_MAX: f64 = 1e9;
 
 /// The whole configuration; every section and key is optional.

@@ -56,7 +56,6 @@ impl DaemonConfig {
     }
 }
 
-/// The state directory that systemd gives a service.
 pub(super) fn state_of_service() -> Option<PathBuf> {
     std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty()).map(PathBuf::from)
 }
@@ -87,7 +86,6 @@ pub struct May {
     pub presence: bool,
 }
 
-/// A word of `may`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Report {

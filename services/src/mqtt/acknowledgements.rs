@@ -55,7 +55,6 @@ impl Acknowledgements {
         }
     }
 
-    /// Whether one more message may be processed before another acknowledgement.
     pub(super) fn have_room(&self) -> bool {
         self.waiting.len() + self.on_way < usize::from(MESSAGES_AHEAD_MAX)
     }
@@ -64,7 +63,6 @@ impl Acknowledgements {
         !self.waiting.is_empty() || self.on_way > 0
     }
 
-    /// Ends a connection; its acknowledgements are lost.
     pub(super) fn forget(&mut self) {
         self.waiting.clear();
         self.on_way = 0;

@@ -95,7 +95,6 @@ impl Broker {
     }
 }
 
-/// The remedy for a malformed address.
 pub(super) fn address_remedy(given: &str) -> String {
     let remedy = "give mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with a CA file";
     let meant = format!("mqtt://{given}");

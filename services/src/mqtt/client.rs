@@ -22,7 +22,6 @@ pub(super) fn broken(error: &ConnectionError) -> String {
     }
 }
 
-/// The reason why a connection is unusable.
 pub(super) fn fault_of(greeting: &ConnAck) -> Option<&'static str> {
     let properties = greeting.properties.as_ref()?;
     if properties.receive_max == Some(0) {
@@ -36,7 +35,6 @@ pub(super) fn fault_of(greeting: &ConnAck) -> Option<&'static str> {
     )
 }
 
-/// Prepares the client for a new connection.
 pub(super) fn renew(events: &mut EventLoop) {
     events.clean();
     events.pending.clear();

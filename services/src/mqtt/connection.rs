@@ -32,7 +32,6 @@ use crate::stop::Stop;
 
 /// Memory of a queued message in addition to its topic and payload.
 const HELD_BYTES_EACH: usize = 256;
-/// The interval of warnings about the connection.
 const QUIET_NS: u64 = 30_000_000_000;
 /// The longest wait at the end until the last lines are settled. A narrator has a little longer to publish them.
 const SETTLING: Duration = Duration::from_secs(4);
@@ -44,7 +43,6 @@ pub(super) struct Connection<'a, W> {
     listener: Listener,
     subscriptions: Subscriptions,
     probe: Probe,
-    /// The probe is not sent yet.
     probe_waits: bool,
     /// Rules also read the probe's topic.
     probe_is_read: bool,
@@ -58,18 +56,15 @@ pub(super) struct Connection<'a, W> {
     log: Limiter,
     greetings: Limiter,
     oversized: Limiter,
-    /// The pause before the next connection.
     pause: Duration,
     /// New messages are left to the next session.
     leaves: bool,
     /// Reports lines with a remark instead of writing them.
     pub(super) rehearsal: Option<&'a mut Remark<'a>>,
-    /// Counts the matches of each rule.
     pub(super) tally: Option<Tally>,
     out: W,
 }
 
-/// The reason why a new connection is unusable.
 pub(super) fn fault(event: &Event) -> Option<&'static str> {
     if let Event::Incoming(Packet::ConnAck(greeting)) = event { fault_of(greeting) } else { None }
 }
@@ -301,7 +296,6 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Writes the lines of a message, or the report about it.
     fn hear(&mut self, message: &Publish, payload_bytes: usize) -> std::io::Result<()> {
         let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
         if topic == probe::TOPIC && !self.probe_is_read {

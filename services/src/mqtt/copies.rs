@@ -24,7 +24,6 @@ struct Read {
     topic: Fingerprint,
     payload: Fingerprint,
     retained: bool,
-    /// The subscriptions that delivered it.
     by: Vec<usize>,
 }
 

@@ -30,13 +30,11 @@ use crate::stop::Stop;
 pub const SAYING_MAX: usize = 128;
 /// Most bytes of unread messages; the oldest are dropped.
 pub const HEARING_BYTES_MAX: usize = 4 << 20;
-/// Most unconfirmed messages.
 const UNCONFIRMED_MAX: u16 = 32;
 /// Bytes of a packet in addition to topic and payload: its head, the lengths, an identifier and the expiry.
 const PACKET_BYTES: usize = 15;
 /// Most topics in warnings about large messages.
 const TOO_LARGE_MAX: usize = 64;
-/// The interval of warnings about the broker.
 const QUIET_NS: u64 = 30_000_000_000;
 
 /// A message from the broker.
@@ -73,7 +71,6 @@ struct Shared {
     refused: u64,
     disconnected: bool,
     turned_ns: BootNs,
-    /// The broker's largest packet.
     packet_max: Option<u32>,
     /// Topics with larger messages.
     too_large: BTreeSet<String>,
@@ -243,7 +240,6 @@ struct Turning {
     log: Limiter,
     large: Limiter,
     greetings: Limiter,
-    /// The pause before the next connection.
     pause: Duration,
     stop: Stop,
 }
@@ -293,7 +289,6 @@ impl Turning {
         }
     }
 
-    /// Drops the connection, and pauses before the next.
     async fn lost(&mut self, error: &impl Display) {
         self.lose();
         if !self.stop.requested()

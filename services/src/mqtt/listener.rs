@@ -27,12 +27,10 @@ pub struct Heard {
     pub oversized: u64,
 }
 
-/// The result of one rule for a message.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Outcome {
     /// The rule's number, from 1.
     pub(super) number: usize,
-    /// The value that it read.
     pub(super) value: Rc<Value>,
     pub(super) what: What,
 }
@@ -47,7 +45,6 @@ pub(super) enum What {
     Later,
     /// The rule is for other values.
     OtherValue,
-    /// The topic's last value was the same.
     Repeated,
     /// The message is retained: a state, not an event.
     State,
@@ -65,14 +62,12 @@ pub(super) struct Waiting {
     lasting: Option<Lasting>,
 }
 
-/// A rule's number, and the place and value of a state.
 type Lasting = (usize, Fingerprint, Fingerprint);
 
 /// Decides which messages become narration. Pure: time is an argument.
 #[derive(Debug)]
 pub struct Listener {
     pub(super) rules: Rules,
-    /// The last value of each topic.
     last: HashMap<Fingerprint, Fingerprint>,
     /// Lines of rules with `quiet_s`, each once.
     pub(super) waiting: Vec<Waiting>,

@@ -19,7 +19,6 @@ use super::{Broker, MqttError};
 pub const TOPICS_MAX: usize = 10_000;
 /// Most bytes of payloads in memory, in all.
 pub const BYTES_MAX: usize = 32 << 20;
-/// The longest wait for the connection.
 const CONNECT_MAX: Duration = Duration::from_secs(5);
 
 /// The test of a broker failed.

@@ -104,13 +104,11 @@ pub const WAITING_MAX: usize = 4_096;
 pub const WAITING_BYTES_MAX: usize = 1 << 20;
 /// The interval of checks for a stop.
 pub(crate) const POLL: Duration = Duration::from_millis(200);
-/// The pause before a lost connection is tried again.
 pub(crate) const RECONNECT: Duration = Duration::from_secs(1);
 /// The longest pause while the broker itself is broken; the pause doubles up to this.
 pub(crate) const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
 /// The broker's time at the end to confirm the last messages, or to take the last acknowledgements.
 pub(crate) const FAREWELL: Duration = Duration::from_secs(2);
-/// The interval of pings.
 pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
 
 /// MQTT cannot be narrated.

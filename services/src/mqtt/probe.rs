@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 
 /// A retained message that mosquitto has and never changes. Each subscription to it delivers it in the same way as other messages.
 pub(super) const TOPIC: &str = "$SYS/broker/version";
-/// A connection that is silent for this long is probed.
 const SILENCE: Duration = Duration::from_secs(10);
 /// The time for an answer, if the broker has answered probes before.
 const ANSWER: Duration = Duration::from_secs(5);

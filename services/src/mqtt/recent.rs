@@ -25,12 +25,10 @@ const RISEN_LONG: u64 = 8 * MESSAGES_AHEAD_MAX as u64;
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     messages: HashMap<u16, Remembered>,
-    /// The number of new messages.
     new: u64,
     /// The identifier of the last new message, and the rise of identifiers without a fall until then.
     last: u16,
     risen: u64,
-    /// The highest identifier of the session.
     highest: u16,
 }
 
@@ -40,12 +38,10 @@ struct Remembered {
     text: Fingerprint,
     /// Its last line, or the last line before it.
     line: u64,
-    /// Its number among the new messages.
     number: u64,
     acknowledged: Acknowledged,
 }
 
-/// The state of an acknowledgement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Acknowledged {
     No,
@@ -74,7 +70,6 @@ impl Recent {
         Some(before.line)
     }
 
-    /// Records a message and its line.
     pub(super) fn take(&mut self, connection: u64, message: &Publish, line: u64) {
         if message.qos == QoS::AtMostOnce {
             return;
@@ -88,7 +83,6 @@ impl Recent {
         self.messages.insert(message.pkid, Remembered { connection, text, line, number: self.new, acknowledged });
     }
 
-    /// Records a packet of the client.
     pub(super) fn sent(&mut self, packet: &Outgoing) {
         match packet {
             Outgoing::PubAck(pkid) => {

@@ -20,12 +20,10 @@ pub fn shown(bytes: &[u8]) -> String {
 /// Gives a remark about a line, if there is one.
 pub(super) type Remark<'a> = dyn FnMut(&str) -> Option<String> + 'a;
 
-/// A line with its remark.
 pub(super) fn remarked(line: &str, remark: &mut Remark<'_>) -> String {
     remark(line).map_or_else(|| line.to_owned(), |remark| format!("{line}\n    {}", visible(&remark)))
 }
 
-/// The results of the rules for a message.
 pub(super) fn report(
     rules: &Rules,
     (topic, payload, retained): (&[u8], &[u8], bool),

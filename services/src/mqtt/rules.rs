@@ -154,7 +154,6 @@ pub(super) struct Rule {
     topic: String,
     /// The named level of each `+` of the filter.
     named: Vec<Option<NamedLevel>>,
-    /// A message is read only if it meets all of them.
     all: Vec<Also>,
     /// The time that the state must last before it is reported.
     pub(super) lasting: Option<Duration>,
@@ -166,12 +165,10 @@ pub(super) struct Rule {
     pub(super) retained: bool,
     /// Whether each message is a new event, as from a button.
     pub(super) repeats: bool,
-    /// The JSON pointers in its braces.
     pointers: Vec<String>,
     pub(super) saying: Saying,
 }
 
-/// The reading of a rule.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Said<'a> {
     /// The rule's number, from 1.
@@ -329,7 +326,6 @@ impl Rules {
         self.rule(number).is_some_and(|rule| rule.condition.excepts(&comparable(value)))
     }
 
-    /// Whether the rule with this number compares numbers.
     pub(super) fn is_numeric(&self, number: usize) -> bool {
         self.rule(number).is_some_and(|rule| rule.condition.is_numeric())
     }

@@ -26,7 +26,6 @@ pub(super) struct Subscriptions {
     due: bool,
     /// The open request. Answers to no request are ignored.
     asked: Option<u16>,
-    /// Whether the broker supports identifiers.
     identified: bool,
     /// Filters with a logged refusal.
     told: HashSet<String>,
@@ -121,7 +120,6 @@ impl Subscriptions {
         self.asked = Some(packet);
     }
 
-    /// Handles the broker's answer to the last filter.
     pub(super) fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
         let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)).cloned() else {
             return Ok(());
@@ -159,7 +157,6 @@ impl Subscriptions {
         Ok(())
     }
 
-    /// Handles the broker's answer to an unsubscription.
     pub(super) fn ended(&mut self, answer: &UnsubAck) {
         if self.asked == Some(answer.pkid)
             && let Some(filter) = self.ending.take()

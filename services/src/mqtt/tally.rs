@@ -24,7 +24,6 @@ const FILE_BYTES_MAX: u64 = 1 << 20;
 pub struct Counted {
     /// The start of the count, in Unix seconds.
     pub since_unix_s: u64,
-    /// The count of each rule, by its key.
     fitted: BTreeMap<String, u64>,
 }
 

@@ -721,7 +721,6 @@ fn addresses_and_their_faults() {
     }
 }
 
-/// A PEM file, and its path.
 fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     std::fs::write(&path, text).unwrap();
@@ -868,7 +867,6 @@ fn resident() -> u64 {
     kilobytes.unwrap().parse::<u64>().unwrap() << 10
 }
 
-/// A listener in a thread, and its lines.
 struct Listening {
     thread: std::thread::JoinHandle<Result<Heard, MqttError>>,
     lines: std::io::Lines<BufReader<std::io::PipeReader>>,

@@ -14,7 +14,6 @@ pub(super) struct Interruption {
     stay: Option<(usize, bool)>,
     /// The time since which a person is likely there.
     since_ns: Option<BootNs>,
-    /// Rooms that were left to a person.
     held: Vec<bool>,
 }
 
@@ -40,7 +39,6 @@ impl Interruption {
         self.on && likely >= self.at
     }
 
-    /// Leaves a room to its person.
     pub(super) fn hold(&mut self, room: usize) {
         if let Some(held) = self.held.get_mut(room) {
             *held = true;

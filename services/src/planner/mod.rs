@@ -108,7 +108,6 @@ pub struct Planner {
     kept: Option<KeptRound>,
     /// Whether the rooms of the rules were compared with the map.
     compared_rooms: bool,
-    /// The rooms of the last decisions.
     decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
     /// Epoch and sequence of the scores of the last decision, and its time.
     decided: Option<(u64, u64)>,
@@ -118,7 +117,6 @@ pub struct Planner {
     standing: Standing,
 }
 
-/// The last decision for a robot without work.
 #[derive(Debug, Clone, PartialEq)]
 enum Standing {
     /// None that is still valid.
@@ -133,10 +131,8 @@ enum Standing {
     Finished,
 }
 
-/// The cause of a pause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pause {
-    /// Its battery is not ready.
     Battery,
     /// A person has come into its room, and persons are in the others.
     Persons,
@@ -182,7 +178,6 @@ struct Verdict {
     is_asked: bool,
 }
 
-/// Each sentence once.
 fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
     let mut said = Vec::new();
     for sentence in reasons.map(Reason::to_string) {
@@ -381,7 +376,6 @@ impl Planner {
         waits && is_new && scores.sequence > 0 && now_ns < since_ns.saturating_add(self.deadline_ns)
     }
 
-    /// Takes another robot's decision, if the configuration avoids rooms of robots.
     pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
@@ -530,7 +524,6 @@ impl Planner {
         }
     }
 
-    /// Repeats the order for work of an earlier planner.
     fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         // After its time the robot owes a report. It may have sent it while no planner was running.
         let left_ns = work.ends_ns.since(now_ns);
@@ -551,7 +544,6 @@ impl Planner {
         decision
     }
 
-    /// Drops expired orders, and notes the rooms that need work now.
     fn look_at_orders(&mut self) {
         let unix_s = self.clock.1.0 / 1_000_000_000;
         if self.orders.expire(unix_s) {
@@ -730,7 +722,6 @@ impl Planner {
         }
     }
 
-    /// Ends the work in a room that a person has entered.
     fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let Some(forecast) = forecast else { return self.interruption.look_away() };
@@ -795,7 +786,6 @@ impl Planner {
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
     }
 
-    /// Whether the robot would have nothing to do in a room.
     fn is_idle_in(&self, room: usize) -> bool {
         self.round.is_done(room) && self.plans_coverage()
     }
@@ -970,7 +960,6 @@ impl Planner {
         self.verdicts(now_ns).into_iter().enumerate().map(reason).collect()
     }
 
-    /// The reason why the rules allow no room, if so.
     fn why_none(&self, rules: &[Verdict]) -> Option<(Pause, String)> {
         let is_done = |room: usize| self.plans_coverage() && self.round.is_done(room);
         let mut to_do =
@@ -986,7 +975,6 @@ impl Planner {
         Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
     }
 
-    /// The reasons of the rooms that wait: rules and persons.
     fn why_waiting(&self, rules: &[Verdict]) -> String {
         let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
         sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))).join(" ")
@@ -1032,7 +1020,6 @@ impl Planner {
         Some(DecisionV1 { action, flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
     }
 
-    /// The robot pauses; said once.
     fn pause(&mut self, why: Pause, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         let said = Standing::Pauses(why, reason.to_owned(), now_ns);
         if let Standing::Pauses(before, words, said_ns) = &self.standing {
@@ -1052,7 +1039,6 @@ impl Planner {
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
 
-    /// A decision to be in a room.
     fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
         if self.decisions.len() == DECISIONS {

@@ -29,7 +29,6 @@ pub struct Orders {
 }
 
 impl Orders {
-    /// Returns whether any order has expired.
     pub(super) fn expire(&mut self, unix_s: u64) -> bool {
         let before = (self.hold.is_some(), self.asked.len(), self.skipped.len());
         self.hold.take_if(|hold| hold.until_unix_s.is_some_and(|until_s| until_s <= unix_s));

@@ -42,7 +42,6 @@ impl Others {
         Self { own, robots: BTreeMap::new() }
     }
 
-    /// Records a checked decision for another robot.
     pub(super) fn hear(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         let name = (decision.epoch, decision.sequence);
         let old = |claim: &Claim| claim.decision.0 == name.0 && claim.decision.1 > name.1;

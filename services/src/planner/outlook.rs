@@ -56,7 +56,6 @@ impl<'a> Forecast<'a> {
         curve.map_or(0.0, |(_, row)| probability_at(&self.message.horizon_s, row, self.age_s + ahead_s))
     }
 
-    /// The probability of a person in each room now.
     pub(super) fn now(&self) -> Vec<f64> {
         (0..self.message.room_count as usize).map(|room| self.likely(room, 0.0)).collect()
     }
@@ -102,7 +101,6 @@ pub(super) fn what_is_known(scores: &RoomScoresV1, forecast: Option<Forecast<'_>
     }
 }
 
-/// The input of policies.
 #[derive(Debug)]
 pub(super) struct Outlook {
     /// By room, the probability of a person there next.
@@ -110,7 +108,6 @@ pub(super) struct Outlook {
     /// The expected time in seconds of a robot with persons in each room in each remaining slot, slot by slot. Empty without a forecast or
     /// a time to stay.
     pub(super) shared_s: Vec<f64>,
-    /// The result of [`what_is_known`].
     pub(super) flags: u32,
     /// A resident is missing from the probabilities.
     pub(super) misses_resident: bool,

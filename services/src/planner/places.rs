@@ -6,7 +6,6 @@ use roomcast_ipc::{RoomScoresV1, RoomV1};
 
 use super::facts::Near;
 
-/// The planner's copy of the map.
 #[derive(Debug)]
 pub(super) struct Places {
     map: SemanticMap,
@@ -21,7 +20,6 @@ impl Places {
         Self { map, partitions, epoch: None }
     }
 
-    /// Records the map of the scores.
     pub(super) fn see(&mut self, scores: &RoomScoresV1) {
         if self.map.fingerprint() == scores.map_fingerprint {
             self.epoch = Some(scores.epoch);
@@ -33,7 +31,6 @@ impl Places {
         self.epoch == Some(scores.epoch)
     }
 
-    /// The scores' room at a position.
     pub(super) fn at(&self, position_m: [f64; 3], scores: &RoomScoresV1) -> Option<usize> {
         let holds = |room: &RoomV1| {
             let own = self.partitions.iter().find(|partition| partition.id == room.id());

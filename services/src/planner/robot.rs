@@ -9,7 +9,6 @@ use super::round::nanoseconds;
 const REFUSALS: u32 = 2;
 /// The first pause and the longest pause before it is asked again. The pause doubles.
 pub(super) const REST_NS: (u64, u64) = (60_000_000_000, 600_000_000_000);
-/// Most remembered reporters.
 const REPORTERS: usize = 16;
 /// Most remembered decisions of earlier planners for the current work.
 const FORMER: usize = 4;
@@ -92,7 +91,6 @@ impl Robot {
         }
     }
 
-    /// It failed without starting its work.
     pub(super) fn refuse(&mut self, at_ns: BootNs) {
         self.refusals = self.refusals.saturating_add(1);
         if let Some(more) = self.refusals.checked_sub(REFUSALS) {

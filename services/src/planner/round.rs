@@ -17,7 +17,6 @@ const DOUBLINGS_MAX: u32 = 5;
 /// Rooms are indices in the scores.
 #[derive(Debug)]
 pub(super) struct Round {
-    /// The length of a stay.
     pub(super) stay_ns: u64,
     /// The length of a round; without it, [`STAYS_PER_ROOM`] decides.
     length_ns: Option<u64>,

@@ -28,7 +28,6 @@ use crate::stop::Stop;
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
 /// Earlier messages of other planners and the bridge arrive within two of their ticks; decisions of a new planner wait for them.
 const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
-/// The interval of warnings about one kind of message.
 const QUIET_NS: u64 = 5_000_000_000;
 
 /// Runs until asked to stop.

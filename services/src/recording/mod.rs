@@ -39,10 +39,8 @@ pub const FILE_BYTES_MAX: u64 = 4 << 30;
 /// Largest record and largest unpacked chunk: a file's stated lengths allocate no more than this.
 pub const RECORD_BYTES_MAX: usize = 64 << 20;
 
-/// Records between two checks for a stop.
 const EVENTS_BETWEEN_LOOKS: u64 = 256;
 
-/// Prefix of the names of attachments with a moment.
 const MOMENT_FILES: &str = "moment-";
 
 roomcast_core::choices! {

@@ -18,7 +18,6 @@ use super::{Received, Recorded, RecordingError};
 use crate::message_text::event_of;
 use crate::moment::Moment;
 
-/// The profile in the file's header.
 pub(super) const PROFILE: &str = "ros2";
 /// The frame of the map's coordinates, the bridge's default.
 const FRAME: &str = "map";
@@ -85,7 +84,6 @@ pub struct Ros2Recorder {
     channels: BTreeMap<String, u16>,
     persons: BTreeMap<PersonId, String>,
     robots: BTreeMap<u64, String>,
-    /// The map's fingerprint, and its rooms.
     map: Option<(String, Vec<Partition>)>,
     /// The map of the newest scores.
     scored: Option<String>,
@@ -244,7 +242,6 @@ impl Ros2Recorder {
         self.draw()
     }
 
-    /// Draws the last forecast if its map is known.
     fn draw(&mut self) -> Result<(), RecordingError> {
         let (Some((forecast, stamp)), Some((fingerprint, rooms))) = (&self.undrawn, &self.map) else { return Ok(()) };
         if self.scored.as_ref() != Some(fingerprint) {

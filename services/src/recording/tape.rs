@@ -36,7 +36,6 @@ pub(super) struct Tape {
     writer: Writer<BufWriter<File>>,
     path: PathBuf,
     written: u64,
-    /// The receipt of the first message.
     begun: Option<Received>,
 }
 

@@ -57,7 +57,6 @@ pub const RULES_BYTES_MAX: u64 = 4 << 20;
 const LINE_BYTES: usize = 256;
 /// A number of seconds from here on (September 2001) is a time since 1970, in UTC; a smaller one has no known origin.
 const UNIVERSAL_FROM_S: f64 = 1e9;
-/// Most characters of a field that an error quotes.
 const QUOTED_MAX: usize = 80;
 /// Words for a missing end, in lower case: the interval was open when the log was written.
 const OPEN: [&str; 9] = ["", "-", "nat", "nan", "none", "null", "unknown", "unavailable", "open"];
@@ -267,13 +266,11 @@ pub struct Interval {
     pub place: String,
 }
 
-/// A rule's match at one edge of an interval.
 #[derive(Debug)]
 struct Matched<'a> {
     rule: &'a Rule,
     place: &'a str,
     said: Said,
-    /// The state of a sensor, and its id.
     state: Option<(State, String)>,
 }
 

@@ -7,7 +7,6 @@ use serde_json::{Value, json};
 use crate::config::{RobotConfig, RobotKind};
 use crate::slug::slug;
 
-/// Most segments of a robot.
 const SEGMENTS_MAX: usize = 256;
 
 /// The activity of a robot.
@@ -70,7 +69,6 @@ pub struct Dialect {
     kind: RobotKind,
     /// The prefix of its topics, without a slash at the end.
     topic: String,
-    /// The topic of its battery.
     battery: String,
     /// The topic of commands for Home Assistant.
     orders: String,

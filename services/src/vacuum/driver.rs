@@ -19,9 +19,7 @@ use crate::reporter::{Kind, Report};
 const TRIES: u32 = 3;
 /// A robot that leaves its work has finished if its state does not change for this time.
 const SETTLE_NS: u64 = 3_000_000_000;
-/// The reason for a missing segment before the robot's first message.
 const UNHEARD: &str = "nothing was heard of the robot yet";
-/// The reason for a missing segment before the robot's list.
 const UNTOLD: &str = "the robot has told of no segments; name them in [robot.segments]";
 /// The least change of the battery for a report. At the dock it is smaller, since a planner may wait there for a full battery.
 const BATTERY_STEP: f64 = 0.05;
@@ -47,7 +45,6 @@ struct Work {
     asked_ns: BootNs,
 }
 
-/// The driver's state.
 #[derive(Debug, Clone, PartialEq)]
 enum State {
     /// There is no open command or work.
@@ -84,7 +81,6 @@ pub struct Driver {
     resumes: bool,
     battery: Option<f64>,
     fault: String,
-    /// The robot has sent a message.
     is_heard: bool,
     /// The robot has cleaned since its first message, so an earlier driver may have sent it.
     is_new: bool,
@@ -92,9 +88,7 @@ pub struct Driver {
     recharge_at: Option<f64>,
     /// The last decision ends work, and the robot's state is unknown.
     is_to_end: bool,
-    /// The last decision's epoch and sequence.
     decided: Option<(u64, u64)>,
-    /// The next or current work.
     wish: Option<Work>,
     state: State,
     /// A robot that charges in the middle of its work must not continue by itself: the remaining commands for that, and the time of the
@@ -102,7 +96,6 @@ pub struct Driver {
     forgets: Option<(u32, BootNs)>,
     told_ns: BootNs,
     told_battery: Option<f64>,
-    /// The result of the last work.
     outcome: Option<Report>,
 }
 
@@ -157,7 +150,6 @@ impl Driver {
         self.is_heard
     }
 
-    /// Whether the segment of each room is known.
     pub(crate) fn knows_segments(&self) -> bool {
         self.kind == RobotKind::HomeAssistant || self.segments.as_ref().is_some_and(|segments| !segments.is_empty())
     }
@@ -252,7 +244,6 @@ impl Driver {
         self.is_to_end = self.status.is_none() && self.state == State::Free;
     }
 
-    /// Whether a command to end work is open.
     fn is_ending(&self) -> bool {
         matches!(&self.state, State::Ordered { order, .. } if !matches!(order, Order::Clean { .. }))
     }
@@ -572,7 +563,6 @@ impl Driver {
         }
     }
 
-    /// Ends the work with any result.
     fn end(&mut self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
         let had_begun = matches!(self.state, State::Working { .. });
         self.report(kind, why, acts);
@@ -584,7 +574,6 @@ impl Driver {
         }
     }
 
-    /// Reports the result of the current work.
     fn report(&self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
         let Some(work) = &self.wish else { return };
         let report = Report { room: Some(work.room.clone()), decision: Some(work.decision), ..note(kind, why) };
@@ -599,7 +588,6 @@ impl Driver {
     }
 }
 
-/// A report with its reason, cut to fit.
 fn note(kind: Kind, why: &str) -> Report {
     let mut end = why.len().min(NOTE_TEXT_BYTES);
     while !why.is_char_boundary(end) {

@@ -19,7 +19,6 @@ use crate::participant::{DRIVER, join};
 use crate::reporter::{Report, Reporter};
 use crate::stop::Stop;
 
-/// The interval of looks at the broker.
 const TICK: Duration = Duration::from_millis(50);
 /// The time that a broker may store a command for an absent robot: a late command would be wrong.
 const ORDER_S: u32 = 10;
@@ -28,7 +27,6 @@ const TURN_MAX_NS: u64 = 5_000_000_000;
 /// The time for the robot's first message before the log says that it is silent; and then for its segments, before the log names rooms that
 /// it cannot do.
 const SETTLING: Duration = Duration::from_secs(5);
-/// The interval of warnings of one kind.
 const QUIET_NS: u64 = 5_000_000_000;
 /// Reports at once, and then one in this time: a battery may change with every message.
 const REPORTS_AT_ONCE: u64 = 16;
@@ -241,7 +239,6 @@ impl Hearing {
     }
 }
 
-/// Logs the segment of each room, whenever that changes.
 fn show_plan(driver: &Driver, before: &mut Vec<(String, Result<String, String>)>) {
     if driver.plan().eq(before.iter().map(|(room, segment)| (room.as_str(), segment.clone()))) {
         return;

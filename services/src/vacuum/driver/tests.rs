@@ -105,7 +105,6 @@ impl Pair {
         }
     }
 
-    /// Starts a driver without knowledge.
     fn start_again(&mut self, config: &RobotConfig) {
         self.driver = Driver::new(config, 7);
         self.driver.know_rooms(ROOMS.into_iter());
@@ -538,12 +537,10 @@ fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), BootNs(301 * S)).len(), 1);
 }
 
-/// The interval of the daemon's messages.
 const EVERY_S: u64 = 2;
 const HORIZONS_S: [f32; 16] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
-/// The result of a day.
 #[derive(Debug, PartialEq)]
 struct Day {
     shared_min: f64,
@@ -650,7 +647,6 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed }
 }
 
-/// The daemon's messages.
 fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
     let (now_s, now_ns) = (second as f64, second * S);
     let mut scores =
