@@ -1,4 +1,4 @@
-//! From a narration message to its event.
+//! Reads the event of a narration message.
 
 use roomcast_core::narration::line::Kind;
 use roomcast_core::narration::{Event, ObservedError};
@@ -30,7 +30,7 @@ mod tests {
         assert!(error.contains("say `present`"), "{error}");
     }
 
-    /// What is read has the numbers of what is sent.
+    /// The core and the messages use the same numbers.
     #[test]
     fn a_kind_is_the_messages_kind() {
         let numbers = [
@@ -45,14 +45,14 @@ mod tests {
         assert_eq!(Kind::of_number(narration_kind::PRESENCE + 1), None);
     }
 
-    /// Somebody has one number in messages and in the core, and a name one length.
+    /// `SOMEBODY` has the same number in messages and in the core, and the longest name has the same length.
     #[test]
     fn somebody_is_somebody() {
         assert_eq!(PersonId::SOMEBODY, PersonId(roomcast_ipc::raw::ALL_PERSONS));
         assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::raw::NAME_BYTES);
     }
 
-    /// Row "bidirectional and zero-width labels" of the attacks: what messages refuse, maps and sentences refuse, and no other character.
+    /// Row "bidirectional and zero-width labels" of the attacks: messages, maps and sentences reject the same characters.
     #[test]
     fn messages_and_maps_refuse_the_same_characters() {
         for character in (0..=u32::from(char::MAX)).filter_map(char::from_u32) {
