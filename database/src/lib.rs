@@ -187,8 +187,8 @@ impl Database {
         }
         self.write(|transaction| {
             // In this order a table follows the tables of its references.
-            let mut query = transaction
-                .prepare("SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> 'meta' ORDER BY rowid")?;
+            let mut query =
+                transaction.prepare("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY rowid")?;
             let tables: Vec<String> = query.query_map([], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
             let mut copied = 0;
             for (table, order) in tables.iter().flat_map(|table| [(table, "ASC"), (table, "DESC")]) {

@@ -16,10 +16,10 @@ use super::aside::Desk;
 use super::asked::{Answered, Question};
 use super::board::Board;
 use super::cycle::Cycle;
-use super::habits_file::Keeper;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
 use super::inbox::{Counters, Heard, Lending, QUEUE};
 use super::journal::JournalHandle;
+use super::keeper::Keeper;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
@@ -487,7 +487,7 @@ impl<M: LanguageModel> Scoring<M> {
                     is_new = true;
                     if let Err(error) = write_habits(board, keeper.as_ref(), Instant::now() + FORGET_PATIENCE) {
                         answer.reason = Some(format!(
-                            "it holds until the daemon starts again: the habits file cannot be written: {error}"
+                            "it holds until the daemon starts again: the habits cannot be written: {error}"
                         ));
                         answer.kept = false;
                     }

@@ -12,6 +12,7 @@ use roomcast_database::Transaction;
 use roomcast_database::rusqlite::{self, Error, OptionalExtension, Row, named_params, params};
 use roomcast_ipc::Sender as Port;
 
+use super::learned::HabitRows;
 use super::record::{EVENT_BYTES, Expectation, KeptPerson, Move, Moved, PART_BYTES, Record};
 use super::recovered::Recovered;
 
@@ -415,7 +416,8 @@ fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {
 /// The content that a starting daemon needs.
 pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let (known, damaged) = events(transaction)?;
-    let mut recovered = Recovered { damaged, persons: persons(transaction)?, ..Recovered::default() };
+    let (persons, habits) = (persons(transaction)?, HabitRows::read(transaction)?);
+    let mut recovered = Recovered { damaged, persons, habits, ..Recovered::default() };
     let mut ids = Vec::with_capacity(known.len());
     let mut newest = HashSet::new();
     for Known { id, mut observation, is_of_this_boot, found, moves } in known {
