@@ -31,7 +31,7 @@ pub struct HabitRows {
     counts: BTreeMap<Key, (f32, u32)>,
     /// The last learned event of each start of a narrator, the newest last.
     learned: Vec<EventId>,
-    /// The rows are not those that were written: SQLite does not notice a flipped bit in a number.
+    /// The checksum is wrong: SQLite does not notice a flipped bit in a number.
     is_damaged: bool,
 }
 
@@ -213,7 +213,7 @@ impl HabitRows {
     }
 }
 
-/// Calls `write` with each key whose value has changed: the new value, or `None` for a key that is gone.
+/// Calls `write` for each changed key, with the new value, or with `None` if the key is gone.
 fn changes<K: Ord, V: PartialEq>(
     before: &BTreeMap<K, V>,
     now: &BTreeMap<K, V>,
