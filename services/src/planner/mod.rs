@@ -848,7 +848,7 @@ impl Planner {
                     if waits.is_empty() { "somebody is likely in every other room too".to_owned() } else { waits };
                 return Ok(Next::Pause { why: Pause::Persons, reason });
             }
-            // Where rules leave no other room to wait in, the robot is not sent to the person instead.
+            // If rules leave no other room to wait in, the robot is not sent to the person instead.
             let by_rules = rules.iter().any(|verdict| verdict.reason.is_some());
             let is_taken = rules.get(room).is_some_and(|verdict| verdict.by.is_some());
             let waits_elsewhere =
