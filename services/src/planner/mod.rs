@@ -696,7 +696,7 @@ impl Planner {
         Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 
-    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has failed.
+    /// Ends work at the end of its time. By the clock it is done; a robot with an overdue report has failed.
     fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
