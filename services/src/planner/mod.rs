@@ -696,7 +696,7 @@ impl Planner {
         Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 
-    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has failed.
+    /// Ends work at the end of its time. By the clock it is done; a robot with an overdue report has failed.
     fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
@@ -848,7 +848,7 @@ impl Planner {
                     if waits.is_empty() { "somebody is likely in every other room too".to_owned() } else { waits };
                 return Ok(Next::Pause { why: Pause::Persons, reason });
             }
-            // Where rules leave no other room to wait in, the robot is not sent to the person instead.
+            // If rules leave no other room to wait in, the robot is not sent to the person instead.
             let by_rules = rules.iter().any(|verdict| verdict.reason.is_some());
             let is_taken = rules.get(room).is_some_and(|verdict| verdict.by.is_some());
             let waits_elsewhere =
