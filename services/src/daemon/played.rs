@@ -8,8 +8,9 @@ use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
 use roomcast_llama::LlamaModel;
 
-use super::{Cycle, Entry, Intake, Journal, Loaded, SentenceCost, Taken, Zone, journal_options, load};
+use super::{Cycle, Entry, Intake, Journal, JournalError, Loaded, SentenceCost, Taken, Zone, journal_options, load};
 use crate::config::Config;
+use crate::eventually::eventually;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
 use crate::narrator::{Account, Who, line_item};
@@ -32,7 +33,12 @@ impl Daemon {
         let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));
-        let (journal, recovered) = Journal::open(&journal_options(&config.daemon).unwrap()).unwrap();
+        let options = journal_options(&config.daemon).unwrap();
+        // A process that another test starts inherits the lock of an open journal, for a moment.
+        let (journal, recovered) = eventually("the journal is free", || match Journal::open(&options) {
+            Err(JournalError::Locked { .. }) => None,
+            opened => Some(opened.unwrap()),
+        });
         cycle.restore(recovered, &mut intake, now_ns, now_unix_ns);
         let (scores, forecast, persons) = Default::default();
         Self { cycle, intake, journal, scores, forecast, persons }
@@ -46,7 +52,7 @@ impl Daemon {
         self.cycle.enter(Entry::new(observation, now_ns), record);
     }
 
-    /// Scores, and writes its messages where they are due, in the order of the scoring thread; gives whether they were due.
+    /// Scores, and writes its messages when they are due, in the order of the scoring thread. Returns whether they were due.
     fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
         let handle = self.journal.handle();
         while self.cycle.step_due(now_ns) {
