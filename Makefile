@@ -62,6 +62,10 @@ format:
 structure: ## Prints the tree, the crates' dependencies and what each build compiles; fails when a crate uses what it may not.
 	@.ci/structure
 
+.PHONY: figures
+figures: ## Prints lines, the largest file and function, and public items of each crate, before and now.
+	@.ci/figures
+
 .PHONY: sizes
 sizes: build lab ## Prints the size of each program and the packages of each build, before and now; fails above a budget.
 	@.ci/sizes

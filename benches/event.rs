@@ -1,14 +1,14 @@
-//! What one event costs beside bare llama.cpp: `cargo bench --bench event` (`-- --help` lists the options).
+//! Cost of one event compared with plain llama.cpp: `cargo bench --bench event` (`-- --help` lists the options).
 //!
-//! Each program that ships is told in each apartment, event by event. At every event four things are timed, in turn, so that
-//! whatever else the machine does meets all alike:
+//! The bench narrates each shipped program in each apartment. At every event it times four things in turn, so that other load on the machine affects
+//! all of them alike:
 //!
-//! - all that the daemon does from a narration received to exact scores published, and the same until the order of the rooms is certain
+//! - all work of the daemon from a received event to published exact scores, and to a certain order of the rooms
 //!   (`ranking`);
-//! - llama.cpp by itself in a context of the same parameters: one decoder call with the same new tokens and the same inner nodes of the
+//! - llama.cpp alone in a context with the same parameters: one decoder call with the same new tokens and the same inner nodes of the
 //!   label trie, and one with the new tokens alone. Only the call is timed, neither filling its batch nor reading its rows.
 //!
-//! The scores of both are compared, so that it is the same work that is timed.
+//! The bench compares the scores of both, to check that they do the same work.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -33,39 +33,38 @@ use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{LanguageModel, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{
-    Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Sender, Subscriber, clock, narration_kind,
-};
+use roomcast_ipc::raw::{ForecastV1, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::{Domain, Publisher, Sender, Subscriber, clock};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions, backend};
 use roomcast_services::config::IntakeLimits;
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Taken};
 use roomcast_services::embedded::{self, ModelFile};
 
-/// Events at the beginning of each program that are told but not counted.
+/// Events at the beginning of each program that are not counted.
 const WARM_UP: usize = 3;
-/// Most that the two may differ, in nats per label: batches of another size are multiplied by other kernels.
+/// Largest difference of the scores, in nats per label: batches of another size use other kernels.
 const TOLERANCE_NATS: f64 = 0.1;
 
 #[derive(Parser)]
 struct Args {
-    /// How often each program is told in each apartment.
+    /// How often to narrate each program in each apartment.
     #[arg(long, default_value_t = 2)]
     rounds: usize,
-    /// A GGUF model; the embedded household model when left out.
+    /// A GGUF model; by default the embedded household model.
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Threads of one decoder call; the product's default when left out.
+    /// Threads of one decoder call; by default those of the product.
     #[arg(long)]
     threads: Option<usize>,
-    /// How the key-value cache is stored, for all alike.
+    /// Type of the key-value cache in all contexts.
     #[arg(long, default_value_t)]
     cache: CacheType,
-    /// What cargo says to every bench.
+    /// Cargo passes it to every bench.
     #[arg(long, hide = true)]
     bench: bool,
 }
 
-/// llama.cpp by itself.
+/// Plain llama.cpp.
 struct Bare<'a> {
     context: LlamaContext<'a>,
     batch: LlamaBatch<'static>,
@@ -74,7 +73,7 @@ struct Bare<'a> {
 }
 
 impl<'a> Bare<'a> {
-    /// `sequences` paths behind every prompt.
+    /// `sequences` is the number of paths after every prompt.
     fn new(weights: &'a Weights, options: &LlamaOptions, sequences: u32) -> Self {
         let parameters = options.context_parameters(weights.n_ctx_train());
         let batch = LlamaBatch::new(parameters.n_batch() as usize, options.sequences.cast_signed());
@@ -83,7 +82,7 @@ impl<'a> Bare<'a> {
         Self { context, batch, sequences: sequences.cast_signed().max(1), kept: Vec::new() }
     }
 
-    /// Makes the cache hold exactly `prefix`.
+    /// Reduces or extends the cache to exactly `prefix`.
     fn hold(&mut self, prefix: &[Token]) {
         let shared = self.kept.iter().zip(prefix).take_while(|(a, b)| a == b).count();
         let removed = self.context.clear_kv_cache_seq(None, Some(shared as u32), None);
@@ -99,7 +98,7 @@ impl<'a> Bare<'a> {
         prefix.clone_into(&mut self.kept);
     }
 
-    /// One call with what of `prompt` is not held and `tree` behind it; gives its nanoseconds.
+    /// One call with the tokens of `prompt` outside the cache and `tree` after them; returns its nanoseconds.
     fn decode(&mut self, prompt: &[Token], tree: &TokenTree) -> u64 {
         self.batch.clear();
         let all: Vec<i32> = (0..self.sequences).collect();
@@ -120,7 +119,7 @@ impl<'a> Bare<'a> {
         time
     }
 
-    /// Per label its log-probability in nats, of the last call, by hand.
+    /// Log-probability per label of the last call in nats, computed by hand.
     fn log_prob_nats(&self, new_tokens: usize, trie: &LabelTrie) -> Vec<f64> {
         let row = |parent: u32| {
             let place = if parent == PROMPT { 0 } else { 1 + trie.nodes()[parent as usize].inner as usize };
@@ -141,7 +140,7 @@ impl<'a> Bare<'a> {
     }
 }
 
-/// All that the daemon does for an event, less its threads.
+/// All work of the daemon for an event, without its threads.
 struct Ours {
     intake: Intake,
     cycle: Cycle<LlamaModel>,
@@ -151,7 +150,7 @@ struct Ours {
     sequence: u64,
 }
 
-/// Where an event's time went, in nanoseconds.
+/// Durations of an event's parts, in nanoseconds.
 #[derive(Default, Clone, Copy)]
 struct Parts {
     total: u64,
@@ -167,7 +166,7 @@ struct Parts {
 }
 
 impl Parts {
-    /// PlaceMatcher, history, the new sentence's tokens (in the first round; later it is known), forecasts' update, snapshot.
+    /// PlaceMatcher, history, tokens of the new sentence (cached after the first round), forecasts' update, snapshot.
     fn rest(&self) -> u64 {
         let scored = self.decoder + self.prompt + self.cache + self.trie + self.ground;
         let sent = self.forecast + self.publish_forecast + self.publish_scores;
@@ -178,7 +177,7 @@ impl Parts {
 impl Ours {
     fn new(model: LlamaModel, map: &SemanticMap, effort: Effort, domain: &Domain) -> Self {
         let grounding = Grounding::new(map, &GroundingOptions::default()).expect("the scene has labels");
-        // What is compared with bare llama.cpp is Equation 1.
+        // Plain llama.cpp gives Equation 1.
         let options =
             PipelineOptions { effort, correction: CorrectionChoice::EQUATION_1, ..PipelineOptions::default() };
         let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
@@ -222,7 +221,7 @@ impl Ours {
         let decoder = scores.stats.decoder_ns;
         let trie = scores.timing.trie_ns;
         let calls = scores.timing.prefix_ns;
-        // Under `ranking` further calls count as time in the trie.
+        // Under `ranking`, further calls count as time in the trie.
         let (cache, trie) = match calls.checked_sub(decoder) {
             Some(cache) => (cache, trie),
             None => (0, (trie + calls).saturating_sub(decoder)),
@@ -241,7 +240,7 @@ impl Ours {
         }
     }
 
-    /// The tokens that the model has read and keeps, after the idle work.
+    /// The tokens in the model's cache after the idle work.
     fn kept(&self, weights: &Weights, prompt: &[Token], before: u64) -> Vec<Token> {
         let pipeline = self.cycle.board().pipeline();
         let history = pipeline.inside().histories().get(PersonId(0)).expect("there is one person");
@@ -256,7 +255,7 @@ impl Ours {
     }
 }
 
-/// As llama.cpp cuts a text by itself, behind the model's start token.
+/// The tokens of a text by llama.cpp's tokeniser, after the model's start token.
 fn tokens(weights: &Weights, text: &str) -> Vec<Token> {
     weights.vocab().tokenize(text.as_bytes(), true, false).into_iter().map(|token| Token(token.0)).collect()
 }
@@ -265,7 +264,6 @@ fn nanoseconds(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// One event, measured.
 struct Sample {
     new_tokens: usize,
     nodes: usize,
@@ -290,7 +288,7 @@ fn tell(
     };
     let domains = [domain("exact"), domain("ranking")];
     let mut samples = Vec::new();
-    // llama.cpp may rearrange weights for the processor: each has its own, or those that two share would be warmer.
+    // llama.cpp may rearrange weights for the processor. Each side has its own copy, because a shared one would be warmer in the cache.
     let (weights, others) = (read(), read());
     {
         let mut exact = Ours::new(load(), map, Effort::Exact, &domains[0]);
@@ -322,7 +320,7 @@ fn tell(
             bare_exact.hold(&prompt[..keep]);
             bare_new.hold(&prompt[..keep]);
             for turn in 0..4 {
-                // Each goes first as often as the others.
+                // Rotate the order, so that each goes first equally often.
                 match (turn + number) % 4 {
                     0 => sample.exact = exact.event(sentence),
                     1 => sample.bare_exact = bare_exact.decode(&prompt, &tree),

@@ -1,8 +1,8 @@
-//! Whether an event costs after days of narration what it cost at first: `cargo bench --bench flat -- --events 10000`.
+//! Does an event cost the same after days of narration: `cargo bench --bench flat -- --events 10000`.
 //!
-//! One pipeline hears everything: the programs that ship, over and over. Beside it a young one hears the same, and is replaced after every
-//! hundred measured events, so that each event is measured in an old and in a young pipeline in turn, whatever else the machine does.
-//! `--alone` leaves the young ones out, for what the old one takes of memory.
+//! An old pipeline hears the shipped programs over and over. A young pipeline hears the same events and is replaced after every hundred measured
+//! events. Each event is measured in both in turn, so that other load on the machine affects both alike. `--alone` leaves out the young pipelines,
+//! for measuring the old one's memory.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -20,18 +20,18 @@ use roomcast_services::daemon::{Board, Cycle, Entry};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
-/// Events that a young pipeline is measured for. Before them it hears every sentence once, as the old one has.
+/// Measured events per young pipeline. Before them it hears every sentence once, as the old one has.
 const YOUNG: u64 = 100;
 
 #[derive(Parser)]
 struct Args {
-    /// How many events are told.
+    /// Number of events.
     #[arg(long, default_value_t = 10_000)]
     events: u64,
     /// Without young pipelines.
     #[arg(long)]
     alone: bool,
-    /// Cargo adds it.
+    /// Cargo passes it to every bench.
     #[arg(long, hide = true)]
     bench: bool,
 }
@@ -44,7 +44,7 @@ fn cycle() -> Cycle<LlamaModel> {
     Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).expect("the rooms fit"), u64::MAX / 2)
 }
 
-/// One event in microseconds: without the idle work after it, and with it.
+/// Runs one event; returns microseconds without and with the idle work after it.
 fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [f64; 2] {
     let now_ns = clock::monotonic_ns();
     let observation = Observation { observed_ns: BootNs(now_ns), ..Observation::of(sequence, sentence.clone()) };
@@ -54,7 +54,7 @@ fn event(cycle: &mut Cycle<LlamaModel>, sequence: u64, sentence: &Sentence) -> [
     std::hint::black_box(cycle.board_mut().forecast(BootNs(now_ns)));
     std::hint::black_box(cycle.message(BootNs(now_ns), u64::MAX, false));
     let event_us = start.elapsed().as_secs_f64() * 1e6;
-    // As the daemon does for its journal: what is told is let go.
+    // As the daemon does after writing its journal.
     cycle.board_mut().tell_outcomes(|_| {});
     while cycle.tidy() {}
     [event_us, start.elapsed().as_secs_f64() * 1e6]
@@ -66,7 +66,7 @@ fn quantile(values: impl Iterator<Item = f64>, share: f64) -> f64 {
     values.get((values.len() as f64 * share) as usize).copied().unwrap_or(f64::NAN)
 }
 
-/// A ratio to the young pipeline; there is none where the old one is alone.
+/// The ratio to the young pipeline, or "-" without one.
 fn ratio(value: f64) -> String {
     if value.is_nan() { "-".into() } else { format!("{value:.3}") }
 }
@@ -83,7 +83,7 @@ fn main() {
         programs.map(|action| Sentence::new(&action.sentence()).expect("it is one")).collect();
     let heard = sentences.len() as u64;
     let (mut old, mut young, mut young_age) = (cycle(), cycle(), 0);
-    // Of the old one, of the young one.
+    // Per event: old pipeline, young pipeline.
     let mut samples: Vec<([f64; 2], [f64; 2])> = Vec::new();
     println!(
         "events            p50 (us)   p99 (us)  with idle work, mean (us)  old / young  with idle work  resident (KiB)"
@@ -92,7 +92,7 @@ fn main() {
     for (number, sentence) in (0..args.events).zip(sentences.iter().cycle()) {
         let (mut old_us, mut young_us) = ([f64::NAN; 2], [f64::NAN; 2]);
         for turn in 0..2 {
-            // Each goes first as often as the other.
+            // Alternate the order, so that each goes first equally often.
             match (turn + number) % 2 {
                 0 => old_us = event(&mut old, number + 1, sentence),
                 _ if args.alone => {}
@@ -108,7 +108,7 @@ fn main() {
         }
         if (number + 1) % block == 0 {
             let olds = |part: usize| samples.iter().map(move |(old, _)| old[part]);
-            // Whole tellings are compared where the idle work counts: it falls on every fifth event, not on the same ones in both.
+            // With idle work, compare means over whole repetitions: idle work occurs at every fifth event, and not at the same ones in both.
             let young_mean = samples.iter().map(|(_, young)| young[1]).sum::<f64>();
             println!(
                 "{:16} {:9.0} {:10.0} {:26.0} {:>12} {:>15} {:15}",

@@ -1,4 +1,4 @@
-//! Grounding by size of the map: what a map costs once, and what an event costs.
+//! Grounding by size of the map: cost per map, and cost per event.
 //!
 //! `cargo bench --bench grounding`
 
@@ -10,15 +10,14 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use roomcast_core::grounding::{GroundedScores, Grounding, GroundingOptions};
 use roomcast_core::semantic_map::SemanticMap;
 
-/// What rooms are.
 #[derive(Clone, Copy)]
 enum Shape {
     Boxes,
-    /// Outlines of twelve corners: the box with a notch out of each corner, as pillars and shafts leave it.
+    /// Outlines of twelve corners: the box with a notch at each corner, like pillars and shafts.
     Outlines,
 }
 
-/// A building of `rooms` rooms in a grid with `items` items spread over them, five hundred labels at most.
+/// A building with a grid of `rooms` rooms and `items` items in them, with at most five hundred labels.
 fn building(rooms: usize, items: usize, shape: Shape) -> SemanticMap {
     let columns = (rooms as f64).sqrt().ceil() as usize;
     let corner = |room: usize| [5.0 * (room % columns) as f64, 5.0 * (room / columns) as f64];
@@ -87,7 +86,7 @@ fn event(criterion: &mut Criterion, name: &str, sizes: &[(usize, usize)]) {
     group.finish();
 }
 
-/// What those pay for who look at items.
+/// The extra cost of item scores.
 fn items(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("items' scores");
     for items in [100, 10_000, 100_000] {

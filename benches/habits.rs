@@ -1,4 +1,4 @@
-//! What habits cost beside the model, after a year of events of two people: `cargo bench --bench habits`.
+//! Cost of habits in addition to the model, after a year of events of two people: `cargo bench --bench habits`.
 
 use std::hint::black_box;
 
@@ -13,7 +13,7 @@ const DAY_S: f64 = 86_400.0;
 const HORIZONS_S: [f64; 16] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
-/// Numbers that look like a day: each follows from the last ones, most of the time.
+/// Synthetic days: each event mostly follows from the previous ones.
 struct Days {
     state: u64,
     label: usize,
@@ -55,7 +55,7 @@ fn year(criterion: &mut Criterion) {
     let mut minutes = 0.0;
     while days.at_s < 369.0 * DAY_S {
         event(&mut habits, days.next());
-        // The last month is watched by the minute.
+        // The last month has a reading every minute.
         while days.at_s > 339.0 * DAY_S && minutes < days.at_s {
             minutes = f64::max(minutes + 60.0, days.at_s - 860.0);
             (0..2).for_each(|person| habits.tick(PersonId(person), minutes, &mut |_, p| p.fill(1.0)));

@@ -1,6 +1,6 @@
-//! The parts of an event, each by what it grows with.
+//! The parts of an event, each by the size that it grows with.
 //!
-//! `cargo bench --bench parts`; `ROOMCAST_BENCH_MODELS=a.gguf:b.gguf` measures the scoring with those models too.
+//! `cargo bench --bench parts`; `ROOMCAST_BENCH_MODELS=a.gguf:b.gguf` also measures the scoring with those models.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -35,7 +35,7 @@ fn model(path: Option<&PathBuf>) -> LlamaModel {
     load_model(path.map(PathBuf::as_path), &LlamaOptions::default()).expect("the model can be loaded")
 }
 
-/// `count` different labels of two words each, of the words that the model knows: "mug table", "mug lamp", ...
+/// `count` different labels of two words known to the model: "mug table", "mug lamp", ...
 fn labels(count: usize) -> Vec<String> {
     let words: Vec<String> = apartment().labels().iter().filter(|label| !label.contains(' ')).cloned().collect();
     let side = (count as f64).sqrt().ceil() as usize;
@@ -116,7 +116,7 @@ fn soft_max(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// One event of a running narration: a new sentence behind a history that is kept.
+/// A running narration: each event adds a sentence after the cached history.
 struct Told {
     pipeline: Pipeline<LlamaModel>,
     sentences: Vec<Sentence>,
@@ -128,7 +128,7 @@ impl Told {
         let pipeline = Pipeline::new(model, grounding, options).expect("the context is large enough");
         let sentences = sentences().iter().map(|text| Sentence::new(text).expect("it is one")).collect();
         let mut told = Self { pipeline, sentences, next: 0 };
-        // As long as the window will ever be.
+        // Until the window has its full length.
         (0..2 * options_window(&told.pipeline)).for_each(|_| told.event());
         told
     }
@@ -167,8 +167,7 @@ fn event(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A prompt of twelve sentences that was read before: its last token and the labels are decoded again, and the labels of the round before
-/// dropped.
+/// A cached prompt of twelve sentences: its last token and the labels are decoded again, and the labels of the previous round are dropped.
 fn scoring(criterion: &mut Criterion) {
     let binding = BindingSequence::default();
     let mut text = String::new();
@@ -195,7 +194,7 @@ fn scoring(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// The reading of an event: presence form, count, and place.
+/// Parsing of an event: presence form, count and place.
 fn reading(criterion: &mut Criterion) {
     let sentences = sentences();
     let map = SemanticMap::from_json(include_str!("../scenes/flat.json")).expect("it ships");

@@ -1,9 +1,8 @@
-//! Roomcast's side of the comparison with its peers (`benches/peers/run`): one running narration, an event for every line read.
+//! Roomcast's side of the comparison with its peers (`benches/peers/run`): one running narration, one event per input line.
 //!
-//! Arguments: method or `ranking` (the trie until the order of the rooms is certain), model file or `-` for the embedded one, cache, scene,
-//! threads, observations in the window, program files.
-//! The first line written holds the labels and their tokens; every line read runs one event, and answers with its prompt, its
-//! log-probabilities in nats and its time, from the sentence to the scores of the rooms.
+//! Arguments: method or `ranking` (the trie until the order of the rooms is certain), model file or `-` for the embedded one, cache, scene, threads,
+//! observations in the window, program files. The first output line has the labels and their tokens. Every input line runs one event; the answer has
+//! its prompt, its log-probabilities in nats and its time, from the sentence to the scores of the rooms.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot set up has nothing to measure")]
 
@@ -43,7 +42,7 @@ fn main() {
         method: if ranking { Method::Trie } else { Method::from_str(method).expect("a method") },
         effort: if ranking { Effort::Ranking } else { Effort::Exact },
         history: HistoryLimits { observations, ..HistoryLimits::default() },
-        // Peers give Equation 1.
+        // The peers compute Equation 1.
         correction: CorrectionChoice::EQUATION_1,
         ..PipelineOptions::default()
     };

@@ -1,5 +1,5 @@
-//! What is fuzzed: each target takes any bytes, may refuse them, and panics where something that must hold does not. libFuzzer
-//! drives them (`fuzz_targets/`), and so does `tests/it/fuzzed.rs`, over the corpus and seeded mutations of it.
+//! Fuzz targets. Each target takes any bytes, may refuse them, and panics if an invariant is broken. libFuzzer runs them (`fuzz_targets/`), and so
+//! does `tests/it/fuzzed.rs`, over the corpus and seeded mutations of it.
 
 #![allow(
     dead_code,
@@ -19,13 +19,14 @@ use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
 use roomcast_core::semantic_map::{SemanticMap, import};
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Sender, sequence,
+    RoomScoresV1,
 };
+use roomcast_ipc::{Sender, sequence};
 use roomcast_llama::gguf::Header;
 use roomcast_services::config::{Config, IntakeLimits, PersonsConfig, PlannerConfig};
-use roomcast_services::daemon::{Intake, Recovered, Taken, journal};
+use roomcast_services::daemon::{Intake, Taken, journal};
 use roomcast_services::dry_run::DryRun;
 use roomcast_services::mqtt::{Listener, Rules};
 use roomcast_services::narrator::{Who, line_item};
@@ -33,12 +34,12 @@ use roomcast_services::planner::Planner;
 use roomcast_services::recording;
 use roomcast_services::sensor_log::{Said, SensorRules};
 
-/// The server of metrics and page, which is in the program and so in no library.
+/// The server of metrics and page is part of the program and not of a library.
 #[cfg(feature = "metrics")]
 #[path = "../src/http.rs"]
 mod http;
 
-/// What a target does with bytes: nothing that can be seen, unless it panics.
+/// A target has no visible effect unless it panics.
 pub type Target = fn(&[u8]);
 
 /// Every target by name.
@@ -61,7 +62,7 @@ pub const ALL: &[(&str, Target)] = &[
     ("valetudo", valetudo),
 ];
 
-/// A scene that is accepted survives being written and read again, and can be grounded.
+/// An accepted scene stays equal when written and read again, and can be grounded.
 pub fn scene(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(map) = SemanticMap::from_json(text) else { return };
@@ -72,7 +73,7 @@ pub fn scene(bytes: &[u8]) {
     }
 }
 
-/// A robot's map that is accepted becomes a scene that survives being written, read and furnished.
+/// A robot's map that is accepted becomes a scene that can be written, read and furnished.
 pub fn valetudo(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(imported) = import::valetudo(text, "fuzzed", &std::collections::HashMap::new()) else { return };
@@ -82,13 +83,14 @@ pub fn valetudo(bytes: &[u8]) {
     assert!(imported.furnished().is_ok());
 }
 
-/// Registries of a home, with zeros between them, that are accepted become a scene that can be furnished, and rules that can be used.
+/// Registries of a home, separated by zeros: if accepted, they become a scene that can be furnished, and valid rules.
 pub fn home(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let mut texts = text.split('\0');
     let Some(areas) = texts.next() else { return };
     let [floors, devices, entities, persons] = std::array::from_fn(|_| texts.next());
-    let registries = import::Registries { areas, floors, devices, entities, persons, leave_out: &[] };
+    let registries =
+        import::Registries { areas, floors, devices, entities, persons, furnished: true, ..Default::default() };
     let Ok(home) = import::home_assistant(&registries, "fuzzed") else { return };
     if let Some(rules) = home.rules {
         Rules::parse(&rules).expect("rules that were written can be read");
@@ -96,8 +98,7 @@ pub fn home(bytes: &[u8]) {
     assert!(home.imported.furnished().is_ok());
 }
 
-/// Whatever comes over a connection to the HTTP server, it has one answer at most, which is as long as it says, and nothing larger than
-/// the limit is passed on.
+/// Any bytes on a connection to the HTTP server get at most one answer, with the length in its header; nothing larger than the limit is passed on.
 #[cfg(feature = "metrics")]
 pub fn requests(bytes: &[u8]) {
     use std::cell::{Cell, RefCell};
@@ -108,7 +109,7 @@ pub fn requests(bytes: &[u8]) {
             tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
     }
     let (mut ours, theirs) = std::os::unix::net::UnixStream::pair().unwrap();
-    // As much as a pair of sockets holds for certain.
+    // A pair of sockets holds at least this much.
     ours.write_all(&bytes[..bytes.len().min(64 << 10)]).unwrap();
     ours.shutdown(std::net::Shutdown::Write).unwrap();
     theirs.set_nonblocking(true).unwrap();
@@ -139,11 +140,11 @@ pub fn requests(bytes: &[u8]) {
     assert!(head.starts_with("http/1."), "{head}");
     assert_eq!(asked.get() == 1, body == b"answered");
     let length = head.lines().find_map(|line| line.strip_prefix("content-length: ")?.parse().ok());
-    // The answer to HEAD says how long it would be.
+    // The answer to HEAD has the length that GET would have.
     assert!(body.is_empty() || length == Some(body.len()), "{head}");
 }
 
-/// Every step of a program that is accepted has a sentence.
+/// Every step of an accepted program has a sentence.
 pub fn program(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(program) = Program::parse(text) else { return };
@@ -153,7 +154,7 @@ pub fn program(bytes: &[u8]) {
     }
 }
 
-/// A line that is accepted becomes a message that the daemon accepts.
+/// An accepted line becomes a message that the daemon accepts.
 pub fn line(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(item) = line_item(text, &Who::Somebody) else { return };
@@ -185,7 +186,7 @@ pub fn presence(bytes: &[u8]) {
     }
 }
 
-/// A configuration that is accepted can be written and read again.
+/// An accepted configuration stays equal when written and read again.
 pub fn configuration(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let Ok(config) = toml::from_str::<Config>(text) else { return };
@@ -195,21 +196,12 @@ pub fn configuration(bytes: &[u8]) {
     }
 }
 
-/// Any bytes can be read as a journal, and what is read from them comes back the same when it is written and read again.
+/// Any bytes can be read as a journal of earlier versions.
 pub fn journal(bytes: &[u8]) {
-    let mut recovered = Recovered::default();
-    let boot_id = [7; 16];
-    journal::read_records(bytes, &boot_id, &mut recovered);
-    for observation in &recovered.observations {
-        let record = journal::encode(observation, &boot_id);
-        let mut again = Recovered::default();
-        journal::read_records(&record, &boot_id, &mut again);
-        assert_eq!((again.observations.as_slice(), again.damaged_bytes), (std::slice::from_ref(observation), 0));
-    }
-    assert!(recovered.damaged_bytes <= bytes.len() as u64);
+    let _records = journal::old_records(&[bytes.to_vec(), Vec::new()], &[7; 16]);
 }
 
-/// The image of a message: as many bytes as it has, the rest zero.
+/// The bytes as the image of a message, padded with zeros.
 fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
     let size = M::FIELDS.iter().map(|field| field.size).sum();
     let mut image = bytes.to_vec();
@@ -217,7 +209,7 @@ fn image<M: ByteImage + Layout>(bytes: &[u8]) -> M {
     M::from_bytes(&image).expect("an image of the right size is a message")
 }
 
-/// Any bytes in shared memory may be looked at; those that pass the check are used without harm.
+/// Any bytes in shared memory are safe to check; messages that pass the check are safe to use.
 pub fn message(bytes: &[u8]) {
     let Some((kind, bytes)) = bytes.split_first() else { return };
     match kind % 7 {
@@ -238,7 +230,7 @@ pub fn message(bytes: &[u8]) {
         }
         1 => {
             let scores: RoomScoresV1 = image(bytes);
-            // Reading what was not checked is safe too.
+            // Unchecked messages are safe to read, too.
             assert!(scores.rooms().len() <= 64 && scores.included().len() <= 16);
             if scores.check().is_ok() {
                 let config = PlannerConfig { room_time_s: 1.0, ..PlannerConfig::default() };
@@ -261,7 +253,7 @@ pub fn message(bytes: &[u8]) {
                 let mut planner = Planner::new(&config, 1);
                 planner.take(&RoomScoresV1 { room_count: 2, ..RoomScoresV1::default() }, BootNs(0)).expect("long ago");
                 let own = RobotReportV1 { robot: sequence::source_of_name("robot"), ..report };
-                // A room that the map lacks is a fault of the report alone.
+                // A room outside the map is a fault of the report only.
                 let _placed = planner.take_report(&own, BootNs(5));
                 for now_ns in [0, 5, 1 << 40] {
                     if let Ok(Some(decision)) = planner.decide(BootNs(now_ns), UnixNs(0)) {
@@ -278,7 +270,7 @@ pub fn message(bytes: &[u8]) {
         }
         4 => {
             let scores: PersonScoresV1 = image(bytes);
-            // Reading what was not checked is safe too.
+            // Unchecked messages are safe to read, too.
             assert!(scores.rooms().len() <= 64 && scores.persons().len() <= 8);
             if scores.check().is_ok() {
                 for person in scores.persons() {
@@ -288,7 +280,7 @@ pub fn message(bytes: &[u8]) {
         }
         6 => {
             let forecasts: PersonForecastsV1 = image(bytes);
-            // Reading what was not checked is safe too.
+            // Unchecked messages are safe to read, too.
             assert!(forecasts.persons().len() <= 8 && forecasts.horizons_s().len() <= 16);
             if forecasts.check().is_ok() {
                 assert!(forecasts.rooms().len() <= 64 && forecasts.rooms().all(|room| !room.is_empty()));
@@ -301,13 +293,13 @@ pub fn message(bytes: &[u8]) {
                     assert!(forecast.room(room).is_some());
                 }
             }
-            // Unchecked, a room beyond the count is none.
+            // Even without the check, a room beyond the count does not exist.
             assert!(forecast.room(usize::MAX).is_none());
         }
     }
 }
 
-/// Labels of any tokens: the path to each label's end spells the label, and the flat order is a preorder.
+/// Labels of any tokens: the path to each label's end spells the label, and the nodes are in preorder.
 pub fn trie(bytes: &[u8]) {
     let labels: Vec<Vec<Token>> = bytes
         .split(|byte| *byte == 0)
@@ -343,7 +335,7 @@ pub fn trie(bytes: &[u8]) {
     }
 }
 
-/// A model file is read or refused, and what is read lies within the file.
+/// A model file is read or refused, and all parts that are read lie within the file.
 pub fn gguf(bytes: &[u8]) {
     let mut file = tempfile::NamedTempFile::new_in(std::env::temp_dir()).expect("a file for the model");
     file.write_all(bytes).expect("the model is written");
@@ -354,7 +346,7 @@ pub fn gguf(bytes: &[u8]) {
     }
 }
 
-/// Messages of any topic and payload, with zeros between them: what is said is a line of JSON that the narrator reads or refuses.
+/// Messages with any topic and payload, separated by zeros: each output is a line of JSON that the narrator reads or refuses.
 pub fn mqtt(bytes: &[u8]) {
     const RULES: &str = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"They use the {1}: {value}.\"\n\
         [[rule]]\ntopic = \"json/#\"\nfield = \"/state\"\nsay = \"the lamp is {value}\"\nretained = true\n\
@@ -374,14 +366,14 @@ pub fn mqtt(bytes: &[u8]) {
     }
 }
 
-/// Any bytes as a recording: read or refused, within the memory that the limits allow; what is read has a moment or none.
+/// Any bytes as a recording: read or refused, within the limits of memory. A recording that is read has a moment or none.
 pub fn recording(bytes: &[u8]) {
     if let Ok(recording) = recording::decode(Path::new("fuzzed"), bytes) {
         let _moment = recording.moment(None, None);
     }
 }
 
-/// Any bytes as a sensor log: each line is narrated, passed over or refused by itself.
+/// Any bytes as a sensor log: each line is narrated, skipped or refused independently.
 pub fn sensors(bytes: &[u8]) {
     const RULES: &str = "[[rule]]\nsay = \"They open the {sensor} for {seconds} seconds.\"\nshortest_s = 1.0\nagain_s = 2.0\n\
         [[rule]]\nat = \"end\"\nkind = \"door\"\nsay = \"They close the {sensor} in the {place}.\"\n\

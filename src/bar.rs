@@ -1,5 +1,3 @@
-//! Bars of text.
-
 /// A bar of `share` (0 to 1) in at most `width` cells, in eighths of a cell.
 #[must_use]
 pub fn bar(share: f64, width: usize) -> String {

@@ -1,26 +1,22 @@
-//! How lines fit into a terminal.
-
 use std::io::{self, IsTerminal};
 
 use textwrap::{Options, WordSeparator, WordSplitter, WrapAlgorithm};
 
-/// How wide the terminal is; any width where there is none.
+/// The terminal's width; unlimited without a terminal.
 pub(crate) fn columns() -> usize {
     let size = io::stdout().is_terminal().then(|| rustix::termios::tcgetwinsize(io::stdout())).and_then(Result::ok);
-    // A terminal that does not know says 0.
+    // A terminal of unknown width reports 0.
     size.map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(usize::MAX)
 }
 
-/// The longest line of prose, where the terminal has room for more.
+/// Longest line of prose in a wider terminal.
 const PROSE: usize = 125;
 
-/// A text for the terminal, each of its lines wrapped between words.
 pub(crate) fn prose(text: &str) -> String {
     wrapped(text, columns().min(PROSE), 0)
 }
 
-/// A text in lines of so many columns, broken between words; what is left of a broken line begins with `indent` spaces. A word that is longer
-/// is left to the terminal, which breaks it.
+/// Wraps a text between words; continuation lines are indented by `indent` spaces. A longer word is left for the terminal to break.
 pub(crate) fn wrapped(text: &str, columns: usize, indent: usize) -> String {
     let indent = " ".repeat(indent);
     let line = |line: &str| {
@@ -37,7 +33,6 @@ pub(crate) fn wrapped(text: &str, columns: usize, indent: usize) -> String {
     text.split('\n').map(line).collect::<Vec<_>>().join("\n")
 }
 
-/// As much of a line as fits into so many columns.
 pub(crate) fn cut(line: &str, columns: usize) -> String {
     let mut line = line.to_owned();
     while textwrap::core::display_width(&line) > columns {

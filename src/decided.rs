@@ -1,20 +1,18 @@
-//! Which decisions are new. A decision stays at its service, and may be sent again: a bridge to other robots does for each who joins.
+//! Recognises new decisions. Services and bridges send a decision again to each new subscriber.
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::DecisionV1;
+use roomcast_ipc::raw::DecisionV1;
 
-/// Robots that are followed; of more, the one with the smallest number gives way.
+/// Most robots that are followed. If there are more, the one with the smallest number is dropped.
 const ROBOTS_MAX: usize = 64;
 
-/// What a decision says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum News {
-    /// It is one that was not heard before.
+    /// A new decision.
     Decision,
-    /// The same decision holds in another way, as of a robot that is not heard any more.
+    /// The same decision with another action, for instance of a robot that has fallen silent.
     Change,
-    /// Nothing.
     None,
 }
 
@@ -23,7 +21,6 @@ pub enum News {
 pub struct Decided(BTreeMap<u64, (u64, u64, u32)>);
 
 impl Decided {
-    /// Takes a decision; what it says beyond the robot's last one.
     pub fn take(&mut self, decision: &DecisionV1) -> News {
         let own = (decision.epoch, decision.sequence, decision.action);
         let news = match self.0.insert(decision.robot, own) {
@@ -42,9 +39,9 @@ impl Decided {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::action;
+    use roomcast_ipc::raw::action;
 
-    /// Each time that somebody joined or left, all robots' decisions counted once more.
+    /// Regression: whenever a subscriber joined or left, all robots' decisions counted again.
     #[test]
     fn a_decision_that_is_sent_again_is_no_news() {
         let mut decided = Decided::default();

@@ -1,13 +1,9 @@
-//! Names for the bits of messages, as people and programs read them.
+use roomcast_ipc::raw::{decision_flags, forecast_flags, score_flags};
 
-use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
-
-/// The names of the bits that are set, of those that a message has.
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
     names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()
 }
 
-/// Names for the bits of room scores.
 #[must_use]
 pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
     set(
@@ -25,7 +21,6 @@ pub fn score_flag_names(flags: u32) -> Vec<&'static str> {
     )
 }
 
-/// Names for the bits of a forecast.
 #[must_use]
 pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
     set(
@@ -39,7 +34,6 @@ pub fn forecast_flag_names(flags: u32) -> Vec<&'static str> {
     )
 }
 
-/// Names for the bits of a decision.
 #[must_use]
 pub fn decision_flag_names(flags: u32) -> Vec<&'static str> {
     set(
@@ -122,7 +116,7 @@ mod tests {
         }
     }
 
-    /// Who reads JSON finds every flag's meaning.
+    /// Readers of JSON find every flag's meaning there.
     #[test]
     fn the_manual_has_every_flag() {
         let manual = include_str!("../docs/json.md");

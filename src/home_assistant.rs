@@ -1,8 +1,7 @@
-//! A Home Assistant's registries over its WebSocket API, as the texts that its configuration folder has.
+//! Reads a Home Assistant's registries over its WebSocket API, as the texts of its configuration folder.
 //!
-//! One connection, a handful of questions. Each read has to come before the end of [`TIME_MAX`], and no message may have more than
-//! [`MESSAGE_BYTES_MAX`] bytes, so that a host that is something else, or hostile, costs a bounded time and a bounded memory. The token is
-//! sent to the named host alone, and comes from a file that nobody else can read.
+//! All reads must end within [`TIME_MAX`], and no message may exceed [`MESSAGE_BYTES_MAX`], so that another or a hostile host costs bounded time and
+//! memory. The token goes only to the named host, and its file must be private.
 
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, TcpStream, ToSocketAddrs};
@@ -26,110 +25,51 @@ use roomcast_core::semantic_map::import::Registries;
 const TIME_MAX: Duration = Duration::from_secs(60);
 /// Longest time to connect to one address of the host.
 const CONNECT_MAX: Duration = Duration::from_secs(5);
-/// Most bytes of one answer.
 const MESSAGE_BYTES_MAX: usize = 64 << 20;
 /// Most bytes of a token; Home Assistant's have under 200.
 const TOKEN_BYTES_MAX: u64 = 4096;
-/// Messages between a question and its answer that are passed over.
+/// Most messages that are skipped between a question and its answer.
 const STRAY_MAX: usize = 100;
-/// Entities that one question asks about.
+/// Entities per question.
 const ENTITIES_AT_ONCE: usize = 500;
 
-/// Why the registries cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RegistriesError {
-    /// The address is none.
     #[error(
         "{given:?} is no Home Assistant's address: give what a browser opens it with, such as http://homeassistant.local:8123"
     )]
-    Address {
-        /// As given.
-        given: String,
-    },
-    /// The token file cannot be used.
+    Address { given: String },
     #[error("the token file {path}: {fault}")]
-    Token {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, and what to do.
-        fault: String,
-    },
-    /// The certificates cannot be used.
+    Token { path: PathBuf, fault: String },
     #[error("the certificates {path}: {fault}; give a PEM file with those that Home Assistant's is signed by")]
-    Authority {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        fault: String,
-    },
-    /// The host has no address.
+    Authority { path: PathBuf, fault: String },
     #[error(
         "no host {host:?} is known ({fault}): check the name, or give its number, such as http://192.168.1.20:8123"
     )]
-    Host {
-        /// The name.
-        host: String,
-        /// The resolver's word.
-        fault: String,
-    },
-    /// Nobody answers there.
+    Host { host: String, fault: String },
     #[error("{url} cannot be reached ({fault}): check that Home Assistant runs and the port (8123 by default)")]
-    Unreachable {
-        /// The address.
-        url: String,
-        /// The system's word.
-        fault: String,
-    },
-    /// It speaks something else.
+    Unreachable { url: String, fault: String },
     #[error("{url} is no Home Assistant: {fault}; give what a browser opens Home Assistant with")]
-    Foreign {
-        /// The address.
-        url: String,
-        /// What it does.
-        fault: String,
-    },
-    /// The token is refused.
+    Foreign { url: String, fault: String },
     #[error(
         "Home Assistant at {url} refuses the token ({fault}): make a long-lived access token on your profile's page there (Security), and \
          write it alone into {path}"
     )]
-    Refused {
-        /// The address.
-        url: String,
-        /// Its word.
-        fault: String,
-        /// The token's file.
-        path: PathBuf,
-    },
-    /// A question is refused.
+    Refused { url: String, fault: String, path: PathBuf },
     #[error(
         "Home Assistant {version} refuses `{question}` ({fault}): make the token as an administrator, or update Home Assistant"
     )]
-    Question {
-        /// Its version.
-        version: String,
-        /// What was asked.
-        question: &'static str,
-        /// Its word.
-        fault: String,
-    },
-    /// The connection broke or took too long.
+    Question { version: String, question: &'static str, fault: String },
     #[error(
         "the connection to {url} failed ({fault}): try again; a configuration folder can be imported without a connection"
     )]
-    Lost {
-        /// The address.
-        url: String,
-        /// Why.
-        fault: String,
-    },
+    Lost { url: String, fault: String },
 }
 
-/// The registries, each as its file in `.storage` has it.
+/// The registries, each in the format of its file in `.storage`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fetched {
-    /// Home Assistant's version.
     pub version: String,
     areas: String,
     floors: Option<String>,
@@ -139,7 +79,6 @@ pub struct Fetched {
 }
 
 impl Fetched {
-    /// The texts, for the import.
     #[must_use]
     pub fn registries(&self) -> Registries<'_> {
         Registries {
@@ -148,12 +87,11 @@ impl Fetched {
             devices: Some(&self.devices),
             entities: Some(&self.entities),
             persons: self.persons.as_deref(),
-            leave_out: &[],
+            ..Registries::default()
         }
     }
 }
 
-/// Where the API is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Address {
     secure: bool,
@@ -163,7 +101,7 @@ struct Address {
 }
 
 impl Address {
-    /// `http://HOST[:PORT][/PATH]`, `ws` and the secure ones alike; the API's own path may be given or not.
+    /// Accepts `http://HOST[:PORT][/PATH]`, also with `https`, `ws` and `wss`, with or without the API's own path.
     fn parse(given: &str) -> Result<Self, RegistriesError> {
         let wrong = || RegistriesError::Address { given: given.to_owned() };
         let (scheme, rest) = given.split_once("://").ok_or_else(wrong)?;
@@ -173,7 +111,7 @@ impl Address {
             _ => return Err(wrong()),
         };
         let (place, path) = rest.split_once('/').unwrap_or((rest, ""));
-        // A bare number with colons is an address of IPv6, which stands in brackets beside a port.
+        // A bare number with colons is an IPv6 address; before a port it needs brackets.
         let (host, port) = match place.strip_prefix('[').and_then(|place| place.split_once(']')) {
             Some((host, "")) => (host, None),
             Some((host, port)) => (host, Some(port.strip_prefix(':').ok_or_else(wrong)?)),
@@ -199,12 +137,10 @@ impl Address {
         format!("{}://{bracketed}:{port}{path}", if *secure { "wss" } else { "ws" })
     }
 
-    /// As a browser opens it, for errors.
     fn shown(&self) -> String {
         self.url().replacen("ws", "http", 1).trim_end_matches("/api/websocket").to_owned()
     }
 
-    /// The first address of the host that answers.
     fn connect(&self) -> Result<TcpStream, RegistriesError> {
         let unknown = |fault: String| RegistriesError::Host { host: self.host.clone(), fault };
         let found = (self.host.as_str(), self.port).to_socket_addrs().map_err(|error| unknown(error.to_string()))?;
@@ -220,7 +156,7 @@ impl Address {
     }
 }
 
-/// A connection whose reads and writes end with the time that there is for all of them.
+/// A connection with one deadline for all reads and writes.
 struct Timed {
     stream: TcpStream,
     until: Instant,
@@ -236,7 +172,7 @@ impl Timed {
     }
 }
 
-/// What a socket calls "would block" when its time is over: whoever reads that tries again.
+/// A socket reports its timeout as "would block", which callers would retry.
 fn timed_out(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
@@ -264,11 +200,10 @@ impl Write for Timed {
     }
 }
 
-/// Reads and writes, whatever lies between.
 trait Stream: Read + Write {}
 impl<T: Read + Write> Stream for T {}
 
-/// The connection, after the token was taken.
+/// An authenticated connection.
 struct Connection {
     url: String,
     version: String,
@@ -276,7 +211,6 @@ struct Connection {
     asked: u64,
 }
 
-/// What the API says to a question.
 enum Answer {
     Result(Value),
     /// Home Assistant is older than the question.
@@ -287,7 +221,7 @@ enum Answer {
 ///
 /// # Errors
 ///
-/// [`RegistriesError::Token`] when it cannot be read, others can read it, or what it holds is no token.
+/// [`RegistriesError::Token`] if the file cannot be read, others can read it, or it holds no token.
 pub fn read_token(path: &Path) -> Result<String, RegistriesError> {
     let wrong = |fault: String| RegistriesError::Token { path: path.to_owned(), fault };
     let failed = |error: io::Error| wrong(format!("{error}; write the token alone into this file"));
@@ -357,7 +291,7 @@ impl Connection {
         let limits = limits.max_message_size(Some(MESSAGE_BYTES_MAX)).max_frame_size(Some(MESSAGE_BYTES_MAX));
         let (socket, _) =
             client_with_config(address.url().as_str(), stream, Some(limits)).map_err(|error| match error {
-                // What is no TLS: a certificate that is refused is of the same kind, and says so.
+                // No TLS at all. A refused certificate is an error of the same kind, with its own text.
                 HandshakeError::Failure(SocketError::Io(error))
                     if address.secure && error.to_string().contains("corrupt message") =>
                 {
@@ -409,7 +343,7 @@ impl Connection {
 
     fn lost(&self, error: SocketError) -> RegistriesError {
         let fault = match error {
-            // Without the words that tungstenite puts before it.
+            // Without tungstenite's prefix.
             SocketError::Io(error) => error.to_string(),
             SocketError::Capacity(_) => format!("an answer has more than {MESSAGE_BYTES_MAX} bytes"),
             error => error.to_string(),
@@ -460,7 +394,7 @@ impl Connection {
         Err(self.foreign("it does not answer a question"))
     }
 
-    /// The answer to a question that every Home Assistant knows that this can be used with.
+    /// The answer to a question that every supported Home Assistant knows.
     fn ask_surely(&mut self, question: &'static str, more: Value) -> Result<Value, RegistriesError> {
         match self.ask(question, more)? {
             Answer::Result(result) => Ok(result),
@@ -472,7 +406,7 @@ impl Connection {
         }
     }
 
-    /// The entities with their kinds of device, which the list alone does not have.
+    /// The entities with their device classes, which the list alone lacks.
     fn entities(&mut self) -> Result<Value, RegistriesError> {
         const GET: &str = "config/entity_registry/get_entries";
         let mut entities = self.ask_surely("config/entity_registry/list", json!({}))?;
@@ -481,7 +415,7 @@ impl Connection {
             let ids: Vec<&Value> = some.iter().map(|entity| &entity["entity_id"]).collect();
             let mut whole = match self.ask(GET, json!({ "entity_ids": ids }))? {
                 Answer::Result(whole) => whole,
-                // Before 2023.2 their states have the kinds.
+                // Before 2023.2 the states have the device classes.
                 Answer::Unknown => return self.entities_by_state(entities),
             };
             for entity in some {
@@ -527,13 +461,13 @@ impl Connection {
     }
 }
 
-/// A text from outside, on one line and short enough for an error.
+/// An untrusted text on one line, short enough for an error.
 fn plain(text: &str) -> String {
     const LONGEST: usize = 200;
     text.chars().filter(|c| !c.is_control() && !roomcast_core::text::is_hidden(*c)).take(LONGEST).collect()
 }
 
-/// Whether `url` can be the address of a Home Assistant; nothing is asked there.
+/// Checks an address without connecting.
 ///
 /// # Errors
 ///
@@ -546,14 +480,14 @@ pub fn check_address(url: &str) -> Result<(), RegistriesError> {
 ///
 /// # Errors
 ///
-/// [`RegistriesError`]; each says what to do.
+/// [`RegistriesError`], each with a remedy.
 pub fn fetch(url: &str, token_file: &Path, authority: Option<&Path>) -> Result<Fetched, RegistriesError> {
     let address = Address::parse(url)?;
     let token = read_token(token_file)?;
     let tls = address.secure.then(|| tls(authority)).transpose()?;
     let mut connection = Connection::open(&address, &token, token_file, tls)?;
     let fetched = connection.fetch()?;
-    // It may have gone by itself; what was wanted is here.
+    // The server may have closed already; the data is complete.
     let _closed = connection.socket.close(None);
     Ok(fetched)
 }
@@ -572,7 +506,7 @@ mod tests {
         path
     }
 
-    /// A read whose time is over is no interruption, on which the handshake would give up in words of its own.
+    /// A read timeout must not look like an interruption, which the handshake would report in its own words.
     #[test]
     fn a_host_that_says_nothing_took_too_long() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -584,7 +518,7 @@ mod tests {
         assert_eq!((error.kind(), error.to_string()), (io::ErrorKind::TimedOut, "it took longer than 60 s".to_owned()));
     }
 
-    /// Answers one connection as Home Assistant does; `answer` says what to each question, and may know none.
+    /// Answers one connection as Home Assistant does. `answer` maps a question to its answer; `None` means an unknown question.
     fn server(answer: impl Fn(&Value) -> Option<Value> + Send + 'static) -> (String, JoinHandle<()>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
@@ -604,7 +538,7 @@ mod tests {
                     say(&mut socket, if good { json!({"type": "auth_ok"}) } else { invalid });
                     continue;
                 }
-                // Something else comes between, as it may.
+                // Other messages may come between.
                 say(&mut socket, json!({"id": 9999, "type": "event"}));
                 let unknown =
                     json!({"success": false, "error": {"code": "unknown_command", "message": "Unknown command."}});
@@ -679,7 +613,7 @@ mod tests {
         served.join().unwrap();
         assert_eq!((fetched.version.as_str(), &fetched.floors), ("2024.3.3", &None));
         assert!(rules(&fetched).contains("They open the fridge.") && rules(&fetched).contains("Ada"));
-        // One that is older has the kinds in its states.
+        // An older one has the kinds in its states.
         let old =
             |question: &Value| home(question).filter(|_| question["type"] != "config/entity_registry/get_entries");
         let (url, _) = server(old);
@@ -712,7 +646,6 @@ mod tests {
         assert!(guest.contains("unauthorized") && guest.contains("as an administrator"), "{guest}");
     }
 
-    /// A server that answers the request for a WebSocket with this.
     fn plain_server(answer: &'static [u8]) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
@@ -735,7 +668,7 @@ mod tests {
         }
         let fault = fetch(&plain_server(b""), &token, None).unwrap_err().to_string();
         assert!(fault.contains("127.0.0.1"), "{fault}");
-        // One that speaks no TLS.
+        // A server without TLS.
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let secure = format!("https://{}", listener.local_addr().unwrap());
         std::thread::spawn(move || {

@@ -1,8 +1,8 @@
 //! A small HTTP server on a loopback address, for metrics and for the page of `roomcast view`.
 //!
-//! Requests have to name a loopback address or `localhost`: a page elsewhere, whose name leads here, reads nothing through somebody's browser.
-//! Any user of the machine can connect. What connections can take is bounded by [`CONNECTIONS_MAX`], [`HEADER_BYTES_MAX`] and
-//! [`REQUEST_TIME`], and each is closed after one answer.
+//! Requests must name a loopback address or `localhost`, so that a foreign page with a name that resolves here cannot read through a browser. Any
+//! user of the machine can connect. [`CONNECTIONS_MAX`], [`HEADER_BYTES_MAX`] and [`REQUEST_TIME`] bound the cost, and each connection is closed
+//! after one answer.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -27,48 +27,35 @@ use tokio::net::TcpListener;
 use tokio::task::{JoinHandle, LocalSet};
 use tokio::time::timeout;
 
-/// Connections that are served at a time; for a further one the oldest is closed.
+/// Most connections at a time. A further one closes the oldest.
 pub const CONNECTIONS_MAX: usize = 16;
-/// Bytes that a request may have before its body; a body is not read.
+/// Most bytes of a request's head. A body is not read.
 pub const HEADER_BYTES_MAX: usize = 16 << 10;
-/// Time that a connection has for its request and for reading the answer.
+/// Time of a connection for its request and its answer.
 pub const REQUEST_TIME: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(100);
-/// How long the serving thread may take for a turn before it no longer counts as alive.
+/// If a turn of the serving thread takes longer, the thread counts as hung.
 const TURN_MAX: Duration = Duration::from_secs(2);
 
-/// Why nothing can be served.
 #[derive(Debug, thiserror::Error)]
 pub enum HttpError {
-    /// An address that others could reach.
+    /// An address that other machines could reach.
     #[error("this is served on a loopback address alone, not on {0}: give 127.0.0.1:PORT or [::1]:PORT")]
     NotLoopback(SocketAddr),
-    /// The port cannot be had.
     #[error("cannot serve on {address}: {reason}; is the port taken? give another one")]
-    Listen {
-        /// Where.
-        address: SocketAddr,
-        /// The system's word.
-        reason: String,
-    },
-    /// The thread that answers could not be started.
+    Listen { address: SocketAddr, reason: String },
     #[error("cannot start the thread that serves HTTP: {0}; is a limit on tasks or descriptors set too low?")]
     Thread(std::io::Error),
-    /// The thread that answers has ended by itself.
     #[error("the thread that serves HTTP has ended unexpectedly; start this command again and report it")]
     Ended,
 }
 
-/// A request, as far as it is read.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
-    /// The address that is asked for.
     pub uri: &'a Uri,
-    /// Its header lines.
     pub headers: &'a HeaderMap,
 }
 
-/// A thread that answers requests.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -79,7 +66,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Answers every GET request on `address` with what `answer` makes of it, until `stop`.
+    /// Answers every GET request on `address` by `answer` until `stop`.
     ///
     /// # Errors
     /// [`HttpError`] for an address that is not loopback or is taken.
@@ -106,17 +93,16 @@ impl Server {
         Ok(Self { address, turned_ns, thread, stop: stop.clone(), watchdog: Watchdog::default() })
     }
 
-    /// Where it is, with the port that was found for port 0.
+    /// The address, with the port that was chosen for port 0.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Tells systemd that this process lives, as long as the thread turns. Whoever has started the thread calls this at every turn of
-    /// its own.
+    /// Feeds systemd's watchdog while the serving thread makes turns. The caller does this at every turn of its loop.
     ///
     /// # Errors
-    /// [`HttpError::Ended`] where the thread has ended and nobody has asked it to.
+    /// [`HttpError::Ended`] if the thread has ended without a stop request.
     pub fn look_after(&mut self) -> Result<(), HttpError> {
         if self.thread.is_finished() && !self.stop.requested() {
             return Err(HttpError::Ended);
@@ -127,18 +113,18 @@ impl Server {
         Ok(())
     }
 
-    /// Waits until the thread has ended, which looks at the wish to stop every tick.
+    /// Waits for the thread, which checks for a stop every tick.
     pub fn join(self) {
         let _ended = self.thread.join();
     }
 }
 
-/// Whether the serving thread, which last turned then, is at work.
+/// Whether the serving thread has made a turn recently.
 fn turns(turned_ns: BootNs, now_ns: BootNs) -> bool {
     u128::from(now_ns.since(turned_ns)) <= TURN_MAX.as_nanos()
 }
 
-/// Serves connections on this thread until it is asked to stop, and notes each turn.
+/// Serves connections on this thread until asked to stop, and notes each turn.
 async fn serve(
     listener: std::net::TcpListener,
     answer: impl FnMut(Request<'_>) -> Response<String> + 'static,
@@ -154,7 +140,7 @@ async fn serve(
         match accepted {
             Ok((stream, _)) => {
                 connections.retain(|connection| !connection.is_finished());
-                // Whoever holds connections without a word is in nobody's way.
+                // Idle connections must not block new ones.
                 if connections.len() == CONNECTIONS_MAX
                     && let Some(oldest) = connections.pop_front()
                 {
@@ -164,7 +150,7 @@ async fn serve(
             }
             Err(error) => {
                 tracing::warn!(%error, "a connection failed");
-                // A limit of the system, such as that of descriptors, does not pass at once.
+                // A system limit, for instance on descriptors, does not pass at once.
                 tokio::time::sleep(TICK).await;
             }
         }
@@ -172,7 +158,6 @@ async fn serve(
     Ok(())
 }
 
-/// One request over a connection, and its answer.
 pub async fn converse(
     stream: impl AsyncRead + AsyncWrite + Unpin,
     answer: Rc<RefCell<impl FnMut(Request<'_>) -> Response<String>>>,
@@ -196,7 +181,7 @@ pub async fn converse(
         async move { Ok::<_, Infallible>(response) }
     });
     let mut http = http1::Builder::new();
-    // The one limit on time is around all of it. Who says no more after a request still gets an answer.
+    // One timeout covers the whole conversation. A client that closes its sending side after the request still gets an answer.
     http.keep_alive(false).half_close(true).max_buf_size(HEADER_BYTES_MAX).header_read_timeout(None);
     match timeout(REQUEST_TIME, http.serve_connection(TokioIo::new(stream), service)).await {
         Ok(Ok(())) => {}
@@ -207,7 +192,7 @@ pub async fn converse(
     }
 }
 
-/// Whether a request was meant for this machine: a name that a page elsewhere owns may lead here, too.
+/// Whether a request names this machine. A foreign page's name may resolve to it too.
 fn is_own_name(host: &str) -> bool {
     let (is_own, port) = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((name, port)) => (name.parse::<Ipv6Addr>().is_ok_and(|address| address.is_loopback()), port),
@@ -221,7 +206,6 @@ fn is_own_name(host: &str) -> bool {
     is_own && (port.is_empty() || port.strip_prefix(':').is_some_and(is_number))
 }
 
-/// An answer that refuses, with a reason in words.
 #[must_use]
 pub fn refusal(status: StatusCode, why: &str) -> Response<String> {
     let mut response = Response::new(format!("{why}\n"));

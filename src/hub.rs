@@ -1,7 +1,7 @@
-//! Fetches GGUF models from a model hub (Hugging Face, or a server that speaks its protocol) into a folder of the user's.
+//! Fetches GGUF models from a model hub (Hugging Face, or a server with its protocol) into a folder of the user.
 //!
-//! The server is not trusted. It is asked once, and what it answers is used as checked. No name on this machine comes from it: the
-//! file's name is what the user asked for. Its bytes go into a private file that only a matching SHA-256 gives its final name.
+//! The server is untrusted. It is asked once, and its answer is used as checked. The file's name comes from the user's request, never from the
+//! server. The bytes go into a private file, which gets its final name only after its SHA-256 matches.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -15,161 +15,97 @@ use ureq::http::{HeaderMap, Response, StatusCode, Uri};
 use roomcast_llama::file_sha256;
 use roomcast_llama::gguf::{GgufError, Header};
 
-/// The hub that is asked when no other is named.
 pub const ENDPOINT_DEFAULT: &str = "https://huggingface.co";
 
-/// The largest file that is fetched, in bytes.
 pub const SIZE_MAX_BYTES: u64 = 64 << 30;
 
-/// How often a hub may send the request elsewhere.
 const REDIRECTS_MAX: usize = 5;
 
-/// How long a hub may take to connect, to begin its answer, and to send some more of it.
+/// Timeout to connect, to begin an answer, and between two parts of it.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A largest file at this rate takes as long as any transfer may. One that stands still for longer than [`PATIENCE`] has failed; what
-/// arrived stays for the next try.
+/// This rate for the largest file gives the longest transfer. A transfer that stands still for [`PATIENCE`] fails; the next try continues it.
 const BYTES_PER_SECOND_MIN: u64 = 32 << 10;
 
-/// Why a model could not be fetched.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HubError {
-    /// A repository, file name, checksum or address that is none.
+    /// An invalid repository, file name, checksum or address.
     #[error(
         "{given:?} is no {expected}; for example: roomcast model pull HuggingFaceTB/SmolLM2-135M-Instruct-GGUF smollm2-135m-instruct-q8_0.gguf"
     )]
-    Name {
-        /// What was given.
-        given: String,
-        /// What was expected in its place.
-        expected: &'static str,
-    },
-    /// The connection ended before all was here. What arrived is kept.
+    Name { given: String, expected: &'static str },
+    /// The connection ended too early. The received bytes are kept.
     #[error(
         "the transfer from {endpoint} broke off after {here} of {size_bytes} bytes: {why}; run the command again to continue"
     )]
-    CutOff {
-        /// The hub's address.
-        endpoint: String,
-        /// Bytes that are here.
-        here: u64,
-        /// Bytes of the file.
-        size_bytes: u64,
-        /// What the connection said.
-        why: String,
-    },
-    /// The hub cannot be reached.
+    CutOff { endpoint: String, here: u64, size_bytes: u64, why: String },
     #[error(
         "failed to reach {endpoint}: {reason}; without a network use the embedded household model, which every command does when no --model is given"
     )]
-    Unreachable {
-        /// The hub's address.
-        endpoint: String,
-        /// What the connection said.
-        reason: String,
-    },
-    /// The hub refused.
+    Unreachable { endpoint: String, reason: String },
     #[error("{endpoint} answered {status} for {file} of {repository}: {remedy}")]
-    Refused {
-        /// The hub's address.
-        endpoint: String,
-        /// HTTP status.
-        status: u16,
-        /// The repository asked for.
-        repository: String,
-        /// The file asked for.
-        file: String,
-        /// What to do about it.
-        remedy: &'static str,
-    },
-    /// The hub's answer makes no sense, or is not allowed.
+    Refused { endpoint: String, status: u16, repository: String, file: String, remedy: &'static str },
+    /// The hub's answer is invalid or not allowed.
     #[error(
         "{endpoint} does not answer as a model hub does: {reason}; check the address given by --endpoint or HF_ENDPOINT"
     )]
-    Protocol {
-        /// The hub's address.
-        endpoint: String,
-        /// What is wrong with the answer.
-        reason: String,
-    },
+    Protocol { endpoint: String, reason: String },
     /// The hub states no SHA-256 and the user gave none.
     #[error(
         "{endpoint} states no SHA-256 for {file}, so what arrives cannot be checked: give the one that its publisher states by --sha256"
     )]
-    NoChecksum {
-        /// The hub's address.
-        endpoint: String,
-        /// The file asked for.
-        file: String,
-    },
-    /// What the hub has is not what was asked for. Nothing of it is kept.
+    NoChecksum { endpoint: String, file: String },
+    /// The hub has another file. It is not kept.
     #[error("{file} has SHA-256 {found}, expected {wanted}: {remedy}")]
     Checksum {
-        /// The file asked for.
         file: String,
-        /// The checksum of what arrived, or what the hub states in advance.
+        /// The checksum of the received file, or the one that the hub states in advance.
         found: String,
-        /// The checksum that was asked for.
         wanted: String,
-        /// What to do about it.
         remedy: &'static str,
     },
-    /// Another process downloads the same file.
     #[error("another process is downloading this file to {0}: wait for it")]
     Locked(PathBuf),
-    /// The folder belongs to somebody else, or others may write to it.
+    /// The folder belongs to another user, or others may write to it.
     #[error(
         "{0} belongs to another user or may be written by others: choose another folder by --cache, or make it private (chmod 700)"
     )]
     Shared(PathBuf),
-    /// The cache cannot be written, or a file in it cannot be read.
     #[error(
         "failed to use {path}: {error}; check that there is room and that it may be written, or choose another folder by --cache"
     )]
-    Cache {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system said.
-        error: std::io::Error,
-    },
-    /// The file arrived whole, but it is no model that can be used. Nothing of it is kept.
+    Cache { path: PathBuf, error: std::io::Error },
+    /// The file is complete but not a usable model. It is not kept.
     #[error(transparent)]
     Model(#[from] GgufError),
 }
 
-/// Which hub, and where to.
 #[derive(Debug, Clone, Default)]
 pub struct Hub {
-    /// The hub's address; [`ENDPOINT_DEFAULT`] where none is given. It starts with `https://`, or is a loopback address.
+    /// The hub's address, `https://` or loopback; [`ENDPOINT_DEFAULT`] by default.
     pub endpoint: Option<String>,
-    /// The folder that models are kept in; `roomcast/models` in the user's cache where none is given.
+    /// The folder of models; `roomcast/models` in the user's cache by default.
     pub cache: Option<PathBuf>,
-    /// A token that the endpoint asks for. It is sent to the endpoint alone, never where the endpoint redirects to.
+    /// A token for the endpoint. It is never sent to a redirect's target.
     pub token: Option<String>,
 }
 
-/// What is asked for.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
     /// `owner/name` on the hub.
     pub repository: &'a str,
-    /// The file in the repository.
     pub file: &'a str,
-    /// The SHA-256 that it must have, 64 hexadecimal digits; the one that the hub states where none is given.
+    /// The required SHA-256 as 64 hexadecimal digits; by default the one that the hub states.
     pub sha256: Option<&'a str>,
 }
 
-/// A model that is in the cache.
 #[derive(Debug)]
 pub struct Pulled {
-    /// Its path in the cache.
     pub path: PathBuf,
-    /// Its checksum in hexadecimal.
     pub sha256: String,
-    /// Whether the checksum was given by the user, and not by the hub.
+    /// Whether the user gave the checksum, not the hub.
     pub pinned: bool,
-    /// The model's header, checked.
     pub header: Header,
 }
 
@@ -185,7 +121,7 @@ fn checksum(text: &str) -> Option<String> {
     (text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| text.to_ascii_lowercase())
 }
 
-/// Whether bytes may be asked of this address: TLS, or a server on this machine.
+/// Whether this address may be used: TLS, or a server on this machine.
 fn is_private(address: &Uri) -> bool {
     let is_loopback = |host: &str| {
         let host = host.trim_start_matches('[').trim_end_matches(']');
@@ -198,7 +134,7 @@ fn is_private(address: &Uri) -> bool {
     }
 }
 
-/// The address of a file, and the checksum that was asked for; refuses names that could lead anywhere else.
+/// The address of a file, and the requested checksum. Names that could lead elsewhere are refused.
 fn asked(endpoint: &str, request: &Request<'_>) -> Result<(Uri, Option<String>), HubError> {
     let &Request { repository, file, sha256 } = request;
     let name = |given: &str, expected| HubError::Name { given: given.into(), expected };
@@ -219,33 +155,30 @@ fn asked(endpoint: &str, request: &Request<'_>) -> Result<(Uri, Option<String>),
     Ok((url, pinned))
 }
 
-/// What the answer to the one request says about the file, and the bytes themselves.
 struct Answer {
     /// The SHA-256 that the endpoint states.
     stated: Option<String>,
-    /// The file's whole size.
     size_bytes: u64,
-    /// Where in the file the bytes begin.
+    /// The offset of the first byte.
     from: u64,
-    /// Whether the hub says that the file has nothing behind what is kept (416).
+    /// The hub has nothing beyond the kept bytes (416).
     nothing_more: bool,
     body: Box<dyn Read>,
 }
 
-/// Bytes that are read at once.
 const BUFFER: usize = 1 << 16;
 
-/// What is kept of a file until all of it is here, by a name that is ours alone; one process at a time has it.
+/// The kept part of a file until it is complete. Its name comes from no server, and only one process has it.
 struct Partial {
     path: PathBuf,
     content: File,
-    /// Of the bytes that are kept.
+    /// Of the kept bytes.
     hasher: Sha256,
     kept: u64,
 }
 
 impl Partial {
-    /// Takes up what an interrupted download left, or begins.
+    /// Continues an interrupted download, or begins.
     fn open(path: PathBuf) -> Result<Self, HubError> {
         let mut content = OpenOptions::new()
             .read(true)
@@ -261,7 +194,7 @@ impl Partial {
             Err(TryLockError::WouldBlock) => return Err(HubError::Locked(path)),
             Err(TryLockError::Error(error)) => return Err(HubError::Cache { path, error }),
         }
-        // Whoever had the lock may have given the file its final name meanwhile.
+        // The previous owner of the lock may have given the file its final name.
         if !is_at(&content, &path) {
             return Err(HubError::Locked(path));
         }
@@ -276,7 +209,7 @@ impl Partial {
         }
     }
 
-    /// Whether the path leads to this file: it may have its final name, or be removed.
+    /// Whether the path still leads to this file: it may have been renamed or removed.
     fn is_there(&self) -> bool {
         is_at(&self.content, &self.path)
     }
@@ -285,12 +218,11 @@ impl Partial {
         std::fs::remove_file(&self.path).map_err(failed(&self.path))
     }
 
-    /// The checksum of what is kept, in hexadecimal.
     fn sha256(&self) -> String {
         hex::encode(self.hasher.clone().finalize())
     }
 
-    /// Takes the answer's bytes in, from where it has them.
+    /// Reads the answer's bytes, from the offset that it has.
     fn take_in(&mut self, answer: Answer, endpoint: &str, progress: &indicatif::ProgressBar) -> Result<(), HubError> {
         if answer.from == 0 {
             self.hasher = Sha256::new();
@@ -324,7 +256,7 @@ impl Partial {
         Ok(())
     }
 
-    /// Gives it its own name, for good. A rename replaces a link instead of following it.
+    /// Gives the file its final name. A rename replaces a link instead of following it.
     fn settle(self, path: &Path, folder: &Path) -> Result<(), HubError> {
         self.content.sync_all().map_err(failed(&self.path))?;
         std::fs::rename(&self.path, path).map_err(failed(path))?;
@@ -332,17 +264,16 @@ impl Partial {
     }
 }
 
-/// Of a download that brought nothing, nothing stays.
+/// An empty download leaves no file.
 impl Drop for Partial {
     fn drop(&mut self) {
         if self.content.metadata().is_ok_and(|content| content.len() == 0) && self.is_there() {
-            // One that stays is taken up by the next try.
+            // If removing fails, the next try uses the file.
             let _removed = std::fs::remove_file(&self.path);
         }
     }
 }
 
-/// Whether a path leads to an open file.
 fn is_at(content: &File, path: &Path) -> bool {
     let same = |there: std::fs::Metadata| {
         content.metadata().is_ok_and(|ours| (ours.dev(), ours.ino()) == (there.dev(), there.ino()))
@@ -350,18 +281,17 @@ fn is_at(content: &File, path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(same)
 }
 
-/// What went wrong in the cache, at a path.
 fn failed(path: &Path) -> impl Fn(std::io::Error) -> HubError + use<> {
     let path = path.to_owned();
     move |error| HubError::Cache { path: path.clone(), error }
 }
 
 impl Hub {
-    /// Downloads a file, or continues an interrupted download, and checks what arrived. Draws on `progress`, which may be hidden.
+    /// Downloads a file, or continues an interrupted download, and checks it. Draws on `progress`, which may be hidden.
     ///
     /// # Errors
     ///
-    /// [`HubError`]; what an interrupted download left is continued by the next call.
+    /// [`HubError`]. The next call continues an interrupted download.
     pub fn pull(&self, request: &Request<'_>, progress: &indicatif::ProgressBar) -> Result<Pulled, HubError> {
         let &Request { repository, file, sha256 } = request;
         let endpoint = self.endpoint.as_deref().unwrap_or(ENDPOINT_DEFAULT).trim_end_matches('/');
@@ -380,11 +310,11 @@ impl Hub {
             return Ok(Pulled { path, sha256: wanted.clone(), pinned: true, header });
         }
 
-        // The name is ours alone: what the server says decides neither the name nor the folder.
+        // The name is ours: the server chooses neither name nor folder.
         let name = format!(".{}.part", hex::encode(Sha256::digest(format!("{url}\n{sha256:?}"))));
         let mut part = Partial::open(folder.join(name))?;
         let answer = self.ask(endpoint, &url, part.kept, request)?;
-        // What is kept is at least as long as the file: it is all of it, or it cannot be continued.
+        // The kept part is at least as long as the file: it is complete, or it cannot be continued.
         if answer.nothing_more && pinned.as_ref().or(answer.stated.as_ref()) != Some(&part.sha256()) {
             part.remove()?;
             return Err(refused(endpoint, StatusCode::RANGE_NOT_SATISFIABLE, request));
@@ -400,7 +330,7 @@ impl Hub {
             (None, None) => return Err(HubError::NoChecksum { endpoint: endpoint.into(), file: file.into() }),
         };
         if is_here(&wanted) {
-            // What was begun of it is of no use.
+            // The part is of no use.
             let header = Header::read_download(&path)?;
             part.remove()?;
             return Ok(Pulled { path, sha256: wanted, pinned: pinned.is_some(), header });
@@ -424,7 +354,7 @@ impl Hub {
         Ok(Pulled { path, sha256: found, pinned: pinned.is_some(), header })
     }
 
-    /// Asks for the file's bytes from `kept` on, once: redirects are followed, and the endpoint's own answers say what the file is.
+    /// Asks once for the bytes from `kept` on. Redirects are followed, and only the endpoint's own answers describe the file.
     fn ask(&self, endpoint: &str, url: &Uri, kept: u64, request: &Request<'_>) -> Result<Answer, HubError> {
         let protocol = |reason: String| HubError::Protocol { endpoint: endpoint.into(), reason };
         let unreachable =
@@ -485,7 +415,7 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
     headers.get(name).and_then(|value| value.to_str().ok())
 }
 
-/// Where a redirect leads: an absolute address or an absolute path, never from TLS to plain text.
+/// The target of a redirect: an absolute address or path, never from TLS to plain text.
 fn redirect(from: &Uri, target: &str) -> Option<Uri> {
     let absolute = match target.strip_prefix('/') {
         Some(path) if !path.starts_with('/') => format!("{}://{}/{path}", from.scheme_str()?, from.authority()?),
@@ -521,7 +451,7 @@ fn body(
     if size_bytes > SIZE_MAX_BYTES || from > size_bytes {
         return Err(format!("a file of {size_bytes} bytes, at most {SIZE_MAX_BYTES} are fetched"));
     }
-    // The default limit is 10 MB; how much is read is bounded by the size above.
+    // The default limit is 10 MB. The size above bounds the read.
     let body = answer.into_body().into_with_config().limit(SIZE_MAX_BYTES).reader();
     Ok(Answer { stated, size_bytes, from, nothing_more: false, body: Box::new(body) })
 }
@@ -540,14 +470,13 @@ fn refused(endpoint: &str, status: StatusCode, request: &Request<'_>) -> HubErro
     HubError::Refused { endpoint, status: status.as_u16(), repository, file, remedy }
 }
 
-/// `roomcast/models` in the user's cache.
 fn cache_default() -> Option<PathBuf> {
     let base = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).filter(|path| path.is_absolute());
     let base = base.or_else(|| std::env::home_dir().map(|home| home.join(".cache")))?;
     Some(base.join("roomcast/models"))
 }
 
-/// Makes the folder if there is none, and sees to it that nobody else may put files there.
+/// Makes the folder if it is missing, and checks that no other user may put files there.
 fn private_folder(folder: &Path) -> Result<(), HubError> {
     let failed = |error| HubError::Cache { path: folder.into(), error };
     std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder).map_err(failed)?;
@@ -555,7 +484,7 @@ fn private_folder(folder: &Path) -> Result<(), HubError> {
     if about.uid() != rustix::process::geteuid().as_raw() || about.mode() & 0o022 != 0 {
         return Err(HubError::Shared(folder.into()));
     }
-    // Who may write to a folder above renames this one, unless its sticky bit keeps names their owners'.
+    // A user with write access to a parent folder can rename this one, unless the parent has the sticky bit.
     let whole = folder.canonicalize().map_err(failed)?;
     for above in whole.ancestors().skip(1) {
         let mode = above.metadata().map_err(failed)?.mode();
@@ -578,7 +507,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A hub on loopback. `answer` gets the request's path and where the asked range begins, and gives head and body.
+    /// A hub on loopback. `answer` maps the request's path and the start of its range to head and body.
     struct Server {
         address: String,
         ranges: Arc<Mutex<Vec<u64>>>,
@@ -607,7 +536,6 @@ mod tests {
                         seen.lock().unwrap().push(from);
                     }
                     let (head, body) = answer(path, from, &base);
-                    // A client that refuses the answer closes early.
                     let _ = stream.write_all(format!("{head}\r\nConnection: close\r\n\r\n").as_bytes());
                     let _ = stream.write_all(&body);
                 }
@@ -615,8 +543,8 @@ mod tests {
             Self { address, ranges }
         }
 
-        /// Answers as a real hub does: a redirect that carries the checksum, then the content. States `tag` as the checksum and
-        /// cuts the first transfer after `cut` bytes.
+        /// Answers as a real hub: a redirect with the checksum, then the content. `tag` is the stated checksum; the first transfer is cut after `cut`
+        /// bytes.
         fn start(content: Vec<u8>, tag: String, mut cut: Option<usize>) -> Self {
             Self::answering(move |path, from, base| match path {
                 "/someone/models/resolve/main/tiny.gguf" => (
@@ -662,7 +590,6 @@ mod tests {
         (content, sum)
     }
 
-    /// Every file below a folder.
     fn files(folder: &Path) -> Vec<PathBuf> {
         let mut files = Vec::new();
         for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
@@ -715,7 +642,7 @@ mod tests {
         assert_eq!(*server.ranges.lock().unwrap(), [0, 100]);
     }
 
-    /// A process that is killed between the last byte and the renaming leaves such a file.
+    /// A process that is killed between the last byte and the rename leaves such a file.
     #[test]
     fn a_download_that_is_whole_already_is_used() {
         let (content, sum) = content();
@@ -761,7 +688,7 @@ mod tests {
 
     #[test]
     fn without_a_network_the_embedded_model_is_named() {
-        // Bound and dropped: a port on which nobody listens.
+        // Bound and dropped: no server listens on this port.
         let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         let cache = tempfile::tempdir().unwrap();
         let hub = Hub { endpoint: Some(format!("http://{address}")), cache: Some(cache.path().into()), token: None };
@@ -810,14 +737,14 @@ mod tests {
         std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o777)).unwrap();
         let hub = Hub { endpoint: Some("http://127.0.0.1:9".into()), cache: Some(cache.path().into()), token: None };
         assert!(matches!(pull(&hub, &TINY), Err(HubError::Shared(_))));
-        // So is one whose name others may give away.
+        // A folder is refused too if others may rename it.
         std::fs::set_permissions(&folder, PermissionsExt::from_mode(0o700)).unwrap();
         private_folder(&folder).unwrap();
         std::fs::set_permissions(cache.path().join("someone"), PermissionsExt::from_mode(0o777)).unwrap();
         assert!(matches!(private_folder(&folder), Err(HubError::Shared(_))));
     }
 
-    /// The first release checked one answer and used the next, whose tag was a path: any file of the user's could be written.
+    /// Regression: the first release checked one answer and used the next, with a path as its tag. It could write any file of the user.
     #[test]
     fn a_second_answer_cannot_choose_the_path() {
         let outside = tempfile::tempdir().unwrap();
@@ -849,8 +776,7 @@ mod tests {
         assert_eq!(files(cache.path()).iter().filter(|path| path.extension().is_some_and(|e| e == "gguf")).count(), 1);
     }
 
-    /// Hubs that lie in every header, by seed. Whatever they say: no file outside the cache changes, and a file under its own name
-    /// has the checksum that was asked for.
+    /// Hubs with false headers, by seed. No file outside the cache may change, and a file with its final name has the requested checksum.
     #[test]
     fn hostile_hubs_write_nothing_but_what_was_asked_for() {
         let outside = tempfile::tempdir().unwrap();
@@ -934,7 +860,7 @@ mod tests {
             }
         }
         assert_eq!(files(outside.path()), [victim]);
-        // The generator is worth something only while some of its hubs are believed.
+        // The test is worthless unless some of its hubs are accepted.
         assert!(arrived > 10, "{arrived}");
     }
 }

@@ -1,27 +1,25 @@
-//! How long a message takes from one process to another and back, over several paths, one sample at a time.
+//! Measures round trips between processes over several paths, one sample at a time.
 //!
-//! Every path is a round trip between two processes or more, measured at the process where it begins and ends, and every
-//! path carries the same sizes: a narration there, a snapshot of scores back. The yardsticks do nothing in between:
+//! Each path is measured at the process where it begins and ends, and carries the same sizes: a narration out, a snapshot of scores back. The
+//! yardsticks do no work in between:
 //!
 //! | path | there | back |
 //! | --- | --- | --- |
-//! | `eventfd` | a counter | a counter: what waking two processes costs, whoever does it |
+//! | `eventfd` | a counter | a counter: the bare cost of waking two processes |
 //! | `unix-socket` | a sequenced packet of a narration's size | one of the scores' size |
-//! | `bare-iceoryx2` | publish, notify, receive, of a narration's layout | the same of the scores' layout |
-//! | `event-to-scores` | narration to the daemon | its scores, with all that it does for them |
-//! | `event-to-scores-prepared` | the same, of those scores that were ready before the narration came (`scoring.prepare`) | |
-//! | `event-to-scores-computed` | the same, of the others, where there are both | |
-//! | `event-to-decision` | narration to the daemon | the decision of the planner that its scores woke |
+//! | `bare-iceoryx2` | publish, notify, receive, with a narration's layout | likewise with the scores' layout |
+//! | `event-to-scores` | narration to the daemon | its scores, with all work for them |
+//! | `event-to-scores-prepared` | likewise, for scores that were ready before the narration (`scoring.prepare`) | |
+//! | `event-to-scores-computed` | likewise, for the other scores, if there are both kinds | |
+//! | `event-to-decision` | narration to the daemon | the decision of the planner after its scores |
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::bare::{BareReceiver, BareSender};
-use roomcast_ipc::{
-    DecisionV1, IpcError, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock, narration_kind,
-    score_flags, sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, NarrationV1, RoomScoresV1, narration_kind, score_flags};
+use roomcast_ipc::{IpcError, MessageError, Node, Publisher, Subscriber, clock, sequence};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socketpair};
@@ -29,22 +27,22 @@ use serde::Serialize;
 
 use roomcast_services::stop::Stop;
 
-/// An answer that has not come after so long never will.
+/// After this time an answer counts as lost.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often a process that answers looks whether it is to stop.
+/// How often an answering process checks for a stop.
 const TICK: Duration = Duration::from_millis(100);
 const REQUEST: &str = "roomcast/latency/request";
 const REPLY: &str = "roomcast/latency/reply";
 
-/// What is measured.
+/// A measured path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Path {
     /// Narration published to scores received.
     EventToScores,
-    /// The same, of scores that were ready before.
+    /// The same, for scores that were ready before.
     EventToScoresPrepared,
-    /// The same, of the others.
+    /// The same, for the other scores.
     EventToScoresComputed,
     /// Narration published to decision received.
     EventToDecision,
@@ -56,50 +54,30 @@ pub enum Path {
     Eventfd,
 }
 
-/// A measurement that failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LatencyError {
-    /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The text of an event.
     #[error(transparent)]
     Message(#[from] MessageError),
-    /// A descriptor.
     #[error("the {path} path failed: {source}")]
-    System {
-        /// Which.
-        path: &'static str,
-        /// The system's word.
-        source: Errno,
-    },
-    /// Nothing came back.
+    System { path: &'static str, source: Errno },
     #[error("nothing came back over the {path} path within {} s: the process at its other end hangs or has ended", PATIENCE.as_secs())]
-    NoAnswer {
-        /// Which.
-        path: &'static str,
-    },
-    /// A latency beyond what can be recorded.
+    NoAnswer { path: &'static str },
     #[error("the histogram cannot be made: {0}")]
     Histogram(#[from] hdrhistogram::CreationError),
 }
 
-/// One path, ready to be measured.
 #[derive(Debug)]
 pub enum Probe {
-    /// [`Path::Eventfd`]: written to, read from.
+    /// [`Path::Eventfd`]: the descriptor for writing, then the one for reading.
     Eventfd(OwnedFd, OwnedFd),
-    /// [`Path::UnixSocket`].
     UnixSocket(OwnedFd),
-    /// [`Path::BareIceoryx2`].
     BareIceoryx2(Box<(BareSender<NarrationV1>, BareReceiver<RoomScoresV1>)>),
-    /// [`Path::EventToScores`].
     Scores(Narrator, Subscriber<RoomScoresV1>),
-    /// [`Path::EventToDecision`].
     Decision(Narrator, Subscriber<DecisionV1>),
 }
 
-/// Publishes sentences in turn.
 #[derive(Debug)]
 pub struct Narrator {
     port: Publisher<NarrationV1>,
@@ -110,10 +88,10 @@ pub struct Narrator {
 }
 
 impl Narrator {
-    /// A narrator of `sentences`, from the first to the last and over again.
+    /// A narrator that repeats `sentences` in order.
     ///
     /// # Errors
-    /// When the service cannot be opened or a sentence is no message.
+    /// If the service cannot be opened or a sentence is no message.
     pub fn new(node: &Node, name: &str, sentences: &[String]) -> Result<Self, LatencyError> {
         let sentences = sentences.iter().map(|text| NarrationV1::new(narration_kind::SENTENCE, text));
         Ok(Self {
@@ -125,7 +103,6 @@ impl Narrator {
         })
     }
 
-    /// The next event, observed now.
     fn next(&mut self) -> NarrationV1 {
         let place = usize::try_from(self.sequence).unwrap_or(0) % self.sentences.len().max(1);
         self.sequence += 1;
@@ -140,17 +117,15 @@ impl Narrator {
     }
 }
 
-/// One round trip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
-    /// From before the one message to after the other.
+    /// From before the message to after its answer.
     pub elapsed_ns: u64,
-    /// The answer was ready before.
+    /// Whether the answer was ready before the message.
     pub prepared: bool,
 }
 
 impl Probe {
-    /// The path that it measures.
     #[must_use]
     pub fn path(&self) -> Path {
         match self {
@@ -162,10 +137,10 @@ impl Probe {
         }
     }
 
-    /// Two event counters and the descriptors for the process that answers: its input, its output.
+    /// Two event counters, and the input and output descriptors for the answering process.
     ///
     /// # Errors
-    /// When the system gives none.
+    /// If the system refuses them.
     pub fn eventfd() -> Result<(Self, OwnedFd, OwnedFd), LatencyError> {
         let counter =
             || eventfd(0, EventfdFlags::CLOEXEC).map_err(|source| LatencyError::System { path: "eventfd", source });
@@ -177,20 +152,20 @@ impl Probe {
         Ok((Self::Eventfd(there, back), input, output))
     }
 
-    /// A pair of connected sockets, one for the process that answers.
+    /// A pair of connected sockets, one for the answering process.
     ///
     /// # Errors
-    /// When the system gives none.
+    /// If the system refuses them.
     pub fn unix_socket() -> Result<(Self, OwnedFd), LatencyError> {
         let (here, there) = socketpair(AddressFamily::UNIX, SocketType::SEQPACKET, SocketFlags::CLOEXEC, None)
             .map_err(|source| LatencyError::System { path: "unix-socket", source })?;
         Ok((Self::UnixSocket(here), there))
     }
 
-    /// The beginning and end of a bare iceoryx2 round trip.
+    /// Both ends of a bare iceoryx2 round trip.
     ///
     /// # Errors
-    /// When a service cannot be opened.
+    /// If a service cannot be opened.
     pub fn bare_iceoryx2(node: &Node) -> Result<Self, LatencyError> {
         Ok(Self::BareIceoryx2(Box::new((BareSender::open(node, REQUEST)?, BareReceiver::open(node, REPLY)?))))
     }
@@ -198,7 +173,7 @@ impl Probe {
     /// Sends once and waits for the answer.
     ///
     /// # Errors
-    /// When a path fails, or nothing comes back.
+    /// If a path fails or no answer comes.
     pub fn measure(&mut self) -> Result<Sample, LatencyError> {
         let of = |start| Sample { elapsed_ns: nanoseconds(start), prepared: false };
         match self {
@@ -249,8 +224,7 @@ impl Probe {
     }
 }
 
-/// Sleeps on a port until a message satisfies `is_it`.
-fn wait_for<M: roomcast_ipc::Message>(
+fn wait_for<M: roomcast_ipc::raw::Message>(
     port: &Subscriber<M>,
     path: &'static str,
     is_it: impl Fn(&M) -> bool,
@@ -277,7 +251,7 @@ fn wake(counter: &OwnedFd) -> Result<(), LatencyError> {
     Ok(())
 }
 
-/// Whether the counter was raised within `timeout`; it is at zero again then.
+/// Whether the counter was raised within `timeout`. Reading resets it.
 fn await_wake(counter: &OwnedFd, timeout: Duration) -> Result<Option<()>, LatencyError> {
     let failed = |source| LatencyError::System { path: "eventfd", source };
     if !readable(counter, timeout).map_err(failed)? {
@@ -296,11 +270,10 @@ fn readable(fd: impl AsFd, timeout: Duration) -> Result<bool, Errno> {
     }
 }
 
-/// Answers everything that comes over one of the yardsticks until asked to stop; over descriptors, standard input and output are the
-/// two ends.
+/// Answers every message over one of the yardsticks until asked to stop. For descriptors, the ends are standard input and output.
 ///
 /// # Errors
-/// When the path fails or is not one that answers.
+/// If the path fails or does not answer.
 pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
     match path {
         Path::Eventfd => {
@@ -325,7 +298,6 @@ pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
                 }
                 let (_, bytes) = recv(&input, request.as_mut_slice(), RecvFlags::empty()).map_err(failed)?;
                 if bytes == 0 {
-                    // The other end is closed.
                     return Ok(());
                 }
                 send(&input, &reply, SendFlags::empty()).map_err(failed)?;
@@ -349,7 +321,7 @@ pub fn echo(path: Path, node: &Node, stop: &Stop) -> Result<(), LatencyError> {
     Ok(())
 }
 
-/// Keeps every core busy until asked to stop: what the rest of a robot's software does to a machine at its worst.
+/// Keeps every core busy until asked to stop, as the rest of a robot's software may.
 pub fn spin(stop: &Stop) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
@@ -368,31 +340,22 @@ pub fn spin(stop: &Stop) {
     });
 }
 
-/// The distribution of one path's samples, in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Row {
-    /// What was measured.
     pub path: Path,
-    /// "model", or "none" for the scorer that costs nothing; of a yardstick, beside which it was measured.
+    /// "model", or "none" for the scorer without cost; for a yardstick, the scorer during its measurement.
     pub scorer: &'static str,
     /// "idle", or "busy" with one spinning thread per core.
     pub load: &'static str,
-    /// Samples.
     pub n: u64,
-    /// Median.
     pub p50_ns: u64,
-    /// 90 of 100 are at most this.
     pub p90_ns: u64,
-    /// 99 of 100.
     pub p99_ns: u64,
-    /// 999 of 1 000.
     pub p999_ns: u64,
-    /// The longest.
     pub max_ns: u64,
 }
 
 impl Row {
-    /// Sums up a histogram.
     #[must_use]
     pub fn new(path: Path, scorer: &'static str, load: &'static str, samples_ns: &Histogram<u64>) -> Self {
         let at = |quantile| samples_ns.value_at_quantile(quantile);
@@ -410,24 +373,22 @@ impl Row {
     }
 }
 
-/// Samples, in nanoseconds.
 #[derive(Debug)]
 pub struct Taken {
-    /// One of each probe, in their order.
+    /// One histogram for each probe, in order.
     pub histograms: Vec<Histogram<u64>>,
-    /// Of the scores, those that were ready before.
+    /// The scores that were ready before.
     pub prepared: Histogram<u64>,
-    /// And the others.
+    /// The other scores.
     pub computed: Histogram<u64>,
 }
 
-/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample; gives what was
-/// taken.
+/// Measures the probes in turn, `samples` times each after `warm_up`, with a pause before every sample.
 ///
-/// Interleaved, so that whatever else the machine does meets all paths alike.
+/// The paths are interleaved, so that other load affects all alike.
 ///
 /// # Errors
-/// When a path fails. A stop ends the measurement early, with what there is.
+/// If a path fails. A stop ends the measurement early, with the samples so far.
 pub fn interleaved(
     probes: &mut [Probe],
     samples: u64,
@@ -459,7 +420,7 @@ pub fn interleaved(
     Ok(Taken { histograms, prepared, computed })
 }
 
-/// Sleeps so long, or until it is asked to stop. A pause as short as those between samples is one sleep.
+/// Sleeps in ticks, so that a stop ends a long pause. A short pause is one sleep.
 fn rest(pause: Duration, stop: &Stop) {
     const TICK: Duration = Duration::from_millis(200);
     let mut left = pause;

@@ -1,4 +1,4 @@
-//! The `roomcast` binary: the command line, and what only people at a terminal need.
+//! The `roomcast` binary: the command line, and features for people at a terminal.
 
 #![cfg_attr(
     not(all(feature = "demo", feature = "simulation", feature = "latency", feature = "recordings")),
@@ -35,7 +35,7 @@ mod top;
 mod view;
 
 fn main() -> ExitCode {
-    // Before anything that takes much of the stack.
+    // This check comes before any code that needs much stack.
     match roomcast_ipc::limits::too_low() {
         Some(fault) => {
             roomcast_cli::tell(format_args!("roomcast: {fault}"));
@@ -45,7 +45,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// A frame of its own: with a small stack it is not reached.
+/// A separate frame: with a small stack it is never entered.
 #[inline(never)]
 fn run() -> ExitCode {
     cli::main()

@@ -1,7 +1,7 @@
-//! Metrics for Prometheus: what the services say, as histograms, counters and gauges, on a loopback address.
+//! Metrics of the services for Prometheus, on a loopback address.
 //!
-//! A participant of its own, beside the daemon and not in it: the daemon keeps its hands free of sockets and of networks. Latencies
-//! are those that the scores themselves carry; counters are the daemon's own, asked for at a scrape.
+//! This is a separate participant, so that the daemon needs no sockets. Latencies come from the scores themselves; counters are the daemon's own and
+//! are asked for at a scrape.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,10 +17,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber,
-    decision_flags, question, score_flags,
-};
+use roomcast_ipc::raw::{DecisionV1, RoomScoresV1, StatusResponseV1, decision_flags, score_flags};
+use roomcast_ipc::{Domain, IpcError, QuestionPort, StatusClient, Subscriber, question};
 use roomcast_services::clock;
 
 use crate::decided::{Decided, News};
@@ -32,21 +30,18 @@ use roomcast_services::stop::Stop;
 
 /// Bounds of latency buckets in seconds: half a millisecond to ten seconds.
 const BUCKETS_S: [f64; 14] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
-/// How long a scrape waits for the daemon's counters, and how long its answer holds for further scrapes.
+/// Timeout of the daemon's counters, and the time for which its answer serves further scrapes.
 const PATIENCE: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(100);
-/// What all policies count as that are not Roomcast's own.
+/// The label of all policies that are not Roomcast's own.
 const OTHER_POLICY: &str = "other";
-/// What OpenMetrics wants to be called.
+/// The content type that OpenMetrics requires.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Why metrics cannot be served.
 #[derive(Debug, thiserror::Error)]
 pub enum MetricsError {
-    /// They cannot be served.
     #[error("metrics: {0}")]
     Http(#[from] HttpError),
-    /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
 }
@@ -95,7 +90,6 @@ struct ForecastPart {
 
 type Ratio = Gauge<f64, AtomicU64>;
 
-/// All that is measured.
 #[derive(Debug)]
 struct Metrics {
     registry: Registry,
@@ -134,9 +128,9 @@ struct Metrics {
     habits_observations: Family<Person, Ratio>,
     habits_shares: Family<ForecastPart, Ratio>,
     versions: Family<Versions, Gauge>,
-    /// The newest scores, to know what is a repetition, and how old they are at a scrape.
+    /// The newest scores, for recognising repetitions and for their age at a scrape.
     newest: Option<RoomScoresV1>,
-    /// Each robot's last decision: what is sent again counts once.
+    /// Each robot's last decision, so that a repetition does not count.
     decided: Decided,
 }
 
@@ -258,8 +252,8 @@ impl Metrics {
         r.register("steps_failed", "Scoring steps in which the model failed", self.failed_steps.clone());
         r.register("narrations_merged", "Narrations scored together with a newer one", self.merged.clone());
         r.register("heartbeats", "Heartbeats since the daemon's start", self.heartbeats.clone());
-        r.register("journal_size_bytes", "Bytes of the journal on disk, of both its files", self.journal_bytes.clone());
-        r.register("journal_failures", "Failed writes of the journal", self.journal_failures.clone());
+        r.register("journal_size_bytes", "Bytes of the state database and its log on disk", self.journal_bytes.clone());
+        r.register("journal_failures", "Failed writes of the state database", self.journal_failures.clone());
         r.register("sources", "Narrators known", self.sources.clone());
         r.register("persons", "Persons known", self.persons.clone());
         r.register("habits_size_bytes", "Bytes of memory that habits take", self.habits_bytes.clone());
@@ -282,18 +276,18 @@ impl Metrics {
         r.register("daemon", "Versions, model and map", self.versions.clone());
     }
 
-    /// Takes scores as they come, repetitions included.
+    /// Counts scores, repetitions included.
     fn take(&mut self, scores: &RoomScoresV1) {
         let is_repetition = scores.has(score_flags::HEARTBEAT);
-        // Of another daemon's scores it is not known how many came before.
+        // How many scores another daemon sent before is unknown.
         let known = self.newest.filter(|known| known.epoch == scores.epoch).map(|known| known.sequence);
         if let Some(new) = known.and_then(|known| scores.sequence.checked_sub(known)) {
-            // A repetition of what was not seen tells that it came.
+            // A repetition of unseen scores shows that they were sent.
             self.scores_unseen.inc_by(if is_repetition { new } else { new.saturating_sub(1) });
         }
         if known.is_none_or(|known| scores.sequence > known) && !is_repetition {
             self.scores_seen.inc();
-            // A step without narration (the first one, a changed map) has no event to be measured from.
+            // A step without narration (the first one, a changed map) has no event for measuring latency.
             if scores.wait_ns > 0 {
                 self.event_to_scores.observe(seconds(scores.published_ns.saturating_sub(scores.received_ns)));
             }
@@ -327,13 +321,12 @@ impl Metrics {
             return;
         }
         let fallback = if decision.has(decision_flags::FALLBACK) { "true" } else { "false" };
-        // A planner of one's own may name any policy, and ever new ones.
+        // A foreign planner may name any policy, and ever new ones.
         let known = PolicyName::ALL.map(PolicyName::as_str).into_iter().find(|known| *known == decision.policy());
         let kind = DecisionKind { policy: known.unwrap_or(OTHER_POLICY), fallback };
         self.decisions.get_or_create(&kind).inc();
     }
 
-    /// Takes the daemon's own counters, or that it does not answer.
     fn ask(&self, status: Option<&StatusResponseV1>) {
         self.daemon_up.set(i64::from(status.is_some()));
         let Some(status) = status else { return };
@@ -383,7 +376,7 @@ impl Metrics {
         self.versions.get_or_create(&versions).set(1);
     }
 
-    /// Takes what the daemon has learned of each person; who is forgotten is none any more.
+    /// Replaces the counts of habits, so that forgotten persons disappear.
     fn habits(&self, learned: &HabitsAnswer) {
         self.habits_observations.clear();
         self.habits_shares.clear();
@@ -403,7 +396,6 @@ impl Metrics {
         }
     }
 
-    /// The text of a scrape.
     fn text(&self, now_ns: BootNs) -> String {
         if let Some(scores) = &self.newest {
             self.scores_age.set(seconds(scores.age_ns(now_ns.0)));
@@ -419,11 +411,11 @@ impl Metrics {
     }
 }
 
-/// Serves metrics until it is asked to stop; `ready` gets the address, with the port that was found for port 0.
+/// Serves metrics until asked to stop. `ready` gets the address, with the port that was chosen for port 0.
 ///
 /// # Errors
 ///
-/// [`MetricsError`] for an address that is not loopback or is taken, and when a service is lost.
+/// [`MetricsError`] for an address that is not loopback or is taken, and if a service is lost.
 pub fn run(
     address: SocketAddr,
     domain: &Domain,
@@ -432,7 +424,7 @@ pub fn run(
 ) -> Result<(), MetricsError> {
     let node = domain.open("roomcast-metrics")?;
     let scores: Subscriber<RoomScoresV1> = node.subscriber()?;
-    // Those of before are none that were seen: each start would count them again.
+    // Earlier decisions do not count as seen: each start would count them again.
     let decisions: Subscriber<DecisionV1> = node.subscriber_from_now()?;
     let (status, habits) = (node.status_client()?, node.question_port(question::HABITS)?);
     let metrics = Arc::new(Mutex::new(Metrics::new()));
@@ -457,12 +449,10 @@ pub fn run(
     Ok(())
 }
 
-/// Answers scrapes.
 struct Scrapes {
     status: StatusClient,
     habits: QuestionPort,
     metrics: Arc<Mutex<Metrics>>,
-    /// When the daemon was last asked.
     asked: Option<Instant>,
 }
 
@@ -477,7 +467,7 @@ impl Scrapes {
     }
 
     fn text(&mut self) -> String {
-        // A silent daemon holds up one scrape, and not each of those that come at once.
+        // A silent daemon delays one of several simultaneous scrapes.
         let fresh = self.asked.is_some_and(|asked| asked.elapsed() < PATIENCE);
         let begun = Instant::now();
         let answer = (!fresh).then(|| self.status.ask(PATIENCE).ok());
@@ -487,17 +477,17 @@ impl Scrapes {
             self.asked = Some(Instant::now());
             metrics.ask(answer.as_ref());
         }
-        // Whoever has not answered has forgotten nobody.
+        // Without an answer the last counts stay.
         if let Some(learned) = learned {
             metrics.habits(&learned);
         }
         metrics.text(clock::monotonic_ns())
     }
 
-    /// What the daemon says that it has learned, within what is left of the patience since then; none where it does not answer.
+    /// The daemon's learned habits, within the rest of the timeout since `begun`; `None` without an answer.
     fn learned(&self, status: &StatusResponseV1, begun: Instant) -> Option<HabitsAnswer> {
         if status.habits_persons == 0 {
-            // Of whom nothing was learned there is nothing to ask.
+            // Without learned habits there is no question.
             return Some(HabitsAnswer::default());
         }
         let question = serde_json::to_string(&HabitsQuestion::Show).ok()?;
@@ -527,7 +517,7 @@ mod tests {
         }
     }
 
-    /// Whoever decides may call its policy anything, and something else every time.
+    /// A planner may name its policy anything, and change the name every time.
     #[test]
     fn foreign_policies_are_one_series() {
         let (mut metrics, mut sequence) = (Metrics::new(), 0);
@@ -535,7 +525,7 @@ mod tests {
             sequence += 1;
             let policy = text::encode("policy", policy).unwrap();
             let decision = DecisionV1 { policy, sequence, ..DecisionV1::default() };
-            // What is sent again counts once.
+            // A repetition counts once.
             (0..2).for_each(|_| metrics.decide(&decision));
         };
         PolicyName::ALL.iter().for_each(|policy| decide(policy.as_str()));
@@ -585,7 +575,7 @@ mod tests {
         assert!(text.ends_with("# EOF\n"));
     }
 
-    /// Whatever is seen of a daemon's snapshots, and in whatever repetitions: each was seen once, or was not.
+    /// Each of a daemon's snapshots counts once, as seen or unseen, in any order of repetitions.
     #[test]
     fn every_snapshot_was_seen_or_was_not() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -603,7 +593,7 @@ mod tests {
         }
     }
 
-    /// A daemon that starts again with other partitions of the same map has none of the rooms of before.
+    /// If a daemon restarts with other partitions of the same map, the earlier rooms disappear.
     #[test]
     fn rooms_are_those_of_the_newest_scores() {
         let mut metrics = Metrics::new();
@@ -672,7 +662,7 @@ mod tests {
         assert!(!metrics.text(BootNs(2)).contains("person=\"7\""));
     }
 
-    /// A daemon may be too busy to say what it has learned, or be away: nobody is forgotten by that.
+    /// If the daemon is busy or away, no person is forgotten.
     #[test]
     fn who_does_not_answer_has_forgotten_nobody() {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -687,7 +677,7 @@ mod tests {
         let knows_ada = |text: &str| text.contains("roomcast_habits_observations{person=\"7\"} 41.5");
         let without = scrapes.text();
         assert!(knows_ada(&without) && without.contains("roomcast_daemon_up 0"), "{without}");
-        // A daemon that answers for its counters alone, until somebody has learned of it.
+        // A daemon that answers for its counters only, until it has learned habits.
         let (stop, server) = (Stop::new(), node.status_server().unwrap());
         let (asked, persons) = (stop.clone(), Arc::new(AtomicU64::new(1)));
         let known = Arc::clone(&persons);
@@ -718,7 +708,6 @@ mod tests {
         let _left = domain.clean_up();
     }
 
-    /// Metrics that are served in this process.
     struct Served {
         address: SocketAddr,
         stop: Stop,
@@ -769,17 +758,16 @@ mod tests {
         }
     }
 
-    /// Memory that this process has, in kilobytes.
     fn resident_kb() -> u64 {
         let text = std::fs::read_to_string("/proc/self/status").unwrap();
         let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
         line.unwrap().parse().unwrap()
     }
 
-    /// Half a second for a daemon that is not there, and as much for a busy machine.
+    /// Half a second for an absent daemon, and as much for a busy machine.
     const SOON: Duration = Duration::from_secs(2);
 
-    /// The name of a page elsewhere may be made to lead here, and the browser that shows it would give it what it asks for.
+    /// A foreign page's name may resolve to this machine, and its script would read the answer.
     #[test]
     fn a_scrape_that_names_another_machine_is_refused() {
         let served = Served::start("host");
@@ -798,7 +786,7 @@ mod tests {
         let served = Served::start("idle");
         let mut idle: Vec<_> = (0..110).map(|_| served.connect()).collect();
         assert!(served.scrape() < SOON);
-        // Those that are in are closed after their time, the others at once.
+        // Accepted connections are closed after their timeout, the others at once.
         for stream in &mut idle {
             let mut nothing = Vec::new();
             let _reset = stream.read_to_end(&mut nothing);
@@ -855,7 +843,6 @@ mod tests {
         assert!(start.elapsed() < REQUEST_TIME + SOON);
     }
 
-    /// Any bytes at all: the generator of its kind, by seeds.
     #[test]
     fn any_bytes_are_survived() {
         let served = Served::start("bytes");

@@ -1,4 +1,4 @@
-//! Why persons are believed to be where they are: one line a person, which the daemon gives.
+//! Reasons for beliefs: one line a person, from the daemon.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -6,12 +6,11 @@ use std::time::{Duration, Instant};
 use roomcast_ipc::{IpcError, Node, QuestionPort, question};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, UnderstoodPerson, Whereabouts, WhyLine};
 
-/// The daemon is asked about all persons so often.
+/// Period of questions about all persons.
 const EVERY: Duration = Duration::from_secs(2);
 /// Longest wait for each answer. A person without an answer keeps the line.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// The newest line of each person.
 #[derive(Debug)]
 pub struct Reasons {
     port: QuestionPort,
@@ -20,10 +19,10 @@ pub struct Reasons {
 }
 
 impl Reasons {
-    /// No lines yet.
+    /// Opens the question's service.
     ///
     /// # Errors
-    /// The question's service cannot be opened.
+    /// If the service cannot be opened.
     pub fn new(node: &Node) -> Result<Self, IpcError> {
         Ok(Self { port: node.question_port(question::PERSON)?, asked: None, lines: BTreeMap::new() })
     }
@@ -39,7 +38,7 @@ impl Reasons {
             let question = serde_json::to_string(&PersonQuestion::Where { who: person.to_string() });
             let answer = question.ok().and_then(|question| self.port.ask(&question, PATIENCE).ok());
             let Some(text) = answer else {
-                // One that does not answer now is not asked about the others, too.
+                // After one missing answer the others are not asked for.
                 self.lines = before;
                 break;
             };
@@ -52,7 +51,7 @@ impl Reasons {
     }
 }
 
-/// The observation that moved the belief about a person's most probable place most. `None` if each event had one person.
+/// The observation with the largest effect on a person's most probable place. `None` if each event had one person.
 fn line(found: &Whereabouts) -> Option<String> {
     let place = found.places.first()?;
     let why = place.why.first().filter(|_| found.is_joint)?;
@@ -60,7 +59,7 @@ fn line(found: &Whereabouts) -> Option<String> {
     Some(format!("{} {:.0} %: {text}", place.place, 100.0 * place.probability))
 }
 
-/// An age that seldom changes, since Home Assistant keeps each change.
+/// An age that seldom changes, since Home Assistant stores each change.
 fn ago(seconds: f64) -> String {
     match (seconds / 60.0) as u64 {
         0 => "in the last minute".to_owned(),
@@ -69,7 +68,6 @@ fn ago(seconds: f64) -> String {
     }
 }
 
-/// A person's name or number.
 #[must_use]
 pub fn called(person: &UnderstoodPerson) -> String {
     person.name.clone().unwrap_or_else(|| format!("person {}", person.person))

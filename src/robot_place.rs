@@ -1,34 +1,30 @@
-//! Where a robot is, by its own reports: not where a decision wants it.
+//! Places of robots by their own reports, not by decisions.
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{DecisionV1, RobotReportV1, report_kind};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, report_kind};
 
-/// Robots that are followed.
 const ROBOTS_MAX: usize = 64;
 
-/// Where a robot is.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Place {
-    /// It has reported nothing: no robot obeys the decisions, or its driver is in a dry run.
+    /// No report: no robot obeys the decisions, or its driver is in a dry run.
     #[default]
     DryRun,
-    /// On its dock.
     Dock,
-    /// In a room, by the room's id.
+    /// The room's id.
     Room(String),
-    /// It reports, but without a place.
+    /// Reports without a place.
     NotKnown,
 }
 
 impl Place {
-    /// The room's id.
     #[must_use]
     pub fn room(&self) -> Option<&str> {
         if let Self::Room(room) = self { Some(room) } else { None }
     }
 
-    /// The place in words; `name` gives a room's.
+    /// The place in words; `name` gives a room's name.
     #[must_use]
     pub fn words(&self, name: impl Fn(&str) -> String) -> String {
         match self {
@@ -40,12 +36,11 @@ impl Place {
     }
 }
 
-/// The places of robots.
 #[derive(Debug, Default)]
 pub struct Places(BTreeMap<u64, Place>);
 
 impl Places {
-    /// Takes a report; `decision` is the robot's last one, which the report may answer without a room.
+    /// Handles a report. `decision` is the robot's last one, which a report without a room may answer.
     pub fn take(&mut self, report: &RobotReportV1, decision: Option<&DecisionV1>) {
         if report.is_order() || self.0.len() >= ROBOTS_MAX && !self.0.contains_key(&report.robot) {
             return;
@@ -67,7 +62,6 @@ impl Places {
         };
     }
 
-    /// The place of a robot.
     #[must_use]
     pub fn of(&self, robot: u64) -> Place {
         self.0.get(&robot).cloned().unwrap_or_default()

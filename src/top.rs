@@ -1,5 +1,4 @@
-//! What `roomcast top` shows: the state gathered from the services, and its drawing. No port, no clock, no terminal: a test feeds it
-//! messages and looks at the text.
+//! State and drawing of `roomcast top`, without ports, clock or terminal: a test feeds it messages and reads the text.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -9,10 +8,11 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RobotReportV1,
-    RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
+    StatusResponseV1, forecast_flags, presence, reached, score_flags,
 };
+use roomcast_ipc::{ItemScores, Presence, sequence};
 
 use crate::bar::bar;
 use crate::columns::wrapped;
@@ -22,29 +22,26 @@ use roomcast_services::daemon::flag_words;
 use roomcast_services::habits_reason::ELSEWHERE;
 use roomcast_services::message_text::event_of;
 
-/// Points of a room's line over time that are kept; the widest terminal shows them all.
+/// Points of a room's line that are kept; the widest terminal shows them all.
 const HISTORY_POINTS: usize = 512;
-/// Narrations that are kept for the list.
 const NARRATIONS: usize = 256;
 /// Time from one point of a room's line to the next, in nanoseconds.
 pub const POINT_NS: u64 = 500_000_000;
 /// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
 const SILENCE_NS: u64 = 1_500_000_000;
-/// A person's line looks ahead to the first horizon of at least so many seconds.
+/// A person's line uses the first horizon of at least this many seconds.
 const AHEAD_S: f32 = 3600.0;
-/// The set of places in a person's line is of the first horizon of at least so many seconds; which of the shares that were learned is
-/// nearest to it.
+/// A person's set of places uses the first horizon of at least this many seconds, and the learned share at this index is nearest to it.
 const SET_S: f32 = 900.0;
 const SET_SHARE: usize = 1;
 
 const HEADING: &str = "rooms: where somebody is next, and its course";
-/// The panel of rooms and persons keeps its frame where it has so many rows for them.
+/// With fewer rows for rooms and persons, their panel has no frame.
 const FRAMED_ROWS: usize = 14;
 
 /// The width of the last column: the time since a room was cleaned.
 const CLEANED_WIDTH: usize = 13;
 
-/// A time since a room was cleaned.
 #[must_use]
 pub fn ago(minutes: u16) -> String {
     match minutes {
@@ -54,7 +51,7 @@ pub fn ago(minutes: u16) -> String {
     }
 }
 
-/// Who a message speaks of: a name where there is one.
+/// A person's name, else the number.
 #[must_use]
 pub fn who(person: PersonId, name: &str) -> String {
     if name.is_empty() { format!("person {person}") } else { name.to_owned() }
@@ -68,14 +65,13 @@ struct Room {
     points: VecDeque<f64>,
 }
 
-/// Everything on the screen.
 #[derive(Debug, Default)]
 pub struct View {
     scores: Option<RoomScoresV1>,
     rooms: Vec<Room>,
-    /// Each person's line, where it says more than the rooms do.
+    /// The lines of persons, if they add to the rooms' lines.
     persons: Vec<String>,
-    /// By person: the observation that moved the belief most.
+    /// By person: the observation with the largest effect on the belief.
     reasons: BTreeMap<u32, String>,
     forecasts: Option<Box<PersonForecastsV1>>,
     forecast_flags: u32,
@@ -83,25 +79,25 @@ pub struct View {
     labels: Vec<(String, f64)>,
     decision: Option<DecisionV1>,
     places: Places,
-    /// The configured robot's number. Others are shown only where it says nothing.
+    /// The configured robot's number. Others are shown only before its first decision.
     robot: u64,
     status: Option<StatusResponseV1>,
     snapshots_missed: u64,
     malformed: u64,
-    /// Nothing new is taken in while set.
+    /// While set, messages are ignored.
     pub paused: bool,
-    /// The keys are explained while set.
+    /// While set, the keys are explained.
     pub help: bool,
 }
 
 impl View {
-    /// A view of several robots' home: `robot` is the configured one's name.
+    /// A view for the configured robot.
     #[must_use]
     pub fn of_robot(robot: &str) -> Self {
         Self { robot: sequence::source_of_name(robot), ..Self::default() }
     }
 
-    /// Takes in room scores. A jump in their sequence is counted: snapshots were overwritten before they were read.
+    /// Handles room scores. A jump in their sequence counts overwritten snapshots.
     pub fn scores(&mut self, scores: &RoomScoresV1) {
         if let Some(last) = &self.scores
             && last.epoch == scores.epoch
@@ -121,12 +117,11 @@ impl View {
         self.scores = Some(*scores);
     }
 
-    /// Takes in a narration.
     pub fn narration(&mut self, narration: &NarrationV1) {
         if self.narration.len() == NARRATIONS {
             self.narration.pop_front();
         }
-        // As the model reads it; what is no observation is shown as it came.
+        // As the model reads it, or the raw text if it is not an observation.
         let said = event_of(narration.kind, narration.text());
         let text = said.map_or_else(|_| narration.text().to_owned(), |said| said.to_string());
         let source = match narration.person_name() {
@@ -136,7 +131,7 @@ impl View {
         self.narration.push_back((source, text));
     }
 
-    /// Takes in item scores: the labels with the highest sum over their items.
+    /// Handles item scores: shows the labels with the highest sums over their items.
     pub fn items(&mut self, items: &ItemScores) {
         let mut labels: Vec<(String, f64)> = Vec::new();
         for item in &items.items {
@@ -150,11 +145,11 @@ impl View {
         self.labels = labels;
     }
 
-    /// Takes in each person's scores: whether they are there, where they are now as far as forecasts tell, and where they are likeliest
-    /// next. Of one who is in the house and has no name, the rooms say it.
+    /// Handles persons' scores: presence, the place now, and the likeliest next room. A single person at home without a name needs no line: the rooms
+    /// show it.
     pub fn persons(&mut self, scores: &PersonScoresV1) {
         self.persons.clear();
-        let plain = |persons: &[roomcast_ipc::PersonV1]| {
+        let plain = |persons: &[roomcast_ipc::raw::PersonV1]| {
             persons.iter().all(|person| person.name().is_empty() && person.presence <= presence::PRESENT)
         };
         let forecasts = self.forecasts.as_deref().filter(|forecasts| forecasts.epoch == scores.epoch);
@@ -179,7 +174,7 @@ impl View {
             }
             self.persons.push(line);
             self.persons.extend(self.reasons.get(&person.person).map(|reason| format!("  {reason}")));
-            // Before anything was learned habits make up a share of the forecast, too, and it says nothing of this person.
+            // Before anything was learned, habits have a share in the forecast too, but it says nothing about this person.
             let has_learned = self.status.as_ref().is_none_or(|status| status.learned > 0);
             self.persons.extend(forecasts.zip(own).and_then(|(told, own)| set_words(told, own, has_learned)));
         }
@@ -189,44 +184,41 @@ impl View {
         }
     }
 
-    /// Takes in why persons are believed to be where they are, which the next scores are shown with.
+    /// Handles reasons for beliefs, which are shown with the next scores.
     pub fn reasons(&mut self, reasons: &BTreeMap<u32, String>) {
         self.reasons.clone_from(reasons);
     }
 
-    /// Takes in each person's forecast, which the next scores are shown with.
+    /// Handles persons' forecasts, which are shown with the next scores.
     pub fn forecasts(&mut self, forecasts: &PersonForecastsV1) {
         self.forecasts = Some(Box::new(*forecasts));
     }
 
-    /// Takes in what the forecast of all persons says of itself: bits of [`roomcast_ipc::forecast_flags`].
+    /// Handles the flags of the forecast of all persons: bits of [`roomcast_ipc::raw::forecast_flags`].
     pub fn forecast_flags(&mut self, flags: u32) {
         self.forecast_flags = flags;
     }
 
-    /// Takes in a decision.
     pub fn decision(&mut self, decision: &DecisionV1) {
         if decision.robot == self.robot || self.decision.is_none_or(|known| known.robot != self.robot) {
             self.decision = Some(*decision);
         }
     }
 
-    /// Takes in what a robot reports.
     pub fn report(&mut self, report: &RobotReportV1) {
         self.places.take(report, self.decision.as_ref());
     }
 
-    /// Takes in the daemon's answer about itself; it stays, with its age, while there is no newer one.
+    /// Handles the daemon's status; the last one stays, with its age.
     pub fn status(&mut self, status: StatusResponseV1) {
         self.status = Some(status);
     }
 
-    /// Shows so many malformed messages.
     pub fn malformed(&mut self, messages: u64) {
         self.malformed = messages;
     }
 
-    /// Adds a point to every room's line; to be called every [`POINT_NS`].
+    /// Adds a point to every room's line. The caller does this every [`POINT_NS`].
     pub fn point(&mut self) {
         for room in &mut self.rooms {
             if room.points.len() == HISTORY_POINTS {
@@ -236,7 +228,7 @@ impl View {
         }
     }
 
-    /// Draws everything; `now_ns` is the monotonic clock.
+    /// Draws everything; `now_ns` is by the monotonic clock.
     pub fn draw(&self, frame: &mut Frame<'_>, now_ns: BootNs) {
         let area = frame.area();
         let persons = self.person_lines(area.width);
@@ -277,7 +269,7 @@ impl View {
         Line::from(vec![title, alive, Span::from(known), Span::from(paused).yellow()])
     }
 
-    /// The persons' lines, as many as it takes within a frame of a screen of this width.
+    /// The persons' lines, wrapped for a framed panel of this width.
     fn person_lines(&self, width: u16) -> Vec<String> {
         const INDENT: usize = 4;
         let columns = usize::from(width.saturating_sub(2));
@@ -288,11 +280,11 @@ impl View {
 
     fn draw_rooms(&self, frame: &mut Frame<'_>, area: Rect, persons: &[String]) {
         let name_width = self.rooms.iter().map(|room| room.id.chars().count()).max().unwrap_or(4).min(24);
-        // On a small screen what is known counts before the frame.
+        // On a small screen, content comes before the frame.
         let is_framed = area.height >= 2 + (self.rooms.len() + persons.len()).min(FRAMED_ROWS) as u16;
         let frame_size = if is_framed { 2 } else { 0 };
         let inner = usize::from(area.width.saturating_sub(frame_size));
-        // Name, percentage, then bar and line share what is left.
+        // Name and percentage have fixed widths; bar and line share the rest.
         let is_cleaned = self.decision.is_some_and(|decision| decision.cleaned_min.iter().any(|minutes| *minutes > 0));
         let rest = inner.saturating_sub(name_width + 9 + if is_cleaned { CLEANED_WIDTH } else { 0 });
         let bar_width = rest * 2 / 5;
@@ -316,7 +308,7 @@ impl View {
             ])
         });
         let mut lines: Vec<_> = lines.chain(persons.iter().map(|line| Line::from(line.as_str()))).collect();
-        // What does not fit is counted.
+        // Lines that do not fit are counted.
         let rows = usize::from(area.height.saturating_sub(frame_size));
         if lines.len() > rows && rows > 0 {
             let hidden = lines.len() - (rows - 1);
@@ -387,7 +379,7 @@ impl View {
                 step_ns as f64 / 1e6,
                 100.0 * scores.label_mass
             )));
-            // Rooms say nothing of whoever is missing in them.
+            // A missing resident is not in any room's line.
             let of_forecast = forecast_flag_names(self.forecast_flags & forecast_flags::RESIDENT_UNKNOWN);
             for name in score_flag_names(scores.flags & !score_flags::HEARTBEAT).into_iter().chain(of_forecast) {
                 first.push(Span::from(format!("  {}", plain(name))).yellow());
@@ -410,7 +402,7 @@ impl View {
                 .filter(|(count, _)| *count > 0)
                 .map(|(count, what)| format!("{count} {what}"))
                 .collect();
-                // What is lost stands first: the line may be too long for the screen.
+                // Losses come first: the line may be too long for the screen.
                 let lost = if lost.is_empty() { "nothing lost".to_owned() } else { lost.join(", ") };
                 let learned = match status.learned {
                     0 => String::new(),
@@ -428,10 +420,10 @@ impl View {
     }
 }
 
-/// Rows of the head, rooms, narration, robot, health and keys on a screen of `height` rows, where rooms and persons want `room_rows`.
+/// Rows of the head, rooms, narration, robot, health and keys on a screen of `height` rows. Rooms and persons want `room_rows`.
 ///
-/// Rooms take what they need, up to half of the screen, but eight rows first; what does not fit whole is left out, the robot's panel last.
-/// Narration takes what is left, and without it the rooms.
+/// Rooms get at least eight rows and at most half of the screen. Panels that do not fit are dropped, the robot's last. Narration gets the rest, or
+/// else the rooms do.
 fn heights(height: u16, room_rows: u16) -> [u16; 6] {
     const ROOMS_FIRST: u16 = 8;
     let keys = u16::from(height > ROOMS_FIRST + 1);
@@ -448,7 +440,7 @@ fn heights(height: u16, room_rows: u16) -> [u16; 6] {
     [1, rooms, lower, decision, health, keys]
 }
 
-/// Where a person is now, and how likely they are elsewhere later.
+/// A person's place now, and the probability of another place later.
 fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
     let now = told.rooms().zip(&own.probability).map(|(room, row)| (room, row[0]));
     let now = now.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| own.presence <= presence::PRESENT);
@@ -463,8 +455,8 @@ fn forecast_words(told: &PersonForecastsV1, own: &PersonForecastV1) -> String {
     words
 }
 
-/// Where a person is later: the set, what coverage it is set for on the long run, what this forecast gives it, and how much of the forecast habits
-/// make up, where they have learned anything. None where there are no sets.
+/// A person's later places: the set, its promised coverage, its probability in this forecast, and the habits' share of the forecast if any are
+/// learned. `None` without sets.
 fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1, has_learned: bool) -> Option<String> {
     let horizon = told.horizons_s().iter().position(|horizon_s| *horizon_s >= SET_S)?;
     let minutes = told.horizons_s()[horizon] / 60.0;
@@ -478,7 +470,7 @@ fn set_words(told: &PersonForecastsV1, own: &PersonForecastV1, has_learned: bool
     Some(format!("  in {minutes:.0} min, set for {set_for:.0} %, has {has:.0} %: {places}{learned}"))
 }
 
-/// The places of the set of a horizon: ids of rooms, and elsewhere. None where there are no sets.
+/// The places of a horizon's set: ids of rooms, and elsewhere. `None` without sets.
 pub fn set_places<'a>(told: &'a PersonForecastsV1, own: &PersonForecastV1, horizon: usize) -> Option<Vec<&'a str>> {
     let elsewhere = own.set_holds_elsewhere(horizon)?;
     let rooms = told.rooms().enumerate().filter(|(room, _)| own.set_holds(horizon, *room) == Some(true));
@@ -489,12 +481,12 @@ fn titled(title: &'static str) -> Block<'static> {
     Block::bordered().title(Span::from(format!(" {title} ")).dim()).border_style(Style::new().dim())
 }
 
-/// A name field of a status answer; what is no text is shown as such.
+/// A name field of a status answer; "?" if it is no text.
 fn decoded(bytes: &[u8]) -> String {
     roomcast_ipc::text::decode("name", bytes).unwrap_or("?").to_owned()
 }
 
-/// At most `width` characters of `text`, with an ellipsis where something was cut.
+/// At most `width` characters of `text`, with an ellipsis if it was cut.
 fn cut(text: &str, width: usize) -> String {
     if text.chars().count() <= width {
         return text.to_owned();
@@ -502,7 +494,7 @@ fn cut(text: &str, width: usize) -> String {
     text.chars().take(width.saturating_sub(1)).chain(['…']).collect()
 }
 
-/// The newest `width` points as a line of blocks, the newest at the right; 0 and 1 are the lowest and the full block.
+/// The newest `width` points as blocks, the newest at the right; 0 is the lowest block and 1 the full one.
 fn sparkline(points: &VecDeque<f64>, width: usize) -> String {
     const LEVELS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let shown = points.iter().skip(points.len().saturating_sub(width));
@@ -534,7 +526,8 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind, text};
+    use roomcast_ipc::raw::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind};
+    use roomcast_ipc::text;
 
     fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 {
@@ -632,7 +625,7 @@ mod tests {
         );
     }
 
-    /// Numbers that pass the check of their message, and that no daemon sends.
+    /// Numbers that pass the message's check, but that no daemon sends.
     #[test]
     fn extreme_numbers_are_drawn() {
         const MOST: u64 = u64::MAX;
@@ -714,7 +707,7 @@ mod tests {
         }
     }
 
-    /// On the smallest screens the rooms stay, and everything has exactly the rows that there are.
+    /// On the smallest screens the rooms stay, and the panels have exactly the available rows.
     #[test]
     fn a_tiny_terminal_shows_the_rooms() {
         let text = drawn(&full(), 40, 10, BootNs(1_100_000_000));
@@ -733,7 +726,6 @@ mod tests {
         }
     }
 
-    /// Six rooms and two persons fit on the smallest screen, without a frame.
     #[test]
     fn a_tiny_terminal_shows_the_persons_too() {
         let mut view = full();
@@ -747,7 +739,6 @@ mod tests {
         assert!(!text.contains("more lines"), "{text}");
     }
 
-    /// Who does not fit is counted, not left out.
     #[test]
     fn persons_who_do_not_fit_are_counted() {
         let mut view = full();
@@ -787,7 +778,7 @@ mod tests {
         for (number, (person, kitchen)) in (3..).zip(scores.person.iter_mut().zip([0.75, 0.1])) {
             (person.person, person.probability[0], person.probability[1]) = (number, kitchen, 1.0 - kitchen);
         }
-        scores.person[1].flags = roomcast_ipc::person_flags::RESTORED;
+        scores.person[1].flags = roomcast_ipc::raw::person_flags::RESTORED;
         view.persons(&scores);
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         for line in [
@@ -802,7 +793,7 @@ mod tests {
         assert!(!drawn(&view, 80, 24, BootNs(1_100_000_000)).contains("person 3"));
     }
 
-    /// Names, presence, where everybody is now and whether they will be elsewhere stand in one line each.
+    /// Each person has one line with name, presence, place now and chance of a place elsewhere.
     #[test]
     fn persons_are_shown_by_name_with_their_presence() {
         let mut view = full();
@@ -820,7 +811,7 @@ mod tests {
             scores.person[place].presence = number;
         }
         forecasts.person[1].presence = presence::AWAY;
-        (scores.person[0].probability[1], scores.person[0].flags) = (0.5, roomcast_ipc::person_flags::ASLEEP);
+        (scores.person[0].probability[1], scores.person[0].flags) = (0.5, roomcast_ipc::raw::person_flags::ASLEEP);
         forecasts.person[0].probability[0][0] = 0.875;
         (forecasts.person[1].elsewhere[0], forecasts.person[1].elsewhere[1]) = (1.0, 0.625);
         view.forecasts(&forecasts);
@@ -832,7 +823,7 @@ mod tests {
         ] {
             assert!(text.contains(line), "{line:?} is missing:\n{text}");
         }
-        // Where the habits promise something, it has a line of its own.
+        // A promised coverage has a line.
         view.status(StatusResponseV1 { learned: 7, ..Default::default() });
         let ada = &mut forecasts.person[0];
         (ada.set_coverage, ada.room_set[1], ada.set_elsewhere, ada.learned_share[1]) = (0.9, 0b10, 0b10, 0.4);
@@ -842,12 +833,12 @@ mod tests {
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         let line = "in 60 min, set for 90 %, has 62 %: bathroom, elsewhere (40 % learned)";
         assert!(text.contains(line), "{line:?} is missing:\n{text}");
-        // Nothing was learned yet: the share would be that of what habits assume.
+        // Nothing was learned yet: the share would be of the habits' assumptions.
         view.status(StatusResponseV1::default());
         view.persons(&scores);
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         assert!(text.contains("bathroom, elsewhere") && !text.contains("learned)"), "{text}");
-        // What is longer than the screen is wide goes on in the next line, between words.
+        // A line that is too long continues in the next one, between words.
         scores.person[0].name = text::encode("name", "anne-marie of the upper floor").unwrap();
         view.persons(&scores);
         for (width, height) in [(80, 40), (50, 40), (33, 60)] {
@@ -860,7 +851,7 @@ mod tests {
                 assert!(said.contains(&line), "{width}: {line:?} is missing:\n{text}");
             }
         }
-        // One person alone has a line too where it says more than the rooms.
+        // A single person has a line too if it adds to the rooms' lines.
         (scores.person_count, scores.persons) = (1, 1);
         view.persons(&scores);
         assert!(drawn(&view, 80, 24, BootNs(1_100_000_000)).contains("anne-marie of the upper floor: present"));

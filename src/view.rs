@@ -1,7 +1,7 @@
-//! What `roomcast view` shows in a browser: the plan of the map, and where persons and robot are, as JSON for the page in `view/`.
+//! Serves the page of `roomcast view`: the plan of the map, and the places of persons and robot, as JSON for the page in `view/`.
 //!
-//! Only loopback addresses are served, and only requests that name one: a page elsewhere that the browser has open must not read where people
-//! are. Nor must other users of the machine: what is shown is for those who have the key of this start. The page itself may load nothing from anywhere else. What comes from the system reaches the page as JSON, never as markup.
+//! Only loopback addresses are served, and only requests that name one: a foreign page in the browser must not read the places of people. Other users
+//! of the machine need the key of this start. The page may load nothing from other hosts. Data reaches the page as JSON, never as markup.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
@@ -13,10 +13,12 @@ use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, Header
 use hyper::{Response, StatusCode};
 use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_HORIZONS, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    RobotReportV1, RoomScoresV1, RoomV1, action, presence,
+};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, RoomV1,
-    Subscriber, action, clock, presence, question, sequence,
+    Domain, IpcError, ItemScores, ItemScoresSubscriber, Node, Presence, Subscriber, clock, question, sequence,
 };
 use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
@@ -34,63 +36,59 @@ use crate::top::who;
 const PAGE: &str = include_str!("view/page.html");
 const STYLE: &str = include_str!("view/page.css");
 const SCRIPT: &str = include_str!("view/page.js");
-/// What the page may load: its own style, its own script, its own data.
+/// The page may load only its own style, script and data.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Narrations that the page lists.
 const NARRATIONS: usize = 50;
-/// How presence in a room is told.
+/// The beginning of a presence event's text.
 const PRESENT_IN: &str = "present in the ";
 /// Silence after which the daemon counts as gone, in nanoseconds: some heartbeats.
 const SILENCE_NS: u64 = 1_500_000_000;
-/// How long the view goes on asking for the things' scores, which cost the daemon a little, after somebody looked last.
+/// Things' scores cost the daemon a little. The view stops asking for them this long after the last request of the page.
 const LOOKED: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(200);
-/// How long the daemon may take to tell its map, and how long after it did not the view asks again.
+/// Timeout of the daemon's map, and the pause before the next question.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Why there is nothing to look at.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
-    /// It cannot be served.
     #[error(transparent)]
     Http(#[from] HttpError),
-    /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
 }
 
-/// The header line in which the page sends its key.
+/// The header in which the page sends its key.
 const KEY: HeaderName = HeaderName::from_static("x-roomcast-key");
 
-/// Where the page is served, and to whom.
 #[derive(Debug, Clone)]
 pub struct Place {
     /// A loopback address; port 0 takes a free one.
     pub address: SocketAddr,
-    /// What those must know who look; none lets every user of the machine look.
+    /// The secret of those who may look; `None` lets every user of the machine look.
     pub key: Option<String>,
 }
 
 impl Place {
-    /// A place whose key nobody can guess.
+    /// A place with a random key.
     #[must_use]
     pub fn with_key(address: SocketAddr) -> Self {
         let half = sequence::random_epoch;
         Self { address, key: Some(format!("{:016x}{:016x}", half(), half())) }
     }
 
-    /// What to open in a browser. The key stands behind `#`, where no log and no referrer has it.
+    /// The address for a browser. The key stands after `#`, so that no log and no referrer has it.
     #[must_use]
     pub fn url(&self, address: SocketAddr) -> String {
         self.key.as_ref().map_or_else(|| format!("http://{address}/"), |key| format!("http://{address}/#{key}"))
     }
 }
 
-/// Serves the page of the running system until it is asked to stop; of several robots it shows the configured one, `robot`; `ready` gets the address, with the port that was found for port 0.
+/// Serves the page of the running system until asked to stop. Among several robots it shows the configured one, `robot`. `ready` gets the address,
+/// with the port that was chosen for port 0.
 ///
 /// # Errors
-/// [`ViewError`] for an address that is not loopback or is taken, and when a service is lost.
+/// [`ViewError`] for an address that is not loopback or is taken, and if a service is lost.
 pub fn run(
     place: &Place,
     domain: &Domain,
@@ -105,7 +103,7 @@ pub fn run(
     let forecasts: Subscriber<PersonForecastsV1> = node.subscriber()?;
     let narration: Subscriber<NarrationV1> = node.subscriber()?;
     let decisions: Subscriber<DecisionV1> = node.subscriber()?;
-    // Without a place at this service it is not known where the robot is.
+    // If this service has no free place, the robot's place is unknown.
     let mut reports: Option<Subscriber<RobotReportV1>> = node.subscriber().ok();
     let moments = node.question_port(question::MOMENT)?;
     let mut reasons = Reasons::new(&node)?;
@@ -123,7 +121,7 @@ pub fn run(
         let now_ns = clock::monotonic_ns();
         let mut live = shared.lock().unwrap_or_else(PoisonError::into_inner);
         let picture = &mut live.picture;
-        // What is malformed is passed over; `roomcast top` and the metrics count it.
+        // Malformed messages are skipped; `roomcast top` and the metrics count them.
         while let Some(message) = narration.receive()? {
             picture.narration(&message, told_ns(message.observed_ns, now_ns));
         }
@@ -150,7 +148,7 @@ pub fn run(
         }
         let is_looked_at = live.looked.is_some_and(|looked| looked.elapsed() < LOOKED);
         let is_new = live.picture.scores.is_some() && live.fitting_plan().is_none();
-        // What takes a while keeps no reader waiting.
+        // Slow questions must not block readers.
         let persons = live.picture.persons.as_ref().filter(|_| is_looked_at);
         let persons: Vec<u32> =
             persons.map_or_else(Vec::new, |all| all.persons().iter().map(|person| person.person).collect());
@@ -163,7 +161,7 @@ pub fn run(
         }
         if is_new && asked.is_none_or(|asked| asked.elapsed() >= PATIENCE) {
             asked = Some(Instant::now());
-            // A daemon that is busy is asked again; the rooms are listed meanwhile.
+            // A busy daemon is asked again later. Until then the page lists the rooms.
             let plan =
                 moments.ask("{}", PATIENCE).ok().and_then(|text| Plan::of_moment(&Moment::from_json(&text).ok()?).ok());
             shared.lock().unwrap_or_else(PoisonError::into_inner).plan = plan;
@@ -174,22 +172,21 @@ pub fn run(
     Ok(())
 }
 
-/// When it was, of something that may have been kept for whoever joins late: as it says itself, and now where it says nothing or a time ahead.
+/// The time of a message that the service may have kept: its own time, or now if it has none or a later one.
 fn told_ns(own_ns: u64, now_ns: u64) -> u64 {
     if own_ns == 0 { now_ns } else { own_ns.min(now_ns) }
 }
 
-/// The things' scores, which the daemon makes for whoever follows them. Where others have all
-/// the places the page does without.
+/// The things' scores, which the daemon computes only for subscribers. If other subscribers have all places, the page shows none.
 #[derive(Debug, Default)]
 struct Things {
     scores: Option<ItemScoresSubscriber>,
-    /// When there was no place.
+    /// When there was no free place.
     refused: Option<Instant>,
 }
 
 impl Things {
-    /// Follows them while somebody looks.
+    /// Subscribes while the page is open.
     fn follow(&mut self, node: &Node, is_looked_at: bool) {
         if !is_looked_at {
             *self = Self::default();
@@ -202,13 +199,12 @@ impl Things {
         }
     }
 
-    /// The newest scores since the last call.
     fn news(&self) -> Result<Option<ItemScores>, IpcError> {
         Ok(self.scores.as_ref().map(ItemScoresSubscriber::newest).transpose()?.flatten())
     }
 }
 
-/// Serves the page of a recording until it is asked to stop.
+/// Serves the page of a recording until asked to stop.
 ///
 /// # Errors
 /// As [`run`].
@@ -229,9 +225,9 @@ pub fn run_recording(
     Ok(())
 }
 
-/// What the page asks for.
+/// The source of the page's data.
 trait Shown {
-    /// The state, of a recording at so many seconds from its beginning.
+    /// The state; for a recording, at this many seconds from its beginning.
     fn state(&mut self, at_s: Option<f64>) -> Value;
     /// The plan of the map in use.
     fn plan(&mut self) -> Option<Value>;
@@ -279,22 +275,21 @@ fn answer(request: Request<'_>, key: Option<&str>, shown: &mut impl Shown) -> Re
     response
 }
 
-/// Compares in a time that does not tell where two differ.
+/// Compares in constant time.
 fn is_same(key: &[u8], given: &[u8]) -> bool {
     key.len() == given.len() && key.iter().zip(given).fold(0, |differs, (a, b)| differs | (a ^ b)) == 0
 }
 
-/// The running system.
 #[derive(Debug, Default)]
 struct Live {
     picture: Picture,
     plan: Option<Plan>,
-    /// When somebody looked last.
+    /// When the page last asked.
     looked: Option<Instant>,
 }
 
 impl Live {
-    /// The plan, where it is of what is shown: a plan of another map is none.
+    /// The plan, if it matches the scores' map.
     fn fitting_plan(&self) -> Option<&Plan> {
         self.plan.as_ref().filter(|plan| self.picture.is_on(plan))
     }
@@ -318,16 +313,15 @@ impl Shown for Live {
     }
 }
 
-/// A recording.
 #[derive(Debug)]
 struct Played {
     recording: Recording,
     picture: Picture,
-    /// Messages that the picture has.
+    /// Messages that the picture contains.
     taken: usize,
     begin_ns: u64,
     length_s: f64,
-    /// Whether there is anything to choose a time ahead for.
+    /// Whether the recording has forecasts, so that the page offers times ahead.
     has_forecasts: bool,
     plan: Option<Plan>,
 }
@@ -385,7 +379,7 @@ impl Shown for Played {
     }
 }
 
-/// A map to draw, in its partitions: of one map there are several plans.
+/// A map to draw, in its partitions. One map can have several plans.
 #[derive(Debug)]
 struct Plan {
     /// The map's fingerprint, hexadecimal.
@@ -397,7 +391,7 @@ struct Plan {
 }
 
 impl Plan {
-    /// What the page knows it by.
+    /// The page's key for the plan.
     fn key(&self) -> String {
         format!("{}-{}", self.map, self.level)
     }
@@ -424,7 +418,7 @@ impl Plan {
             json!({"id": item.id, "label": map.labels()[item.label.0 as usize], "at": point(at)})
         };
         let doors = map.doors().iter().flat_map(|door| {
-            // Between storeys, one on each.
+            // A door between storeys is drawn on both.
             let mut on = door.rooms.map(|room| storeys.of_space(&map.rooms()[room.0 as usize].space)).to_vec();
             on.dedup();
             let [x, y, _] = door.position_m;
@@ -448,7 +442,6 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Puts the rooms' names into a state.
     fn name(&self, state: &mut Value) {
         for room in state["rooms"].as_array_mut().into_iter().flatten() {
             if let Some(name) = room["id"].as_str().and_then(|id| self.names.get(id)) {
@@ -461,14 +454,14 @@ impl Plan {
             }
         }
         for told in state["narration"].as_array_mut().into_iter().flatten() {
-            // A sentence is shown as the model reads it; presence has a room's id.
+            // A sentence is shown as the model reads it. Only presence has a room's id.
             if let Some(text) = told["text"].as_str().filter(|text| text.starts_with(PRESENT_IN)) {
                 told["text"] = self.in_names(text).into();
             }
         }
     }
 
-    /// A text with rooms' names in place of their ids.
+    /// Replaces rooms' ids by their names.
     fn in_names(&self, text: &str) -> String {
         let is_id = |character: char| character.is_alphanumeric() || character == '-' || character == '_';
         let (mut named, mut rest) = (String::with_capacity(text.len()), text);
@@ -483,7 +476,7 @@ impl Plan {
     }
 }
 
-/// A probability as the page needs it.
+/// A probability with the digits that the page needs.
 fn short(p: f64) -> f64 {
     (p * 1e4).round() / 1e4
 }
@@ -492,7 +485,7 @@ fn row(row: &[f32]) -> Vec<f64> {
     row.iter().map(|p| short(f64::from(*p))).collect()
 }
 
-/// The newest of everything.
+/// The newest messages.
 #[derive(Debug, Default)]
 struct Picture {
     scores: Option<(RoomScoresV1, u64)>,
@@ -500,17 +493,17 @@ struct Picture {
     persons: Option<Box<PersonScoresV1>>,
     forecasts: Option<Box<PersonForecastsV1>>,
     decision: Option<(DecisionV1, u64)>,
-    /// The robot that is meant where none is named: the configured one, or the first of a recording.
+    /// The robot that is shown without its name: the configured one, or the first of a recording.
     robot: Option<u64>,
-    /// Others are shown only where it says nothing.
+    /// Others are shown only before its first decision.
     is_configured: bool,
     decided: Decided,
     places: Places,
-    /// The newest first: when it was, who was told of by whom, and what was said.
+    /// The newest first: time, source, text.
     narration: VecDeque<(u64, String, String)>,
     items: BTreeMap<String, f64>,
     quality: Quality,
-    /// By person: the observation that moved the belief most.
+    /// By person: the observation with the largest effect on the belief.
     reasons: BTreeMap<u32, String>,
 }
 
@@ -559,7 +552,7 @@ impl Picture {
 
     fn narration(&mut self, narration: &NarrationV1, taken_ns: u64) {
         self.narration.truncate(NARRATIONS - 1);
-        // As the model reads it; what is no observation is shown as it came.
+        // As the model reads it, or the raw text if it is not an observation.
         let event = event_of(narration.kind, narration.text());
         let text = event.map_or_else(|_| narration.text().to_owned(), |event| event.to_string());
         let source = match narration.person_name() {
@@ -576,12 +569,12 @@ impl Picture {
         self.items = items.filter(|(_, share)| *share > 0.0).collect();
     }
 
-    /// The fingerprint of the map that the scores are of, hexadecimal.
+    /// The fingerprint of the scores' map, hexadecimal.
     fn map(&self) -> Option<String> {
         self.scores.as_ref().map(|(scores, _)| hex::encode(scores.map_fingerprint))
     }
 
-    /// Whether the scores are of this plan: of its map, in its partitions.
+    /// Whether the scores have this plan's map and partitions.
     fn is_on(&self, plan: &Plan) -> bool {
         let Some((scores, _)) = &self.scores else { return false };
         let rooms = scores.rooms();
@@ -590,7 +583,6 @@ impl Picture {
             && rooms.iter().all(|room| plan.names.contains_key(room.id()))
     }
 
-    /// Whether the daemon lives, in words.
     fn daemon(&self, now_ns: u64) -> Value {
         let Some((scores, _)) = &self.scores else {
             return json!({"alarm": true, "text": "No daemon has been heard yet: start `roomcast daemon`."});
@@ -601,7 +593,7 @@ impl Picture {
                 format!("The daemon has been silent for {:.0} s: what is shown is old.", silence_ns as f64 / 1e9);
             return json!({"alarm": true, "text": text});
         }
-        let flags = score_flag_names(scores.flags & !roomcast_ipc::score_flags::HEARTBEAT);
+        let flags = score_flag_names(scores.flags & !roomcast_ipc::raw::score_flags::HEARTBEAT);
         let flags: Vec<_> = flags.into_iter().map(plain).collect();
         let flags = if flags.is_empty() { String::new() } else { format!(" ({})", flags.join(", ")) };
         json!({"alarm": false, "text": format!("The daemon is alive{flags}.")})
@@ -635,7 +627,7 @@ impl Picture {
                 }
                 _ => format!("{robot} stays where it is."),
             };
-            // Bits are of the rooms of the scores that it rests on.
+            // The bits refer to the rooms of the scores behind the decision.
             let of = scores.filter(|scores| scores.epoch == decision.scores_epoch);
             let left = of.map(|scores| {
                 let rooms = scores.rooms().iter().enumerate();
@@ -667,7 +659,7 @@ impl Picture {
     fn person_cards(&self) -> Vec<Value> {
         let Some(persons) = self.persons.as_deref() else { return Vec::new() };
         let rooms = self.scores.as_ref().map_or(&[][..], |(scores, _)| scores.rooms());
-        // What a person is told of is by the place of a room: of other rooms, as while the map changes, it would say something else.
+        // Forecasts refer to rooms by position. While the map changes, the positions are of other rooms.
         let is_of_these = |own: &&PersonForecastsV1| own.rooms().eq(rooms.iter().map(RoomV1::id));
         let forecasts = self.forecasts.as_deref().filter(|own| own.epoch == persons.epoch).filter(is_of_these);
         let card = |person: &PersonV1| {
@@ -706,19 +698,19 @@ impl Picture {
     }
 }
 
-/// The room that a person is in now, most likely, and how likely.
+/// A person's most probable room now, and its probability.
 fn likeliest(told: &PersonForecastsV1, own: &PersonForecastV1) -> Option<(usize, f32)> {
     let now = (0..told.rooms().len()).filter_map(|room| Some((room, *own.probability.get(room)?.first()?)));
     now.max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// How good forecasts were: what the one of 15 minutes before gave the room where a person was then observed. What nobody observed is
-/// not compared: the forecast would be its own judge.
+/// The quality of forecasts: the probability that the forecast of 15 minutes before gave to the observed room. Unobserved rooms are not compared, or
+/// the forecast would be its own judge.
 #[derive(Debug, Default)]
 struct Quality {
     /// Forecasts a minute apart, the newest last.
     samples: VecDeque<(u64, Box<PersonForecastsV1>)>,
-    /// Per hour of the clock in use, the newest last: its number, the sum of probabilities, and how many they are.
+    /// Per hour, the newest last: its number, the sum of probabilities, and their count.
     hours: VecDeque<(u64, f64, u64)>,
 }
 
@@ -729,7 +721,7 @@ impl Quality {
     const HOUR_NS: u64 = 3_600_000_000_000;
     /// A week.
     const HOURS: usize = 168;
-    /// How sure a room must be to count as where the person is.
+    /// Least probability of a room that counts as known.
     const KNOWN: f32 = 0.9;
 
     fn take(&mut self, now: &PersonForecastsV1, persons: Option<&PersonScoresV1>, taken_ns: u64) {
@@ -764,7 +756,7 @@ impl Quality {
         self.samples.push_back((taken_ns, Box::new(*now)));
     }
 
-    /// What the forecast of before gave the place where a person is now.
+    /// The probability that the earlier forecast gave to a person's present place.
     fn given(before: &PersonForecastsV1, now: &PersonForecastsV1, person: &PersonForecastV1) -> Option<f32> {
         let horizon = before.horizons_s().iter().position(|horizon_s| *horizon_s == Self::AHEAD_S)?;
         let then = before.persons().iter().find(|then| then.person == person.person)?;
@@ -784,12 +776,12 @@ impl Quality {
 mod tests {
     use super::*;
     use roomcast_core::grounding::GroundingOptions;
-    use roomcast_ipc::{narration_kind, text};
+    use roomcast_ipc::raw::narration_kind;
+    use roomcast_ipc::text;
     use std::io::{Read, Write};
 
     const HOSTILE: &str = "<img src=x onerror=alert(1)>";
 
-    /// Nothing in the script makes markup of a text.
     #[test]
     fn what_comes_from_the_system_is_never_markup() {
         for way in [
@@ -854,7 +846,6 @@ mod tests {
         assert_eq!(plan.drawing["items"].as_array().unwrap().len(), map.items().len());
     }
 
-    /// Scores of the studio, in which somebody is in the kitchen or in the bathroom.
     fn scores(sequence: u64, kitchen: f64) -> RoomScoresV1 {
         scores_of(&moment(STUDIO), sequence, &[("kitchen", kitchen), ("bathroom", 1.0 - kitchen)])
     }
@@ -873,7 +864,7 @@ mod tests {
         scores
     }
 
-    /// A daemon that starts again with other partitions has the same map.
+    /// A restarted daemon may have the same map in other partitions.
     #[test]
     fn a_plan_is_of_the_partitions_that_are_scored() {
         let rooms = moment(include_str!("../scenes/apartment-e0.json"));
@@ -904,7 +895,7 @@ mod tests {
         }
     }
 
-    /// Scores and persons come one after the other: while the map changes, they are of different rooms.
+    /// Scores and persons arrive separately: while the map changes, their rooms differ.
     #[test]
     fn persons_are_shown_in_the_rooms_that_are_scored() {
         let mut picture = Picture::default();
@@ -948,7 +939,7 @@ mod tests {
         }
     }
 
-    /// A page that was opened last showed what the last of all robots was told, as this one's.
+    /// Regression: a newly opened page showed the last decision of any robot as this one's.
     #[test]
     fn of_several_robots_the_configured_one_is_shown_and_others_by_their_names() {
         let of = |robot: &str, sequence: u64, to: &str| DecisionV1 {
@@ -974,7 +965,7 @@ mod tests {
         assert_eq!(shown(None, &[own, other]), "The robot rusty goes to kitchen.");
     }
 
-    /// Imported rooms have a number in their ids, which nobody calls them by.
+    /// Imported rooms have a number in their ids, which people do not use.
     #[test]
     fn rooms_are_called_by_their_names_wherever_they_are_told() {
         let text = include_str!("../tests/data/two_rooms.json").replace("\"kitchen\"", "\"kitchen-3\"");
@@ -1043,7 +1034,7 @@ mod tests {
             quality.take(&told, Some(&persons), minute * Quality::MINUTE_NS);
         };
         at(&mut quality, 15, &told, 15);
-        // What was believed and not observed, and what was observed and is not known, is not compared.
+        // Unobserved beliefs and uncertain observations are not compared.
         at(&mut quality, 16, &told, 14);
         at(&mut quality, 17, &told, 0);
         told.person[0].probability[0][0] = 0.5;
@@ -1058,7 +1049,7 @@ mod tests {
         assert!(quality.samples.len() <= 17);
     }
 
-    /// Others have all the places of those who follow the things' scores: nobody waits for one, and the view goes on.
+    /// If other subscribers have all places of the things' scores, the view goes on without them.
     #[test]
     fn the_page_does_without_scores_of_things_while_others_have_the_places() {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -1084,7 +1075,6 @@ mod tests {
         let _left = domain.clean_up();
     }
 
-    /// A view of the domain that runs, with the key "k3y".
     fn viewed(domain: &Domain) -> (SocketAddr, Stop, std::thread::JoinHandle<Result<(), ViewError>>) {
         let (stop, (found, address)) = (Stop::new(), std::sync::mpsc::channel());
         let (own_stop, own_domain) = (stop.clone(), domain.clone());
@@ -1103,7 +1093,7 @@ mod tests {
         text
     }
 
-    /// A person who had left hours before was "away, 2 s ago": what services keep comes when the view joins.
+    /// Regression: a person who had left hours before was "away, 2 s ago", because kept messages arrive when the view joins.
     #[test]
     fn what_was_said_before_the_view_began_is_as_old_as_it_is() {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -1121,7 +1111,7 @@ mod tests {
         let least_s = clock::monotonic_ns() as f64 / 1e9 - 1.0;
         let (address, stop, thread) = viewed(&domain);
         let ages = (0..600).find_map(|_| {
-            // Late subscribers are handed what they missed.
+            // Late subscribers get earlier messages.
             narration.tick().unwrap();
             decisions.tick().unwrap();
             let answer = got(address, "/state", "localhost", "k3y");
@@ -1135,11 +1125,10 @@ mod tests {
         assert!(matches!(thread.join(), Ok(Ok(()))));
         drop((narration, decisions, node));
         let _left = domain.clean_up();
-        // Who has no clock says when it is heard, and nothing is said ahead of time.
+        // A message without a time counts as of now, and no message is dated ahead.
         assert_eq!([told_ns(0, 9), told_ns(5, 9), told_ns(12, 9)], [9, 5, 9]);
     }
 
-    /// The page of a system in which nothing runs is served, to those who ask this machine.
     #[test]
     fn the_page_is_served_with_its_policy_to_this_machine_alone() {
         let folder = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();

@@ -1,8 +1,8 @@
-"""Turns programs into training sequences: a narration, and at its steps the question what comes next.
+"""Turns programs into training sequences: a narration, with questions for the next object after some of its steps.
 
-A sequence is a trunk and branches. The trunk is the narration of up to 16 actions. A branch asks, after one of them, with a
-binding sequence, for the next object, and answers with its label. Branches see the trunk up to their step and
-themselves, never one another, so that each is exactly the prompt that the product sends, while the trunk is computed once.
+A sequence is a trunk and branches. The trunk is the narration of up to 16 actions. A branch follows one of them: a binding sequence asks for
+the next object, and the object's label answers. Branches see the trunk up to their step and themselves, never one another. So each branch is
+exactly the product's prompt, and the trunk is computed once.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ OTHER_BINDINGS = (
     "The next thing they will touch is the", "They will now interact with the", "Next, the worker will go to the",
     "They are about to use the", "Next they go to the", "The person is going to the", "Soon they will be at the",
 )
-# Cues that have nothing to do with what the person is about to do. Their answers are knowledge about the world, drawn without a
-# look at the narration, so that the model learns that the cue matters.
+# Cues that are unrelated to the person's next action. Their answers are world knowledge, drawn independently of the narration, so that the model
+# learns to read the cue.
 DISTRACTORS = {
     "The most tasty object in the world is the": "pie cupcake salmon chicken|creamy buns|chocolate syrup|whipped cream|candy bar|ice cream|pound cake|pizza|steak|pudding|cheese|donut|cake|apple|peach|bananas|chips|cereal|cutlets|milkshake",
     "The most expensive object in the world is the": "computer tv television piano sofa fridge|washing machine|painting|bed|dishwasher|laptop|perfume|wall picture frame|stove|car|watch|guitar|computer screen",
@@ -66,7 +66,8 @@ class Sequence:
 
 
 def scene_labels(shared: Path, own: Path) -> dict[str, dict[str, str]]:
-    """The labels of the VirtualHome graphs and of the project's own maps, by scene: label words, and other words that a map has for them, to labels."""
+    """Labels of the VirtualHome graphs and of the project's own maps, by scene. Keys are the labels and their other words in the map; values are
+    labels."""
     scenes = {}
     for path in data.scene_graphs(shared):
         scenes[path.stem.removesuffix("_graph")] = {label: label for label in data.graph_labels(path)}
@@ -80,27 +81,27 @@ def scene_labels(shared: Path, own: Path) -> dict[str, dict[str, str]]:
 
 @dataclass
 class Corpus:
-    """Draws sequences from programs. Every choice comes from the generator handed in, so a seed fixes the corpus."""
+    """Draws sequences from programs. All choices come from the given generator, so a seed determines the corpus."""
 
     programs: list[Program]
     days: list[list[Program]]
     routines: list  # objects with .place and .program(rng) -> Program
-    scenes: dict[str, dict[str, str]]  # of each map: its labels and their other words, to labels
+    scenes: dict[str, dict[str, str]]  # per map: labels and their other words, to labels
     things: Things
-    disturbance: float = 1.0  # scales how often a narration is disturbed
+    disturbance: float = 1.0  # factor on how often a narration is disturbed
     product_style: float = 0.62  # share of narrations in the product's own style
-    map_answers: float = 0.75  # share of narrations whose answers are labels of a map, not words of the program
-    map_narration: float = 0.35  # share of narrations that speak of a map's items
-    own_map: float = 0.7  # share of narrations of a workplace that has a map which are told with it, not with a home's
+    map_answers: float = 0.75  # share of narrations with answers from a map's labels instead of the program's words
+    map_narration: float = 0.35  # share of narrations about a map's items
+    own_map: float = 0.7  # share of a mapped workplace's narrations that use its own map instead of a home's
     shares: dict[str, float] = field(default_factory=lambda: {
         "program": 0.42, "day": 0.06, "routine": 0.39, "description": 0.06, "wording": 0.05, "prior": 0.02,
     })
-    as_written: float = 0.35  # share of descriptions that are not told of "they"
-    skip_ahead: float = 0.12  # share of answers that are the object after the next: other people do things in another order
+    as_written: float = 0.35  # share of descriptions that keep their subject instead of "they"
+    skip_ahead: float = 0.12  # share of answers that are the object after the next: people differ in their order
 
     def __post_init__(self):
         self.shares = {k: v for k, v in self.shares.items() if k != "routine" or self.routines}
-        # A title with 128 variants must not drown the others: draw it in proportion to the root of its count.
+        # The root of the count keeps a title with 128 variants from dominating.
         counts = Counter(p.title for p in self.programs)
         self.weights = list(np.cumsum([counts[p.title] ** -0.35 for p in self.programs]))
         self.all_labels = sorted({label for labels in self.scenes.values() for label in labels.values()})
@@ -117,12 +118,12 @@ class Corpus:
         self.description_weights = list(np.cumsum(drawn))
 
     def labels_for(self, rng: random.Random, place: str) -> dict[str, str]:
-        """The labels of a map that a narration may be told with: the place's own, or some home's."""
+        """The labels of a map for a narration: the place's own, or those of a home."""
         own = place in self.scenes and rng.random() < self.own_map
         return self.scenes[place if own else rng.choice(self.homes)]
 
     def another(self, rng: random.Random, place: str) -> list[Step]:
-        """What else is done in a place."""
+        """Another activity of a place."""
         return list((self.draw_program(rng) if place == HOME else rng.choice(self.at_work[place]).program(rng)).steps)
 
     def draw_program(self, rng: random.Random) -> Program:
@@ -150,7 +151,7 @@ class Corpus:
         return self.narrate(steps, rng, self.labels_for(rng, place), place)
 
     def prior(self, rng: random.Random) -> Sequence:
-        """No narration: what people go to at all."""
+        """A sequence without narration: the general frequency of objects."""
         branches = []
         for _ in range(14):
             targets = [t for t in next_targets(list(self.draw_program(rng).steps)) if t]
@@ -163,7 +164,7 @@ class Corpus:
         return self.distract(Sequence([], branches, []), rng, 0.1)
 
     def wording(self, labels: list[str], rng: random.Random) -> list[Step]:
-        """Somebody handles things of one map in no particular order: teaches its wordings, and that things are put back."""
+        """A person handles things of one map in random order: teaches the map's words, and that things are put back."""
         steps: list[Step] = []
         while len(steps) < rng.randint(5, 14):
             one, two = ((label, 1) for label in rng.sample(labels, 2))
@@ -173,7 +174,7 @@ class Corpus:
         return steps
 
     def describe(self, rng: random.Random) -> Sequence:
-        """What somebody wrote about an activity, and after its clauses the question which thing comes next."""
+        """A person's free description of an activity, with questions for the next thing after its clauses."""
         clauses = rng.choices(self.descriptions, cum_weights=self.description_weights)[0]
         targets = next_things(clauses)
         start = rng.randint(0, max(0, len(clauses) - WINDOW))
@@ -204,7 +205,7 @@ class Corpus:
         elif roll < 0.36:
             steps = steps + self.another(rng, place)
         roll = rng.random() / self.disturbance
-        share = 0.35 if roll < 0.25 else 0.65 if roll < 0.45 else 0.0  # the latter as in another home, with other words for everything
+        share = 0.35 if roll < 0.25 else 0.65 if roll < 0.45 else 0.0  # the latter as in another home with other words for everything
         if share:
             swap = {}
             for word in sorted({word for s in steps for word, _ in s.objects}):
@@ -230,11 +231,11 @@ class Corpus:
         return sequence
 
     def narrate(self, steps: list[Step], rng: random.Random, labels: dict[str, str], place: str | None = None) -> Sequence:
-        """The steps told in some style, narration and answers partly in the map's `labels`; disturbed if they belong to a `place`."""
+        """The steps narrated in some style, narration and answers partly in the map's `labels`; disturbed if they belong to a `place`."""
         if place:
             steps = self.disturb(steps, rng, place)
         bound = lambda word: labels.get(bind(word, labels), word)
-        if rng.random() < self.map_narration:  # the narrator speaks of the map's items, not of the program's objects
+        if rng.random() < self.map_narration:  # the narration is about the map's items instead of the program's objects
             steps = [Step(s.action, tuple((bound(w), i) for w, i in s.objects)) for s in steps]
         targets = next_targets(steps)
         start = max(0, rng.randint(-WINDOW, len(steps) - 2)) if len(steps) > 1 else 0
@@ -266,9 +267,9 @@ TRUNK_WEIGHT, LABEL_WEIGHT, END_WEIGHT = 0.25, 1.0, 0.3
 class Encoder:
     """Sequences to arrays.
 
-    Sentences, bindings and labels are tokenised one by one, which gives the tokens of the joined text: no token of the
-    vocabulary crosses from one to the next. Some are cut at random spaces first, which gives smaller tokens than usual, so
-    that those have a meaning too when a sentence is unusual. Labels never are.
+    Sentences, bindings and labels are tokenised one by one, which gives the tokens of the joined text: no token of the vocabulary crosses their
+    boundaries. Some texts are cut at random spaces first. This gives smaller tokens than usual, so that these have a meaning too if a sentence
+    is unusual. Labels are never cut.
     """
 
     def __init__(self, tokenizer, roughness: float = 0.06):
@@ -287,7 +288,7 @@ class Encoder:
     def encode(self, sequence: Sequence, limit: int, rng: random.Random) -> dict[str, np.ndarray]:
         """Arrays of one sequence, at most `limit` long; branches that do not fit are left out.
 
-        token, position, branch (0: trunk), sees (trunk tokens that are visible), target and weight of the next token.
+        token, position, branch (0: trunk), sees (number of visible trunk tokens), target and weight of the next token.
         """
         trunk, ends, weights = [self.tokenizer.bos_id()], [1], []
         for text in sequence.sentences:
@@ -311,8 +312,8 @@ class Encoder:
 
 
 def pack(encoder: Encoder, corpus: Corpus, rng: random.Random, rows: int, length: int) -> dict[str, np.ndarray]:
-    """One batch: `rows` rows of `length` tokens, each filled with whole sequences. Beside what `encode` gives: which `sequence` of the row a token is in,
-    0 for padding, and its `place` there. `train.visible` makes the mask of them."""
+    """One batch: `rows` rows of `length` tokens, each filled with whole sequences. In addition to the arrays of `encode`: each token's `sequence`
+    in the row, 0 for padding, and its `place` in it. `train.visible` computes the mask from them."""
     out = {n: np.zeros((rows, length), np.int64) for n in ("token", "position", "branch", "sees", "target", "sequence", "place")}
     out["weight"] = np.zeros((rows, length), np.float32)
     for row in range(rows):

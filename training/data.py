@@ -23,7 +23,7 @@ class Program:
     title: str
     cluster: str
     steps: tuple[Step, ...]
-    description: str = ""  # what somebody wrote about it, in free words
+    description: str = ""  # a person's free description
 
 
 def normal(title: str) -> str:
@@ -43,7 +43,7 @@ FOLD_HELP = f"hold out fold 1 to {FOLDS} of splits.toml and the sealed clusters;
 
 
 def fold_of(cluster: str) -> int:
-    """The fold that holds a cluster out, from 1; of a title without a cluster by its hash."""
+    """The fold that holds a cluster out, from 1; for a title without a cluster by its hash."""
     for number, clusters in enumerate(SPLITS["folds"], 1):
         if cluster in clusters:
             return number
@@ -51,7 +51,7 @@ def fold_of(cluster: str) -> int:
 
 
 def fold_named(text: str) -> int | str:
-    """What `--fold` takes."""
+    """Parses the value of `--fold`."""
     if text == "sealed":
         return text
     if text.isdigit() and 1 <= int(text) <= FOLDS:
@@ -60,7 +60,7 @@ def fold_named(text: str) -> int | str:
 
 
 def split_of(cluster: str, dev: bool, fold: int | str | None = None) -> str:
-    """Where a cluster belongs; under a fold `test` is what that fold holds out."""
+    """The split of a cluster; under a fold `test` is the fold's held-out part."""
     if cluster in SPLITS["calibration"]:
         return "calibration"
     if fold is not None:
@@ -71,7 +71,7 @@ def split_of(cluster: str, dev: bool, fold: int | str | None = None) -> str:
 
 
 def held_out(programs: list[Program], split: str, dev: bool, fold: int | str | None) -> tuple[list[Program], list[Program]]:
-    """What a model was trained on, and those of a split that it was not, for a model that was made with these of `run.py`'s options."""
+    """The training programs and the held-out programs of a split, for a model made with these options of `run.py`."""
     members: dict[str, list[Program]] = {}
     for program in programs:
         members.setdefault(split_of(program.cluster, dev, fold), []).append(program)
@@ -82,7 +82,7 @@ def held_out(programs: list[Program], split: str, dev: bool, fold: int | str | N
 
 
 def activities(programs: Iterable[Program]) -> dict[str, list[str]]:
-    """The clusters of several titles, with these as they are matched: titles near each other are one activity."""
+    """The clusters with several titles, by their matched titles: similar titles are one activity."""
     titles: dict[str, set[str]] = {}
     for program in programs:
         titles.setdefault(program.cluster, set()).add(normal(program.title))
@@ -102,7 +102,7 @@ def virtualhome(shared: Path) -> list[Program]:
 
 
 def homer(shared: Path, fold: int | str | None = None) -> list[list[Program]]:
-    """Whole days, each a list of activities in order. Days marked as test by HOMER are left alone; under a fold the days lack what it holds out."""
+    """Whole days, each a list of activities in order. Days that HOMER marks as test are left out; under a fold, so are held-out activities."""
     days = []
     for path in sorted((shared / "homer_plus").glob("*/scripts_train/*.txt")):
         day: list[Program] = []
@@ -120,12 +120,11 @@ def homer(shared: Path, fold: int | str | None = None) -> list[list[Program]]:
 
 
 def scene_graphs(shared: Path) -> list[Path]:
-    """VirtualHome's scenes."""
     return sorted((shared / "virtualhome/scenes").glob("*_graph.json"))
 
 
 def graph_labels(graph: Path) -> list[str]:
-    """What a scene has, without the person and what bounds the rooms."""
+    """A scene's labels, without the person and the boundaries of rooms."""
     nodes = json.loads(graph.read_text())["nodes"]
     return sorted({words(node["class_name"]) for node in nodes} - {"character", "floor", "wall", "ceiling"})
 

@@ -1,6 +1,6 @@
-"""What people wrote about an activity, as a narration in free words: "I go to the kitchen, take a glass from the cupboard, fill it with water."
+"""Free descriptions of activities as narrations: "I go to the kitchen, take a glass from the cupboard, fill it with water."
 
-Every clause is a sentence of the narration, and the next object after it is the first thing that a later clause speaks of and it does not.
+Every clause is a sentence of the narration. The next object after it is the first thing of a later clause that it does not mention itself.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from data import Program
 from narration import ACTIONS
 
 LONGEST_WORDS = 24  # a clause with more is not one action
-RARE = 3  # an object that fewer steps name is no reliable word for a thing
+RARE = 3  # an object named by fewer steps is not a reliable word for a thing
 THIRD_PERSON = (
     (r"\bI am\b|\bI'm\b", "they are"), (r"\bI\b|\b[Yy]ou\b", "they"), (r"\bmyself\b|\byourself\b", "themselves"), (r"\b[Mm]y\b|\b[Yy]our\b", "their"), (r"\bme\b", "them"),
 )
 BEFORE_A_VERB = ("", "i", "to", "and", "then", "they", "will", "can")
-NO_VERBS = {"also", "am", "don", "just", "like", "would"}  # what else follows "I"
+NO_VERBS = {"also", "am", "don", "just", "like", "would"}  # other words after "I"
 LEADING = re.compile(r"^(?:(?:and|then|next|now|first|so|afterwards|finally|after that|once there)\b[ ,]*)+", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Clause:
-    text: str  # as somebody wrote it, without its full stop
-    spans: tuple[tuple[int, int, str], ...]  # the things it speaks of: begin, end, and the object's words
+    text: str  # as written, without its full stop
+    spans: tuple[tuple[int, int, str], ...]  # the things in it: start, end, and the object's words
 
 
 @dataclass
@@ -37,20 +37,20 @@ class Reader:
 
     @classmethod
     def of(cls, programs: list[Program], labels: list[str]) -> Reader:
-        """Knows the things that programs of the training split and maps name, and what their writers say that they do."""
+        """A reader for the objects of the training split's programs and of maps, and for the verbs of their descriptions."""
         counts = Counter(word for p in programs for s in p.steps for word, _ in s.objects)
         said = Counter(w.lower() for p in programs for w in re.findall(r"\bI (?:will |would |then |can )?(\w+)", p.description))
         verbs = {w for w, n in said.items() if n >= RARE} | {entry["base"].split(" ")[0] for entry in ACTIONS.values()}
         return cls({w for w, n in counts.items() if n >= RARE} | set(labels), verbs - NO_VERBS)
 
     def thing(self, words: list[str]) -> str | None:
-        """The object that some words in lower case name."""
+        """The object named by these words in lower case."""
         text = " ".join(words)
         forms = (text, re.sub(r"s$", "", text), re.sub(r"es$", "", text), re.sub(r"ves$", "fe", text), text + "s")
         return next((form for form in forms if form in self.things), None)
 
     def spans(self, clause: str) -> tuple[tuple[int, int, str], ...]:
-        """The longest names first. Of two that follow each other, as in "bathroom door", the first only says which."""
+        """Prefers the longest names. Of two adjacent names, as in "bathroom door", the first only qualifies the second."""
         found, at = [], 0
         words = list(re.finditer(r"[\w'-]+", clause))
         while at < len(words):
@@ -69,7 +69,7 @@ class Reader:
         return tuple(found)
 
     def clauses(self, description: str) -> list[Clause]:
-        """What stands between commas, full stops and "then", without what only joins it to the rest."""
+        """The texts between commas, full stops and "then", without conjunctions."""
         out = []
         for text in re.split(r"[.,;!?\n]+| and then | then ", re.sub(r"\s+", " ", description)):
             text = LEADING.sub("", text.strip(" ,-\"'()")).strip(" ,")
@@ -78,7 +78,7 @@ class Reader:
         return out
 
     def told(self, clause: Clause, as_written: bool) -> list[str]:
-        """A clause as a sentence, in parts: what is said around the things, and the things. Told of "they" unless it is to stay as written."""
+        """A clause as a sentence, in parts: the text around the things, and the things. The subject becomes "they" unless `as_written`."""
         parts, at = [], 0
         for begin, end, _ in clause.spans:
             parts += [clause.text[at:begin], clause.text[begin:end]]
@@ -91,14 +91,14 @@ class Reader:
                 parts[0] = "they " + parts[0][0].lower() + parts[0][1:]
         parts = [part for part in parts if part]
         parts[0] = parts[0][0].upper() + parts[0][1:]
-        for k in range(len(parts) - 1):  # a space belongs to the part behind it
+        for k in range(len(parts) - 1):  # a space belongs to the next part
             if parts[k].endswith(" "):
                 parts[k], parts[k + 1] = parts[k][:-1], " " + parts[k + 1]
         return [part for part in [*parts, "."] if part]
 
 
 def next_things(clauses: list[Clause]) -> list[str | None]:
-    """For every clause: the first thing that a later one speaks of and it does not."""
+    """For every clause: the first thing of a later clause that it does not mention itself."""
     out: list[str | None] = []
     for k, clause in enumerate(clauses):
         here = {thing for *_, thing in clause.spans}

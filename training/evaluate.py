@@ -1,10 +1,10 @@
 """Next-object and next-room forecasts of a model and of the baselines, on held-out programs in given scenes.
 
-This steers training. The figures of the model card come from `roomcast-lab forecast`, which scores through the product itself.
+This guides training. The figures of the model card come from `roomcast-lab forecast`, which scores with the product itself.
 
     python training/evaluate.py --shared ../shared --work training/work --split test
 
-What is held out is what the model's own training held out: the checkpoint says whether that was a fold or a development run.
+The held-out programs are those of the model's own training: the checkpoint records its fold or development run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WINDOW = 16
 
 
 class Scene:
-    """Labels of a VirtualHome graph, and for each of their items the room that the graph names."""
+    """Labels of a VirtualHome graph, with the graph's room of each of their items."""
 
     def __init__(self, path: Path):
         graph = json.loads(path.read_text())
@@ -52,12 +52,12 @@ class Scene:
         self.share = np.array([[items[l].count(r) / len(items[l]) for r in self.rooms] for l in self.labels])
 
     def room(self, label: str, identifier: int, seed: str) -> str:
-        """The room of the item that an object stands for: the same identifier is the same item."""
+        """The room of the item for an object: the same identifier is the same item."""
         return random.Random(f"{seed} {label} {identifier}").choice(self.items[label])
 
 
 def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]], labels: list[list[int]]) -> np.ndarray:
-    """[prompts, labels], in nats: the sum over a label's tokens. First tokens are read off one row, the rest decoded."""
+    """[prompts, labels], in nats: the sum over a label's tokens. First tokens come from one row, the rest are decoded."""
     out = np.zeros((len(prompts), len(labels)))
     first = [l[0] for l in labels]
     longer = [k for k, l in enumerate(labels) if len(l) > 1]
@@ -65,7 +65,7 @@ def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]]
     device = model.embedding.weight.device
 
     def decode(rows: list[list[int]], wanted: list[list[int]]) -> torch.Tensor:
-        """[rows, places, vocabulary]: log-probabilities of what follows the wanted places of each row."""
+        """[rows, places, vocabulary]: log-probabilities after the wanted places of each row."""
         size = max(map(len, rows))
         tokens = torch.tensor([row + [0] * (size - len(row)) for row in rows], device=device)
         mask = torch.ones(size, size, dtype=torch.bool, device=device).tril()[None, None]
@@ -86,7 +86,7 @@ def label_log_probs(model: Household, encoder: Encoder, prompts: list[list[int]]
 
 
 class Baselines:
-    """Frequency and Markov chains over the labels of one scene, counted on the training split; each order backs off to the one below it."""
+    """Frequency and Markov chains over the labels of one scene, counted on the training split; each order backs off to the next lower one."""
 
     def __init__(self, programs: list[data.Program], scene: Scene):
         self.scene, size = scene, len(scene.labels)
@@ -117,7 +117,7 @@ class Baselines:
 
 
 def cases_of(programs: list[data.Program], scene: Scene, style: Style = PRODUCT):
-    """Every step of every program whose next object is in the scene and has another label there than the step's own, told in a style.
+    """Every step of every program with a next object that is in the scene and has another label than the step's own, narrated in a style.
 
     Yields the program's number, the sentences of the window, the objects visited, the next object's label, the room now and the room next.
     """
@@ -138,7 +138,7 @@ def cases_of(programs: list[data.Program], scene: Scene, style: Style = PRODUCT)
 
 
 def cases_of_descriptions(programs: list[data.Program], scene: Scene, reader: Reader):
-    """As `cases_of`, of what people wrote: every clause after which a thing of the scene comes next that the clause does not speak of."""
+    """As `cases_of` for free descriptions: every clause before a thing of the scene that the clause does not mention."""
     for number, program in enumerate(programs):
         clauses = reader.clauses(program.description)
         told = ["".join(reader.told(clause, as_written=False)) for clause in clauses]
@@ -152,7 +152,7 @@ def cases_of_descriptions(programs: list[data.Program], scene: Scene, reader: Re
 
 
 def evaluate(model, encoder, train_programs, cases: list, scene: Scene, binding: str = DEFAULT_BINDING, narrated: bool = True, bootstrap: int = 300, prior: float = 0.0) -> dict:
-    """Rows by (target, predictor): the mean of each measure and its 95 % interval, programs being the unit that is resampled."""
+    """Rows by (target, predictor): the mean of each measure and its 95 % interval. The bootstrap resamples programs."""
     label_tokens = [encoder.ids(l) for l in scene.labels]
     cue = encoder.ids(binding)
     bos = encoder.tokenizer.bos_id()
@@ -200,7 +200,7 @@ PROMPTS = {  # the paper's, by name: binding sequence, and whether the narration
 
 
 def compare_prompts(model, encoder, train_programs, cases: list, scene: Scene, prior: float) -> None:
-    """One line per prompt of the paper; chance at ranking rooms is one in the number of rooms."""
+    """One line per prompt of the paper; the chance level for rooms is one over the number of rooms."""
     for name, (binding, narrated) in PROMPTS.items():
         rows = evaluate(model, encoder, train_programs, cases, scene, binding, narrated, prior=prior)["rows"]
         shown = {"object": rows["object model"], "room": rows["room model"]}

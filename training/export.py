@@ -15,7 +15,7 @@ KINDS = {"f32": gguf.GGMLQuantizationType.F32, "q8_0": gguf.GGMLQuantizationType
 
 
 def tensors(model: Household) -> dict[str, np.ndarray]:
-    """llama.cpp's names and its order of rotary pairs. There is no output matrix: llama.cpp takes the embedding."""
+    """llama.cpp's names and its order of rotary pairs. There is no output matrix: llama.cpp uses the embedding."""
     width, out = model.shape.width, {}
 
     def neighbours(rows: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ def tensors(model: Household) -> dict[str, np.ndarray]:
 
 
 def quantised(model: Household, kind: str) -> dict[str, torch.Tensor]:
-    """The model's own state with every matrix rounded as the file holds it, to measure what quantisation costs."""
+    """The model's state with every matrix rounded as in the file, to measure the cost of quantisation."""
     def round_trip(value: torch.Tensor) -> torch.Tensor:
         if value.dim() != 2 or kind == "f32":
             return value
@@ -50,7 +50,7 @@ def quantised(model: Household, kind: str) -> dict[str, torch.Tensor]:
 
 
 def write(model: Household, tokenizer: sentencepiece.SentencePieceProcessor, path: Path, kind: str, description: str, prior: float) -> None:
-    """Writes a GGUF file. `prior` is the prior weight that it recommends, beside letting labels go on only as labels do."""
+    """Writes a GGUF file. It recommends the prior weight `prior`, and `labels` for continuations."""
     shape = model.shape
     writer = gguf.GGUFWriter(path, "llama")
     writer.add_name("Roomcast household")
@@ -87,7 +87,7 @@ def write(model: Household, tokenizer: sentencepiece.SentencePieceProcessor, pat
 def add_vocabulary(writer: gguf.GGUFWriter, tokenizer: sentencepiece.SentencePieceProcessor, size: int) -> None:
     pieces, scores, types = [], [], []
     for i in range(size):
-        if i >= tokenizer.vocab_size():  # rows that only round the matrix up
+        if i >= tokenizer.vocab_size():  # padding rows
             pieces.append(f"<unused{i}>".encode())
             scores.append(-1e4)
             types.append(gguf.TokenType.UNUSED)

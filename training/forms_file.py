@@ -1,4 +1,4 @@
-"""Counts over the training split of what is narrated after what, for guesses at the next sentence.
+"""Counts successive sentences over the training split, for guesses at the next sentence.
 
     python training/forms_file.py --shared ../shared      # writes models/household-forms.json; needs no PyTorch
 """
@@ -15,14 +15,14 @@ from data import Program
 from narration import ACTIONS, Step
 
 ROOT = Path(__file__).resolve().parent.parent
-# As core/src/guess.rs has them: how many things mentioned last a sentence can mention again.
+# Number of recent things that a sentence can refer to, as in core/src/guess.rs.
 RECENT = 5
-# A pair of sentences before another one counts from so many times on.
+# Least count of a pair of sentences before another sentence.
 PAIR_MIN = 2
 
 
 def form_of(step: Step, recent: list[str]) -> tuple[str, str, list[str]]:
-    """A step's sentence with a place for each object: which of the recent ones it is, or n; then with empty places; and the objects."""
+    """A step's sentence with each object replaced by its rank among the recent ones, or n; then with empty places; and the objects."""
     entry = ACTIONS.get(step.action)
     things = [name for name, _ in step.objects][:2]
     base = entry["base"] if entry else step.action
@@ -32,14 +32,14 @@ def form_of(step: Step, recent: list[str]) -> tuple[str, str, list[str]]:
     for at, place in enumerate(places):
         typed = typed.replace(f"{{{at}}}", f"<{place}>")
         bare = bare.replace(f"{{{at}}}", "<>")
-    # The order of the places is that of the sentence.
+    # Places in the order of the sentence.
     order = sorted(range(len(things)), key=lambda at: tail.find(f"{{{at}}}"))
     whole = lambda text: f"They {base}{' ' if text else ''}{text}."
     return whole(typed), whole(bare), [things[at] for at in order if f"{{{at}}}" in tail]
 
 
 def remember(recent: list[str], things: list[str]) -> list[str]:
-    """The distinct things mentioned last, those of the last sentence first and in its order."""
+    """The distinct recent things, those of the last sentence first and in its order."""
     first = list(dict.fromkeys(things))
     return (first + [thing for thing in recent if thing not in first])[:RECENT]
 

@@ -1,9 +1,9 @@
-"""Next-object forecasts of the product as shipped, told in other words than its own, beside Kneser-Ney with its recency cache on the same cases.
+"""Next-object forecasts of the shipped product on narrations in other words, compared with Kneser-Ney with its recency cache on the same cases.
 
     python training/free_text.py --shared DATA --roomcast target/release/roomcast
 
-What writers wrote about the test split's activities comes first, then the calibration split's steps in the product's words and in others. The other words
-are those of paraphrases.toml, which training used. All forecasts are told which thing is in hand, since another is asked for.
+The first cases are free descriptions of the test split's activities, then the calibration split's steps in the product's words and in others.
+The other words are those of paraphrases.toml, which training used. All forecasters know the thing in hand, because the next one must differ.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Product:
 
 
 class Chain:
-    """Kneser-Ney over a map's labels, as the product's experiments bind it."""
+    """Kneser-Ney over a map's labels, bound as in the product's experiments."""
 
     def __init__(self, statistics: dict, labels: list[str]):
         self.fit, self.index = statistics["kneser_ney"], {label: k for k, label in enumerate(labels)}
@@ -76,7 +76,7 @@ class Chain:
     def with_cache(self, chain: np.ndarray, visited: list[str]) -> np.ndarray:
         turned = [self.key(word) for word in visited]
         before = [thing for thing in turned if thing in self.index]
-        # What is in hand and is not on the map hides nothing of it.
+        # A thing in hand that is not on the map excludes none of the map's things.
         before += [turned[-1]] if turned and turned[-1] not in self.index else []
         cached = np.array([recency(before, label, self.fit["cache_decay"]) for label in self.index])
         weight = self.fit["cache_weight"] if cached.sum() else 0.0

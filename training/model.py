@@ -1,7 +1,7 @@
 """A llama-architecture language model, small enough to answer in about four milliseconds on two idle cores.
 
-The layout is the one that llama.cpp runs under the name `llama`: pre-norm blocks with RMS normalisation, rotary positions,
-gated SiLU feed-forward, no biases. Embedding and output share one matrix.
+The layout is llama.cpp's `llama`: pre-norm blocks with RMS normalisation, rotary positions, gated SiLU feed-forward, no biases. Embedding and
+output share one matrix.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class RmsNorm(nn.Module):
 def rotate(x: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> torch.Tensor:
     """Rotates pairs (i, i + half) of the last axis. x: [batch, heads, time, head width].
 
-    Contiguous halves are much faster here than the neighbouring pairs that llama.cpp rotates; the export reorders the rows.
+    Contiguous halves are much faster here than llama.cpp's neighbouring pairs; the export reorders the rows.
     """
     first, second = x.chunk(2, dim=-1)
     return torch.cat((first * cos - second * sin, first * sin + second * cos), dim=-1)
@@ -63,7 +63,7 @@ class Block(nn.Module):
         self.down = nn.Linear(shape.feed_forward, width, bias=False)
 
     def matrices(self) -> list[tuple[nn.Linear, int]]:
-        """The block's layers, each with the number of matrices that it joins."""
+        """The block's layers, each with the number of matrices in it."""
         return [(self.query_key_value, 3), (self.attention_out, 1), (self.gate_up, 2), (self.down, 1)]
 
     def forward(self, x, cos, sin, mask):
@@ -76,7 +76,7 @@ class Block(nn.Module):
         if x.is_cuda:
             mixed = F.scaled_dot_product_attention(q, k, v, mask)
         else:
-            # Written out, since on processors the fused attention of torch takes longer in bfloat16, and as long in single precision.
+            # Not torch's fused attention: on processors that is slower in bfloat16, and not faster in single precision.
             attention = q * self.head_width**-0.5 @ k.transpose(-1, -2)
             mixed = attention.masked_fill(~mask, -math.inf).softmax(-1).to(v.dtype) @ v
         mixed = self.attention_out(mixed.transpose(1, 2).reshape(batch, time, width))

@@ -1,8 +1,8 @@
-"""Muon: momentum whose matrices are made orthogonal before they are applied (Jordan et al., 2024).
+"""Muon: momentum with matrices made orthogonal before the update (Jordan et al., 2024).
 
-Every direction of a weight matrix is changed alike, however rarely the data point there. At the size trained here it reaches the loss of Adam in less
-than half the steps. Embedding, output and norms stay with Adam. `torch.optim.Muon` computes in bfloat16 even on processors that
-imitate it, dozens of times slower than single precision; and it computes every matrix in every worker.
+Every direction of a weight matrix changes at the same rate, however rarely the data use it. At this model's size it reaches the loss of Adam in
+less than half the steps. Embedding, output and norms stay with Adam. `torch.optim.Muon` computes in bfloat16 even on processors that emulate
+it, dozens of times slower than single precision; and it computes every matrix in every worker.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import math
 
 import torch
 
-# A quintic whose iteration takes every singular value from (0, 1] to about 1 (0.7 to 1.2) in five steps.
+# A quintic iteration that moves every singular value from (0, 1] to about 1 (0.7 to 1.2) in five steps.
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 STEPS = 5
 
 
 def orthogonalised(matrices: torch.Tensor, half: bool = False) -> torch.Tensor:
-    """[number, rows, columns], with no more rows than columns: the singular values of each are replaced by about 1, without computing them; in bfloat16 if
-    `half`, which is exact enough."""
+    """[number, rows, columns], with no more rows than columns: replaces the singular values of each by about 1, without computing them; in
+    bfloat16 if `half`, which is exact enough."""
     a, b, c = COEFFICIENTS
     x = matrices / matrices.norm(dim=(1, 2), keepdim=True).clamp(min=1e-7)
     x = x.bfloat16() if half else x
@@ -29,7 +29,7 @@ def orthogonalised(matrices: torch.Tensor, half: bool = False) -> torch.Tensor:
 
 
 def shared_out(parameters: list[torch.nn.Parameter], parts: list[int], workers: int) -> list[int]:
-    """Which worker steps each parameter: the one that has the least to compute so far."""
+    """The worker that steps each parameter: the one with the least work so far."""
     loads, steppers = [0] * workers, []
     for parameter, number in zip(parameters, parts):
         rows, columns = sorted((parameter.size(0) // number, parameter.size(1)))
@@ -39,9 +39,9 @@ def shared_out(parameters: list[torch.nn.Parameter], parts: list[int], workers: 
 
 
 class Muon(torch.optim.Optimizer):
-    """Each matrix is stepped by one of the workers, which then tell one another the result.
+    """One worker steps each matrix and shares the result with the others.
 
-    `parts` says of how many matrices, one above the other, a parameter is made; each is orthogonal by itself.
+    `parts` is the number of matrices that are stacked in each parameter; each is made orthogonal separately.
     """
 
     def __init__(self, parameters, parts: list[int], rate: float, weight_decay: float, momentum: float = 0.95, rank: int = 0, workers: int = 1, half: bool = False):
@@ -64,7 +64,7 @@ class Muon(torch.optim.Optimizer):
             parameter.mul_(1 - group["lr"] * group["weight_decay"]).sub_(update * group["lr"])
 
     def updates(self, parameters: list[tuple[torch.nn.Parameter, int]]) -> list[torch.Tensor]:
-        """What to subtract, times the rate. Matrices of one shape are computed together: a GPU has much of that."""
+        """The updates to subtract, before the rate. Matrices of equal shape are computed together, because a GPU is efficient with batches."""
         blocks: list[torch.Tensor] = []
         for parameter, parts in parameters:
             state = self.state[parameter]
@@ -75,7 +75,7 @@ class Muon(torch.optim.Optimizer):
         for shape in {block.shape for block in flat}:
             alike = [i for i, block in enumerate(flat) if block.shape == shape]
             for i, block in zip(alike, orthogonalised(torch.stack([flat[i] for i in alike]), self.half)):
-                # The factor gives the update the size that one of Adam's has, so that rate and weight decay mean the same in both.
+                # The factor gives the update the size of an Adam update, so that rate and weight decay mean the same in both.
                 block = block * (0.2 * math.sqrt(max(shape)))
                 flat[i] = block if blocks[i].shape == shape else block.T
         given = iter(flat)

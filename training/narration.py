@@ -1,4 +1,4 @@
-"""Observations and their sentences, as the product says them and in the other styles of the training corpus."""
+"""Observations and their sentences, in the product's style and in the other styles of the training corpus."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def words(name: str) -> str:
 
 
 def bind(word: str, labels) -> str | None:
-    """The label of a map that serves for an object's words, by the rule that names.toml documents."""
+    """The map's label for an object's words, by the rule in names.toml."""
     if word in labels:
         return word
     return next((alias for alias in ALIASES.get(word, ()) if alias in labels), None)
@@ -58,7 +58,7 @@ def parse_step(line: str) -> Step | None:
 
 
 def next_targets(steps: list[Step]) -> list[str | None]:
-    """For every step k: the object of the first action after it that names another object than step k's last object."""
+    """For every step k: the object of the first later action that names another object than step k's last one."""
     targets: list[str | None] = []
     for k, step in enumerate(steps):
         later = (s.target for s in steps[k + 1 :] if s.target and s.target != step.target)
@@ -68,7 +68,7 @@ def next_targets(steps: list[Step]) -> list[str | None]:
 
 @dataclass(frozen=True)
 class Style:
-    """Who is spoken of, in which tense, and how often in other words than the product's."""
+    """Subject, tense, and share of sentences in other words than the product's."""
 
     subject: str = "They"
     tense: str = "base"  # base, third, past or ing
@@ -87,7 +87,7 @@ SOMEBODY = ("Someone", "Somebody", "A person", "A man", "A woman", "The man", "T
 
 
 def random_style(rng: random.Random, product_share: float) -> Style:
-    """The product's style with the given probability, else one of the others, half of which use other words too."""
+    """The product's style with the given probability, else a random other style; half of these use other words too."""
     roll = (rng.random() - product_share) / (1 - product_share)
     if roll < 0:
         return PRODUCT
@@ -112,10 +112,10 @@ def sentence(step: Step, style: Style = PRODUCT, rng: random.Random | None = Non
 
 
 def segments(step: Step, style: Style = PRODUCT, rng: random.Random | None = None) -> list[str]:
-    """A sentence in parts: what is said around the objects, and the objects. Tokens of the vocabulary never cross parts. `rng` chooses other words, if the
-    style has any.
+    """A sentence in parts: the text around the objects, and the objects. Tokens of the vocabulary never cross parts. `rng` chooses other words, if
+    the style has any.
 
-    Unknown actions are said by their own name, as in the product.
+    Unknown actions are narrated by their name, as in the product.
     """
     objects = [word for word, _ in step.objects[:2]]
     entry = ACTIONS.get(step.action)
@@ -136,7 +136,7 @@ def segments(step: Step, style: Style = PRODUCT, rng: random.Random | None = Non
     return [*subject, *filled, "."]
 
 
-# Of these there is no "a": what is poured or eaten, and what there are several of. By their last word.
+# Last words of things without "a": mass nouns and plurals.
 UNCOUNTED = set(
     "water milk juice coffee tea beer wine sugar salt flour rice bread butter cheese food soup sauce oil soap shampoo toothpaste detergent paper hair teeth feet "
     "mail homework laundry clothing underwear furniture trash garbage rubbish music children people scissors jeans shorts lotion cream cereal pasta meat chicken "
@@ -145,7 +145,7 @@ UNCOUNTED = set(
 
 
 def indefinite(part: str, thing: str) -> str:
-    """What is said before a thing, with "a" in place of "the" where there can be one of it."""
+    """The text before a thing, with "a" instead of "the" if the thing is countable and singular."""
     last = thing.rpartition(" ")[2]
     many = last.endswith("s") and not last.endswith("ss")
     if not part.endswith(" the") or many or last in UNCOUNTED:

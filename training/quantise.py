@@ -2,8 +2,8 @@
 
     python training/quantise.py --shared DATA household-f32.gguf models/household.gguf
 
-Plain rounding takes the nearest step for each weight. Here later columns of a matrix make up for the rounding of earlier ones, weighted by
-the inputs that the matrix has on the training text (GPTQ, Frantar et al. 2023). Each matrix sees the inputs that the rounded ones before it give.
+Plain rounding takes the nearest step for each weight. Here later columns of a matrix compensate for the rounding of earlier ones, weighted by
+the matrix's inputs on the training text (GPTQ, Frantar et al. 2023). Each matrix is fitted to the inputs from the rounded matrices before it.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from things import Things
 ROOT = Path(__file__).resolve().parent.parent
 KIND, FILE_KIND, BLOCK = gguf.GGMLQuantizationType.IQ4_NL, gguf.LlamaFileType.MOSTLY_IQ4_NL, 32
 STEPS = np.array([-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113], np.float32)
-# The nearest step's number for each half from -128 to 128.
+# The index of the nearest step for each half from -128 to 128.
 NEAREST = np.abs(np.arange(-256, 257)[:, None] / 2 - STEPS).argmin(1)
-# Fractions of the plain scale that are tried for each block, of either sign.
+# Fractions of the plain scale to try for each block, of either sign.
 FACTORS = np.r_[np.linspace(0.7, 1.25, 23), -np.linspace(0.8, 1.25, 16)]
-# Added to the second moments, as a share of their mean: columns that the text hardly uses must not run away.
+# Added to the second moments, as a share of their mean, so that rarely used columns stay bounded.
 DAMPING = 0.01
-# The table of tokens is the output's matrix and the input's: as an input each of its columns counts as much as another.
+# The token table is both output and input matrix. As input, all of its columns have the same weight.
 INPUT_SHARE = 0.3
 SEQUENCES = 3000
 BATCH_TOKENS = 16384
@@ -85,7 +85,7 @@ def rounded(matrix: np.ndarray, moments: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 class Cutter:
-    """Cuts text with the file's own vocabulary, as sentencepiece does: the best pair of neighbours is joined first."""
+    """Tokenises text with the file's own vocabulary like sentencepiece: the best pair of neighbours is merged first."""
 
     def __init__(self, reader: gguf.GGUFReader):
         pieces = reader.fields["tokenizer.ggml.tokens"].contents()
@@ -105,7 +105,7 @@ class Cutter:
 
 
 def batches(corpus: Corpus, cutter: Cutter, number: int, seed: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Prompts with their answers: tokens, which of them are text and no filling, and which of them are answered."""
+    """Prompts with their answers: tokens, a mask of the text without padding, and a mask of the answered tokens."""
     rng, rows = random.Random(f"quantise {seed}"), []
     while len(rows) < number:
         drawn = corpus.draw(rng)
@@ -129,7 +129,7 @@ def batches(corpus: Corpus, cutter: Cutter, number: int, seed: int) -> list[tupl
 
 
 class Llama:
-    """The model's arithmetic in single precision, a layer at a time."""
+    """The model's arithmetic in single precision, one layer at a time."""
 
     def __init__(self, reader: gguf.GGUFReader):
         number = lambda key: reader.fields[f"llama.{key}"].contents()
@@ -158,7 +158,7 @@ class Llama:
         return (scores / scores.sum(-1, keepdims=True) @ value).transpose(0, 2, 1, 3).reshape(batch, time, width)
 
     def run(self, inputs: list[np.ndarray], see=lambda names, inputs: None) -> list[np.ndarray]:
-        """Hidden states of embedded tokens, batch by batch; `see` is told each matrix's inputs before it is used."""
+        """Hidden states of embedded tokens, batch by batch; calls `see` with each matrix's inputs before the matrix is used."""
         for layer in range(self.layers):
             name = lambda part: f"blk.{layer}.{part}.weight"
             times = lambda xs, part: [x @ self.weights[name(part)].T for x in xs]
@@ -180,7 +180,7 @@ def moments(inputs: list[np.ndarray], wanted: list[np.ndarray]) -> np.ndarray:
 
 
 def quantise(source: Path, target: Path, corpus: Corpus, seed: int) -> None:
-    """Writes the file's model with every matrix rounded to four bits. All else stays as it is."""
+    """Writes the file's model with every matrix rounded to four bits. Everything else stays the same."""
     reader = gguf.GGUFReader(source)
     model, packed = Llama(reader), {}
     tokens, text, answered = zip(*batches(corpus, Cutter(reader), SEQUENCES, seed))

@@ -1,13 +1,13 @@
-"""The project's own corpus: everyday routines written by hand, and the generator that varies them.
+"""The project's own corpus: hand-written everyday routines, and the generator of their variations.
 
-    python training/routines.py --out FOLDER      # one way of each that is trained on, as a program for `roomcast-lab forecast --fit`
+    python training/routines.py --out FOLDER      # one variation of each training routine, as a program for `roomcast-lab forecast --fit`
 
 A routine's `steps` are actions separated by `;`. An action is a key of actions.toml, then up to two objects separated by a comma.
 
     a|b      one of the alternatives; the same alternatives written again in a routine mean the same choice
     step?    a step that is sometimes left out
     { .. & .. }   parts that may come in any order
-    ( .. / .. )   one of the parts; with a `?` behind it, sometimes none
+    ( .. / .. )   one of the parts; with a `?` after it, sometimes none
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Routine:
     text: str
 
     def program(self, rng: random.Random) -> Program:
-        """One way in which the routine may go."""
+        """A random variation of the routine."""
         chosen: dict[str, str] = {}
         steps: list[Step] = []
         verbosity = rng.choice([0.0, 0.3, 0.6, 0.9])
@@ -62,7 +62,7 @@ GROUP = re.compile(r"(\{[^}]*\}|\([^)]*\)\??)")
 
 
 def flatten(text: str, rng: random.Random) -> list[str]:
-    """The actions in order, with every `{ a & b }` put in some order and one part of every `( a / b )`. Groups do not nest."""
+    """The actions in order, with every `{ a & b }` in some order and one part of every `( a / b )`. Groups do not nest."""
     out: list[str] = []
     for part in GROUP.split(text):
         if part.startswith("{"):
@@ -81,7 +81,7 @@ def steps_of(text: str) -> list[str]:
 
 
 def place_of(path: Path) -> str:
-    """The workplace that a file's name begins with, or a home."""
+    """The workplace at the start of a file's name, or a home."""
     first = path.stem.split("_")[0]
     return first if first in WORKPLACES else HOME
 
@@ -97,7 +97,7 @@ def load(folder: Path) -> list[Routine]:
 
 
 def check(routine: Routine) -> None:
-    """Every action of every part is one, whichever part is taken."""
+    """Checks that every part of every choice is a valid action."""
     for part in GROUP.split(routine.text):
         between = "/" if part.startswith("(") else "&"
         inside = part.rstrip("?")[1:-1].replace(between, ";") if GROUP.fullmatch(part) else part

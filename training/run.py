@@ -4,7 +4,7 @@
     python training/run.py --shared ../shared --folds folds       # one model per fold, each below folds/, for `roomcast-lab folds`
     python training/run.py --shared ../shared --folds folds --small
 
-A run that was ended goes on where it was when the same command is given again.
+An interrupted run continues if the same command is given again.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-# Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system
-# for fresh pages costs more than the arithmetic. Python's hashes are fixed too, so that no order depends on them. All are read at
-# start-up, hence the restart.
+# Freed memory is kept: a training step allocates and frees the same few hundred megabytes, and asking the system for fresh pages costs more than the
+# arithmetic. Python's hashes are fixed too, so that no order depends on them. These variables are read at start-up, so the program restarts itself.
 SURROUNDINGS = {"MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "100000000000", "MALLOC_TOP_PAD_": "268435456", "PYTHONHASHSEED": "0"}
 if __name__ == "__main__" and any(os.environ.get(name) != value for name, value in SURROUNDINGS.items()):
     os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **SURROUNDINGS})
@@ -41,7 +40,7 @@ from train import Schedule, restore, train
 
 ROOT = Path(__file__).resolve().parent.parent
 VOCABULARY = 6144  # tokens
-# What `--small` trains, in ten minutes on two cores: a quarter of the parameters, a fifth of the steps.
+# The model of `--small`, ten minutes on two cores: a quarter of the parameters, a fifth of the steps.
 SMALL_SHAPE, SMALL_SCHEDULE = Shape(width=192, layers=3, heads=6, feed_forward=512), Schedule(steps=2100, until=1200, dropout=0.1, apart=130)
 DESCRIPTION = (
     "Predicts which object of a home a person turns to next, from a narration of what they just did. "
@@ -112,7 +111,7 @@ def make(given: argparse.Namespace) -> None:
     else:
         shape, schedule = (SMALL_SHAPE, SMALL_SCHEDULE) if given.small else (Shape(), Schedule())
         schedule = schedule.within(given.short) if given.short else schedule
-        # What a checkpoint must agree in to be gone on from: the data, through the vocabulary that was made of them, and what is held out.
+        # A run continues from a checkpoint only if these agree: the data, through the vocabulary made from them, and the held-out part.
         recipe = {"seed": given.seed, "dev": given.dev, "fold": given.fold, "vocabulary": data.sha256(given.work / "vocabulary.model")}
         shape = replace(shape, vocab=-(-pieces.vocab_size() // 32) * 32)
         watch = (lambda step, model: print(f"step {step}: {fitted(model)}", flush=True)) if given.watch else None
@@ -140,7 +139,7 @@ HOSTILE = [
 
 
 def write_expected_tokens(corpus: Corpus, pieces, path: Path) -> None:
-    """Texts and their tokens without the leading begin-of-text token, for the product to show that llama.cpp agrees."""
+    """Texts and their tokens without the leading begin-of-text token, with which the product tests that llama.cpp agrees."""
     rng = random.Random("expected tokens")
     texts = list(HOSTILE)
     for _ in range(60):
@@ -154,7 +153,7 @@ def write_expected_tokens(corpus: Corpus, pieces, path: Path) -> None:
 
 
 def write_manifest(given, corpus, programs, model, trained: Path, shipped: Path) -> None:
-    """What the model was made from, and which activities were in which split."""
+    """Records the model's data, and the activities of each split."""
     inputs = sorted(
         [p for folder in ("virtualhome/programs", "virtualhome/scenes", "homer_plus") for p in (given.shared / folder).rglob("*") if p.is_file()]
     )

@@ -1,5 +1,4 @@
-"""Counts over the training split, for the baselines that a forecast is compared with, and what Kneser-Ney smoothing fits on the
-calibration split.
+"""Counts over the training split, for the baselines of forecasts, and the parameters of Kneser-Ney smoothing, fitted on the calibration split.
 
     python training/statistics_file.py --shared ../shared      # writes models/household-statistics.json; needs no PyTorch
 """
@@ -19,14 +18,14 @@ from data import Program
 from narration import bind, next_targets
 
 ROOT = Path(__file__).resolve().parent.parent
-# Stands in a context for what lies before the first object.
+# Pads a context before the first object.
 START = "^"
-# What the fit chooses among: the part of a count of one, of two, and of three from each greater one.
+# Candidates of the fit: the discounts for counts of one, of two, and of three or more.
 DISCOUNTED = [0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 0.99]
 WEIGHTS = [0.0, 0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
 DECAYS = [0.5, 0.7, 0.8, 0.9, 0.95, 1.0]
 
-# Lengths of contexts, 0 to 3 objects, and kinds of counts, one, two, and more, that have discounts of their own.
+# Lengths of contexts, 0 to 3 objects, and kinds of counts (one, two, more) with separate discounts.
 ORDERS, KINDS = 4, 3
 
 Table = dict[str, Counter]
@@ -35,7 +34,7 @@ Discounts = list[list[float]]
 
 
 def walk(program: Program) -> list[str]:
-    """The objects that a program turns to one after another, without immediate repeats."""
+    """A program's objects in order, without immediate repeats."""
     out: list[str] = []
     for step in program.steps:
         if step.target and (not out or out[-1] != step.target):
@@ -44,7 +43,7 @@ def walk(program: Program) -> list[str]:
 
 
 def count(programs: list[Program]) -> tuple[Counter, Table, Table, Table]:
-    """How often each object is next, after each object, after each pair "before>last", and after each three."""
+    """How often each object is next: overall, after each object, after each pair "before>last", and after each three."""
     frequency: Counter = Counter()
     first, second, third = {}, {}, {}
     for program in programs:
@@ -66,8 +65,8 @@ def contexts(visited: list[str]) -> list[tuple[tuple[str, ...], str]]:
 
 
 class KneserNey:
-    """Modified Kneser-Ney, interpolated, of third order (Chen and Goodman 1999): shorter contexts count the distinct longer ones that an object followed,
-    and counts of one, two and more have discounts of their own."""
+    """Modified Kneser-Ney, interpolated, of third order (Chen and Goodman 1999): shorter contexts count the distinct longer ones before an object,
+    and counts of one, two and more have separate discounts."""
 
     def __init__(self, third: Table, objects: list[str]) -> None:
         self.tables: list[dict[tuple[str, ...], Counter]] = [{tuple(key.split(">")): Counter(counts) for key, counts in third.items()}]
@@ -79,8 +78,8 @@ class KneserNey:
         self.objects = objects
 
     def counts(self, context: tuple[str, ...], following: str) -> list[Counted]:
-        """Per length of context, the empty one first: how often the object followed, how often any did, and how many followed once, twice and more often.
-        Lengths at which nothing followed are left out."""
+        """Per length of context, the empty one first: the object's count, the total count, and how many objects followed once, twice and more
+        often. Lengths without any count are left out."""
         out = []
         for order in range(ORDERS):
             counts = self.tables[3 - order].get(context[3 - order :])
@@ -94,7 +93,7 @@ class KneserNey:
 
 
 def probability(counted: list[Counted], even: float, discounts: Discounts) -> float:
-    """Of an object, from its counts; `even` is what all objects have before anything is counted."""
+    """Probability of an object from its counts; `even` is every object's probability without counts."""
     p = even
     for order, count, total, kinds in counted:
         taken = sum(number * discount for number, discount in zip(kinds, discounts[order]))
@@ -104,7 +103,7 @@ def probability(counted: list[Counted], even: float, discounts: Discounts) -> fl
 
 
 def recency(before: list[str], following: str, decay: float) -> float:
-    """The share of an object in what was turned to in this activity, apart from what is in hand; the latest counts most."""
+    """The share of an object in the activity's earlier objects except for the one in hand; the latest counts most."""
     last, mass, all_mass, weight = before[-1] if before else None, 0.0, 0.0, 1.0
     for thing in reversed(before):
         if thing != last:
@@ -115,7 +114,7 @@ def recency(before: list[str], following: str, decay: float) -> float:
 
 
 def bound(third: Table, labels: Iterable[str]) -> Table:
-    """The counts over a map's labels. What the map lacks is no object and stays a context; two words of one label are no turn to another thing."""
+    """The counts over a map's labels. Objects outside the map stay in contexts only; two words of one label are one thing."""
     out: Table = {}
     for context, counts in third.items():
         before = [bind(word, labels) or word for word in context.split(">")]
@@ -128,8 +127,8 @@ def bound(third: Table, labels: Iterable[str]) -> Table:
 
 
 def cases_in(programs: list[Program], labels: set[str], model: KneserNey) -> Iterator[tuple[list[Counted], list[Counted] | None, float, str, list[str]]]:
-    """Of every step whose next thing is in a map: the counts of that thing and of the one in hand, an even chance, the thing, and what was turned to of the map;
-    the last of these is in hand, in the map or not."""
+    """Yields for every step with a next thing in the map: the counts of that thing and of the one in hand, the even probability, the thing, and
+    the map's earlier things; the last of these is in hand, whether in the map or not."""
     for program in programs:
         turned: list[str] = []
         for step, target in zip(program.steps, next_targets(program.steps)):
@@ -145,12 +144,12 @@ def cases_in(programs: list[Program], labels: set[str], model: KneserNey) -> Ite
 
 
 def fit(third: Table, calibration: list[Program], maps: list[set[str]]) -> dict[str, object]:
-    """Discounts by order and count, and the weight and decay of the recency cache, that make the calibration split likeliest over the labels of `maps`, as
-    the model's temperature does: what is next at every step, given that it is another thing than the one in hand."""
+    """Discounts by order and count, and weight and decay of the recency cache, that maximise the likelihood of the calibration split over the
+    labels of `maps`, as for the model's temperature: the next thing at every step, given that it differs from the one in hand."""
     cases = [case for labels in maps for case in cases_in(calibration, labels, KneserNey(bound(third, labels), sorted(labels)))]
 
     def chances(discounts: Discounts) -> list[tuple[float, float]]:
-        """Of what is next, and of what is in hand."""
+        """Probabilities of the next thing and of the one in hand."""
         p = lambda counted, even: probability(counted, even, discounts) if counted is not None else 0.0
         return [(p(counted, even), p(in_hand, even)) for counted, in_hand, even, *_ in cases]
 

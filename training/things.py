@@ -1,7 +1,7 @@
-"""The lexicon: kinds of things whose members can take each other's place in an activity without changing its course.
+"""The lexicon: kinds of things with members that can replace each other in an activity without changing its course.
 
-It stands for the maps of other places: a person who puts a cup into a cupboard here puts a beaker into a sideboard there. Each file of
-`things/` lists kinds, the commonest things of a kind first.
+It imitates the maps of other places: a cup in a cupboard here is a beaker in a sideboard there. Each file of `things/` lists kinds, the
+commonest things of a kind first.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 HOME = "home"
-# Other places than homes: the routines of each are in files that begin with its name, and its map, if it has one, is a scene of that name.
+# Places other than homes. The files of a place's routines begin with its name, and its map, if it has one, is a scene with that name.
 WORKPLACES = ("ward", "warehouse", "office")
-# The files of a place, those that are looked at first first.
+# The files of a place, in the order of the search.
 FILES = {
     HOME: ("everyday", "house", "living"),
     "ward": ("ward_office", "everyday", "house", "living"),
@@ -25,7 +25,7 @@ FILES = {
 
 @dataclass
 class Things:
-    """`kinds[file]` are its kinds."""
+    """`kinds[file]` are the kinds in a file."""
 
     kinds: dict[str, list[list[str]]]
 
@@ -45,7 +45,7 @@ class Things:
         return Things({file: [[word.strip() for word in kind.split(",")] for kind in kinds.values()] for file, kinds in files.items()})
 
     def another(self, word: str, place: str, rng: random.Random) -> str | None:
-        """A thing of the word's kind, common ones more often; none where the lexicon lacks the word."""
+        """A thing of the word's kind, common ones more often; None if the lexicon lacks the word."""
         kinds = [kind for file in FILES[place] for kind in self.of.get(file, {}).get(word, ())]
         if not kinds:
             return None

@@ -15,10 +15,10 @@ UNKNOWN, BEGIN, END = 0, 1, 2
 
 
 def sample(corpus: Corpus, seed: int, sequences: int = 6000) -> Counter:
-    """Segments of text and how often they occur: a sentence's parts around its objects, objects, bindings.
+    """Segments of text with their counts: a sentence's parts around its objects, objects, bindings.
 
-    Tokens may span words ("They walk to the", "washing machine"), which makes prompts three times shorter, but never two
-    segments: so a label after a binding is always tokenised as it is by itself.
+    Tokens may span words ("They walk to the", "washing machine"), which makes prompts three times shorter, but never two segments. So a label
+    after a binding has the same tokens as alone.
     """
     rng, counts = random.Random(f"tokenizer {seed}"), Counter()
     for _ in range(sequences):

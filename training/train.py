@@ -25,18 +25,18 @@ from muon import Muon
 
 # Steps between two checkpoints.
 CHECKPOINT_STEPS = 200
-# Processes that make batches ahead, beside a CPU's worker and beside a GPU: one makes some 100 000 tokens a second, an H100 trains on 860 000.
+# Processes that prepare batches, per CPU worker and per GPU: one prepares about 100 000 tokens a second, and an H100 trains on 860 000.
 MAKERS = {"cpu": 0, "cuda": max(1, min(12, (os.cpu_count() or 1) - 2))}
-# A GPU's first steps are taken one by one; then a step is recorded.
+# Steps on a GPU before the step is recorded.
 UNRECORDED = 4
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast. Training is broken off while the rate is still high: what is kept is the mean of moving averages of the weights."""
+    """Length and rates of training. Training stops while the rate is still high; the result is the mean of moving averages of the weights."""
 
     steps: int = 11000  # over which the rate falls
-    until: int = 6300  # and after which training stops
+    until: int = 6300  # training stops after this step
     workers: int = 2  # processes, on CPUs
     rows: int = 32  # of a batch, over all workers
     length: int = 192
@@ -45,12 +45,12 @@ class Schedule:
     weight_decay: float = 0.1
     dropout: float = 0.3
     average: float = 0.999  # decay of the moving average of the weights
-    averages: int = 3  # of which so many are taken, the last at the end, and their mean is kept
+    averages: int = 3  # number of averages in the result, the last one at the end
     apart: int = 700  # steps between two of them
 
     def within(self, until: int) -> Schedule:
-        """The same in another number of steps, with the rate's fall and the averages in proportion. The warm-up stays as long, so that below some 600 steps
-        the rate falls less."""
+        """The schedule for another number of steps, with the rate's fall and the averages in proportion. The warm-up stays the same, so below some
+        600 steps the rate falls less."""
         part = until / self.until
         return replace(self, steps=max(1, round(self.steps * part)), until=until, apart=max(1, round(self.apart * part)))
 
@@ -64,9 +64,9 @@ def rate_at(step: int, schedule: Schedule) -> float:
 
 
 def loss_of(model: Household, batch: dict[str, torch.Tensor]) -> torch.Tensor:
-    """Weighted cross-entropy, in nats, over the tokens that have a weight."""
+    """Weighted cross-entropy, in nats, over the tokens with a weight."""
     hidden, target, weight = model(batch["token"], batch["position"], visible(batch)), batch["target"], batch["weight"]
-    if not hidden.is_cuda:  # where sizes may depend on the data
+    if not hidden.is_cuda:  # only if sizes may depend on the data
         wanted = weight > 0
         hidden, target, weight = hidden[wanted], target[wanted], weight[wanted]
     each = F.cross_entropy(model.logits(hidden).float().flatten(0, -2), target.flatten(), reduction="none")
@@ -74,7 +74,8 @@ def loss_of(model: Household, batch: dict[str, torch.Tensor]) -> torch.Tensor:
 
 
 def visible(batch: dict[str, torch.Tensor]) -> torch.Tensor:
-    """[rows, 1, length, length]: whether a token sees another. It sees what precedes it in its sequence: the trunk as far as its branch does, and its own branch."""
+    """[rows, 1, length, length]: whether a token sees another one. It sees earlier tokens of its sequence: the trunk as far as its branch does,
+    and its own branch."""
     branch, sequence, place = batch["branch"], batch["sequence"], batch["place"]
     row, column = (lambda value: value[:, :, None]), (lambda value: value[:, None, :])
     trunk = (column(branch) == 0) & (column(place) < row(batch["sees"]))
@@ -84,7 +85,7 @@ def visible(batch: dict[str, torch.Tensor]) -> torch.Tensor:
 
 
 class Batches(torch.utils.data.Dataset):
-    """Batch `n` depends on the seed, the worker and `n` alone, whoever makes it and wherever training goes on."""
+    """Batch `n` depends only on the seed, the worker and `n`, not on the process or the restart."""
 
     def __init__(self, encoder: Encoder, corpus: Corpus, seed: str, rows: int, length: int):
         self.encoder, self.corpus, self.seed, self.rows, self.length = encoder, corpus, seed, rows, length
@@ -95,7 +96,7 @@ class Batches(torch.utils.data.Dataset):
 
 
 class Checkpoints:
-    """All that a worker needs to go on: after every so many steps a file per worker, so that all can go on from the last step that all have."""
+    """The state that workers need to continue: one file per worker at regular steps, so that all can continue from the last common step."""
 
     def __init__(self, folder: Path, recipe: dict, rank: int):
         self.folder, self.recipe, self.rank = folder, recipe, rank
@@ -107,11 +108,11 @@ class Checkpoints:
         return sorted(int(path.name.split("-")[1]) for path in self.folder.glob(f"resume-*-{rank}.pt"))
 
     def last(self, workers: int) -> dict | None:
-        """What was kept at the last step that every worker has; none if that is of another recipe."""
+        """The files of the last step common to all workers; None if they have another recipe."""
         common = set.intersection(*(set(self.steps(rank)) for rank in range(workers)))
         if not common:
             return None
-        # Own files, made by this program: they hold optimisers and the states of generators, which are no plain weights.
+        # These are the program's own files; optimisers and generator states cannot be loaded as plain weights.
         kept = torch.load(self.path(self.rank, max(common)), weights_only=False, map_location="cpu")
         if kept["recipe"] == self.recipe:
             return kept
@@ -136,11 +137,11 @@ def train(
     shape: Shape, schedule: Schedule, encoder: Encoder, corpus: Corpus, seed: int, device: str, checkpoint: Path, recipe: dict,
     watch: Callable[[int, Household], None] | None = None,
 ) -> Household:
-    """Trains, and returns the mean of the averaged weights, which is also left in `checkpoint`. Goes on from the files that an ended run of the same
-    `recipe` left beside it. `watch` is shown the averaged weights every `schedule.apart` steps.
+    """Trains, and returns the mean of the averaged weights, which `checkpoint` contains, too. Continues from the files of an interrupted run with
+    the same `recipe`. `watch` is called with the averaged weights every `schedule.apart` steps.
 
-    On CPUs every worker is a process with one thread and a part of the batch: they meet once per step, whereas threads meet
-    in every operation and lose most of their time when something else runs beside them.
+    On CPUs every worker is a process with one thread and a part of the batch. They synchronise once per step, whereas threads synchronise in
+    every operation and lose most of their time if other programs run.
     """
     workers = schedule.workers if device == "cpu" else 1
     recipe = {**recipe, "shape": shape.to_dict(), "schedule": asdict(schedule), "workers": workers}
@@ -164,7 +165,7 @@ def work(
     checkpoints = Checkpoints(checkpoint.parent, recipe, rank)
     found = checkpoints.last(workers)
     done = found["step"] if found else 0
-    # The makers are forked before this process computes on a GPU.
+    # Forks the batch processes before this process uses the GPU.
     data = Batches(encoder, corpus, f"{seed} {rank}", schedule.rows // workers, schedule.length)
     ahead = {"num_workers": MAKERS[device], "prefetch_factor": 8, "pin_memory": True, "multiprocessing_context": "fork"} if MAKERS[device] else {}
     batches = iter(DataLoader(data, batch_size=None, sampler=range(done, schedule.until), **ahead))
@@ -174,7 +175,8 @@ def work(
     weights = dict(model.named_parameters())
     averaged = {name: value.detach().clone() for name, value in weights.items()}
     kept = []
-    # Without tiles (AMX), processors compute bfloat16 slower than single precision: half as fast with AVX512_BF16, dozens of times slower where they imitate it.
+    # Without tiles (AMX), processors compute bfloat16 slower than single precision: half as fast with AVX512_BF16, dozens of times slower in
+    # emulation.
     half = device != "cpu" or torch.cpu.get_capabilities().get("amx_bf16", False)
     optimisers = optimisers_of(model, schedule, rank, workers, half)
     model.train()
@@ -213,16 +215,17 @@ def work(
             own = {"kept": kept, "averaged": averaged} if not rank else {}
             checkpoints.keep(step, model=model.state_dict(), optimisers=[o.state_dict() for o in optimisers], chance=chance(device), **own)
     if workers > 1:
-        # Until the result is written, the files to go on from stay.
+        # Checkpoint files stay until the result is written.
         torch.distributed.barrier()
         torch.distributed.destroy_process_group()
     checkpoints.remove()
 
 
 class Step:
-    """A batch's gradients, and what the optimisers make of them.
+    """A training step: a batch's gradients, and the optimisers' updates.
 
-    On a GPU the whole step is recorded after a few and then replayed: its thousand small kernels take longer to launch one by one than to run.
+    On a GPU the first few steps run normally; then the step is recorded and replayed: its thousand small kernels take longer to launch than to
+    run.
     """
 
     def __init__(self, model: Household, optimisers: list[torch.optim.Optimizer], workers: int, half: bool):
@@ -231,7 +234,7 @@ class Step:
         self.loss, self.counted, self.taken = torch.zeros((), device=self.device), 0, 0
         self.batch: dict[str, torch.Tensor] = {}
         if self.device.type == "cuda":
-            # A record reads the rate from where it lies.
+            # A recorded step reads the rate from this tensor.
             self.rate, self.graph, self.beside = torch.zeros((), device=self.device), torch.cuda.CUDAGraph(), torch.cuda.Stream()
             self.set_rate(self.rate)
 
@@ -261,7 +264,7 @@ class Step:
             return
         if self.taken == UNRECORDED + 1:
             self.model.zero_grad(set_to_none=True)
-            # The loader's thread may ask for pinned memory meanwhile.
+            # The loader's thread may allocate pinned memory during the recording.
             with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
                 self.take()
         self.graph.replay()
@@ -279,7 +282,7 @@ class Step:
         self.loss += loss.detach()
 
     def mean_loss(self) -> float:
-        """Of the steps since it was last asked for."""
+        """Mean loss since the last call."""
         mean = self.loss.item() / self.counted
         self.loss.zero_()
         self.counted = 0
@@ -287,7 +290,7 @@ class Step:
 
 
 def chance(device: str) -> list[torch.Tensor]:
-    """The state of the generators that dropout draws from."""
+    """The states of the generators for dropout."""
     return [torch.get_rng_state(), *([torch.cuda.get_rng_state()] if device == "cuda" else [])]
 
 
@@ -319,13 +322,13 @@ def share_gradients(model: Household, workers: int) -> None:
 
 
 def environment(device: str, workers: int) -> dict[str, str]:
-    """What a training ran on: another gives another file."""
+    """The software and hardware of a training: another environment gives another file."""
     name = torch.cuda.get_device_name() if device == "cuda" else f"{workers} processes"
     return {"python": platform.python_version(), "torch": str(torch.__version__), "device": name, "machine": platform.machine()}
 
 
 def model_of(shape: Shape, weights: dict[str, torch.Tensor]) -> Household:
-    """Draws nothing from the generators that training draws from."""
+    """Does not use the generators of training."""
     with torch.random.fork_rng(devices=[]):
         model = Household(shape).to(weights["embedding.weight"].device)
     model.load_state_dict(weights)

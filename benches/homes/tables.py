@@ -1,4 +1,4 @@
-"""The tables of docs/experiments.md, "Learning a home", from what `roomcast-lab habits --json` prints."""
+"""The tables of docs/experiments.md, "Learning a home", from the output of `roomcast-lab habits --json`."""
 
 NEXT_ROOM = ("mixture", "model", "counts", "stay")
 NEXT_THING = ("mixture", "model", "counts", "without-model")
@@ -7,7 +7,7 @@ NOTHING = "-"
 
 
 def figure(report: dict, predictor: str, target: str, key: str = "nll_nats", day: int | str = "all") -> float | None:
-    """One number of the report; none where there is no such case."""
+    """One number of the report; None if there is no such case."""
     found = (row[key] for row in report["rows"] if (row["day"], row["predictor"], row["target"]) == (day, predictor, target))
     return next(found, None)
 
@@ -22,12 +22,12 @@ def percent(value: float | None) -> str:
 
 
 def sets(report: dict) -> str:
-    """Places in a set, and in one of the forecast without habits."""
+    """Number of places in a set, with habits and without."""
     return "; ".join(f"{row['size_mean']:.2f} of {row['size_mean_shipped']:.2f}" for row in report["sets"])
 
 
 def saved(report: dict, policy: str) -> str:
-    """Seconds of disturbance per hour that habits spare, with the interval, of those of the robot without them."""
+    """Seconds of disturbance per hour saved by habits, with the interval, and the total without habits."""
     own = {row["predictor"]: row for row in report["cleaning"] if row["policy"] == policy}
     if not own or own["mixture"]["less"] is None:
         return NOTHING
@@ -42,7 +42,7 @@ def markdown(header: list[str], rows: list[list[str]]) -> str:
 
 
 def rooms(reports: dict[str, dict]) -> str:
-    """What comes next and where the person is later; one home a row."""
+    """Next rooms and later rooms; one home per row."""
     header = [
         "home",
         "next room: mixture, model, counts, stay",
@@ -63,7 +63,7 @@ def rooms(reports: dict[str, dict]) -> str:
 
 
 def things(reports: dict[str, dict]) -> str:
-    """The next thing other than the last one, over all days and on the first; one home a row."""
+    """The next thing other than the last one, over all days and on the first day; one home per row."""
     who = ", ".join(NEXT_THING)
     rows = []
     for home, report in reports.items():

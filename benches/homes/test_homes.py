@@ -1,8 +1,8 @@
-"""Logs, maps, rules and absences are what the source says and homes.toml makes of it, and the tables have the right numbers in the right places.
+"""Translated logs, maps, rules and absences agree with the source and homes.toml, and tables have the right numbers in the right places.
 
     python -m pytest benches/homes
 
-The homes' data are no part of the project: ROOMCAST_HOMES names their folder for the test that reads them.
+The homes' data are not part of the project: ROOMCAST_HOMES names their folder for the test that reads them.
 """
 
 import json
@@ -34,7 +34,7 @@ HOME = {
     },
 }
 NAMES = "1\tKitchen,Cabinet A\n2\tKitchen,Cabinet B \n3\tmat\tbed\t\n5\tFridge\n6\tPIR keuken"
-# 2024-03-01, from 08:00 on: the bed until then, both cabinets, a sensor without a name, a fridge that stays open.
+# 2024-03-01, from 08:00: in bed until then, both cabinets, a sensor without a name, a fridge that stays open.
 SENSORS = "1709251200\t28800\t3\n1709280000\t2\t2\n1709280010\t5\t1\n1709280020\t9\t4\n1709280030\t3600\t5\n1709280100\t90\t6\n"
 ACTIVITIES = "1709251200\t28800\t10\n1709283600\t7200\t1\n"
 ACTIVITY_NAMES = "1\tleave-house\n10\tgo-to-bed"
@@ -42,7 +42,7 @@ ACTIVITY_NAMES = "1\tleave-house\n10\tgo-to-bed"
 
 @pytest.fixture
 def translated(tmp_path):
-    """The files of a made-up home, and what was told of it."""
+    """Files of a made-up home, and the output of its translation."""
     data, out = tmp_path / "data", tmp_path / "out"
     data.mkdir()
     texts = {"sensors": SENSORS, "sensor_names": NAMES, "activities": ACTIVITIES, "activity_names": ACTIVITY_NAMES}

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Translates recorded homes into what `roomcast-lab habits --sensors` reads.
+"""Translates recorded homes for `roomcast-lab habits --sensors`.
 
     python benches/homes/translate.py --data FOLDER --out FOLDER
 
-FOLDER of `--data` has the files house?.sensors, .sensor_names and .activities (README.md says where they come from). For each home, X.tsv
-is the log of its sensors, X-scene.json its map and, where the source says when somebody was out, X-away.tsv; rules.toml says what the logs
-are in words, for all homes. homes.toml has what is known of each home. Python 3.11 or newer, standard library only.
+The FOLDER of `--data` has the files house?.sensors, .sensor_names and .activities (README.md names their source). For each home, X.tsv is the
+log of its sensors, X-scene.json its map and, if the source has absences, X-away.tsv; rules.toml translates the logs to sentences, for all
+homes. homes.toml describes each home. Python 3.11 or newer, standard library only.
 """
 
 import argparse
@@ -21,42 +21,42 @@ HERE = Path(__file__).resolve().parent
 HOMES = HERE / "homes.toml"
 HEIGHT_M = 2.5
 DOOR_M = 1.0  # above the floor
-THING_M = 0.4  # edge of a thing, where its room has the place
+THING_M = 0.4  # edge of a thing in metres, if the room has enough space
 
 
 class HomeError(Exception):
-    """What cannot be translated; the text names the home and the remedy."""
+    """A home that cannot be translated; the text names the home and the remedy."""
 
 
 def homes(path: Path = HOMES) -> dict:
-    """The file of homes: `kind` says what is said, `home` has each home."""
+    """The file of homes: `kind` has the sentences, `home` has each home."""
     return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def time_of(seconds: int) -> str:
-    """A time of the source as a log has it. The source counts its homes' own clocks as if they were UTC."""
+    """A time of the source in the format of a log. The source counts its homes' local clocks as if they were UTC."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 def plain(name: str) -> str:
-    """A sensor's name without the letter that numbers things of one kind: "Kitchen,Cabinet A" is "Kitchen,Cabinet"."""
+    """A sensor's name without the letter that numbers things of one kind: "Kitchen,Cabinet" for "Kitchen,Cabinet A"."""
     return re.sub(r" [A-Z]$", "", " ".join(name.split()))
 
 
 def names(path: Path) -> dict[int, str]:
-    """Numbers and names, one a line; a name may have tabs of its own."""
+    """Numbers and names, one per line; a name may contain tabs."""
     lines = (line.split("\t", 1) for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
     return {int(number): name.strip() for number, name in lines}
 
 
 def events(path: Path) -> list[tuple[int, int, int]]:
-    """When each began, when it ended, and whose number it is."""
+    """Per event: start, end and number of the sensor or activity."""
     lines = (map(int, line.split()) for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
     return [(start_s, start_s + length_s, number) for start_s, length_s, number in lines]
 
 
 def intervals(home: dict, kinds: dict, all_events: list, all_names: dict) -> tuple[list[tuple], int]:
-    """Begin, end, thing, kind and room of each event, in the order of time; and how many have no name."""
+    """Start, end, thing, kind and room of each event, sorted by time; and the number of events without a name."""
     known, unnamed = [], 0
     for start_s, end_s, number in all_events:
         if number not in all_names:
@@ -72,7 +72,7 @@ def intervals(home: dict, kinds: dict, all_events: list, all_names: dict) -> tup
 
 
 def absences(home: dict, all_events: list, all_names: dict) -> list[tuple]:
-    """Begin and end of each activity that says that nobody was in, and its name in words."""
+    """Start, end and readable name of each activity during which the home was empty."""
     away = home.get("away", [])
     named = ((start_s, end_s, all_names.get(number)) for start_s, end_s, number in all_events)
     return sorted((start_s, end_s, name.replace("-", " ")) for start_s, end_s, name in named if name in away)
@@ -87,7 +87,7 @@ def id_of(*words: str) -> str:
 
 
 def door(rooms: dict, one: str, other: str) -> dict:
-    """In the middle of the wall that two rooms share."""
+    """A door in the middle of the wall between two rooms."""
     (west, south, east, north), (west_2, south_2, east_2, north_2) = rooms[one], rooms[other]
     low, high = (max(west, west_2), max(south, south_2)), (min(east, east_2), min(north, north_2))
     sides = [high[0] - low[0], high[1] - low[1]]
@@ -98,7 +98,7 @@ def door(rooms: dict, one: str, other: str) -> dict:
 
 
 def things(room: str, corners: list[float], labels: list[str]) -> list[dict]:
-    """The things of a room, in rows and columns of its floor: where they stand nobody knows."""
+    """The things of a room, in rows and columns on its floor, because their real positions are unknown."""
     west, south, east, north = corners
     columns = math.ceil(math.sqrt(len(labels)))
     cell = [(east - west) / columns, (north - south) / columns]
@@ -114,11 +114,11 @@ def things(room: str, corners: list[float], labels: list[str]) -> list[dict]:
 
 
 def scene(home: dict) -> dict:
-    """The map of a home: its rooms, and in each the things that have sensors, and `more` without."""
+    """The map of a home: its rooms with the things that have sensors, and with the things in `more`."""
     rooms = home["room"]
     items = []
     for room, corners in rooms.items():
-        # What has the name of its room, as motion that is seen in it, is no thing; a toilet is one, whatever its room is called.
+        # A sensor with the name of its room, such as motion, is not a thing. A toilet is one, whatever its room's name.
         own = ((kind, thing) for place, kind, thing in home["sensor"].values() if place == room)
         sensed = [thing for kind, thing in own if kind != "passed" or thing != room]
         labels = list(dict.fromkeys(sensed + home.get("more", {}).get(room, [])))
@@ -137,7 +137,7 @@ def scene(home: dict) -> dict:
 
 
 def rules(kinds: dict) -> str:
-    """The rules file: what each kind of interval is in words, and how soon it is said again."""
+    """The rules file: the sentences for each kind of interval, and the shortest time between repetitions."""
     keys = ({"kind": kind, "say": said["say"], "again_s": said["again_s"]} for kind, said in kinds.items())
     rule = ("[[rule]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in own.items()) for own in keys)
     return "\n".join(rule)
@@ -150,7 +150,7 @@ def table(rows: list[tuple], heading: str) -> str:
 
 
 def translate(data: Path, out: Path, given: dict) -> list[str]:
-    """Writes the files of all homes; returns what was left out, in words."""
+    """Writes the files of all homes; returns notes on omitted data."""
     out.mkdir(parents=True, exist_ok=True)
     told = []
     (out / "rules.toml").write_text(rules(given["kind"]), encoding="utf-8")

@@ -1,6 +1,6 @@
-"""Roomcast beside its peers: the same model, labels, prompts, threads and machine, one event of each in turn.
+"""Compares Roomcast with its peers: the same model, labels, prompts, threads and machine, one event of each in turn.
 
-Run by `benches/peers/run`; README.md beside this file says what is compared.
+Run by `benches/peers/run`; README.md in this folder lists the peers.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ ROOT = HERE.parents[1]
 PROGRAMS = sorted((ROOT / "scenes/programs").glob("p*.txt"))
 PEERS = ["ranking", "shared-prefix", "llama.cpp-layout", "transformers", "cappr", "independent"]
 TOLERANCE_NATS = 1e-2
-# What it gives is certain in the order of the rooms, not in every label's score.
+# It guarantees the order of the rooms, not every label's score.
 UNCHECKED = {"ranking"}
-# Between two peers: what spins for its next work gives up by then.
+# Pause between two peers, so that busy-waiting threads fall asleep.
 SILENCE_S = 0.05
-# Events of the check with f32 weights: the window is cut within them, after which a kept prefix is another one.
+# Events of the check with f32 weights. The window is cut within them, which changes the kept prefix.
 CHECKED = 7
 
 
 class Worker:
-    """One process that answers one event at a time."""
+    """A process that answers one event at a time."""
 
     def __init__(self, name: str, command: list[str]) -> None:
         self.name, self.times_ms, self.decoder_ms, self.ratios, self.difference_nats = name, [], [], [], 0.0
@@ -58,7 +58,7 @@ class Worker:
 def measure(
     model: Path, cache: str, embedded: bool, peers: list[str], events: int, warm: int, arguments: argparse.Namespace
 ) -> list[Worker]:
-    """Runs `events` events of every peer, each in turn; the first worker is Roomcast itself. All that run llama.cpp have the same `cache`."""
+    """Runs `events` events on every peer in turn; the first worker is Roomcast. All peers on llama.cpp have the same `cache`."""
     def roomcast(method: str) -> Worker:
         observations = arguments.observations or (44 if embedded else 21)
         settings = [method, str(model), cache, arguments.scene, str(arguments.threads), str(observations)]
@@ -76,7 +76,7 @@ def measure(
                 workers[-1].send(labels)
         tokens = []
         for event in range(warm + events):
-            # Roomcast makes the prompt; the others follow in another order every time, each after a silence in which threads fall asleep.
+            # Roomcast writes the prompt. The others follow in random order, each after a pause in which threads fall asleep.
             others = workers[1:]
             for worker in [workers[0], *others[event % len(others):], *others[: event % len(others)]] if others else workers:
                 time.sleep(SILENCE_S)

@@ -2,11 +2,11 @@
 
     python shapes.py smollm2-135m qwen2.5-0.5b --kind q4_0 --out DIR
 
-How long a model takes depends on its shape and its quantisation, and hardly on its values. So these files have the layers, widths,
-heads, feed-forward, vocabulary, rope base and tied or untied embeddings of the originals, and seeded random weights at a scale that keeps
-activations and logits sane. Nothing of the originals is in them: the vocabulary is made here from Roomcast's own texts and filled up to
-the size of the original's. Quantised matrices are drawn as blocks of their format (random digits under a common scale), which is what
-makes a file of seven billion weights a matter of a minute.
+A model's speed depends on its shape and quantisation, and hardly on its values. So these files have the layers, widths, heads, feed-forward,
+vocabulary, rope base and tied or untied embeddings of the originals, and seeded random weights with a scale that keeps activations and logits
+finite and moderate. They contain nothing of the originals: the vocabulary is trained on Roomcast's own texts and padded to the original size.
+Quantised matrices are drawn as blocks of their format (random digits under a common scale), so a file of seven billion weights takes about a
+minute.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Kind = gguf.GGMLQuantizationType
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """The shape of a model, from the configuration that its authors publish beside the weights (config.json)."""
+    """The shape of a model, from the config.json that its authors publish."""
 
     architecture: str
     layers: int
@@ -66,14 +66,14 @@ FILE_TYPES = {
     "q4_k": gguf.LlamaFileType.MOSTLY_Q4_K_S,
 }
 UNKNOWN, BEGIN, END = 0, 1, 2
-# With so many pieces a narration has about as many tokens a word, and the labels of a flat about as many inner nodes, as with general
-# vocabularies: 29 of 141 nodes, where one that knows these words has about 28 of 137 (`benches/peers/run` prints them).
+# With this many pieces, a narration has about as many tokens per word, and a flat's labels about as many inner nodes, as with general vocabularies:
+# 29 of 141 nodes, and 28 of 137 with one that knows these words (`benches/peers/run` prints them).
 LEARNT_PIECES = 2000
 
 
 def texts() -> Iterator[str]:
-    """Narrations and labels of what Roomcast ships: words that a general vocabulary would hold whole. No documents, whose other words
-    would take the labels' place, so that every new page made another trie."""
+    """Narrations and labels of Roomcast's data: words that a general vocabulary has as a whole. Documents are left out, because their words would
+    displace the labels', and every new page would change the trie."""
     labels = sorted({item["label"] for path in ROOT.glob("scenes/*.json") for item in json.loads(path.read_text())["items"]})
     actions = tomllib.loads((ROOT / "core/src/narration/actions.toml").read_text())
     for action in actions.values():
@@ -110,7 +110,7 @@ def add_vocabulary(writer: gguf.GGUFWriter, size: int) -> None:
                 else gguf.TokenType.BYTE if learnt.is_byte(index)
                 else gguf.TokenType.NORMAL
             )
-        else:  # No merge leads to them.
+        else:  # No merge produces them.
             pieces.append(f"<filler{index}>".encode())
             scores.append(-1e6)
             types.append(gguf.TokenType.UNUSED)
@@ -128,7 +128,7 @@ def add_vocabulary(writer: gguf.GGUFWriter, size: int) -> None:
 
 
 def blocks(kind: Kind, rows: int, columns: int, std: float, rng: np.random.Generator) -> np.ndarray:
-    """Random values of about the standard deviation `std`, in the bytes of a format: one row of bytes per row of the matrix."""
+    """Random values with a standard deviation of about `std`, in the bytes of a format: one row of bytes per row of the matrix."""
     if kind == Kind.F32:
         return rng.standard_normal((rows, columns), np.float32) * np.float32(std)
     if kind == Kind.F16:
@@ -140,7 +140,7 @@ def blocks(kind: Kind, rows: int, columns: int, std: float, rng: np.random.Gener
     out = np.frombuffer(rng.bytes(count * size), np.uint8).reshape(count, size).copy()
 
     def put(at: int, value: np.ndarray | np.floating) -> None:
-        """Writes bytes or half-precision numbers, the same ones or one for each block, at a place of every block."""
+        """Writes bytes or half-precision numbers at offset `at` of every block: one for all blocks, or one per block."""
         data = np.ascontiguousarray(value).view(np.uint8)
         out[:, at : at + data.shape[-1]] = data
 
@@ -155,7 +155,7 @@ def blocks(kind: Kind, rows: int, columns: int, std: float, rng: np.random.Gener
         put(192, np.full(16, 64, np.uint8))
         put(208, half(std / (64 * 18.5)))
     elif kind == Kind.Q4_K:  # scale, scale of the minima, 8 pairs of 6 bits in 12 bytes, 256 digits 0..15
-        # Every scale and minimum is 32: two of its bits in the bytes of another; 7.5 is the mean of a digit.
+        # Every scale and minimum is 32, with two of its bits in another byte; 7.5 is the mean of a digit.
         put(0, half(std / (32 * 4.61)))
         put(2, half(7.5 * std / (32 * 4.61)))
         put(4, np.array([32 | 2 << 6] * 8 + [0] * 4, np.uint8))
@@ -168,10 +168,10 @@ def tensors(shape: Shape, kind: str) -> Iterator[tuple[str, tuple[int, ...], Kin
     """Name, shape (rows first), format and deviation of every tensor; norms have a deviation of 0 and are ones."""
     width, kv_width, feed = shape.width, shape.kv_width, shape.feed_forward
     body = {"f16": Kind.F16, "q8_0": Kind.Q8_0, "q4_0": Kind.Q4_0, "q4_k": Kind.Q4_K}[kind]
-    # llama.cpp's own quantiser keeps the matrix that gives the logits finer than the others.
+    # As llama.cpp's quantiser, keeps the output matrix at a higher precision.
     coarse = kind in ("q4_0", "q4_k")
     logits = (Kind.Q6_K if width % 256 == 0 else Kind.Q8_0) if coarse else body
-    # Logits of a deviation of about 2.5 nats, so that the next token is neither certain nor uniform.
+    # Logits with a deviation of about 2.5 nats, so that the next token is neither certain nor uniform.
     vocabulary_std = 2.5 / width**0.5
     yield "token_embd.weight", (shape.vocabulary, width), logits if shape.tied else body, vocabulary_std
     residual = 1 / (2 * shape.layers) ** 0.5
@@ -193,7 +193,7 @@ def tensors(shape: Shape, kind: str) -> Iterator[tuple[str, tuple[int, ...], Kin
 
 
 def write(name: str, kind: str, path: Path, seed: int = 1) -> None:
-    """Writes one file, tensor by tensor: no more than one of them is in memory."""
+    """Writes one file, tensor by tensor, with at most one tensor in memory."""
     shape = SHAPES[name]
     writer = gguf.GGUFWriter(path, shape.architecture)
     writer.add_name(f"{name} shape, random weights")

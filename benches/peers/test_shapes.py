@@ -1,4 +1,4 @@
-"""The shapes load where they must, and their vocabulary cuts text as a general model's does.
+"""The shapes load, and their vocabulary tokenises text like a general model's.
 
     pip install -r benches/peers/requirements.txt && python -m pytest benches/peers
 """

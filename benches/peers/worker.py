@@ -1,8 +1,8 @@
-"""One peer in a process of its own: reads prompts as JSON lines, answers with log-probabilities in nats and nanoseconds.
+"""A peer in its own process: reads prompts as JSON lines, answers with log-probabilities in nats and nanoseconds.
 
     python worker.py PEER MODEL CACHE THREADS
 
-The first line read holds the labels and their tokens.
+The first input line has the labels and their tokens.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from pathlib import Path
 import numpy as np
 
 Score = Callable[[str], list[float]]
-# Positions that every peer gets.
+# Context size of every peer, in tokens.
 CONTEXT = 1024
 # llama.cpp's own limit (LLAMA_MAX_SEQ).
 SEQUENCES_MAX = 256
 
 
 def key_type(c, cache: str) -> int:
-    """How llama.cpp stores keys in a cache that Roomcast calls `cache`; values are in f32 in both."""
+    """llama.cpp's type for keys in a cache that Roomcast calls `cache`; values are f32 in both."""
     return {"mixed": c.GGML_TYPE_F16, "f32": c.GGML_TYPE_F32}[cache]
 
 
 def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[int]]) -> Score:
-    """CAPPr at its best: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
-    the labels follow one by one, or all at once where each is a single token."""
-    # CAPPr imports its other back end wherever transformers is installed, and does not know its newest versions.
+    """CAPPr with its best settings: the narration stays in the model from event to event (`cache_model`), the binding sequence is read once, and
+    the labels follow one by one, or all at once if each is a single token."""
+    # CAPPr imports its other back end if transformers is installed, and does not support its newest versions.
     sys.modules["transformers"] = None
     from cappr.llama_cpp.classify import cache_model, log_probs_conditional
     import llama_cpp as c
@@ -54,8 +54,8 @@ def cappr(model: str, cache: str, threads: int, labels: list[str], _: list[list[
 
 
 def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
-    """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on one of its own, again for every
-    task. llama-perplexity itself reads four endings a task and no more, so its calls are made here through llama-cpp-python."""
+    """The layout of llama.cpp's HellaSwag scoring: the common prompt on all sequences, then every label on its own sequence, repeated for every
+    task. llama-perplexity supports only four endings per task, so this makes its calls through llama-cpp-python."""
     import ctypes
 
     import llama_cpp as c
@@ -78,7 +78,7 @@ def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], to
     size = c.llama_vocab_n_tokens(vocabulary)
     batch = c.llama_batch_init(CONTEXT, 0, 1)
     room = (c.llama_token * CONTEXT)()
-    # Made once, so that filling a batch from Python costs as little as it can.
+    # Created once, so that filling a batch from Python is cheap.
     each = [(c.llama_seq_id * 1)(label) for label in range(len(labels))]
     all_of_them = (c.llama_seq_id * len(labels))(*range(len(labels)))
 
@@ -103,7 +103,7 @@ def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], to
             for place, token in enumerate(own):
                 rows.append(before)
                 wanted.append(token)
-                if place + 1 < len(own):  # The last token's logits are of no use.
+                if place + 1 < len(own):  # The last token's logits are not needed.
                     before = batch.n_tokens - len(prefix) + 1
                     add(token, len(prefix) + place, each[label], True)
         c.llama_memory_clear(memory, True)
@@ -113,20 +113,20 @@ def llama_cpp_layout(model: str, cache: str, threads: int, labels: list[str], to
         count = batch.n_tokens - len(prefix) + 1
         logits = np.ctypeslib.as_array(c.llama_get_logits(context), (count, size))
         score.decoder_ns = time.perf_counter_ns() - start
-        # One pass over every row, not one for every label.
+        # One pass over every row instead of one per label.
         top = logits.max(axis=1)
         total = np.log(np.exp(logits - top[:, None]).sum(axis=1)) + top
         chosen = logits[rows, wanted] - total[rows]
         ends = np.cumsum([0] + [len(own) for own in tokens])
         return np.add.reduceat(chosen.astype(np.float64), ends[:-1]).tolist()
 
-    score.quiet = quiet  # As long as llama.cpp may call it.
+    score.quiet = quiet  # Kept alive while llama.cpp may call it.
     return score
 
 
 def transformers(model: str, _: str, threads: int, labels: list[str], tokens: list[list[int]]) -> Score:
-    """Hugging Face transformers with a prefix kept from event to event, and the labels of several tokens as one batch behind it.
-    Text is cut into tokens by llama.cpp's vocabulary, which costs next to nothing."""
+    """Hugging Face transformers with a prefix cached from event to event, followed by a batch of all labels with several tokens. llama.cpp's
+    vocabulary tokenises the text, at negligible cost."""
     import copy
 
     import torch
@@ -139,7 +139,7 @@ def transformers(model: str, _: str, threads: int, labels: list[str], tokens: li
     text = Llama(model, vocab_only=True, verbose=False)
     long = [label for label, own in enumerate(tokens) if len(own) > 1]
     width = max((len(tokens[label]) - 1 for label in long), default=0)
-    # Padding stands behind a label, where attention to the left does not see it.
+    # Padding follows a label, so causal attention does not see it.
     batch = torch.tensor([tokens[label][:-1] + [0] * (width - len(tokens[label]) + 1) for label in long])
     kept: list[int] = []
     cache = DynamicCache(config=network.config)

@@ -1,4 +1,4 @@
-//! Choices that the library names, as the command line offers them.
+//! Command-line parsers for choices that the library names.
 
 use std::str::FromStr;
 
@@ -7,7 +7,7 @@ use roomcast_core::policy::PolicyName;
 use roomcast_core::scorer::correction::{Continuation, CorrectionChoice, prior_weight};
 use strum::{EnumMessage, ParseError, VariantArray};
 
-/// Accepts the names of `T`'s variants; the help shows them with their documentation.
+/// Accepts the names of `T`'s variants. The help shows them with their documentation.
 pub fn choice<T>() -> impl TypedValueParser<Value = T>
 where
     T: Copy + EnumMessage + FromStr<Err = ParseError> + Into<&'static str> + Send + Sync + VariantArray + 'static,
@@ -22,25 +22,24 @@ where
     PossibleValuesParser::new(T::VARIANTS.iter().map(shown).collect::<Vec<_>>()).try_map(|name| name.parse::<T>())
 }
 
-/// Accepts the names of policies, and offers them.
+/// Accepts the names of policies.
 pub fn policy() -> impl TypedValueParser<Value = PolicyName> {
     PossibleValuesParser::new(PolicyName::ALL.map(PolicyName::as_str)).try_map(|name| name.parse::<PolicyName>())
 }
 
-/// The first sentence of a documentation comment, without the marks of links.
 fn first_sentence(documentation: &str) -> String {
     let line = documentation.replace('\n', " ").replace("[`Self::", "").replace("`]", "").replace('`', "");
     let end = line.find(". ").map_or(line.len(), |end| end + 1);
     line[..end].trim_end_matches('.').to_owned()
 }
 
-/// How scores are corrected.
+/// Options of the correction of scores.
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct CorrectionArgs {
-    /// What a label's tokens after the first compete with; as the model file recommends when left out.
+    /// The tokens that compete with a label's tokens after the first; by default as the model file recommends.
     #[arg(long, value_parser = choice::<Continuation>())]
     continuation: Option<Continuation>,
-    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
+    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; by default as the model file recommends.
     #[arg(long, value_name = "WEIGHT", value_parser = prior_weight)]
     prior: Option<f64>,
 }

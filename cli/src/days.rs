@@ -6,12 +6,12 @@ use roomcast_simulation::homer::{DAY_BYTES_MAX, Day};
 
 use crate::{Failure, count, exit_code, report_faults};
 
-/// Names as people number them: "day 9" before "day 10".
+/// Sorts names by their numbers: "day 9" before "day 10".
 fn in_order(path: &Path) -> Vec<(u64, String)> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let of_one_kind = |a: &char, b: &char| a.is_ascii_digit() == b.is_ascii_digit();
     let parts = name.chars().collect::<Vec<_>>();
-    // A number that is too long for one comes last, and text by itself before any number.
+    // Text sorts before any number, and a number that overflows comes last.
     let part = |part: &[char]| {
         let text: String = part.iter().collect();
         let number = part.first().is_some_and(char::is_ascii_digit).then(|| text.parse().unwrap_or(u64::MAX));
@@ -20,7 +20,7 @@ fn in_order(path: &Path) -> Vec<(u64, String)> {
     parts.chunk_by(of_one_kind).map(part).collect()
 }
 
-/// The days of a folder, in the order of their names: the files that are days, whatever they are called, and those called `.txt`.
+/// The days of a folder, in the order of their names. A file counts if it is a day or is named `.txt`.
 pub fn read(folder: &Path) -> Result<Vec<Day>, Failure> {
     let fault = |error: String| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(|error| fault(error.to_string()))?;

@@ -1,8 +1,8 @@
-//! Exit codes of the `roomcast` command. Scripts may rely on them; `roomcast --help` tells them.
+//! Exit codes of the `roomcast` command. Scripts may rely on them; `roomcast --help` lists them.
 
-/// All went well.
+/// Success.
 pub const OK: u8 = 0;
-/// Something failed that none of the other codes names.
+/// Any failure without another code.
 pub const FAILURE: u8 = 1;
 /// The command line cannot be understood (clap's own code).
 pub const USAGE: u8 = 2;
@@ -16,6 +16,6 @@ pub const MODEL: u8 = 5;
 pub const IPC: u8 = 6;
 /// A check ran and found faults (`scene check`, `model check`, `doctor`).
 pub const CHECK: u8 = 7;
-/// Interrupted by ctrl-C or a termination signal before the work was done, or by a second signal. A service that is asked to stop
-/// has done its work: it ends with [`OK`].
+/// Interrupted by ctrl-C or a termination signal before the work was done, or by a second signal. A service ends with [`OK`] when it is asked to
+/// stop.
 pub const INTERRUPTED: u8 = 130;

@@ -1,8 +1,7 @@
-//! What the command lines of `roomcast` and `roomcast-lab` share: exit codes, errors, output, checked arguments, and models that another
-//! process tries first.
+//! Shared parts of the command lines `roomcast` and `roomcast-lab`: exit codes, errors, output, checked arguments, and models that another process
+//! tries first.
 
-// `println!` and `eprintln!` panic where standard output or standard error cannot be written, on a full disk for instance; `print` gives an
-// error, and `tell` goes on.
+// `println!` and `eprintln!` panic if the output cannot be written, for instance on a full disk. `print` returns an error, and `tell` goes on.
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
 use std::fmt;
@@ -34,7 +33,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// Wraps an error with the exit code it stands for.
+    /// Wraps an error with its exit code.
     pub fn new(code: u8, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         Self { code, error: error.into() }
     }
@@ -98,15 +97,15 @@ impl From<StudyError> for Failure {
     }
 }
 
-/// What every subcommand returns.
+/// The result of a subcommand.
 pub type CommandResult = Result<(), Failure>;
 
-/// An empty table in the one style that all commands print; in a terminal it keeps to its width.
+/// An empty table in the style of all commands. In a terminal it keeps to the terminal's width.
 #[must_use]
 pub fn table(header: &[&str]) -> comfy_table::Table {
     let mut table = comfy_table::Table::new();
     table.load_style(comfy_table::presets::NOTHING).set_header(header);
-    // A serial line, or a container's, may say that it has none.
+    // A serial line or a container may report a width of 0.
     const COLUMNS_MIN: u16 = 20;
     if table.width().is_none_or(|columns| columns >= COLUMNS_MIN) {
         table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic);
@@ -114,8 +113,8 @@ pub fn table(header: &[&str]) -> comfy_table::Table {
     table
 }
 
-/// Prints on standard output and flushes it: a buffer that is lost gives no error. Much of the text comes from outside, and it reaches
-/// a terminal as plain text only.
+/// Prints on standard output and flushes it, because an unflushed buffer is lost without an error. Control characters are made visible: much of the
+/// text is untrusted.
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
@@ -123,7 +122,7 @@ pub fn print(text: &str) -> CommandResult {
     print_styled(&visible_lines(text))
 }
 
-/// As [`print()`] for a text with colours. The caller has made every part from outside [`visible`](roomcast_core::text::visible).
+/// As [`print()`], for a text with colours. The caller has made every untrusted part [`visible`](roomcast_core::text::visible).
 ///
 /// # Errors
 /// When it cannot be written, for instance into a closed pipe.
@@ -155,7 +154,7 @@ pub fn print_json_line(value: &impl serde::Serialize) -> CommandResult {
     print(&format!("{text}\n"))
 }
 
-/// Says how many intervals of a log no rule fits.
+/// Reports how many intervals of a log no rule fits.
 pub fn tell_unfit(log: &SensorLog) {
     if log.unfit > 0 {
         let intervals = count(usize::try_from(log.unfit).unwrap_or(usize::MAX), "interval");
@@ -163,12 +162,12 @@ pub fn tell_unfit(log: &SensorLog) {
     }
 }
 
-/// Names the files that were skipped, the first ten of them.
+/// Names the first ten files that were skipped.
 pub fn report_faults(faults: &[String]) {
     report_first_faults(faults, faults.len() as u64);
 }
 
-/// As [`report_faults`], if there are `count` in all.
+/// As [`report_faults`], with `count` faults in all.
 pub fn report_first_faults(first: &[String], count: u64) {
     const TOLD: u64 = 10;
     first.iter().take(TOLD as usize).for_each(|fault| tell(format_args!("roomcast: skipped: {fault}")));
@@ -209,7 +208,7 @@ mod tests {
         assert_eq!(code(JournalError::Locked { path: "journal".into() }), exit_code::IPC);
     }
 
-    /// A scene or a model that cannot be used ends every command with the same code.
+    /// An unusable scene or model ends every command with the same code.
     #[test]
     fn one_fault_has_one_code_in_every_command() {
         let setup = |scene: &str, model: &str| {

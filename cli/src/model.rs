@@ -43,7 +43,7 @@ fn try_elsewhere(file: &Path, options: &LlamaOptions) -> CommandResult {
     elsewhere(arguments.into_iter().chain(["--".into(), file.into()]), file)
 }
 
-/// Runs this program on a model file in another process. If llama.cpp gives up and ends that process, this process gets an error.
+/// Runs this program on a model file in another process. If llama.cpp ends that process, the caller gets an error.
 pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> CommandResult {
     let failed = |why: String| Failure::new(exit_code::MODEL, why);
     let own = std::env::current_exe();
@@ -70,7 +70,7 @@ pub fn elsewhere(arguments: impl IntoIterator<Item = OsString>, file: &Path) -> 
     }
 }
 
-/// Everything that llama.cpp does with a model, once.
+/// Exercises everything that llama.cpp does with a model.
 pub fn rehearse(file: &Path, cache: CacheType) -> CommandResult {
     let model_failure = |error: &dyn std::fmt::Display| Failure::new(exit_code::MODEL, error.to_string());
     let options = LlamaOptions { cache, ..LlamaOptions::default() };

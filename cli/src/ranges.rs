@@ -1,4 +1,4 @@
-//! What numbers on the command line may be, in one place: clap refuses the others and names the argument.
+//! Ranges of numbers on the command line. If a number is outside, clap names the argument and the range.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -8,9 +8,9 @@ use roomcast_core::narration::history::OBSERVATIONS_MAX;
 use roomcast_llama::THREADS_MAX;
 use roomcast_services::config::DEADLINE_MS_MAX;
 
-/// Longest time that can be asked for, in seconds: some 30 years.
+/// Longest time in seconds: some 30 years.
 const TIME_S_MAX: f64 = 1e9;
-/// Longest time of something that a person does before it is something else, in seconds: a day.
+/// Longest time of one act in seconds: a day.
 const ACT_S_MAX: f64 = 86_400.0;
 
 /// Threads of one decoder call; 0 leaves the choice to the program.
@@ -28,27 +28,27 @@ pub fn deadline_ms() -> impl WholeParser<u64> {
     whole(1..=DEADLINE_MS_MAX)
 }
 
-/// How long a robot works in a room of a simulation, which goes second by second.
+/// Time of a robot in a room, in whole seconds, for a simulation.
 pub fn room_time_s() -> impl WholeParser<usize> {
     whole(1..=ACT_S_MAX as usize)
 }
 
-/// A seed, or another number that may be any.
+/// Any whole number, for instance a seed.
 pub fn any() -> impl WholeParser<u64> {
     whole(0..=u64::MAX)
 }
 
-/// A count, or a time in seconds or milliseconds, that cannot be none.
+/// A whole number of at least 1.
 pub fn some() -> impl WholeParser<u64> {
     whole(1..=TIME_S_MAX as u64)
 }
 
-/// What clap takes for a parser of whole numbers.
+/// A parser of whole numbers for clap.
 pub trait WholeParser<T>: Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {}
 
 impl<T, F: Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static> WholeParser<T> for F {}
 
-/// A whole number within a range; whatever else is given, the error says the range.
+/// Accepts whole numbers within a range. The error names the range.
 pub fn whole<T>(range: RangeInclusive<T>) -> impl WholeParser<T>
 where
     T: FromStr + PartialOrd + Display + Clone + Send + Sync + 'static,
@@ -59,33 +59,33 @@ where
     }
 }
 
-/// A time, or a weight in seconds, that may be none.
+/// A time or a weight in seconds, from 0.
 pub fn time_s(text: &str) -> Result<f64, String> {
     number(text, |seconds| (0.0..=TIME_S_MAX).contains(&seconds), "give a number from 0 to 1000000000")
 }
 
-/// A share of a whole.
+/// A number from 0 to 1.
 pub fn share(text: &str) -> Result<f64, String> {
     number(text, |share| (0.0..=1.0).contains(&share), "give a number from 0 to 1")
 }
 
-/// A factor, or a time that cannot be none.
+/// A number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     number(text, |value| value > 0.0 && value <= TIME_S_MAX, "give a number above 0, at most 1000000000")
 }
 
-/// A time of an act or of a stay; the simulation's steps are seconds.
+/// A time of an act or a stay, at least one second: the simulation's step.
 pub fn act_s(text: &str) -> Result<f64, String> {
     number(text, |seconds| (1.0..=ACT_S_MAX).contains(&seconds), "give a number from 1 to 86400")
 }
 
-/// As [`act_s`], or down to none.
+/// As [`act_s`], from 0.
 pub fn act_s_or_none(text: &str) -> Result<f64, String> {
     number(text, |seconds| (0.0..=ACT_S_MAX).contains(&seconds), "give a number from 0 to 86400")
 }
 
 fn number(text: &str, fits: impl Fn(f64) -> bool, remedy: &str) -> Result<f64, String> {
-    // Comparisons with NaN are false: it fits nowhere.
+    // Comparisons with NaN are false, so NaN never fits.
     text.parse().ok().filter(|value| fits(*value)).ok_or_else(|| remedy.to_owned())
 }
 

@@ -1,8 +1,7 @@
-//! A second model's word on what a person turns to next, for guesses at the next sentence ([`crate::guess`]).
+//! A second model's scores of a person's next thing, for guesses at the next sentence ([`crate::guess`]).
 //!
-//! A guess is as good as whoever says which thing comes next. A small model that was trained on what people do at home may know that
-//! better than a large one that was not, in a hundredth of its time. Both have half a say. Nothing but guesses goes by it: what is
-//! answered, the pipeline's own model has scored.
+//! A small model that was trained on household activities may predict the next thing better than a large general one, in a hundredth of its time.
+//! Both have the same weight. Only guesses use it: all published scores come from the pipeline's own model.
 
 use std::sync::Arc;
 
@@ -11,29 +10,29 @@ use crate::prompt::write_prompt;
 use crate::scorer::correction::CorrectionChoice;
 use crate::scorer::{LabelScores, LanguageModel, Method, ModelError, PreparedLabels, ScoreError, Scorer, Tokenisation};
 
-/// Scores what a person turns to next with a model of its own.
+/// Scores a person's next thing with its own model.
 #[derive(Debug)]
 pub struct Drafter<M> {
     scorer: Scorer<M>,
     correction: CorrectionChoice,
-    /// The labels that were asked for last, and the same in this model's tokens.
+    /// The labels of the last call, and the same labels in this model's tokens.
     labels: Option<(Arc<PreparedLabels>, PreparedLabels)>,
     prompt: String,
     scores: LabelScores,
 }
 
 impl<M: LanguageModel> Drafter<M> {
-    /// On a model; what `correction` leaves open is as the model recommends.
+    /// Uses `model`; what `correction` leaves open follows the model's recommendation.
     pub fn new(model: M, correction: CorrectionChoice) -> Self {
         let (scorer, scores) = (Scorer::new(model), LabelScores::default());
         Self { scorer, correction, labels: None, prompt: String::new(), scores }
     }
 
-    /// Mixes its word into `log_prob_nats`, which has per label of `labels` `ln s_c` in nats of another model: half each, of what each holds
-    /// for likely among the labels. Where the narration is too long for this model, nothing is changed.
+    /// Mixes this model's scores into `log_prob_nats`, another model's `ln s_c` per label of `labels` in nats. Each model's probabilities among the
+    /// labels count half. If the narration is too long for this model, nothing changes.
     ///
     /// # Errors
-    /// When the model fails, was stopped, or cannot score these labels; nothing is changed then.
+    /// If the model fails, is stopped, or cannot score these labels; nothing changes then.
     pub fn mix(
         &mut self,
         labels: &Arc<PreparedLabels>,
@@ -51,7 +50,7 @@ impl<M: LanguageModel> Drafter<M> {
         let trailing_space = own.tokenisation() == Tokenisation::Paper;
         write_prompt(history.sentences(), own.binding(), trailing_space, &mut self.prompt);
         let scored = self.scorer.score(own, &self.prompt, Method::Trie, &mut self.scores);
-        // What somebody did is not kept longer than it is of use.
+        // Privacy: a person's events are kept no longer than needed.
         self.prompt.clear();
         match scored {
             Err(ScoreError::Model(ModelError::TooLong { .. })) => return Ok(()),
@@ -99,13 +98,13 @@ mod tests {
         let mut alone = LabelScores::default();
         Scorer::new(TableModel::new(2)).score(&prepared(2, &LABELS), &prompt, Method::Trie, &mut alone).unwrap();
         let whole: f64 = alone.log_prob_nats.iter().map(|nats| nats.exp()).sum();
-        // What the other model holds for likely need not sum to one.
+        // The other model's probabilities need not sum to one.
         let mut mixed = [0.08_f64.ln(), 0.02_f64.ln(), f64::NEG_INFINITY];
         drafter.mix(&labels, &history, &mut mixed).unwrap();
         for ((mixed, own), theirs) in mixed.iter().zip(&alone.log_prob_nats).zip([0.8, 0.2, 0.0]) {
             assert!((mixed.exp() - 0.5 * theirs - 0.5 * own.exp() / whole).abs() < 1e-12);
         }
-        // The labels of a changed map are cut again.
+        // The labels of a changed map are tokenised again.
         let changed = prepared(1, &["mug", "armchair"]);
         let mut mixed = [0.5_f64.ln(); 2];
         drafter.mix(&changed, &history, &mut mixed).unwrap();

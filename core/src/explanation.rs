@@ -1,10 +1,8 @@
-//! Why a room has the score that it has: the narration that the model read, the labels behind each partition with their
-//! tokens, and the items that bear them.
+//! Explains a room's score: the narration that the model read, the labels behind each partition with their tokens, and their items.
 //!
-//! A pure function of what a step left behind; it follows the flow backwards, so that every number can be recomputed from
-//! the one below it: a partition's score is the sum of its labels' contributions, a contribution is the label's
-//! probability times the share of its items here, and a label's probability is the product over its tokens (Equations 1
-//! and 2) and what the prior makes of it ([`crate::scorer::correction`]).
+//! A pure function of a step's results. It follows the flow backwards, so that every number can be recomputed from the next level: a partition's
+//! score is the sum of its labels' contributions, a contribution is the label's probability times the share of its items here, and a label's
+//! probability is the product over its tokens (Equations 1 and 2), adjusted by the prior ([`crate::scorer::correction`]).
 
 use std::fmt::{self, Display, Formatter};
 
@@ -13,18 +11,18 @@ use serde::{Deserialize, Serialize};
 use crate::grounding::{GroundedScores, Grounding};
 use crate::semantic_map::{PartitionId, SemanticMap};
 
-/// What one step left behind, as far as an explanation needs it.
+/// The results of one step that an explanation needs.
 #[derive(Debug, Clone, Copy)]
 pub struct Evidence<'a> {
     /// The map.
     pub map: &'a SemanticMap,
     /// Its grounding.
     pub grounding: &'a Grounding,
-    /// Per label ln s_c in nats.
+    /// `ln s_c` per label in nats.
     pub label_log_prob_nats: &'a [f64],
-    /// What they were grounded to.
+    /// The partitions' scores.
     pub scores: &'a GroundedScores,
-    /// The sentences that the model read, the oldest first.
+    /// The sentences that the model read, oldest first.
     pub narration: &'a [String],
     /// The binding sequence after them.
     pub binding: &'a str,
@@ -46,43 +44,43 @@ pub struct LabelReason {
     pub label: String,
     /// ln s_c in nats.
     pub log_prob_nats: f64,
-    /// The share of the label's items that lie in the partition, w\[c, r\].
+    /// Share of the label's items in the partition, w\[c, r\].
     pub share: f64,
     /// s_c w\[c, r\] over the partition's score.
     pub part_of_score: f64,
-    /// Ids of its items in the partition.
+    /// Ids of the label's items in the partition.
     pub items: Vec<String>,
-    /// Its tokens, where the scorer knows their probabilities one by one.
+    /// The label's tokens; empty if the scorer has no probabilities per token.
     pub tokens: Vec<TokenReason>,
-    /// What the prior adds to them, in nats; 0 without one.
+    /// The prior's contribution in nats; 0 without a prior.
     pub prior_nats: f64,
 }
 
-/// A partition and what is behind its score.
+/// A partition with the labels behind its score.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PartitionReason {
     /// Its id.
     pub id: String,
     /// Its words.
     pub label: String,
-    /// What people may call it: its words, or its id where several share them.
+    /// Display name: the label, or the id if several partitions share the label.
     pub name: String,
     /// S_j over the sum of all S.
     pub probability: f64,
     /// ln S_j in nats.
     pub log_score_nats: f64,
-    /// The labels that contribute most, the largest first.
+    /// The labels with the largest contributions, the largest first.
     pub labels: Vec<LabelReason>,
-    /// How many further labels contribute.
+    /// Number of further labels.
     pub other_labels: usize,
-    /// What they contribute together, over the partition's score.
+    /// Contribution of the further labels over the partition's score.
     pub other_part_of_score: f64,
 }
 
-/// The chain behind all partitions' scores.
+/// The explanation of all partitions' scores.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Explanation {
-    /// The sentences that the model read, the oldest first.
+    /// The sentences that the model read, oldest first.
     pub narration: Vec<String>,
     /// The binding sequence after them.
     pub binding: String,
@@ -92,11 +90,11 @@ pub struct Explanation {
     pub partitions: Vec<PartitionReason>,
 }
 
-/// Explains every partition's score by its `most_labels` largest contributions. `tokens` gives a label's tokens, empty
-/// where they are not known, and what the prior adds to them in nats, by its index in [`Grounding::scored_labels`].
+/// Explains every partition's score by its `most_labels` largest contributions. `tokens` returns, for an index into [`Grounding::scored_labels`], the
+/// label's tokens (empty if unknown) and the prior's contribution in nats.
 ///
 /// # Panics
-/// When the scores are of another map, or of before the first step.
+/// If the scores are those of another map, or from before the first step.
 #[must_use]
 pub fn explain(
     evidence: &Evidence,

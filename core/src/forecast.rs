@@ -1,39 +1,38 @@
-//! Where a person will be at now + t: room scores, the present room and how long people stay, joined.
+//! Where a person will be at now + t: room scores, the present room and the length of stays, combined.
 //!
-//! The room scores S say where the *next object* is, not when the person goes there. For a planner the question is the
-//! probability p_r(t) that room r is occupied a time t from now. Three things are known, and each is right for a while:
+//! The room scores S give the room of the *next object*, not the time of the move. A planner needs the probability p_r(t) that room r is occupied a
+//! time t from now. It mixes three estimates, each valid for a while:
 //!
 //! ```text
 //! p(t) = A(t) b + (1 - A(t)) (B(t) S + (1 - B(t)) q)
 //!
-//! b     where the person is: filtered from what the narration mentions and where that is
-//! S     where the next object is: the partitions' probabilities, with like things as `like_things.rs` tells them apart
-//! q     where the person is in the long run: time spent so far, over an even prior
-//! A(t)  probability that the next object has not been turned to by then
-//! B(t)  probability that the stay that follows has not ended by then
+//! b     the person's present room: filtered from the mentioned things and their rooms
+//! S     the room of the next object: the partitions' probabilities, with like things weighted by `like_things.rs`
+//! q     the person's room in the long run: time spent so far, over an even prior
+//! A(t)  probability that the person has not turned to the next object by then
+//! B(t)  probability that the following stay has not ended by then
 //! ```
 //!
-//! Time of more than twelve hours between two observations is not counted as time spent, nor is an absence of more than a day and a half as one.
+//! An interval of more than twelve hours between two observations does not count as time spent. An absence of more than a day and a half does not
+//! count as an absence.
 //!
-//! A and B are survival functions of stays that are not memoryless (a semi-Markov prior): whoever has sat for long will
-//! probably go on sitting. Both are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an
-//! exponential whose rate is uncertain; `m` is learned from the intervals watched so far, over a prior worth a few of them. Silence ages what
-//! is known as much as narration does, but for the length of one action, which is observed only when complete.
-//! What is observed after a rest, of more than ten minutes with one thing, ends it: whoever turns to another thing then has turned to it at least
-//! as probably as somebody of whom nothing was known before. A rest is no interval to learn from.
+//! A and B are survival functions of stays with memory (a semi-Markov prior): a person who has sat for a long time will probably stay seated. Both
+//! are Lomax, `((m + age) / (m + age + t))^2` with mean `m` at age 0, the shape of an exponential with an uncertain rate. `m` is learned from the
+//! observed intervals, over a prior worth a few of them. Silence ages a stay as much as events do, except for the length of one action, which is
+//! observed only when complete. If an observation after a rest (more than ten minutes with one thing) names another thing, the person has turned to
+//! it at least as probably as a person without history. A rest is not an interval to learn from.
 //!
-//! A sensor says in which room somebody is, not with what. A sentence that comes after it is of the next thing, since none is known to be in hand, and the
-//! next thing begins another stay about as often as things are turned to in one: with the ratio of the two means, before any home is
-//! watched. Where that stay is nobody knows, so every room is as likely. Without this the word that is later and says more would lose
-//! against the one before it.
+//! A sensor reports a room, but no thing. A later sentence is about the next thing, because no thing in hand is known. The next thing begins another
+//! stay with the ratio of the two prior means as its probability. The room of that stay is unknown, so every room is equally likely. Without this,
+//! the earlier sensor event would outweigh the later and more specific sentence.
 //!
-//! Beside the rooms there is one more place, elsewhere: the person is out of the house. Whoever has left is elsewhere for sure, and comes
-//! back by a survival function of the same shape, with the mean of the absences watched so far over a prior of hours; where they are then is as in
-//! the long run. Whoever has come back just now is at the way into the house, or in any room where the map has none, and goes on from there.
-//! Whoever is in the house is not elsewhere at any horizon: nothing here knows when they leave.
+//! Besides the rooms there is one more place, elsewhere: the person is out of the house. After a departure the person is certainly elsewhere, and
+//! returns by a survival function of the same shape, with the mean of the observed absences over a prior of hours. A predicted return leads to the
+//! long-run rooms. An observed return starts at the way into the house, or in any room if the map has no way in. A person in the house is not
+//! elsewhere at any horizon: departures are not predicted.
 //!
-//! Whoever follows a person needs [`Forecaster::come_in_by`], [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`],
-//! [`Forecaster::expect`], and to ask [`Forecaster::at`] and [`Forecaster::elsewhere`], and nothing else of it.
+//! To follow a person, call [`Forecaster::come_in_by`], [`Forecaster::observe`], [`Forecaster::enter`], [`Forecaster::leave`] and
+//! [`Forecaster::expect`], and read [`Forecaster::at`] and [`Forecaster::elsewhere`].
 //!
 //! Pure: time comes in with the calls.
 
@@ -41,7 +40,7 @@ use crate::grounding::Grounding;
 use crate::like_things::InUse;
 use crate::places::Mention;
 
-/// What the forecast assumes before it has watched the home.
+/// Assumptions of the forecast before it has observed the home.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ForecastOptions {
@@ -49,17 +48,17 @@ pub struct ForecastOptions {
     pub object_s: f64,
     /// Mean stay in a room, in seconds.
     pub stay_s: f64,
-    /// Shortest time that something takes, in seconds: what a camera tells at one instant was done one after the other.
+    /// Shortest time of an action, in seconds: events that a camera reports at one instant happened one after the other.
     pub action_s: f64,
-    /// How many watched intervals the two means are worth.
+    /// Number of observed intervals that the priors of the means are worth.
     pub strength: f64,
-    /// Probability that an observation was made in a room where the map has nothing of what it mentions.
+    /// Probability that the person is in a room without the mentioned thing, because the map lacks it there.
     pub misplaced: f64,
-    /// Probability that a person is not in the room where they are said to be.
+    /// Probability that a reported room is wrong.
     pub mistaken: f64,
     /// Mean time out of the house, in seconds.
     pub away_s: f64,
-    /// The part of a label's probability that its things share evenly; the rest goes to those that are near or were in use. 1 is Equation 2.
+    /// Share of a label's probability that its things share evenly; near and recently used things get the rest. 1 is Equation 2.
     pub any_thing: f64,
 }
 
@@ -79,31 +78,30 @@ impl Default for ForecastOptions {
 }
 
 impl ForecastOptions {
-    /// How probably the next thing is turned to in another stay than the last one, of somebody of whom nothing was known before.
+    /// Probability that the next thing belongs to another stay than the last one, for a person without history.
     fn moved(&self) -> f64 {
         let moved = self.object_s / self.stay_s;
-        // Two means that are wrong are no reason to believe neither word.
+        // However implausible the means, the earlier belief keeps at least half of its weight.
         if moved.is_nan() { 0.5 } else { moved.clamp(0.0, 0.5) }
     }
 }
 
-/// Nobody takes so long for one action, in seconds: a longer interval is a rest, as a night is, and says nothing of how long the intervals
-/// between two rests are.
+/// Longest action, in seconds. A longer interval is a rest, for example a night, and says nothing about the intervals between two rests.
 const REST_S: f64 = 600.0;
 
-/// A longer silence, in seconds, is no stay: a night is shorter, and where the person was meanwhile nobody told.
+/// Longest silence that counts as a stay, in seconds. A night is shorter; in a longer silence the person's room is unknown.
 const SILENCE_S: f64 = 12.0 * 3_600.0;
 
-/// A longer absence, in seconds, says nothing of the next one: it was a journey, or its begin was told with a wrong date.
+/// Longest absence to learn from, in seconds. A longer one was a journey, or its start had a wrong date.
 const JOURNEY_S: f64 = 36.0 * 3_600.0;
 
-/// How probably somebody who comes home comes in where the map has a way in; else they do in any room, as by another door.
+/// Probability that a person comes home by the map's way in. Otherwise they appear in any room, for example by another door.
 const BY_THE_WAY_IN: f64 = 0.8;
 
-/// How many numbers [`Forecaster::paces`] gives.
+/// Length of [`Forecaster::paces`].
 pub const PACES: usize = 5;
 
-/// A mean that is learned over a prior.
+/// A mean learned over a prior.
 #[derive(Debug, Clone, Copy)]
 struct Learned {
     total_s: f64,
@@ -115,7 +113,7 @@ impl Learned {
         (self.total_s / self.count).max(1e-3)
     }
 
-    /// Takes in an interval between two observations, unless the person rested.
+    /// Adds an interval between two observations, unless it is a rest.
     fn add_pace(&mut self, interval_s: f64) {
         if interval_s <= REST_S {
             self.add(interval_s);
@@ -133,49 +131,49 @@ impl Learned {
     }
 }
 
-/// A mean of which no interval was watched yet.
+/// A mean without observed intervals.
 fn prior(mean_s: f64, strength: f64) -> Learned {
     Learned { total_s: mean_s * strength, count: strength }
 }
 
-/// The forecast of one person. Keep one per person and sum their probabilities for the expected number of people.
+/// The forecast of one person. The sum of several persons' probabilities is the expected number of people.
 #[derive(Debug, Clone)]
 pub struct Forecaster {
     options: ForecastOptions,
     belief: Vec<f64>,
-    /// Working memory of an observation: the belief just after it.
+    /// Scratch: the belief during an update.
     predicted: Vec<f64>,
     scores: Vec<f64>,
     in_use: InUse,
-    /// Working memory of [`Forecaster::expect_next`].
+    /// Scratch for [`Forecaster::expect_next`].
     near: Vec<f64>,
-    /// The number of the scores that this rests on, unless something was observed since.
+    /// Number of the scores in use. `None` after an observation.
     expected: Option<u64>,
-    /// The scores are of what was done last: not once a sensor has said that the person is elsewhere.
+    /// The scores include the last event. False after a sensor has placed the person in another room.
     expects: bool,
     spent_s: Vec<f64>,
     to_object: Learned,
     stay: Learned,
     away: Learned,
-    /// e: per room how probably somebody who comes home is there.
+    /// Probability per room that a person who comes home is there.
     way_in: Vec<f64>,
-    /// When the person left the house, for one who is out.
+    /// When the person left the house; `None` if they are in.
     away_since_s: Option<f64>,
-    /// When the object in hand was turned to, and which it is.
+    /// When the person turned to the object in hand.
     object_since_s: f64,
     object: Option<usize>,
-    /// When the room now believed in was entered.
+    /// When the person entered the likeliest room.
     room_since_s: f64,
     updated_s: f64,
-    /// What was heard last of where they are is a sensor's word, and nothing is known to have been done since.
+    /// The last news of the person's room came from a sensor, and no action is known since.
     sensed: bool,
-    /// The joint filter's belief instead of this one's ([`Forecaster::track`]): per room if the person is in, and the probability that they are out.
+    /// Belief of the joint filter, which replaces `belief` ([`Forecaster::track`]): per room if the person is in, and the probability of being out.
     tracked: Vec<f64>,
     tracked_out: Option<f64>,
 }
 
 impl Forecaster {
-    /// Knows nothing yet: every one of `rooms` is as likely, from `now_s` on.
+    /// A forecaster without knowledge: all `rooms` are equally likely at `now_s`.
     #[must_use]
     pub fn new(rooms: usize, options: ForecastOptions, now_s: f64) -> Self {
         let even = vec![1.0 / rooms.max(1) as f64; rooms];
@@ -205,8 +203,8 @@ impl Forecaster {
         }
     }
 
-    /// Becomes the forecast of `own` with the joint filter's belief about the present instead: `p` has the probability of each room, `out` that of
-    /// being out of the house. Stays, scores and the long run are those of `own`. Another number of rooms changes no belief.
+    /// Copies the forecast of `own`, with the joint filter's belief about the present instead: `p` per room, and `out` for being out of the house.
+    /// Stays, scores and the long run are those of `own`. If `p` has another number of rooms, the belief is unchanged.
     pub fn track(&mut self, own: &Self, p: impl ExactSizeIterator<Item = f64>, out: f64) {
         self.clone_from(own);
         if p.len() != self.belief.len() || !out.is_finite() {
@@ -223,29 +221,28 @@ impl Forecaster {
         self.tracked_out = Some(out.clamp(0.0, 1.0));
     }
 
-    /// The probability that the person is out of the house now.
     fn out(&self) -> f64 {
         self.tracked_out.unwrap_or(if self.away_since_s.is_some() { 1.0 } else { 0.0 })
     }
 
-    /// The probability that the object in hand, and so the room, is still the same at `now_s + horizon_s`.
+    /// Probability that the object in hand, and so the room, is still the same at `now_s + horizon_s`.
     #[must_use]
     pub fn stays(&self, now_s: f64, horizon_s: f64) -> f64 {
         let (age_s, horizon_s) = self.ages(now_s, horizon_s);
         self.to_object.survival(age_s, horizon_s)
     }
 
-    /// The age of the object in hand, and the horizon from its last sign.
+    /// Age of the object in hand, and the horizon counted from its last sign, in seconds.
     fn ages(&self, now_s: f64, horizon_s: f64) -> (f64, f64) {
-        // Silence is evidence that nothing else was done, except for its last part, which an action still in progress may
-        // fill: that part belongs to the horizon of what was known before it.
+        // Silence is evidence that nothing else was done, except for its last part: an action may still be in progress. That part belongs to the
+        // horizon.
         let silence_s = (now_s - self.updated_s).max(0.0);
-        // The filter's belief is of now.
+        // The joint filter's belief is about now.
         let hidden_s = if self.tracked_out.is_some() { 0.0 } else { silence_s.min(self.to_object.mean_s()) };
         (self.updated_s + silence_s - hidden_s - self.object_since_s, horizon_s.max(0.0) + hidden_s)
     }
 
-    /// Per room how much of the way into the house it has; where no room has any, or these are not the rooms, whoever comes home may be in any.
+    /// Sets the way into the house: weights per room. If they are all 0 or of another length, a person who comes home may be in any room.
     pub fn come_in_by(&mut self, ways: &[f64]) {
         let rooms = self.belief.len();
         let even = 1.0 / rooms.max(1) as f64;
@@ -259,23 +256,22 @@ impl Forecaster {
         }
     }
 
-    /// In which room the person is believed to be, or, of one who is out of the house, to have been.
+    /// The person's room probabilities now. For a person out of the house, those before they left.
     #[must_use]
     pub fn belief(&self) -> &[f64] {
         if self.tracked_out.is_some() { &self.tracked } else { &self.belief }
     }
 
-    /// Takes in a completed observation at `at_s`: what it mentions, if anything, and the room probabilities that the
-    /// model then gives. Times before the last observation count as that one's; scores of another length are ignored.
-    /// Whoever does something is in the house.
+    /// Processes an action completed at `at_s`: the thing it mentions, if any, and the model's room probabilities afterwards. Earlier times count as
+    /// the time of the last observation; scores of another length are ignored. The person is then in the house.
     pub fn observe(&mut self, at_s: f64, mention: Option<Mention>, grounding: &Grounding, scores: &[f64]) {
         let rooms = self.belief.len();
-        // A sentence of before a sensor's word is no news of after it.
+        // A sentence from before the sensor's event says nothing about the time after it.
         let is_late = at_s < self.updated_s;
         let at_s = self.come_home(at_s);
         let mentioned =
             mention.filter(|mention| mention.label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
-        // P(label | room) is in proportion to the share of the label's items there.
+        // P(label | room) is proportional to the share of the label's items there.
         let misplaced = self.options.misplaced;
         let moved = if self.sensed && !is_late { self.options.moved() } else { 0.0 };
         let weigh = |mention: Mention, room: usize, p: f64| {
@@ -284,7 +280,7 @@ impl Forecaster {
             let fits = if mention.is_left { 1.0 - share } else { share };
             p * (misplaced / rooms as f64 + (1.0 - misplaced) * fits)
         };
-        // Who turns to another thing after a rest, or leaves a room, has ended what they did before.
+        // Turning to another thing after a rest, or leaving a room, ends the previous stay.
         let rested = at_s - self.object_since_s > REST_S;
         let turns = rested && mentioned.is_some_and(|mention| mention.is_left || self.object != Some(mention.label));
         let same_at_most = if turns { self.newcomer(at_s) } else { 1.0 };
@@ -295,7 +291,7 @@ impl Forecaster {
         });
         self.update(at_s, same_at_most, observed);
         self.sensed &= mentioned.is_none();
-        // What is left is not turned to.
+        // A room or thing that is left is not in use.
         (self.expects, self.expected) = (true, None);
         if rested {
             self.in_use.clear();
@@ -311,16 +307,16 @@ impl Forecaster {
         self.expect(scores);
     }
 
-    /// Takes in that the person is in the house at `at_s`, and in `room` if that is known, as from a sensor: there they are then, but for
-    /// [`ForecastOptions::mistaken`], wherever they were believed to be. What was seen before the last observation says nothing of now, and is not
-    /// taken in; gives whether it was.
+    /// Processes a report, such as a sensor's, that the person is in the house at `at_s`, and in `room` if given. The person is then in that room,
+    /// except with probability [`ForecastOptions::mistaken`], whatever the belief was. A report older than the last observation is ignored. Returns
+    /// whether it was used.
     pub fn enter(&mut self, at_s: f64, room: Option<usize>) -> bool {
         self.enter_any(at_s, |other| Some(other) == room)
     }
 
-    /// As [`Forecaster::enter`], of one of several rooms: in which of them, is as likely as it was before.
+    /// As [`Forecaster::enter`] for a set of rooms. The relative probabilities within the set do not change.
     pub fn enter_any(&mut self, at_s: f64, is_meant: impl Fn(usize) -> bool) -> bool {
-        /// None of them is out of the question.
+        /// No room of the set is impossible.
         const LEAST: f64 = 1e-3;
         let rooms = self.belief.len();
         if self.away_since_s.is_none() && at_s < self.updated_s {
@@ -348,23 +344,22 @@ impl Forecaster {
         true
     }
 
-    /// Whatever was in hand is in another room, and what the model said came next was said of what was done there.
+    /// Resets the object in hand and the scores, because both belong to another room.
     fn begin_elsewhere(&mut self, at_s: f64) {
         (self.object, self.object_since_s) = (None, at_s);
         self.scores.copy_from_slice(&self.belief);
         (self.expected, self.expects, self.sensed) = (None, false, true);
     }
 
-    /// Takes in that nobody is in `room` at `at_s`. It says nothing else: neither that the person was seen, nor that they did anything. Who was
-    /// believed to be there has gone on; of others, silence goes on to say that they have not. Of a time before the last observation it says nothing at
-    /// all.
+    /// Processes a report that `room` is empty at `at_s`. It does not count as a sign of the person. If the person was believed to be there, they
+    /// have moved on; otherwise the silence continues. A report older than the last observation is ignored.
     pub fn exclude(&mut self, at_s: f64, room: usize) {
-        // Who is out of the house is in no room.
+        // A person out of the house is in no room anyway.
         if self.away_since_s.is_some() || at_s < self.updated_s || room >= self.belief.len() {
             return;
         }
         let mistaken = self.options.mistaken;
-        // As much of it stays as the word is mistaken, however sure the belief was; the others share the rest as before.
+        // The room keeps only the probability of a wrong report, however sure the belief was. The other rooms keep their ratios.
         let left = |p: f64| mistaken * p * (1.0 - p) / (1.0 - mistaken * p).max(f64::MIN_POSITIVE);
         let empty = |belief: &mut [f64]| belief[room] = left(belief[room]);
         let before = likeliest(&self.belief);
@@ -380,7 +375,7 @@ impl Forecaster {
         }
     }
 
-    /// Takes in that the person is out of the house from `at_s` on.
+    /// Processes a report that the person is out of the house from `at_s` on.
     pub fn leave(&mut self, at_s: f64) {
         if self.away_since_s.is_some() {
             return;
@@ -390,8 +385,8 @@ impl Forecaster {
         (self.away_since_s, self.updated_s) = (Some(at_s), at_s);
     }
 
-    /// Whoever was out of the house is back, at the way in: where they spend most of their time, as in bed, they do not arrive. Gives `at_s`, not
-    /// before the last observation.
+    /// If the person was out, places them at the way in and not in their long-run rooms, such as the bedroom. Returns `at_s`, or the time of the last
+    /// observation if later.
     fn come_home(&mut self, at_s: f64) -> f64 {
         let at_s = at_s.max(self.updated_s);
         if let Some(since_s) = self.away_since_s.take() {
@@ -406,7 +401,7 @@ impl Forecaster {
         at_s
     }
 
-    /// Counts the time since the last observation, unless that was silence.
+    /// Adds the time since the last observation to the time spent per room, unless it was too long a silence.
     fn spend(&mut self, at_s: f64) {
         let elapsed_s = at_s - self.updated_s;
         if elapsed_s > SILENCE_S {
@@ -417,26 +412,26 @@ impl Forecaster {
         }
     }
 
-    /// A time, or that of the shortest action after the last observation.
+    /// `at_s`, or the end of the shortest action after the last observation.
     fn one_action_on(&self, at_s: f64) -> f64 {
         at_s.max(self.updated_s + self.options.action_s)
     }
 
-    /// How probably somebody of whom nothing was known before the last observation has not turned to the next object at `at_s`.
+    /// Probability that a person without earlier history has not turned to the next object by `at_s`.
     fn newcomer(&self, at_s: f64) -> f64 {
         let object_s = self.options.object_s;
         prior(object_s, self.options.strength).survival(0.0, (self.one_action_on(at_s) - self.updated_s).min(object_s))
     }
 
-    /// Moves the belief on to `at_s`, and makes of it there what was observed, if that says anything: of the rooms' probabilities before,
-    /// numbers in proportion to those after. The object in hand is still the same with at most `same_at_most`.
+    /// Advances the belief to `at_s` and applies `observed`, which scales room probabilities by a likelihood. `same_at_most` caps the probability
+    /// that the object in hand is still the same.
     fn update(&mut self, at_s: f64, same_at_most: f64, observed: Option<impl Fn(&mut [f64])>) {
         let before = likeliest(&self.belief);
         self.spend(at_s);
         if let Some(observed) = observed {
             let mut predicted = std::mem::take(&mut self.predicted);
             predicted.clear();
-            // At one instant nobody would have moved, and what was told last would count for little.
+            // Without a minimum duration, the later of two simultaneous events would have little effect.
             predicted.extend(self.ahead(self.one_action_on(at_s), 0.0, same_at_most));
             observed(&mut predicted);
             let total: f64 = predicted.iter().sum();
@@ -453,17 +448,17 @@ impl Forecaster {
         self.updated_s = at_s;
     }
 
-    /// Takes in the room probabilities that the model gives after the last observation; those of another length are ignored, and so are all once
-    /// the person was told to be in another room, until they do something there.
+    /// Sets the model's room probabilities after the last observation. They are ignored if they have another length, or if a sensor has placed the
+    /// person in another room since their last action.
     pub fn expect(&mut self, scores: &[f64]) {
         if self.expects && scores.len() == self.scores.len() {
             self.scores.copy_from_slice(scores);
         }
     }
 
-    /// As [`Forecaster::expect`], from ln s_c per label in nats: where the next thing is, like things told apart by where the person is believed to be
-    /// and by what they had in use. Scores of the same `number` are taken in once after each observation, so that a restart, which has not the scores but
-    /// what was expected, believes the same.
+    /// As [`Forecaster::expect`], from `ln s_c` per label in nats. Like things are weighted by the person's present room and the things they used
+    /// recently. Scores of the same `number` are used once after each observation, so that after a restart, which restores the expectation and not
+    /// the scores, the result is the same.
     pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], number: u64) {
         let fits = grounding.weights.shape() == (label_log_prob_nats.len(), self.scores.len());
         if !self.expects || !fits || self.expected == Some(number) {
@@ -474,16 +469,16 @@ impl Forecaster {
         grounding.like_things.next_rooms(label_log_prob_nats, belief, in_use, &mut self.near, &mut self.scores);
     }
 
-    /// How long the person had been at what they did when they were observed last, in seconds, and the totals and counts of how long they are at one
-    /// thing, and in one room.
+    /// For the last observation: seconds since the person turned to the object in hand; then total seconds and count of the intervals between
+    /// objects, and total seconds and count of the stays in rooms.
     #[must_use]
     pub fn paces(&self) -> [f64; PACES] {
         let Self { to_object, stay, .. } = self;
         [self.updated_s - self.object_since_s, to_object.total_s, to_object.count, stay.total_s, stay.count]
     }
 
-    /// Takes in where the person was believed to be when they were observed last, with their [`Forecaster::paces`] then, for one who was not out of the
-    /// house. What is of another length says nothing.
+    /// Restores a belief and [`Forecaster::paces`] of the last observation, for a person who was not out of the house. A belief of another length is
+    /// ignored.
     pub fn believe(&mut self, belief: &[f64], paces: [f64; PACES]) {
         let total: f64 = belief.iter().sum();
         if self.away_since_s.is_some() || belief.len() != self.belief.len() || total <= 0.0 {
@@ -500,19 +495,19 @@ impl Forecaster {
         }
     }
 
-    /// Nothing that was done before says what comes next: the window of narration has ended.
+    /// Ends the window of narration: earlier use of things no longer affects the forecast.
     pub fn end_window(&mut self) {
         self.in_use.clear();
     }
 
-    /// Takes up another list of labels, by the place of each old one in it; the rooms are the same.
+    /// Adopts another list of labels. `new` gives the new index of each old label; the rooms are unchanged.
     pub fn relabel(&mut self, new: &dyn Fn(usize) -> Option<usize>) {
         self.in_use.relabel(new);
         self.object = self.object.and_then(new);
     }
 
-    /// Takes up a map that has other rooms, too: `new` says which of its `rooms` each old one is. Nobody is believed to be in a new one. Where its way in
-    /// is, [`Forecaster::come_in_by`] says.
+    /// Adopts a map with other rooms: `new` gives the new index of each old room, `rooms` their new number. New rooms get no belief. The way in is
+    /// reset; call [`Forecaster::come_in_by`].
     pub fn take_rooms(&mut self, new: &[Option<usize>], rooms: usize) {
         let even = 1.0 / rooms.max(1) as f64;
         let moved = |old: &[f64]| {
@@ -536,22 +531,22 @@ impl Forecaster {
         let fresh = |room: &usize| !known.contains(room);
         (0..rooms).filter(fresh).for_each(|room| self.spent_s[room] = even * self.options.stay_s);
         self.come_in_by(&[]);
-        // Where like things were in use is by the rooms before.
+        // It refers to the old rooms.
         self.in_use.clear();
     }
 
-    /// Per room the probability that the next thing is there, as was expected last; none once the person was told to be in another room.
+    /// Probability per room that the next thing is there. `None` after a sensor has placed the person in another room.
     #[must_use]
     pub fn expected(&self) -> Option<&[f64]> {
         self.expects.then_some(&self.scores)
     }
 
-    /// Per room the probability that the person is in it at `now_s + horizon_s`; with [`Forecaster::elsewhere`] they sum to one.
+    /// Probability per room that the person is there at `now_s + horizon_s`. The sum with [`Forecaster::elsewhere`] is one.
     pub fn at(&self, now_s: f64, horizon_s: f64) -> impl ExactSizeIterator<Item = f64> {
         self.ahead(now_s, horizon_s, 1.0)
     }
 
-    /// As [`Self::at`], where the object in hand is still the same with at most `same_at_most`.
+    /// As [`Self::at`], with a cap on the probability that the object in hand is still the same.
     fn ahead(&self, now_s: f64, horizon_s: f64, same_at_most: f64) -> impl ExactSizeIterator<Item = f64> {
         let out = self.out();
         let back = out - self.elsewhere(now_s, horizon_s);
@@ -568,7 +563,7 @@ impl Forecaster {
         })
     }
 
-    /// The probability that the person is out of the house at `now_s + horizon_s`.
+    /// Probability that the person is out of the house at `now_s + horizon_s`.
     #[must_use]
     pub fn elsewhere(&self, now_s: f64, horizon_s: f64) -> f64 {
         let gone_s = self.away_since_s.map_or(0.0, |since_s| (now_s - since_s).max(0.0));
@@ -578,10 +573,10 @@ impl Forecaster {
         }
     }
 
-    /// Per room the expected time the person spends in it between `from_s` and `to_s` after `now_s`, in seconds.
+    /// Expected time of the person per room between `from_s` and `to_s` after `now_s`, in seconds.
     #[must_use]
     pub fn expected_s(&self, now_s: f64, from_s: f64, to_s: f64) -> Vec<f64> {
-        /// Probabilities change over many seconds; more samples change nothing.
+        /// Enough, because probabilities change slowly.
         const SAMPLES: usize = 8;
         let width_s = (to_s - from_s).max(0.0) / SAMPLES as f64;
         let mut expected = vec![0.0; self.belief.len()];
@@ -611,7 +606,7 @@ mod tests {
         (map, grounding)
     }
 
-    /// A weekend of which nobody told anything, and a first word with a wrong date, said for weeks where somebody was before.
+    /// A silent weekend, and an event with a wrong date, do not add weeks to a room.
     #[test]
     fn a_long_silence_is_no_stay_and_a_journey_no_absence() {
         const H: f64 = 3_600.0;
@@ -639,7 +634,7 @@ mod tests {
         assert!((back_after(H) - back_after(504.0 * H)).abs() < 0.1, "{} {}", back_after(H), back_after(504.0 * H));
     }
 
-    /// Of one label with things in several rooms the one in the room where the person is; and that stays so until something else is observed.
+    /// Among like things in several rooms, the one in the person's room counts; this stays so until the next observation.
     #[test]
     fn like_things_are_told_apart_once_after_each_observation() {
         let map = SemanticMap::from_json(include_str!("../../scenes/apartment-e0.json")).unwrap();
@@ -663,13 +658,13 @@ mod tests {
         forecaster.observe(10.0, Some(only_in(first).into()), &grounding, &[]);
         assert_eq!(likeliest_next(&mut forecaster, 1), first);
         let before = forecaster.expected().unwrap().to_vec();
-        // A word of a third room takes a little belief from everywhere; the same scores say the same.
+        // A report about a third room changes the belief a little; the same scores give the same expectation.
         if let Some(third) = (0..rooms).find(|room| ![first, second].contains(room)) {
             forecaster.exclude(11.0, third);
             forecaster.expect_next(&grounding, &nats, 1);
             assert_eq!(forecaster.expected(), Some(&before[..]));
         }
-        // The thing in use is the one that was turned to, from wherever the person is later, until they have rested or their window ends.
+        // The thing in use stays the one turned to, until the person has rested or the window ends.
         forecaster.observe(20.0, Some(spread.into()), &grounding, &[]);
         forecaster.observe(30.0, Some(only_in(second).into()), &grounding, &[]);
         assert_eq!(likeliest_next(&mut forecaster, 2), first);
@@ -698,7 +693,7 @@ mod tests {
         assert!((spent.iter().sum::<f64>() - 40.0).abs() < 1e-9);
     }
 
-    /// Sentences of one instant are sentences one after the other: the last one says where the person is.
+    /// Sentences at one instant count in sequence: the last one gives the room.
     #[test]
     fn what_is_told_at_once_was_done_one_after_the_other() {
         let (map, grounding) = studio();
@@ -731,13 +726,13 @@ mod tests {
         assert!(long.at(3000.0, 60.0).nth(here) > short.at(5.0, 60.0).nth(here));
     }
 
-    /// A night is no pace: who is told to be at a thing after it is there, as without it, and goes on as quickly.
+    /// A night is not a pace: afterwards the forecast follows events as quickly as without it.
     #[test]
     fn after_a_night_the_forecast_follows_as_without_it() {
         let map = SemanticMap::from_json(include_str!("../../scenes/ward.json")).unwrap();
         let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
         let rooms = grounding.partitions.len();
-        // The things that stand in one room alone, of one room each.
+        // Things that exist in one room only, one thing per room.
         let mut things: Vec<(usize, usize)> = Vec::new();
         for label in 0..grounding.scored_labels.len() {
             let room = (0..rooms).find(|room| grounding.weights[(label, *room)] > 0.99);
@@ -773,7 +768,7 @@ mod tests {
                 }
             }
         }
-        // Who leaves the room where they slept is in another.
+        // A person leaves the room they slept in: they are in another.
         let mut forecaster = Forecaster::new(3, ForecastOptions::default(), 0.0);
         let (map, grounding) = studio();
         let mut studio = PlaceMatcher::new(&map, &grounding);
@@ -783,7 +778,7 @@ mod tests {
         assert!(forecaster.belief()[kitchen] < 0.1, "{:?}", forecaster.belief());
     }
 
-    /// Who is out of the house is in no room, comes back within hours, and sooner where absences were short.
+    /// A person out of the house is in no room and returns within hours; sooner if past absences were short.
     #[test]
     fn who_has_left_is_elsewhere_and_comes_back() {
         let (map, grounding) = studio();
@@ -798,7 +793,7 @@ mod tests {
         assert_eq!((forecaster.elsewhere(100.0, 0.0), rooms(&forecaster, 100.0, 0.0)), (1.0, 0.0));
         let hours = |count: f64| forecaster.elsewhere(100.0, count * 3600.0);
         assert!(hours(1.0) > 0.6 && hours(4.0) < 0.3 && hours(100.0) < 0.01, "{} {}", hours(1.0), hours(4.0));
-        // Nothing was heard for long: they will stay away for longer.
+        // After a long absence the remaining absence is longer, too.
         assert_eq!(forecaster.elsewhere(50_000.0, 0.0), 1.0);
         assert!(forecaster.elsewhere(50_000.0, 3600.0) > hours(1.0));
         let mut quick = forecaster.clone();
@@ -810,7 +805,7 @@ mod tests {
             quick.leave(at_s);
         }
         assert!(quick.elsewhere(at_s, 3600.0) < hours(1.0));
-        // Back, in any room; an action says where.
+        // Back, in an unknown room; an action gives the room.
         forecaster.enter(4000.0, None);
         assert!((rooms(&forecaster, 4000.0, 0.0) - 1.0).abs() < 1e-9);
         assert_eq!(forecaster.belief(), [1.0 / 3.0; 3]);
@@ -819,7 +814,7 @@ mod tests {
         assert!(forecaster.at(5000.0, 0.0).fold(0.0, f64::max) > 0.8);
     }
 
-    /// Nobody comes home into the bed in which they spend their nights.
+    /// A person does not come home into the bed in which they spend their nights.
     #[test]
     fn who_comes_home_is_at_the_way_in() {
         let (map, grounding) = studio();
@@ -840,7 +835,7 @@ mod tests {
             let soon: Vec<f64> = back.at(60_000.0, 30.0).collect();
             assert_eq!(likeliest(&soon), Some(hall), "{name}: {soon:?}");
         }
-        // Of another map nothing is known of its way in.
+        // The way in of another map is unknown.
         let mut changed = forecaster.clone();
         changed.take_rooms(&[Some(0), Some(1), Some(2)], 4);
         changed.enter(60_000.0, None);
@@ -849,7 +844,7 @@ mod tests {
         changed.come_in_by(&[0.0, 0.0, 0.0, 1.0]);
         changed.enter(60_002.0, None);
         assert_eq!(likeliest(changed.belief()), Some(3));
-        // A room that is told is where they are.
+        // A reported room takes precedence.
         forecaster.enter(60_000.0, Some(bed));
         assert!(forecaster.belief()[bed] > 0.98);
     }
@@ -863,10 +858,9 @@ mod tests {
         let bed = likeliest(forecaster.belief()).unwrap();
         for room in (0..3).filter(|room| *room != bed) {
             let mut seen = forecaster.clone();
-            // However sure it was a moment before.
             seen.enter(6.0, Some(room));
             assert!(seen.belief()[room] > 0.98, "{:?}", seen.belief());
-            // What the model said of the bed does not draw them back.
+            // Scores from before the report do not draw the person back.
             seen.expect(&std::array::from_fn::<_, 3, _>(|other| f64::from(u8::from(other == bed))));
             let after = |t: f64| seen.at(6.0 + t, 0.0).collect::<Vec<_>>();
             let course: Vec<f64> = [1.0, 5.0, 15.0, 40.0, 180.0].iter().map(|t| after(*t)[room]).collect();
@@ -876,7 +870,7 @@ mod tests {
         }
     }
 
-    /// Motion in the doorway and then a device: what is told after a sensor's word is what they do next, however soon.
+    /// Motion in the doorway and then a device: a sentence after a sensor's event is the person's next action, however soon.
     #[test]
     fn a_sentence_or_a_sensor_after_a_sensor_says_where_somebody_is() {
         let (map, grounding) = studio();
@@ -888,7 +882,7 @@ mod tests {
         let goes = mentions.last("They go to the bathroom.");
         let leaves = mentions.last("They leave the kitchen.");
         let fresh = Forecaster::new(3, ForecastOptions::default(), 0.0);
-        // A sensor that agrees with what was done makes it no harder to leave.
+        // A sensor that agrees with the actions does not make it harder to leave.
         let mut cooking = fresh.clone();
         for at_s in [20.0, 50.0, 80.0] {
             cooking.observe(at_s, fridge, &grounding, &even);
@@ -903,7 +897,6 @@ mod tests {
                 let mut told = seen.clone();
                 told.observe(100.0 + apart_s, goes, &grounding, &even);
                 assert!(told.belief()[bathroom] > 0.9, "{what}: {:?}", told.belief());
-                // And it stays so.
                 let later: Vec<f64> = told.at(160.0 + apart_s, 0.0).collect();
                 assert_eq!(likeliest(&later), Some(bathroom), "{what}: {later:?}");
                 let mut left = seen.clone();
@@ -912,7 +905,7 @@ mod tests {
                 let mut walked = seen.clone();
                 walked.enter(100.0 + apart_s, Some(bathroom));
                 assert!(walked.belief()[bathroom] > 0.98, "{what}: {:?}", walked.belief());
-                // What they do where they were seen leaves them there, and so does a sentence that names nothing.
+                // An action in the same room, or a sentence without a thing, does not move the person.
                 for mention in [fridge, None] {
                     let mut stays = seen.clone();
                     stays.observe(100.0 + apart_s, mention, &grounding, &even);
@@ -922,7 +915,7 @@ mod tests {
                 }
             }
         }
-        // A sentence of before the sensor's word is no news of after it.
+        // A sentence from before the sensor's event says nothing about the time after it.
         let mut late = fresh.clone();
         late.enter(100.0, Some(kitchen));
         late.observe(97.0, goes, &grounding, &even);
@@ -949,7 +942,7 @@ mod tests {
         assert_eq!(text(""), None);
     }
 
-    /// A room that is empty is believed to be, and where they are else is as likely as before.
+    /// After a report that a room is empty, the other rooms keep their ratios.
     #[test]
     fn nobody_is_in_an_empty_room() {
         let (map, grounding) = studio();
@@ -969,7 +962,7 @@ mod tests {
         assert_eq!(elsewhere.at(9.0, 60.0).collect::<Vec<_>>(), away.at(9.0, 60.0).collect::<Vec<_>>());
     }
 
-    /// An occupancy sensor that says every ten seconds that another room is empty makes nobody leave theirs.
+    /// An occupancy sensor that reports another room as empty every ten seconds does not move the person.
     #[test]
     fn of_who_is_in_another_room_an_empty_one_says_nothing() {
         let (map, grounding) = studio();
@@ -999,12 +992,12 @@ mod tests {
         assert_eq!(own.belief(), [before[1], 0.0, before[0], before[2]]);
         assert_eq!(own.expected().unwrap(), [scores[1], 0.0, scores[0], scores[2]]);
         assert!((own.at(6.0, 900.0).sum::<f64>() - 1.0).abs() < 1e-9 && own.at(6.0, 900.0).nth(1).unwrap() > 0.0);
-        // Where nothing is left of what was believed, nothing is known.
+        // If no belief remains, all rooms are equally likely.
         own.take_rooms(&[None; 4], 2);
         assert_eq!(own.belief(), [0.5, 0.5]);
     }
 
-    /// A room that is left is where nobody is; what is left in a room, or put down, is none.
+    /// Leaving a room excludes it; leaving or putting down a thing in a room does not.
     #[test]
     fn who_leaves_a_room_is_in_another() {
         let (map, grounding) = studio();
@@ -1042,7 +1035,7 @@ mod tests {
             }
         }
 
-        /// Rooms and elsewhere sum to one at every horizon, whatever happens; who was never away is never elsewhere.
+        /// Rooms and elsewhere sum to one at every horizon. A person who never left is never elsewhere.
         #[test]
         fn a_person_is_in_a_room_or_elsewhere(
             events in prop::collection::vec((-5.0..9000.0f64, 0usize..5, 0usize..60), 0..30),

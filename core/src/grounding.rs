@@ -1,20 +1,20 @@
-//! From label scores to partition scores: which item lies in which partition, and the sums of Equation 2.
+//! From label scores to partition scores: the partition of each item, and the sums of Equation 2.
 //!
-//! A partition is a part of a room, a room, or a group of rooms ([`PartitionLevel`]). Geometry is done once per map, in
-//! [`Grounding::new`]; [`Grounding::ground`] is a matrix product per event.
+//! A partition is a part of a room, a room, or a group of rooms ([`PartitionLevel`]). Geometry is done once per map, in [`Grounding::new`];
+//! [`Grounding::ground`] is a matrix product per event.
 //!
 //! # Where an item belongs
 //!
-//! 1. To the partition with which its box overlaps most, by volume (the paper's argmax of V_o). A partition with a footprint is the
+//! 1. To the partition with the largest overlap with its box, by volume (the paper's argmax of V_o). A partition with a footprint is the
 //!    prism over it. The overlap with a group is the sum over its rooms.
-//! 2. Several partitions with the same largest overlap: the one that stands last in the scene file. So what lies in a nook
-//!    is the nook's when the nook is written after the room around it. Volumes that differ by less than one part in 10^9
-//!    are the same, so that rounding does not decide.
-//! 3. No overlap with any partition, because the box is flat or empty or lies outside: the last partition that contains the
+//! 2. If several partitions have the largest overlap: to the last of them in the scene file. So a thing in a nook
+//!    belongs to the nook if the nook follows the room around it. Volumes that differ by less than one part in 10^9
+//!    are equal, so that rounding does not decide.
+//! 3. If the box overlaps with no partition (flat, empty or outside): to the last partition that contains the
 //!    item's position.
-//! 4. At the level of parts: else the nearest part of the room that rules 1 to 3 give at the level of rooms.
+//! 4. At the level of parts: else to the nearest part of the room that rules 1 to 3 give at the level of rooms.
 //! 5. Else to none: the item is listed in [`Grounding::unassigned`]. It still counts in n_l, so the score of its label is
-//!    not moved into rooms where the other items of that label are.
+//!    not moved into rooms of other items with that label.
 
 use std::collections::HashMap;
 
@@ -28,47 +28,33 @@ use crate::semantic_map::{Box3, Footprint, ItemId, PartitionId, RoomId, Semantic
 /// Most entries of the matrix of labels by partitions: 256 MiB.
 pub const MAX_WEIGHTS: usize = 1 << 25;
 
-/// Most edges of footprints that are looked at to place a map's items: for each item those of every footprint whose box the item's meets.
+/// Most footprint edges tested to place a map's items. Each item tests the edges of every footprint whose bounding box meets the item's box.
 pub const MAX_LOOKS: usize = 1 << 26;
 
-/// Largest relative difference of volumes that is taken for a tie.
+/// Volumes with a smaller relative difference tie.
 const TIE: f64 = 1e-9;
 
-/// What a partition is.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    Serialize,
-    Deserialize,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "lowercase")]
-#[serde(rename_all = "lowercase")]
-pub enum PartitionLevel {
-    /// The parts of rooms; a room without parts is one partition.
-    Part,
-    /// Rooms.
-    #[default]
-    Room,
-    /// Groups of rooms; a room in no group is one partition.
-    Group,
+crate::choices! {
+    /// What a partition is.
+    #[derive(Default)]
+    pub enum PartitionLevel {
+        /// The parts of rooms; a room without parts is one partition.
+        Part,
+        /// Rooms.
+        #[default]
+        Room,
+        /// Groups of rooms; a room in no group is one partition.
+        Group,
+    }
 }
 
-/// How a map is grounded.
+/// Options of grounding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GroundingOptions {
     /// What a partition is.
     pub level: PartitionLevel,
-    /// Whether the rooms' names are labels too, each grounded in its own room.
+    /// If true, room names are labels too, each grounded in its own room.
     pub room_labels: bool,
 }
 
@@ -78,11 +64,11 @@ impl Default for GroundingOptions {
     }
 }
 
-/// Why a map or its scores cannot be grounded.
+/// A map or scores that cannot be grounded.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GroundingError {
-    /// Nothing to score.
+    /// There is no label.
     #[error(
         "the map `{map}` has no items and room names are switched off as labels, so there is nothing to score; add items or allow room labels"
     )]
@@ -103,7 +89,7 @@ pub enum GroundingError {
         /// Partitions.
         partitions: usize,
     },
-    /// More looks at edges of footprints than [`MAX_LOOKS`].
+    /// Placing the items needs more than [`MAX_LOOKS`] tests of footprint edges.
     #[error(
         "the map `{map}` has so many items near footprints of so many corners that more than {MAX_LOOKS} edges would be looked at; \
          simplify the outlines: a corner per bend of a wall is enough"
@@ -112,17 +98,17 @@ pub enum GroundingError {
         /// The map's name.
         map: String,
     },
-    /// Scores for another list of labels.
+    /// The scores belong to another list of labels.
     #[error(
         "{given} label scores were given for {expected} labels; score exactly the list of `label_texts`, in its order"
     )]
     WrongLength {
-        /// How many were given.
+        /// Number of scores given.
         given: usize,
-        /// How many labels there are.
+        /// Number of labels.
         expected: usize,
     },
-    /// A score that is no log-probability.
+    /// A score is not a log-probability.
     #[error("the log-probability of `{label}` is {log_prob_nats}; it must be at most 0 and a number")]
     NotALogProbability {
         /// The label.
@@ -139,20 +125,20 @@ pub struct Partition {
     pub id: String,
     /// Its words.
     pub label: String,
-    /// The rooms it lies in or consists of.
+    /// Rooms that the partition lies in or consists of.
     pub rooms: Vec<RoomId>,
-    /// The spaces it consists of: one, or one per room of a group that has no footprint of its own.
+    /// Spaces of the partition: one, or one per room of a group without a footprint.
     pub spaces: Vec<Space>,
 }
 
 impl Partition {
-    /// V_o with the box, in cubic metres.
+    /// V_o: the overlap with a box, in cubic metres.
     #[must_use]
     pub(crate) fn overlap_m3(&self, bounds: &Box3) -> f64 {
         self.spaces.iter().map(|own| own.overlap_m3(bounds)).sum()
     }
 
-    /// The middle: of several rooms, that of them together.
+    /// The middle, in metres; for several rooms the middle of all.
     fn middle_m(&self) -> [f64; 3] {
         let count = self.spaces.len().max(1) as f64;
         [0, 1, 2].map(|axis| self.spaces.iter().map(|space| space.centre_m()[axis]).sum::<f64>() / count)
@@ -166,27 +152,26 @@ impl Partition {
         self.spaces.iter().map(|own| own.distance_m(point_m)).fold(f64::INFINITY, f64::min)
     }
 
-    /// How far its boxes are at least: it is no nearer than they.
+    /// A cheap lower bound of [`Self::distance_m`]: the distance to the bounding boxes.
     fn box_distance_m(&self, point_m: &[f64; 3]) -> f64 {
         self.spaces.iter().map(|own| own.bounds.distance_m(point_m)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Edges of its footprints.
     fn edges(&self) -> usize {
         self.spaces.iter().filter_map(|own| own.footprint.as_ref()).map(Footprint::corners).sum()
     }
 }
 
-/// A label of the list that the scorer scores.
+/// A label to score.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScoredLabel {
     /// Its words.
     pub text: String,
-    /// The items that bear it, by their label or a caption.
+    /// The items with this label or caption.
     pub items: Vec<ItemId>,
-    /// The rooms whose name it is; each counts as one item in its own room.
+    /// The rooms with this name; each counts as one item in its own room.
     pub rooms: Vec<RoomId>,
-    /// n_l: the items that bear it, with their caption weights, and its rooms.
+    /// n_l: the caption weights of the items, summed, plus the number of rooms.
     pub count: f64,
 }
 
@@ -196,80 +181,75 @@ pub struct ScoredLabel {
 pub enum Placement {
     /// Rule 1: the largest overlap.
     Overlap,
-    /// Rule 2: the last of several with the same largest overlap.
+    /// Rule 2: the last of several with the largest overlap.
     Tie,
-    /// Rule 3: no overlap, but its position.
+    /// Rule 3: the item's position.
     Position,
     /// Rule 4: the nearest part of its room.
     NearestPart,
-    /// Rule 5: none.
+    /// Rule 5: no partition.
     Outside,
 }
 
-/// Why an item belongs to no partition.
+/// The reason why an item is in no partition.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reason {
-    /// Neither its box nor its position lies in any.
+    /// Box and position are outside all partitions.
     Outside {
         /// The partition nearest to its position.
         nearest: PartitionId,
-        /// How far that is, in metres.
+        /// The distance to it in metres.
         distance_m: f64,
     },
 }
 
-/// A share of an item's score: label and ln(weight / n_l).
+/// An item's share of a label's score: label and ln(weight / n_l).
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Term {
     label: usize,
     ln_share: f64,
 }
 
-/// A map made ready for sums. Immutable; one per map and level.
+/// The geometry of a map, prepared for sums. Immutable; one per map and level.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grounding {
-    /// The partitions, in the scene file's order (groups before the rooms in no group).
+    /// In the scene file's order (groups before the rooms in no group).
     pub(crate) partitions: Vec<Partition>,
-    /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
-    /// After [`Grounding::regroup`] the labels of before come first.
+    /// The items' labels, sorted; then room names without items, in the rooms' order. After [`Grounding::regroup`] the previous labels come first.
     pub(crate) scored_labels: Vec<ScoredLabel>,
-    /// Per item its partition.
     pub(crate) item_partition: Vec<Option<PartitionId>>,
-    /// Per item how its partition was found.
     pub(crate) item_placement: Vec<Placement>,
-    /// The items in no partition.
     pub(crate) unassigned: Vec<(ItemId, Reason)>,
-    /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one
-    /// less the share of the label's items that lie in no partition.
+    /// Labels x partitions; see [`Grounding::weights()`].
     pub(crate) weights: DMatrix<f64>,
-    /// Which of several like things is meant by somebody whose whereabouts are known.
+    /// Weights of like things by the person's room.
     pub(crate) like_things: LikeThings,
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
     item_terms: Vec<Term>,
     term_start: Vec<usize>,
-    /// The list holds labels that nothing bears any more. Known once, so that an event need not look at every label for it.
+    /// The list contains labels without items. Cached, so that an event need not check every label.
     idle_labels: bool,
 }
 
-/// A changed map, grounded with the places of the labels kept.
+/// The grounding of a changed map, which keeps the indices of existing labels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regrouped {
     /// The new map's grounding.
     pub grounding: Grounding,
-    /// How many labels stand after those that the model was prepared for; 0 when the model need not be touched.
+    /// Number of labels after those that the model was prepared for. If 0, the model can stay as it is.
     pub new_labels: usize,
 }
 
-/// The scores of one event. Keep one and pass it to every call: nothing is allocated once it has its size.
+/// The scores of one event. Reuse one for all calls: it allocates nothing once it has its size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GroundedScores {
-    /// Per partition ln S_j (Equation 2); minus infinity where no item with a score lies.
+    /// `ln S_j` per partition (Equation 2); minus infinity for a partition without a scored item.
     pub partition_log_score_nats: Vec<f64>,
-    /// Per partition S_j / sum of all S; uniform when all S are zero.
+    /// S_j / sum of all S per partition; uniform if all S are zero.
     pub partition_probability: Vec<f64>,
-    /// Sum of s_c over the labels: the probability that the continuation is a label of the map at all, or, where labels' further tokens
-    /// compete with one another only, that it begins as a label does. By Equation 1 it can exceed one where labels begin with other
-    /// labels ("coffee", "coffee maker").
+    /// Sum of s_c over the labels: the probability that the continuation is a label of the map. If labels' further tokens compete only with one
+    /// another, the probability that it begins like a label. Under Equation 1 it can exceed one if labels begin with other labels ("coffee", "coffee
+    /// maker").
     pub label_mass: f64,
     /// s_c over the largest s_c.
     relative: DVector<f64>,
@@ -289,19 +269,19 @@ impl Default for GroundedScores {
 }
 
 impl GroundedScores {
-    /// Takes over another's scores; allocates nothing once it has its size.
+    /// Allocates nothing once it has its size.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.partition_log_score_nats.clone_from(&other.partition_log_score_nats);
         self.partition_probability.clone_from(&other.partition_probability);
         self.label_mass = other.label_mass;
     }
 
-    /// The scores of somebody who is in none of so many partitions.
+    /// The scores of a person outside all `partitions`.
     pub(crate) fn nowhere(&mut self, partitions: usize) {
         self.set(0.0, std::iter::repeat_n(0.0, partitions));
     }
 
-    /// Takes probabilities as they are, and their logarithms as scores.
+    /// Sets probabilities, and their logarithms as scores.
     pub(crate) fn set(&mut self, label_mass: f64, probability: impl Iterator<Item = f64>) {
         self.partition_probability.clear();
         self.partition_probability.extend(probability);
@@ -318,20 +298,20 @@ impl Grounding {
         &self.partitions
     }
 
-    /// The labels to score: the items' labels, sorted; then names of rooms that no item bears, in the rooms' order.
-    /// After [`Grounding::regroup`] the labels of before come first.
+    /// The labels to score: the items' labels, sorted; then room names without items, in the rooms' order. After [`Grounding::regroup`] the previous
+    /// labels come first.
     #[must_use]
     pub fn scored_labels(&self) -> &[ScoredLabel] {
         &self.scored_labels
     }
 
-    /// Per item its partition.
+    /// The partition of each item.
     #[must_use]
     pub fn item_partition(&self) -> &[Option<PartitionId>] {
         &self.item_partition
     }
 
-    /// Per item how its partition was found.
+    /// The rule that placed each item.
     #[must_use]
     pub fn item_placement(&self) -> &[Placement] {
         &self.item_placement
@@ -343,15 +323,15 @@ impl Grounding {
         &self.unassigned
     }
 
-    /// Labels by partitions: `weights[(c, r)]` is the share of label c's items that lie in partition r. A row sums to one less the share
-    /// of the label's items that lie in no partition. A matrix of `nalgebra`, which bounds and baselines compute with.
+    /// Labels x partitions: `weights[(c, r)]` is the share of label c's items in partition r. A row sums to one minus the share of the label's items
+    /// outside all partitions.
     #[must_use]
     pub fn weights(&self) -> &DMatrix<f64> {
         &self.weights
     }
 
-    /// Assigns every item and adds up the shares. Takes time in proportion to items times partitions (and the corners of those with a
-    /// footprint whose box the item's meets, at most [`MAX_LOOKS`]), once per map.
+    /// Places every item and sums up the shares. The time is proportional to items x partitions (plus tests of footprint edges, at most
+    /// [`MAX_LOOKS`]), once per map.
     ///
     /// # Errors
     /// [`GroundingError::NoLabels`], [`GroundingError::TooLarge`] and [`GroundingError::TooManyEdges`].
@@ -359,10 +339,9 @@ impl Grounding {
         Self::with_labels(map, options, &[])
     }
 
-    /// The same for a changed map, whose labels keep their places in the list, so that a model prepared for the old list
-    /// still serves. Labels of the new map come after the old ones; labels that nothing bears any more stay, without
-    /// weight. When [`Regrouped::new_labels`] is 0, scores of the old list by Equation 1 are scores of the new one; corrected ones
-    /// ([`crate::scorer::correction`]) also depend on which labels there are.
+    /// Grounds a changed map and keeps the indices of existing labels, so that a model prepared for the old list stays usable. New labels follow the
+    /// old ones; labels without items stay, without weight. If [`Regrouped::new_labels`] is 0, scores of the old list by Equation 1 are scores of the
+    /// new one; corrected scores ([`crate::scorer::correction`]) also depend on the set of labels.
     ///
     /// # Errors
     /// As [`Grounding::new`].
@@ -427,7 +406,7 @@ impl Grounding {
         term_start.push(item_terms.len());
         for (label, scored) in scored_labels.iter().enumerate() {
             for room in &scored.rooms {
-                // A room that is divided into parts gives each part the same share of its name.
+                // Each part of a divided room gets the same share of the room's name.
                 let within = || (0..partitions.len()).filter(|&index| partitions[index].rooms.contains(room));
                 let parts = within().count() as f64;
                 within().for_each(|partition| weights[(label, partition)] += 1.0 / (scored.count * parts));
@@ -448,7 +427,6 @@ impl Grounding {
         })
     }
 
-    /// Whether the list holds labels that nothing bears any more.
     #[must_use]
     pub(crate) fn has_idle_labels(&self) -> bool {
         self.idle_labels
@@ -460,11 +438,11 @@ impl Grounding {
         self.scored_labels.iter().map(|label| label.text.as_str()).collect()
     }
 
-    /// Scores every partition: S_j = sum of s_i over the items i of partition j (Equation 2), from ln s_c per label in nats. Linear in
-    /// labels times partitions, however many items bear the labels; allocates nothing once `out` has its size.
+    /// Scores every partition: S_j = sum of s_i over the items i of partition j (Equation 2), from `ln s_c` per label in nats. The time is linear in
+    /// labels x partitions, independent of the number of items. Allocates nothing once `out` has its size.
     ///
     /// # Errors
-    /// When the scores are not one log-probability per label; minus infinity is one.
+    /// If the scores are not one log-probability per label. Minus infinity is allowed.
     pub fn ground(&self, label_log_prob_nats: &[f64], out: &mut GroundedScores) -> Result<(), GroundingError> {
         self.check(label_log_prob_nats)?;
         let (labels, partitions) = self.weights.shape();
@@ -475,14 +453,14 @@ impl Grounding {
             out.sums = DVector::zeros(partitions);
         }
 
-        // Relative to the likeliest label nothing overflows, and what underflows is summed again below.
+        // Relative to the likeliest label nothing overflows; partitions that underflow are summed again below.
         let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let reference = if largest.is_finite() { largest } else { 0.0 };
         for (relative, log_prob_nats) in out.relative.iter_mut().zip(label_log_prob_nats) {
             *relative = (log_prob_nats - reference).exp();
         }
         if self.idle_labels {
-            // A label that nothing bears any more is none of the map's.
+            // Labels without items are not part of the map.
             let idle = out.relative.iter_mut().zip(&self.scored_labels).filter(|(_, label)| label.count <= 0.0);
             idle.for_each(|(relative, _)| *relative = 0.0);
         }
@@ -503,8 +481,7 @@ impl Grounding {
         Ok(())
     }
 
-    /// Per item ln s_i, with s_i = s_c,i / n_l,i, from ln s_c per label in nats: for those who look at items. A label without a score is
-    /// impossible.
+    /// `ln s_i` per item, with s_i = s_c,i / n_l,i, from `ln s_c` per label in nats. A label without a score counts as impossible.
     pub fn item_log_score_nats<'a>(&'a self, label_log_prob_nats: &'a [f64]) -> impl ExactSizeIterator<Item = f64> {
         let log_score_nats =
             |term: &Term| label_log_prob_nats.get(term.label).copied().unwrap_or(f64::NEG_INFINITY) + term.ln_share;
@@ -514,7 +491,7 @@ impl Grounding {
         })
     }
 
-    /// What to call the partitions in front of people, in their order, as [`partition_names`] has it.
+    /// Display names of the partitions, in their order, by [`partition_names`].
     #[must_use]
     pub fn partition_names(&self) -> Vec<String> {
         partition_names(&self.partitions)
@@ -534,7 +511,7 @@ impl Grounding {
         contributions
     }
 
-    /// How many items were placed by the given rule.
+    /// Number of items placed by the given rule.
     #[must_use]
     pub fn placed_by(&self, placement: Placement) -> usize {
         self.item_placement.iter().filter(|&&own| own == placement).count()
@@ -545,7 +522,7 @@ impl Grounding {
             let (given, expected) = (label_log_prob_nats.len(), self.scored_labels.len());
             return Err(GroundingError::WrongLength { given, expected });
         }
-        // The tolerance is for probabilities of one that rounding made a little larger.
+        // Rounding can make a probability of one slightly larger.
         let wrong =
             label_log_prob_nats.iter().position(|log_prob_nats| log_prob_nats.is_nan() || *log_prob_nats > 1e-3);
         wrong.map_or(Ok(()), |label| {
@@ -554,7 +531,7 @@ impl Grounding {
         })
     }
 
-    /// ln S_j with a reference of its own, for partitions whose labels are all far less likely than the likeliest.
+    /// `ln S_j` with its own reference, for partitions with labels far below the likeliest.
     fn log_score_nats(&self, partition: usize, label_log_prob_nats: &[f64]) -> f64 {
         let column = self.weights.column(partition);
         let shares = column.iter().zip(label_log_prob_nats).filter(|(weight, _)| **weight > 0.0);
@@ -584,8 +561,8 @@ fn rooms_as_partitions(map: &SemanticMap) -> Vec<Partition> {
         .collect()
 }
 
-/// What to call partitions, in their order, each otherwise: by their labels, or by their ids where several bear one label, as the rooms of a
-/// ward do, or where a label is the id of another that is called so.
+/// Unique display names of partitions, in their order: the label, or the id if several partitions share the label, as in a ward, or if the label is
+/// the id of another partition that is shown by its id.
 #[must_use]
 pub fn partition_names(partitions: &[Partition]) -> Vec<String> {
     let mut by_id = vec![false; partitions.len()];
@@ -649,13 +626,13 @@ pub fn partitions(map: &SemanticMap, level: PartitionLevel) -> Vec<Partition> {
     }
 }
 
-/// The labels of an item with their weights: its captions, or its label alone.
+/// The labels of an item (index, weight): its captions, or its label alone.
 fn words_of(item: &crate::semantic_map::Item) -> impl Iterator<Item = (usize, f64)> {
     let only = item.captions.is_empty().then_some((item.label.0 as usize, 1.0));
     only.into_iter().chain(item.captions.iter().map(|caption| (caption.label.0 as usize, caption.weight)))
 }
 
-/// The labels to score, first the known ones; and per label of the map its place among them.
+/// The labels to score, known ones first; and for each label of the map its index among them.
 fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<ScoredLabel>, Vec<usize>) {
     fn place<'a>(text: &'a str, labels: &mut Vec<ScoredLabel>, places: &mut HashMap<&'a str, usize>) -> usize {
         *places.entry(text).or_insert_with(|| {
@@ -685,16 +662,15 @@ fn scored_labels(map: &SemanticMap, room_labels: bool, known: &[&str]) -> (Vec<S
     (labels, place_of)
 }
 
-/// Finds items' partitions.
 struct Placer {
-    /// Volumes that are not zero; memory that is used again.
+    /// Scratch: volumes above zero.
     shared_m3: Vec<(u32, f64)>,
-    /// Edges of footprints that were looked at.
+    /// Footprint edges tested so far.
     looks: usize,
 }
 
 impl Placer {
-    /// Rules 1 to 3. Each volume is computed once.
+    /// Rules 1 to 3. Computes each volume once.
     fn place(
         &mut self,
         bounds: &Box3,
@@ -886,7 +862,7 @@ mod tests {
         }
     }
 
-    /// A comb of nearly as many corners as a map may have, full of things.
+    /// A comb with nearly as many corners as a map may have, full of things.
     #[test]
     fn items_at_too_many_edges_are_refused() {
         let teeth = crate::semantic_map::MAX_CORNERS / 4 - 1;
@@ -913,7 +889,7 @@ mod tests {
             assert!(matches!(result, Err(GroundingError::TooManyEdges { .. })), "{:?}", result.err());
         };
         refused(grounded(most + 1, 2.0));
-        // Outside, the nearest of all is looked for.
+        // An item outside searches all partitions for the nearest.
         refused(grounded(most + 1, 50.0));
     }
 
@@ -983,7 +959,7 @@ mod tests {
         }
         assert_eq!(of(&map, &rooms, "pillar-1"), (None, Placement::Outside), "the hole of the living room");
 
-        // The same rooms as version 1 has them.
+        // The same rooms in version 1 of the format.
         let mut file: serde_json::Value = serde_json::from_str(&map.to_json()).unwrap();
         file["version"] = 1.into();
         for list in ["rooms", "parts", "groups"] {
@@ -1035,7 +1011,7 @@ mod tests {
     }
 
     proptest! {
-        /// The largest overlap with prisms is what counting points of a grid finds, where that tells two rooms apart.
+        /// The largest overlap with prisms agrees with counting grid points, if that count distinguishes two rooms.
         #[test]
         fn polygons_agree_with_brute_force(
             rooms in prop::collection::vec(crate::semantic_map::footprint::tests::any_rings(), 1..4),
@@ -1059,7 +1035,7 @@ mod tests {
             }
         }
 
-        /// Equation 2 by its own words: for every partition, add up s_i of the items whose largest overlap it is.
+        /// Equation 2 by definition: for every partition, the sum of s_i over the items with their largest overlap there.
         #[test]
         fn sums_agree_with_brute_force(map in any_map(), seeds in prop::collection::vec(-40.0..0.0f64, 9)) {
             let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();

@@ -1,12 +1,12 @@
-//! What a person will be narrated to do next, as sentences with chances: what [`crate::prepared::Preparer`] is asked to score ahead.
+//! Guesses of a person's next sentence, with probabilities, for prefetching by [`crate::prepared::Preparer`].
 //!
-//! A sentence is taken apart into its form and its things: "They put the mug on the table." is `They put the <1> on the <n>.` where the
-//! mug was mentioned last but one, and the table not lately. Which form follows which is counted ([`Guesser::hear`]), over activity
-//! programs to begin with ([`Guesser::new`]) and then over what this home's narrators say. The things not mentioned lately are the
-//! model's: it has just said what the person turns to next.
+//! A sentence is split into its form and its things. "They put the mug on the table." becomes `They put the <1> on the <n>.` if the mug was the last
+//! thing but one mentioned, and the table was not mentioned recently. The guesser counts which form follows which ([`Guesser::hear`]), first over
+//! activity programs ([`Guesser::new`]), then over this home's events. Things that were not mentioned recently get their probability from the model's
+//! scores.
 //!
-//! `P(sentence) = P(form | two forms before) * prod over its new things P(thing) * P(form | thing) / P(form)`, the first by Witten-Bell
-//! interpolation of the counts.
+//! `P(sentence) = P(form | two forms before) * prod over its new things P(thing) * P(form | thing) / P(form)`, the first by Witten-Bell interpolation
+//! of the counts.
 
 use std::collections::VecDeque;
 
@@ -14,31 +14,31 @@ use foldhash::{HashMap, HashMapExt, HashSet};
 
 use crate::names::Names;
 
-/// How many things mentioned last a sentence can mention again; `training/forms_file.py` has the same.
+/// Number of recent things that a sentence can refer to; equal to the value in `training/forms_file.py`.
 const RECENT_MAX: usize = 5;
-/// Most forms that are told apart; whoever has learned as many begins again ([`Guesser::is_full`]).
+/// Most distinct forms; a guesser with more starts again ([`Guesser::is_full`]).
 pub const FORMS_MAX: usize = 4096;
-/// Most counts of each kind that are kept; as [`FORMS_MAX`].
+/// Most counts of each kind; see [`FORMS_MAX`].
 pub const COUNTS_MAX: usize = 65_536;
-/// Sentences longer than this are not guessed.
+/// Longer sentences are not guessed.
 pub const SENTENCE_BYTES_MAX: usize = 200;
 /// Most words of a thing's name.
 const NAME_WORDS_MAX: usize = 4;
-/// What one sentence of this home counts beside one of the programs: chosen before any figure was seen.
+/// Weight of one sentence of this home against one of the programs: chosen before any figure was seen.
 const HOME_WEIGHT: f64 = 5.0;
-/// Forms and things that a guess looks at.
+/// Number of forms and of things that a guess considers.
 const FORMS_TRIED: usize = 96;
 const THINGS_TRIED: usize = 64;
-/// Sentences with more new things than these are not guessed: each has its own chance, and together they have none.
+/// Sentences with more new things are not guessed: each thing's probability counts, and their product is too small.
 const NEW_THINGS_MAX: usize = 3;
-/// Most ways to fill a form that are looked at; of more, the likeliest go on to the next place.
+/// Most ways to fill a form; if there are more, only the likeliest continue to the next place.
 const WAYS_MAX: usize = 512;
-/// Times that a form is taken to stand with things as they are anyway.
+/// Weight of the prior that a form occurs with a thing at the general frequency.
 const PRIOR_TIMES: f64 = 5.0;
-/// Stands before the first sentence.
+/// The form before the first sentence.
 const START: &str = "";
 
-/// What activity programs say after what: `models/household-forms.json`, which `training/forms_file.py` writes.
+/// Counts of successive forms in activity programs: `models/household-forms.json`, written by `training/forms_file.py`.
 #[derive(Debug, Clone, Default, serde::Deserialize)]
 pub struct Counts {
     forms: Vec<String>,
@@ -48,16 +48,16 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Reads the file's text.
+    /// Parses the file's text.
     ///
     /// # Errors
-    /// When it is not JSON of that form.
+    /// If it is not JSON of that structure.
     pub fn from_json(text: &str) -> Result<Self, serde_json::Error> {
         serde_json::from_str(text)
     }
 }
 
-/// What follows one context, by form.
+/// Counts of the forms that follow one context.
 #[derive(Debug, Clone, Default)]
 struct Following {
     times: f64,
@@ -65,7 +65,7 @@ struct Following {
 }
 
 impl Following {
-    /// Gives how many counts there are more than before.
+    /// Returns the number of new counts.
     fn add(&mut self, form: u32, times: f64) -> usize {
         self.times += times;
         match self.by_form.iter_mut().find(|(known, _)| *known == form) {
@@ -80,7 +80,7 @@ impl Following {
         }
     }
 
-    /// Mixes these counts into the chances of a shorter context: Witten-Bell.
+    /// Interpolates these counts with the probabilities of a shorter context: Witten-Bell.
     fn mix(&self, chances: &mut [f64]) {
         let distinct = self.by_form.len() as f64;
         let whole = self.times + distinct;
@@ -94,40 +94,40 @@ impl Following {
     }
 }
 
-/// The things of a form's place.
+/// Counts of the things at one place of a form.
 #[derive(Debug, Clone, Default)]
 struct Place {
     times: f64,
     by_thing: HashMap<String, f64>,
 }
 
-/// A sentence taken apart.
+/// A sentence split into form and things.
 struct Parts {
-    /// With each thing's rank among those mentioned last, or n.
+    /// Each thing is replaced by its rank among the recent ones, or n.
     typed: String,
-    /// With empty places.
+    /// Each thing is replaced by an empty place.
     bare: String,
     things: Vec<String>,
 }
 
-/// A name that a sentence may have, and which of the map's labels it serves for.
+/// A name that a sentence may use, with the map's label for it.
 #[derive(Debug, Clone)]
 struct Thing {
     label: Option<usize>,
-    /// Its part of the label's chance: a label may have several names.
+    /// Its share of the label's probability, because a label may have several names.
     share: f64,
 }
 
-/// The last of what was said of one person.
+/// A person's latest sentences.
 #[derive(Debug, Clone, Default)]
 pub struct Thread {
     /// The forms of the last two sentences.
     forms: [u32; 2],
-    /// The distinct things mentioned last, the last sentence's first.
+    /// The distinct recent things, those of the last sentence first.
     recent: VecDeque<String>,
 }
 
-/// Guesses at the next sentence. See the [module's documentation](self).
+/// Guesses the next sentence. See the [module's documentation](self).
 #[derive(Debug, Clone)]
 pub struct Guesser {
     forms: Vec<String>,
@@ -136,10 +136,10 @@ pub struct Guesser {
     after: HashMap<u32, Following>,
     after_two: HashMap<(u32, u32), Following>,
     places: HashMap<(String, usize), Place>,
-    /// How often each thing stood anywhere.
+    /// Count per thing, over all places.
     times: HashMap<String, f64>,
     all_times: f64,
-    /// Counts of things, and of what follows what.
+    /// Number of counts, against [`COUNTS_MAX`].
     counts: usize,
     followers: usize,
     things: HashMap<String, Thing>,
@@ -147,7 +147,7 @@ pub struct Guesser {
 }
 
 impl Guesser {
-    /// Knows what programs say, and these labels of a map.
+    /// A guesser with the counts of activity programs, for the labels of a map.
     #[must_use]
     pub fn new(seed: &Counts, labels: &[&str]) -> Self {
         let mut guesser = Self {
@@ -187,13 +187,13 @@ impl Guesser {
         guesser
     }
 
-    /// Whether it can learn nothing new: time to begin again, or whoever says many different sentences would end all learning for good.
+    /// Whether it can learn nothing new and must be replaced: many different sentences would otherwise end learning for good.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.forms.len() >= FORMS_MAX || self.counts >= COUNTS_MAX || self.followers >= COUNTS_MAX
     }
 
-    /// Takes the labels of a changed map.
+    /// Sets the labels of a changed map.
     pub fn set_labels(&mut self, labels: &[&str]) {
         let places: HashMap<&str, usize> = labels.iter().enumerate().map(|(place, label)| (*label, place)).collect();
         let mut things: HashMap<String, Thing> = HashMap::new();
@@ -206,7 +206,7 @@ impl Guesser {
             let label = known.find_map(|name| places.get(name).copied());
             things.entry(thing.clone()).or_insert(Thing { label, share: 1.0 });
         }
-        // A label's names share its chance as they are used.
+        // A label's names share its probability by their use.
         let mut used = vec![0.0; labels.len()];
         let times_of = |name: &str| self.times.get(name).copied().unwrap_or_default() + 1.0;
         for (name, thing) in &things {
@@ -246,7 +246,7 @@ impl Guesser {
         self.all_times += times;
     }
 
-    /// Takes a sentence apart; none where it cannot be put together again.
+    /// Splits a sentence. `None` if it cannot be reassembled.
     fn take_apart(&self, sentence: &str, thread: &Thread) -> Option<Parts> {
         if sentence.len() > SENTENCE_BYTES_MAX || sentence.contains(['<', '>']) {
             return None;
@@ -265,7 +265,7 @@ impl Guesser {
             let run = (1..=NAME_WORDS_MAX.min(words.len() - at)).rev().find_map(|length| {
                 let run = words[at..at + length].join(" ");
                 let name = run[..bare_word(&run)].to_lowercase();
-                // A mark within a run is an end.
+                // A punctuation mark within a run ends it.
                 (is_after_article && self.things.contains_key(&name)).then_some((length, name, run))
             });
             match run {
@@ -290,13 +290,13 @@ impl Guesser {
         Some(Parts { typed, bare, things })
     }
 
-    /// Takes note of a sentence without learning from it: what a restart gives back, or who is only followed.
+    /// Advances the thread by a sentence without learning: for restored events, and for persons that are only followed.
     pub fn follow(&mut self, thread: &mut Thread, sentence: &str) {
         let parts = self.take_apart(sentence, thread);
         self.go_on(thread, parts);
     }
 
-    /// Learns that a sentence came after what the thread has, and goes on from it.
+    /// Learns that a sentence followed the thread, and advances the thread.
     pub fn hear(&mut self, thread: &mut Thread, sentence: &str) {
         let parts = self.take_apart(sentence, thread);
         if let Some(Parts { typed, bare, things }) = &parts
@@ -330,8 +330,8 @@ impl Guesser {
         thread.recent.truncate(RECENT_MAX);
     }
 
-    /// The likeliest next sentences, at most `most` of them, likeliest first, with what they are likely beside one another. `log_prob_nats`
-    /// is the model's word per label of the map.
+    /// The likeliest next sentences, at most `most`, likeliest first, with their relative probabilities. `log_prob_nats` is the model's score per
+    /// label of the map, in nats.
     pub fn guess(&mut self, thread: &Thread, log_prob_nats: &[f64], most: usize) -> Vec<(String, f64)> {
         let mut chances = std::mem::take(&mut self.chances);
         chances.clear();
@@ -360,7 +360,7 @@ impl Guesser {
             .map(|(name, thing)| (name.as_str(), chance_of(thing)))
             .filter(|(_, chance)| *chance > 0.0)
             .collect();
-        // Ties by name, so that the same is guessed every time.
+        // Ties by name, so that guesses are deterministic.
         new.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(b.0)));
         new.truncate(4 * THINGS_TRIED);
 
@@ -375,7 +375,7 @@ impl Guesser {
         guesses
     }
 
-    /// How much more often a thing stands in a place than anywhere.
+    /// The frequency of a thing at a place, relative to its frequency anywhere.
     fn lift(&self, bare: &str, place: usize, thing: &str) -> f64 {
         let anywhere = (self.times.get(thing).copied().unwrap_or_default() + 0.5) / (self.all_times + 0.5);
         let Some(own) = self.places.get(&(bare.to_owned(), place)) else { return 1.0 };
@@ -383,7 +383,7 @@ impl Guesser {
         (here + PRIOR_TIMES * anywhere) / (own.times + PRIOR_TIMES) / anywhere
     }
 
-    /// A form with its places filled in every likely way.
+    /// Fills a form's places in every likely way.
     fn fill(&self, form: &str, chance: f64, thread: &Thread, new: &[(&str, f64)], out: &mut Vec<(String, f64)>) {
         let mut parts = form.split('<');
         let mut bare = parts.next().unwrap_or_default().to_owned();
@@ -403,7 +403,7 @@ impl Guesser {
                 ("n", _) => {
                     new.iter().map(|(thing, chance)| (*thing, chance * self.lift(&bare, place, thing))).collect()
                 }
-                // Which of the recent ones it is is the form's chance; whether it may be there is the thing's.
+                // The form's probability covers which recent thing it is. The lift covers whether the thing fits this place.
                 (_, Some((thing, _))) => vec![(thing, self.lift(&bare, place, thing).min(1.0))],
                 (_, None) => return,
             };
@@ -467,7 +467,7 @@ mod tests {
         assert_eq!(distinct.len(), guesses.len());
     }
 
-    /// Taking a sentence apart and filling its form gives the sentence.
+    /// A sentence that is split and filled again is unchanged.
     #[test]
     fn what_is_taken_apart_is_put_together_again() {
         let mut guesser = guesser();
@@ -483,7 +483,7 @@ mod tests {
         }
     }
 
-    /// A letter whose small form has another length: the mark behind it stays whole.
+    /// A letter with a lower-case form of another length does not break the mark after it.
     #[test]
     fn letters_that_change_their_length_are_survived() {
         let counts = Counts::from_json(include_str!("../../models/household-forms.json")).unwrap();
@@ -495,7 +495,7 @@ mod tests {
         assert!(!guesser.guess(&thread, &[-0.7, -0.7], 8).is_empty());
     }
 
-    /// A form of many things has more ways to be filled than fit into memory.
+    /// A form with many things has more fillings than fit into memory.
     #[test]
     fn sentences_of_many_things_are_guessed_in_bounds() {
         let things: Vec<String> = (0..40)

@@ -1,9 +1,9 @@
 //! The labels' tokens as a trie, flat and in preorder, built once per map, model and binding sequence.
 //!
-//! A label that ends at node `n` has the score `q(n)`, the product of the token probabilities from the prompt to `n`: Equation 1's in
-//! a trie of all tokens ([`LabelTrie::new`]), a corrected one in that of the tokens that tell labels apart
-//! (`LabelTrie::distinct_prefixes`). Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children)
-//! are ever decoded; a label's last token never is, and a label of one token costs nothing beyond the prompt.
+//! A label that ends at node `n` has the score `q(n)`, the product of the token probabilities from the prompt to `n`. In a trie of all tokens
+//! ([`LabelTrie::new`]) this is Equation 1; in a trie of the distinguishing tokens (`LabelTrie::distinct_prefixes`) it is a corrected score.
+//! Children's probabilities come from the logits of their parent, so only *inner* nodes (those with children) are decoded. A label's last token never
+//! is, and a label of one token costs nothing beyond the prompt.
 
 /// A token of a model's vocabulary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize)]
@@ -13,8 +13,8 @@ pub struct Token(pub i32);
 /// No parent: the node follows the prompt directly.
 pub const PROMPT: u32 = u32::MAX;
 
-/// Stands behind the last token of a label that begins another one, in [`LabelTrie::distinct_prefixes`]: the label ends here. It is no
-/// token of any vocabulary, and always a leaf.
+/// Follows the last token of a label that begins another one, in [`LabelTrie::distinct_prefixes`]: the label ends here. It is not in any vocabulary,
+/// and always a leaf.
 pub(crate) const END: Token = Token(-1);
 
 /// One node of the trie.
@@ -28,7 +28,7 @@ pub struct Node {
     pub depth: u32,
     /// Nodes in the subtree, this one included: the next node outside it is at `index + subtree`.
     pub subtree: u32,
-    /// The node's place among the inner nodes, or [`PROMPT`] when it is a leaf.
+    /// Index among the inner nodes, or [`PROMPT`] for a leaf.
     pub inner: u32,
 }
 
@@ -36,7 +36,7 @@ pub struct Node {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LabelTrie {
     nodes: Vec<Node>,
-    /// Per label the node at which it ends.
+    /// Per label: the node at which it ends.
     label_end: Vec<u32>,
     /// Node index of each inner node, in preorder.
     inner: Vec<u32>,
@@ -45,7 +45,7 @@ pub struct LabelTrie {
 impl LabelTrie {
     /// Builds the trie from each label's tokens; label `i` of the result is `labels[i]`.
     ///
-    /// Empty token sequences are the caller's error and end nowhere; [`crate::scorer::Scorer::prepare`] refuses them.
+    /// Token sequences must not be empty; [`crate::scorer::Scorer::prepare`] refuses them.
     #[must_use]
     pub fn new<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let mut order: Vec<usize> = (0..labels.len()).collect();
@@ -71,8 +71,8 @@ impl LabelTrie {
         trie
     }
 
-    /// The trie of the paths that tell labels apart: a label ends where it parts from all others, and one that begins another has the
-    /// child `END`. Labels of equal tokens, which nothing tells apart, keep all of them.
+    /// The trie of distinguishing prefixes: a label ends where it differs from all others, and a label that begins another has the child `END`.
+    /// Labels with equal tokens keep all tokens.
     #[must_use]
     pub(crate) fn distinct_prefixes<L: AsRef<[Token]>>(labels: &[L]) -> Self {
         let whole = Self::new(labels);
@@ -96,14 +96,14 @@ impl LabelTrie {
         Self::new(&shortest)
     }
 
-    /// The nodes from a label's end back to the prompt.
+    /// The nodes from a label's end back to its first token.
     pub fn path(&self, label: usize) -> impl Iterator<Item = usize> {
         let known = |node: u32| (node != PROMPT).then_some(node as usize);
         let end = self.label_end.get(label).and_then(|&end| known(end));
         std::iter::successors(end, move |&node| known(self.nodes[node].parent))
     }
 
-    /// The children of a node, or the first nodes behind the prompt for `None`.
+    /// The children of a node, or the first nodes after the prompt for `None`.
     pub fn children(&self, parent: Option<usize>) -> impl Iterator<Item = usize> + Clone {
         let (first, end) = match parent {
             None => (0, self.nodes.len()),
@@ -130,7 +130,7 @@ impl LabelTrie {
         trie
     }
 
-    /// Fills in subtree sizes and inner nodes once all nodes stand in preorder.
+    /// Fills in subtree sizes and inner nodes; all nodes must be in preorder.
     fn complete(&mut self) {
         let trie = self;
         for index in (0..trie.nodes.len()).rev() {
@@ -153,7 +153,7 @@ impl LabelTrie {
         &self.nodes
     }
 
-    /// Indices of the nodes that have children, in preorder: those that must be decoded.
+    /// Indices of the nodes with children, in preorder: the nodes to decode.
     #[must_use]
     pub fn inner(&self) -> &[u32] {
         &self.inner
@@ -165,7 +165,7 @@ impl LabelTrie {
         &self.label_end
     }
 
-    /// The trie as an indented drawing, one node a line.
+    /// The trie as an indented drawing, one node per line.
     #[cfg(test)]
     fn draw(&self, mut token_text: impl FnMut(Token) -> String, labels: &[&str]) -> String {
         let mut out = String::new();
@@ -195,7 +195,7 @@ pub struct TokenTree {
 }
 
 impl TokenTree {
-    /// The tree of all inner nodes of a trie: what [`Method::Trie`](crate::scorer::Method::Trie) decodes.
+    /// The tree of all inner nodes of a trie, for [`Method::Trie`](crate::scorer::Method::Trie).
     #[must_use]
     pub fn of_inner_nodes(trie: &LabelTrie) -> Self {
         let mut tree = Self::default();
@@ -220,10 +220,10 @@ impl TokenTree {
         self.path_count = 0;
     }
 
-    /// Appends a node in preorder and gives its index; `parent` is an earlier index or [`PROMPT`].
+    /// Appends a node in preorder and returns its index; `parent` is an earlier index or [`PROMPT`].
     ///
     /// # Panics
-    /// When it is neither.
+    /// If `parent` is neither.
     pub fn push(&mut self, token: Token, parent: u32) -> u32 {
         let index = self.tokens.len() as u32;
         debug_assert!(parent == PROMPT || parent < index, "a parent stands before its children");
@@ -235,12 +235,12 @@ impl TokenTree {
         index
     }
 
-    /// Computes the paths once all nodes are there.
+    /// Computes the paths; call it after the last [`TokenTree::push`].
     pub fn finish(&mut self) {
         let count = self.tokens.len();
         self.path_count = 0;
         for index in 0..count {
-            // In preorder the first child follows its parent at once.
+            // In preorder the first child directly follows its parent.
             let has_child = self.parents.get(index + 1) == Some(&(index as u32));
             let first = self.path_count;
             if !has_child {
@@ -264,7 +264,7 @@ impl TokenTree {
         self.tokens.len()
     }
 
-    /// Whether there is nothing to decode.
+    /// Whether the tree has no nodes.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.tokens.is_empty()
@@ -366,7 +366,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Every label has a leaf of its own unless another has the same tokens, and only what tells labels apart is left.
+        /// Every label has its own leaf unless another label has the same tokens, and only distinguishing tokens remain.
         #[test]
         fn leaves_tell_labels_apart(labels in proptest::collection::hash_set(proptest::collection::vec(0..3i32, 1..5), 1..40)) {
             let labels: Vec<Vec<Token>> = labels.into_iter().map(|l| l.into_iter().map(Token).collect()).collect();

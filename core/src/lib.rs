@@ -1,4 +1,4 @@
-//! The method of Roomcast: from what a person just did to the rooms they will be in, and to where the robot goes meanwhile.
+//! The method of Roomcast: from a person's latest action to the rooms they will be in, and to the robot's next room.
 //!
 //! A map, a sentence, and the probability of each room to be the next one:
 //!
@@ -17,24 +17,25 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! The table has a language model's place here. `roomcast-llama` has a language model, on llama.cpp.
+//! [`scorer::table::TableModel`] replaces a language model here. `roomcast-llama` has a language model, on llama.cpp.
 //!
-//! One direction of flow; the modules stand in its order and nothing flows back:
+//! Data flow in one direction; the modules are in this order:
 //!
 //! ```text
 //! observation -> narration -> prompt -> label trie -> label scores -> item scores -> partition scores -> policy -> decision
 //! ```
 //!
-//! No clock, no port, no network, no process, no C. Files are read by the `load` functions and what they share, [`text::read_at_most`] and [`semantic_map::read_limited`], alone. A language model comes in as [`scorer::LanguageModel`]; the crate
-//! `roomcast-llama` has one on llama.cpp, and a reader may bring another, as below.
+//! The crate has no clock, port, network, process or C code. Only the `load` functions, [`text::read_at_most`] and
+//! [`semantic_map::read_limited`] read files. A language model is a [`scorer::LanguageModel`]; `roomcast-llama` has one, and you can write
+//! another, as below.
 //!
-//! Types of other crates that stand in signatures on purpose: `nalgebra`'s dense matrix (the weights of labels in rooms), `rand`'s random
-//! numbers for policies, `serde`'s and `strum`'s traits, which configuration and command line read choices by.
+//! These types of other crates are part of the interface: `nalgebra`'s dense matrix (the weights of labels in rooms), `rand`'s random
+//! numbers for policies, `serde`'s and `strum`'s traits, by which configuration and command line parse choices.
 //!
-//! The method is that of GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
-//! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation are those of the paper.
+//! The method is GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
+//! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation follow the paper.
 //!
-//! A model of your own has four methods. This model finds letters likely that it has read before:
+//! A custom model needs four methods. This model prefers letters that it has read before:
 //!
 //! ```
 //! use roomcast_core::grounding::{Grounding, GroundingOptions};
@@ -82,7 +83,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-// In the order of the flow, not of the alphabet; the empty lines keep rustfmt from sorting them.
+mod choices;
+
+// In the order of the flow; the empty lines keep rustfmt from sorting them.
 pub mod ids;
 
 pub mod text;

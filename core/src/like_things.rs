@@ -1,18 +1,18 @@
-//! Which of several like things is meant: where the next thing is, for somebody whose whereabouts are known.
+//! Like things: the room of the next thing if a label has things in several rooms and the person's room is known.
 //!
-//! Equation 2 gives every thing of a label the same share of the label's score, wherever the person is. People take the sink that is near,
-//! and go back to the table that they were at before. So a forecast of where somebody goes next divides a label's probability otherwise:
+//! Equation 2 gives every thing of a label the same share of the label's score, wherever the person is. People take the nearest sink, and return to
+//! the table they used before. So the forecast of a person's next room divides a label's probability differently:
 //!
 //! ```text
 //! P(r | l) = a w(l, r) + (1 - a) v(l) (m u(l, r) + (1 - m) w(l, r) n(r) / sum over r' of w(l, r') n(r'))
 //!
-//! w(l, r)   the share of label l's things that is in room r (Equation 2)
-//! v(l)      sum over r of w(l, r): what of label l is in rooms at all
-//! n(r)      sum over r' of b(r') k(r', r): how near room r is to where the person is believed to be, b
+//! w(l, r)   the share of label l's things in room r (Equation 2)
+//! v(l)      sum over r of w(l, r): the share of label l's things in any room
+//! n(r)      sum over r' of b(r') k(r', r): nearness of room r to the person's believed room b
 //! k(r', r)  1 in the room itself, else c exp(-distance of the rooms' middles / d)
-//! u(l, r)   where the person was when a sentence named label l last (its last word for a thing), since they rested, among the rooms that have one; without
-//!           that, m is 0
-//! a, m      the part that all of them share evenly; of the rest, the part of the one that was in use
+//! u(l, r)   the person's room when a sentence last named label l as its last thing since their last rest, among the
+//!           rooms with such a thing; without it, m is 0
+//! a, m      the part that all things share evenly; of the rest, the part of the thing that was in use
 //! ```
 //!
 //! Scores stay those of Equation 2. `a` is [`crate::forecast::ForecastOptions::any_thing`]; 1 gives Equation 2.
@@ -21,36 +21,36 @@ use nalgebra::DMatrix;
 
 use crate::semantic_map::STOREY_M;
 
-/// m: the part of the thing that was in use.
+/// m: the part of the thing in use.
 const AGAIN: f64 = 0.8;
-/// c: how near another room at no distance would be.
+/// c: nearness of another room at distance 0.
 const NEXT_DOOR: f64 = 0.4;
-/// d: over how many metres nearness falls to a third.
+/// d: the distance in metres at which nearness falls by a factor of e.
 const FALLS_M: f64 = 4.0;
-/// Between rooms whose middles differ by more than [`STOREY_M`] in height the way is so many times the difference.
+/// If the middles of two rooms differ by more than [`STOREY_M`] in height, the way between them is longer by this many times the difference.
 const STAIRS: f64 = 4.0;
 
-/// The rooms of each label's things, and how near rooms are to one another. One per map.
+/// The rooms of each label's things, and the nearness of rooms. One per map.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct LikeThings {
     /// The shares of label l are `shares[start[l]..start[l + 1]]`: room and w.
     shares: Vec<(u32, f64)>,
     start: Vec<usize>,
-    /// k.
+    /// The matrix k.
     near: DMatrix<f64>,
 }
 
-/// Where the thing of a label was when it was turned to last.
+/// The room probabilities when a thing of the label was last turned to.
 #[derive(Debug, Clone)]
 struct Used {
     label: usize,
     rooms: Vec<f64>,
 }
 
-/// The things that a person has turned to lately, the last one last.
+/// The things that a person used recently, the last one last.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct InUse {
-    /// Those behind `count` are kept for their memory.
+    /// Entries from index `count` on are spare memory.
     used: Vec<Used>,
     count: usize,
 }
@@ -58,7 +58,7 @@ pub(crate) struct InUse {
 impl InUse {
     const MAX: usize = 16;
 
-    /// Takes in that a thing of a label was turned to by somebody who is where `belief` says.
+    /// Records that a person with the room probabilities `belief` turned to a thing of a label.
     pub(crate) fn turn_to(&mut self, label: usize, belief: &[f64]) {
         let known = self.used[..self.count].iter().position(|used| used.label == label);
         let from = match known {
@@ -79,12 +79,11 @@ impl InUse {
         used.rooms.extend_from_slice(belief);
     }
 
-    /// Nothing is in use any more.
     pub(crate) fn clear(&mut self) {
         self.count = 0;
     }
 
-    /// Takes up another list of labels; what it does not have is forgotten.
+    /// Adopts another list of labels; labels without a new index are dropped.
     pub(crate) fn relabel(&mut self, new: &dyn Fn(usize) -> Option<usize>) {
         self.used.truncate(self.count);
         self.used.retain_mut(|used| new(used.label).map(|label| used.label = label).is_some());
@@ -97,7 +96,7 @@ impl InUse {
 }
 
 impl LikeThings {
-    /// `weights` are w; `middles_m` are the rooms' middles.
+    /// `weights` are w (labels x rooms); `middles_m` are the rooms' middles in metres.
     pub(crate) fn new(weights: &DMatrix<f64>, middles_m: &[[f64; 3]]) -> Self {
         let near = DMatrix::from_fn(middles_m.len(), middles_m.len(), |from, to| {
             let ([x, y, z], [to_x, to_y, to_z]) = (middles_m[from], middles_m[to]);
@@ -113,8 +112,8 @@ impl LikeThings {
         Self { shares, start, near }
     }
 
-    /// Per room the probability that the next thing is there, from ln s_c per label in nats, for somebody who is where `belief` says and has
-    /// used what `in_use` says; `any_thing` is a. Where no label has a score in any room, all rooms are as likely.
+    /// Probability per room that the next thing is there, from `ln s_c` per label in nats, the person's room probabilities `belief` and the things in
+    /// use; `any_thing` is a. If no label has a score in any room, all rooms are equally likely.
     ///
     /// Allocates nothing once `near` and `out` have their size.
     pub(crate) fn next_rooms(
@@ -146,11 +145,11 @@ impl LikeThings {
             let used = in_use.rooms(label);
             let all_used: f64 = used.map_or(0.0, |used| shares.iter().map(|(room, _)| used[*room as usize]).sum());
             let again = if all_used > 0.0 { AGAIN } else { 0.0 };
-            // What lies in no room stays there.
+            // Things outside all rooms keep their share.
             let inside: f64 = shares.iter().map(|(_, share)| share).sum();
             for place @ (room, share) in shares {
                 let used = used.map_or(0.0, |used| used[*room as usize] / all_used.max(f64::MIN_POSITIVE));
-                // Where all are too far away to tell, all are as near.
+                // If all rooms are too far away, nearness is ignored.
                 let near = if all_near > 0.0 { fits(place) / all_near } else { share / inside };
                 let meant = again * used + (1.0 - again) * near;
                 out[*room as usize] += p * (any_thing * share + (1.0 - any_thing) * inside * meant);
@@ -181,7 +180,7 @@ mod tests {
         out
     }
 
-    /// A label with things in several rooms, and those rooms.
+    /// A label with things in several rooms, and these rooms.
     fn spread(grounding: &Grounding) -> (usize, Vec<usize>) {
         let rooms =
             |label: usize| (0..grounding.partitions.len()).filter(move |room| grounding.weights[(label, *room)] > 0.0);
@@ -210,7 +209,7 @@ mod tests {
         in_use.turn_to(label, &at(second, count));
         let used = next(&grounding, &nats, &at(first, count), &in_use, 0.3);
         assert_eq!(likeliest(&used), second, "{used:?}");
-        // What was in use goes by its words over a change of the map.
+        // After a change of the map, things in use are identified by label.
         let mut relabelled = in_use.clone();
         relabelled.relabel(&|label| Some(label + 1));
         assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), fresh);
@@ -218,7 +217,7 @@ mod tests {
         assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), used);
         relabelled.relabel(&|_| None);
         assert_eq!(next(&grounding, &nats, &at(first, count), &relabelled, 0.3), fresh);
-        // What was turned to lately makes room for what was turned to later.
+        // Newer things replace the oldest.
         (0..InUse::MAX).for_each(|other| in_use.turn_to(1_000 + other, &at(first, count)));
         assert_eq!(next(&grounding, &nats, &at(first, count), &in_use, 0.3), fresh);
         in_use.clear();
@@ -264,7 +263,7 @@ mod tests {
             }
             let told_apart = next(&grounding, nats, &belief, &in_use, any_thing);
             prop_assert!((told_apart.iter().sum::<f64>() - 1.0).abs() < 1e-9);
-            // A room that Equation 2 gives something keeps its share of that.
+            // A room with a share by Equation 2 keeps at least a part of it.
             for (p, own) in told_apart.iter().zip(&equation_2.partition_probability) {
                 prop_assert!((0.0..=1.0).contains(p) && *p >= any_thing * own - 1e-9, "{p} and {own}");
             }

@@ -1,9 +1,8 @@
-//! Names as machines write them ("washingmachine", "coffe_maker") and the words a language model knows for them.
+//! Names as machines write them ("washingmachine", "coffe_maker"), and the words that a language model knows for them.
 //!
-//! One table for the whole product, `names.toml` beside this file: `[words]` maps a name to its words, `[aliases]` maps
-//! words to other words under which a map may list the same thing, `[rooms]` and
-//! `[things]` map kinds of rooms and things to their names in other languages, `[english_rooms]` kinds of rooms to other words of English,
-//! and `[entities]` has words that a smart home's entities are named with. `room_names.toml` has the names of rooms by language.
+//! One table for the whole product, `names.toml` next to this file: `[words]` maps a name to its words, `[aliases]` maps words to other words for the
+//! same thing in a map, `[rooms]` and `[things]` map kinds of rooms and things to their names in other languages, `[english_rooms]` kinds of rooms to
+//! other English words, and `[entities]` has words from the names of a smart home's entities. `room_names.toml` has the names of rooms by language.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
@@ -15,9 +14,9 @@ static BUILT_IN: LazyLock<Names> = LazyLock::new(|| {
         .expect("names.toml and room_names.toml are valid")
 });
 
-/// Words of a name that are looked for together.
+/// Most words of a name in the table.
 const RUN_MAX: usize = 4;
-/// Letters of a word that are looked at for parts.
+/// Most letters of a word that are searched for parts.
 const NAME_LETTERS_MAX: usize = 64;
 
 /// Whether a letter is of a script that writes words together: Chinese, Japanese, Korean, Thai.
@@ -33,36 +32,36 @@ pub struct Names {
     words: BTreeMap<String, String>,
     #[serde(default)]
     aliases: BTreeMap<String, Vec<String>>,
-    /// In the file by kind; here by name.
+    /// By name; the file has them by kind.
     #[serde(default, deserialize_with = "by_name")]
     rooms: BTreeMap<String, String>,
-    /// As `rooms`, of what English calls them.
+    /// As `rooms`, for other English words.
     #[serde(default, deserialize_with = "by_name")]
     english_rooms: BTreeMap<String, String>,
-    /// As `rooms`, of things.
+    /// As `rooms`, for things.
     #[serde(default, deserialize_with = "by_name")]
     things: BTreeMap<String, String>,
     #[serde(default)]
     entities: EntityWords,
 }
 
-/// Words in the names of a smart home's entities. Compared as [`bare`] has them.
+/// Words in the names of a smart home's entities, in the form of [`bare`].
 #[derive(Debug, Clone, PartialEq, Default, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EntityWords {
     /// Ends of compounds for a sensor or a part of a thing.
     #[serde(deserialize_with = "set_of_bare")]
     ends: BTreeSet<String>,
-    /// Which of several, in English.
+    /// English words that select one of several things.
     #[serde(deserialize_with = "set_of_bare")]
     which: BTreeSet<String>,
-    /// Words of English that tell a lamp from others.
+    /// English words that distinguish lamps.
     #[serde(deserialize_with = "set_of_bare")]
     lamps: BTreeSet<String>,
     /// Things with a door, in English.
     #[serde(deserialize_with = "set_of_bare")]
     opened: BTreeSet<String>,
-    /// Names of areas that are no rooms.
+    /// Names of areas that are not rooms.
     #[serde(deserialize_with = "set_of_bare")]
     no_rooms: BTreeSet<String>,
     /// Words of settings, counters and alarms.
@@ -71,28 +70,24 @@ pub(crate) struct EntityWords {
     /// Words for animals, vehicles and parcels that cameras see.
     #[serde(deserialize_with = "set_of_bare")]
     creatures: BTreeSet<String>,
-    /// What a kind of thing is called, by word. In the file by kind.
+    /// Words by kind of thing; the file has them by kind.
     #[serde(deserialize_with = "by_name")]
     nouns: BTreeMap<String, String>,
 }
 
 impl EntityWords {
-    /// Whether a bare word tells a lamp from others.
     pub(crate) fn is_lamp(&self, word: &str) -> bool {
         self.lamps.contains(word)
     }
 
-    /// Whether a thing has a door.
     pub(crate) fn is_opened(&self, thing: &str) -> bool {
         self.opened.contains(thing)
     }
 
-    /// Whether a bare word is one of settings, counters and alarms.
     pub(crate) fn is_setting(&self, word: &str) -> bool {
         self.settings.contains(word)
     }
 
-    /// Whether a bare word is for something other than a person.
     pub(crate) fn is_creature(&self, word: &str) -> bool {
         self.creatures.contains(word)
     }
@@ -104,12 +99,11 @@ impl EntityWords {
         self.nouns.get(word).is_some_and(|own| own == kind) || end()
     }
 
-    /// Whether a bare word says which door or window it is.
     pub(crate) fn is_which(&self, word: &str) -> bool {
         self.which.contains(word)
     }
 
-    /// What a compound is of: "kuhlschrank" of "kuhlschranktur". None where it is none.
+    /// The first part of a compound: "kuhlschrank" for "kuhlschranktur". `None` if it is not a compound.
     pub(crate) fn stem<'a>(&self, word: &'a str) -> Option<&'a str> {
         const SHORTEST: usize = 3;
         let stems = self.ends.iter().filter_map(|end| word.strip_suffix(end.as_str()));
@@ -129,9 +123,9 @@ fn by_name<'de, D: serde::Deserializer<'de>>(from: D) -> Result<BTreeMap<String,
     Ok(names.collect())
 }
 
-/// Plain words without the accents of Latin letters, and without what is neither letter nor digit.
+/// Plain words without accents of Latin letters, and with letters and digits only.
 fn bare(text: &str) -> String {
-    // Accents, and the signs of vowels and tones in the scripts of India and in Thai.
+    // Accents, and the vowel and tone signs of the scripts of India and of Thai.
     let is_part = |c: char| c.is_alphanumeric() || matches!(c, '\u{300}'..='\u{36f}' | '\u{900}'..='\u{e7f}');
     let text: String = text.chars().map(|c| if is_part(c) { c } else { ' ' }).collect();
     let mut bare = String::with_capacity(text.len());
@@ -165,7 +159,7 @@ fn bare(text: &str) -> String {
             'й' => bare.push('и'),
             'ß' => bare.push_str("ss"),
             'æ' => bare.push_str("ae"),
-            // A combining accent, as names are stored that were decomposed.
+            // A combining accent in a decomposed name.
             '\u{300}'..='\u{36f}' => {}
             other => bare.push(other),
         }
@@ -180,10 +174,10 @@ impl Names {
         &BUILT_IN
     }
 
-    /// Reads a table.
+    /// Parses a table.
     ///
     /// # Errors
-    /// When the text is not TOML or has other tables than `words` and `aliases`.
+    /// If the text is not TOML or has unknown tables.
     pub(crate) fn from_toml(text: &str) -> Result<Self, toml::de::Error> {
         let Self { words, aliases, rooms, english_rooms, things, entities } = toml::from_str(text)?;
         let plain = |text: &str| plain_words(text);
@@ -200,7 +194,6 @@ impl Names {
         })
     }
 
-    /// Adds the names of rooms by language and kind.
     fn with_rooms(mut self, text: &str) -> Result<Self, toml::de::Error> {
         let languages: BTreeMap<String, BTreeMap<String, Vec<String>>> = toml::from_str(text)?;
         for (kind, names) in languages.values().flatten() {
@@ -209,32 +202,30 @@ impl Names {
         Ok(self)
     }
 
-    /// Whether an area of this name is no room: the whole house, a car, a network.
+    /// Whether an area with this name is not a room: the whole house, a car, a network.
     pub(crate) fn is_no_room(&self, name: &str) -> bool {
         self.entities.no_rooms.contains(&bare(name))
     }
 
-    /// The words of a thing by its name in another language, or by one that is common in homes ("washer").
+    /// The words of a thing by its name in another language, or by another common name ("washer").
     #[must_use]
     pub(crate) fn thing(&self, name: &str) -> Option<&str> {
         self.things.get(&bare(name)).map(String::as_str)
     }
 
-    /// Plain words without the accents of Latin letters: how names of rooms and things are compared.
+    /// Plain words without accents of Latin letters, for comparing names of rooms and things.
     #[must_use]
     pub(crate) fn bare(text: &str) -> String {
         bare(text)
     }
 
-    /// Words of entities that name no thing.
     pub(crate) fn entities(&self) -> &EntityWords {
         &self.entities
     }
 
-    /// The kind of room that a name in another language means: "Küche", "KUCHE" and "Küche 2" are a kitchen, and so are "Küche unten" and
-    /// "Wohnküche". The longest run of words that the table knows counts, the first of equal ones; else the end of a compound, else a part of a
-    /// word of a script without spaces ("主卧室").
-    /// None where the table knows neither, and where more words are English ("man cave").
+    /// The kind of room for a name in another language: "Küche", "KUCHE" and "Küche 2" are a kitchen, and so are "Küche unten" and "Wohnküche". The
+    /// longest known run of words counts, the first of equal ones; else the end of a compound, else a part of a word in a script without spaces
+    /// ("主卧室"). `None` if the name is unknown, or if more of its words are English ("man cave").
     #[must_use]
     pub fn room(&self, name: &str) -> Option<&str> {
         let bare = bare(name);
@@ -252,15 +243,15 @@ impl Names {
         compound.or_else(|| words.iter().find_map(|word| self.part(word)))
     }
 
-    /// The kind of room that a whole name is in another language: "Küche" is a kitchen. None for a name that says more, which may be that of
-    /// another room of the kind ("Küche oben", "Gästebad").
+    /// The kind of room if the whole name is a room in another language: "Küche" is a kitchen. `None` for a longer name, which may mean another room
+    /// of the kind ("Küche oben", "Gästebad").
     #[must_use]
     pub(crate) fn room_itself(&self, name: &str) -> Option<&str> {
         self.rooms.get(&bare(name)).map(String::as_str)
     }
 
-    /// As [`Names::room`], of English as well: "Master Bedroom 2" and "Lena's bedroom" are a bedroom. What English calls it stands last, so the
-    /// last of equally long runs counts.
+    /// As [`Names::room`], including English: "Master Bedroom 2" and "Lena's bedroom" are a bedroom. In English the kind comes last, so the last of
+    /// equally long runs counts.
     #[must_use]
     pub fn kind_of_room(&self, name: &str) -> Option<&str> {
         let bare = bare(name);
@@ -273,7 +264,7 @@ impl Names {
     /// The kind of room that ends a compound: "gästebad", "elternschlafzimmer".
     fn compound(&self, word: &str) -> Option<&str> {
         const SHORTEST: usize = 5;
-        /// Shorter ones that do.
+        /// Shorter words that end compounds all the same.
         const SHORT: [&str; 3] = ["bad", "flur", "wc"];
         const STEM: usize = 2;
         /// Words for any room, which end the names of all kinds ("Musikzimmer").
@@ -284,7 +275,7 @@ impl Names {
         ends.find_map(|end| self.rooms.get(end)).map(String::as_str)
     }
 
-    /// The kind of room by the longest known part of a word in a script without spaces, the last of equally long parts.
+    /// The kind of room by the longest known part of a word in a script without spaces; the last of equally long parts.
     fn part(&self, word: &str) -> Option<&str> {
         const SHORTEST: usize = 2;
         const LONGEST: usize = 16;
@@ -311,19 +302,18 @@ impl Names {
             .unwrap_or(plain)
     }
 
-    /// Every name that the table knows something of.
+    /// Every name in the table.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.words.keys().chain(self.aliases.keys()).map(String::as_str)
     }
 
-    /// Other words under which a map may list what `words` name, the best first. They are directed: a "cup" may be served
-    /// by a "mug"; and they are not followed twice.
+    /// Other words for the same thing in a map, the best first. Aliases are directed (a "mug" can stand for a "cup") and not transitive.
     pub fn aliases<'a>(&'a self, words: &str) -> impl Iterator<Item = &'a str> + use<'a> {
         self.aliases.get(words).into_iter().flatten().map(String::as_str)
     }
 }
 
-/// Lower case, with single spaces where underscores, hyphens or white space stand.
+/// Lower case, with single spaces in place of underscores, hyphens or white space.
 pub(crate) fn plain_words(text: &str) -> String {
     let spaced = text.to_lowercase().replace(['_', '-'], " ");
     spaced.split_whitespace().collect::<Vec<_>>().join(" ")
@@ -395,7 +385,7 @@ mod tests {
         }
     }
 
-    /// One list is one language: a name of two kinds would be one of them by chance.
+    /// Within a language a name must not have two kinds: its kind would be arbitrary.
     #[test]
     fn a_rooms_name_has_one_kind_in_all_languages() {
         type Kinds = BTreeMap<String, Vec<String>>;

@@ -1,6 +1,6 @@
-//! What parsers of JSON and TOML say, in people's words; and sections that no list stands for.
+//! Parser errors of JSON and TOML in plain words, and sections that refuse lists.
 //!
-//! `serde` names the types of a program: "expected struct Box3", "expected f64". Who writes a map or a configuration does not know them.
+//! `serde` names a program's types ("expected struct Box3", "expected f64"). Authors of a map or a configuration do not know these.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer};
 
 use crate::text::{excerpt, visible};
 
-/// What a parser says of JSON, on one line, at most as long as [`excerpt`] leaves it.
+/// The message of a JSON error on one line, shortened by [`excerpt`].
 ///
 /// ```
 /// use roomcast_core::parsing::json_says;
@@ -24,20 +24,20 @@ pub fn json_says(error: &serde_json::Error) -> String {
     excerpt(&visible(&in_words(&error.to_string(), "a list"))).into_owned()
 }
 
-/// What a parser says of JSON that is one line, which it calls the first.
+/// The message of an error in one line of JSON, without the line number.
 #[must_use]
 pub fn json_of_one_line_says(error: &serde_json::Error) -> String {
     let said = json_says(error);
     let position = format!(" at line {} column {}", error.line(), error.column());
     match said.strip_suffix(&position) {
-        // What is of another kind as a whole has no place.
+        // An error about the whole value has no column.
         Some(said) if error.column() == 0 => said.to_owned(),
         Some(said) => format!("{said} at column {}", error.column()),
         None => said,
     }
 }
 
-/// What a parser says of TOML: the line that it is about, and below it what is wrong.
+/// The message of a TOML error: the affected line, and below it the fault.
 #[must_use]
 pub fn toml_says(error: &toml::de::Error) -> String {
     let whole = error.to_string();
@@ -55,7 +55,7 @@ pub fn toml_says(error: &toml::de::Error) -> String {
     excerpt(&shown).into_owned()
 }
 
-/// What stands there, in the program's words and in people's.
+/// `serde`'s names of the value found, with their plain words.
 const GIVEN: [(&str, &str); 12] = [
     ("invalid type: sequence", "a list"),
     ("invalid type: map", "keys and values"),
@@ -71,7 +71,7 @@ const GIVEN: [(&str, &str); 12] = [
     ("invalid value: floating point ", "the number "),
 ];
 
-/// What has no place among given and expected.
+/// Other phrases of `serde` with their plain words.
 const WHOLE: [(&str, &str); 12] = [
     ("unknown field ", "unknown key "),
     ("unknown variant ", "unknown word "),
@@ -87,7 +87,7 @@ const WHOLE: [(&str, &str); 12] = [
     ("wanted string or table", "give a text in quotes"),
 ];
 
-/// What should stand there.
+/// `serde`'s names of the expected value, with their plain words.
 const EXPECTED: [(&str, &str); 16] = [
     ("usize", "a whole number of 0 or more"),
     ("u64", "a whole number of 0 or more"),
@@ -107,9 +107,9 @@ const EXPECTED: [(&str, &str); 16] = [
     ("unit", "null"),
 ];
 
-/// A parser's message with the words of a program replaced; `list` says how a list is written.
+/// Replaces `serde`'s words in a message; `list` is the word for a list.
 fn in_words(said: &str, list: &str) -> String {
-    // What it expects stands last: what it was given may be any text.
+    // The expectation comes last: the value before it may be any text.
     let (given, expected) = said.rsplit_once(", expected ").map_or((said, None), |(given, rest)| (given, Some(rest)));
     let begin = |text: &str, table: &[(&str, &str)]| {
         table.iter().find_map(|(own, word)| Some(format!("{word}{}", text.strip_prefix(own)?)))
@@ -137,12 +137,12 @@ fn in_words(said: &str, list: &str) -> String {
     format!("{given}, expected {what}{place}")
 }
 
-/// Reads what has keys, and refuses a list: `serde` takes one for a struct whose fields it gives in their order.
+/// Deserialises a struct from keys, and refuses a list: `serde` accepts a list of the fields in order.
 ///
 /// For `#[serde(deserialize_with = "keyed")]`.
 ///
 /// # Errors
-/// Those of `T`, and where there is a list.
+/// Those of `T`, and if the value is a list.
 pub fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<T, D::Error> {
     struct Keys<T>(PhantomData<T>);
     impl<'de, T: Deserialize<'de>> Visitor<'de> for Keys<T> {
@@ -159,12 +159,12 @@ pub fn keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) ->
     deserializer.deserialize_map(Keys(PhantomData))
 }
 
-/// Reads one word of several, and says of anything else that a text should stand there: `serde_json` says of it "expected value".
+/// Deserialises an enum from a text. For other values the error asks for a text; `serde_json` would say "expected value".
 ///
 /// For `#[serde(deserialize_with = "word")]`.
 ///
 /// # Errors
-/// Those of `T`, and where there is no text.
+/// Those of `T`, and if the value is not a text.
 pub fn word<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<T, D::Error> {
     struct Word<T>(PhantomData<T>);
     impl<'de, T: Deserialize<'de>> Visitor<'de> for Word<T> {
@@ -181,15 +181,15 @@ pub fn word<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> 
     deserializer.deserialize_str(Word(PhantomData))
 }
 
-/// What has keys, in a list of such: see [`keyed`].
+/// An element of a list that must have keys: see [`keyed`].
 #[derive(Debug, Deserialize)]
 #[serde(transparent, bound = "T: Deserialize<'de>")]
 pub struct Keyed<T>(#[serde(deserialize_with = "keyed")] pub T);
 
-/// As [`keyed`], for a list of what has keys.
+/// As [`keyed`], for a list of structs.
 ///
 /// # Errors
-/// Those of `T`, and where a list stands for one.
+/// Those of `T`, and if an element is a list.
 pub fn list_of_keyed<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     Ok(Vec::<Keyed<T>>::deserialize(deserializer)?.into_iter().map(|entry| entry.0).collect())
 }

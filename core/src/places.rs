@@ -1,4 +1,4 @@
-//! The one place matcher: which thing or room of the map a text names. It uses the names of the map and the table that grounding uses.
+//! The place matcher: finds the thing or room of the map that a text names, by the names of the map and grounding's table.
 
 use std::collections::HashMap;
 
@@ -6,14 +6,14 @@ use crate::grounding::Grounding;
 use crate::names::{Names, plain_words};
 use crate::semantic_map::SemanticMap;
 
-/// A thing or room that a text names.
+/// A thing or room named by a text.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Mention {
-    /// The label, as an index of [`Grounding::scored_labels`].
+    /// Index into [`Grounding::scored_labels`].
     pub label: usize,
-    /// The room, as a partition of the grounding, if the text names one of several rooms with this label ("Lena's room" of two bedrooms).
+    /// Index of the partition, if the text names one of several rooms with this label ("Lena's room" of two bedrooms).
     pub room: Option<usize>,
-    /// It is a room that the person leaves ("They leave the *kitchen*"): they are anywhere else.
+    /// If true, the person leaves this room ("They leave the *kitchen*") and is in any other place.
     pub is_left: bool,
 }
 
@@ -25,7 +25,7 @@ impl From<usize> for Mention {
 }
 
 impl Mention {
-    /// The share of the label's items in a partition: all of it in the room that the text names.
+    /// The share of the label's items in a partition; if the text names a room, 1 there and 0 elsewhere.
     #[must_use]
     pub fn share(&self, grounding: &Grounding, partition: usize) -> f64 {
         let only = |room| if room == partition { 1.0 } else { 0.0 };
@@ -33,14 +33,14 @@ impl Mention {
     }
 }
 
-/// The names of a map. It is built once per map; a text allocates nothing once the buffers are warm.
+/// The names of a map. It is built once per map; matching allocates nothing once the buffers are warm.
 #[derive(Debug, Clone)]
 pub struct PlaceMatcher {
     /// Each name of a label or room, in singular and plural.
     place_of_name: HashMap<String, Mention>,
     /// The number of words of the longest name.
     longest_words: usize,
-    /// Whether a label is that of a room.
+    /// Per label: whether it is a room's name.
     is_room: Vec<bool>,
     /// Buffers: the words in lower case, the same without hyphens, and the start and end of each word in both.
     lower: String,
@@ -48,27 +48,25 @@ pub struct PlaceMatcher {
     words: Vec<(usize, usize)>,
 }
 
-/// Words that stand before a thing.
+/// Words before a thing.
 const ANNOUNCES: [&str; 25] = [
     "the", "a", "an", "some", "this", "that", "their", "his", "her", "its", "my", "our", "your", "to", "into", "in",
     "inside", "at", "on", "onto", "near", "by", "from", "towards", "under",
 ];
 
-/// Words that end a noun: an adjective may stand between an article and a thing, these may not.
+/// Words that end a noun, so they cannot be an adjective between an article and a thing.
 const NO_ADJECTIVES: [&str; 12] = ["and", "or", "is", "are", "was", "of", "with", "while", "then", "they", "he", "she"];
 
 /// Words for the subject of a sentence; a verb follows.
 const PRONOUNS: [&str; 10] = ["they", "he", "she", "i", "we", "you", "somebody", "someone", "who", "person"];
 
-/// Verbs of leaving.
 const LEAVES: [&str; 8] = ["leave", "leaves", "left", "leaving", "exit", "exits", "exited", "exiting"];
 
-/// The words of a text, or of a name as a text has it.
 fn words_of(text: &str) -> impl Iterator<Item = &str> {
     text.split(|c: char| !(c.is_alphanumeric() || c == '\'' || c == '-')).filter(|word| !word.is_empty())
 }
 
-/// The other number of a name: "shelves" of "shelf", "mug" of "mugs".
+/// The other grammatical numbers of a name: "shelves" for "shelf", "mug" for "mugs".
 fn other_numbers(name: &str) -> [Option<String>; 3] {
     let with = |end: &str, new: &str| {
         let stem = name.strip_suffix(end)?;
@@ -94,7 +92,7 @@ fn other_numbers(name: &str) -> [Option<String>; 3] {
 }
 
 impl PlaceMatcher {
-    /// The names that `map` knows ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
+    /// The names in `map` ([`SemanticMap::find_label`], [`SemanticMap::find_room`]); `grounding` must be of the same map.
     #[must_use]
     pub fn new(map: &SemanticMap, grounding: &Grounding) -> Self {
         let label_of_text: HashMap<&str, usize> =
@@ -117,7 +115,7 @@ impl PlaceMatcher {
         // The labels themselves come last and win.
         let labels = label_of_text.iter().map(|(text, label)| ((*text).to_owned(), (*label).into()));
         let mut place_of_name: HashMap<String, Mention> = known.chain(labels).collect();
-        // "tv (left)" has no brackets in a text.
+        // A text has no brackets: "tv (left)" is "tv left".
         add_new(&mut place_of_name, |name| [Some(words_of(name).collect::<Vec<_>>().join(" ")), None, None]);
         add_new(&mut place_of_name, other_numbers);
         let is_room = |text: &str| map.rooms.iter().any(|room| room.label.as_str() == text);
@@ -137,16 +135,15 @@ impl PlaceMatcher {
         self.place_of_name.contains_key(words)
     }
 
-    /// The place of a text: the last thing or room that it names in whole words, the longest name first. A place that the person comes from
-    /// ("from", "out of", "leaves", "away from", "past") does not count; if the text names
-    /// no other place, the person is anywhere but in a room that they leave.
+    /// The place of a text: the last thing or room that it names in whole words, longest name first. A place that the person comes from ("from", "out
+    /// of", "leaves", "away from", "past") does not count. If the text names only a room that the person leaves, the person is in any other place.
     #[must_use]
     pub fn last(&mut self, text: &str) -> Option<Mention> {
         self.split(text);
         let mut left = None;
         for at in (0..self.words.len()).rev() {
             let Some((place, end)) = self.named(at).filter(|(_, end)| self.is_thing_at(at, *end)) else { continue };
-            // "Lily's bed" is no other bed: the longest name that ends here counts.
+            // "Lily's bed" is not any bed: the longest name that ends here counts.
             let starts = end.saturating_sub(self.longest_words)..at;
             let longer = starts.into_iter().find_map(|from| Some((from, self.place_of(from, end)?)));
             let (at, place) = longer.unwrap_or((at, place));
@@ -179,7 +176,6 @@ impl PlaceMatcher {
         self.words.get(at).map_or("", |&(start, end)| &self.lower[start..end])
     }
 
-    /// The place of the words `from..to`.
     fn place_of(&self, from: usize, to: usize) -> Option<Mention> {
         let (start, end) = (self.words[from].0, self.words[to - 1].1);
         let plain = || self.place_of_name.get(self.plain[start..end].trim());
@@ -192,8 +188,8 @@ impl PlaceMatcher {
         ends.rev().find_map(|end| Some((self.place_of(at, end)?, end)))
     }
 
-    /// Whether a name at this word is a thing and no verb: an article or preposition stands before it, perhaps with an adjective between; else no
-    /// article stands in the text, and the word is neither the subject nor its verb, nor part of a deed ("goes grocery shopping").
+    /// Whether a name at this word is a thing and not a verb. It is a thing after an article or preposition, with at most one adjective between.
+    /// Without any article in the text, it is a thing unless the word is the subject, its verb, or part of an activity ("goes grocery shopping").
     fn is_thing_at(&self, at: usize, end: usize) -> bool {
         let announces = |at: usize| ANNOUNCES.contains(&self.word(at));
         if at > 0 && announces(at - 1) {
@@ -211,7 +207,7 @@ impl PlaceMatcher {
     /// Whether the person comes from the place at this word.
     fn is_origin(&self, at: usize) -> bool {
         let is_article = |at: usize| matches!(self.word(at), "the" | "a" | "an" | "his" | "her" | "their" | "its");
-        // Behind the article and at most one adjective stands the word that counts.
+        // Skip an article and at most one adjective.
         let Some(mut before) = at.checked_sub(1) else { return false };
         if !is_article(before) && before > 0 && is_article(before - 1) {
             before -= 1;
@@ -224,19 +220,20 @@ impl PlaceMatcher {
         matches!(self.word(before), "from" | "past") || is_out_of() || self.leaves(before)
     }
 
-    /// Whether a word is the verb of leaving: "leaves", and not "to leave" or the "left" side.
+    /// Whether a word is a verb of leaving: "leaves", but not "to leave" or the "left" side.
     fn leaves(&self, at: usize) -> bool {
         LEAVES.contains(&self.word(at)) && at > 0 && self.word(at - 1) != "to"
     }
 
-    /// Whether the room at this word is left: "leaves the kitchen", "goes out of the kitchen". "From" may stand before a thing that a person takes something from.
+    /// Whether the person leaves the room at this word: "leaves the kitchen", "goes out of the kitchen". "From" is not
+    /// enough: a person also takes things from a place.
     fn is_exit(&self, at: usize) -> bool {
         let before = (at.saturating_sub(3)..at).rev().take_while(|at| !matches!(self.word(*at), "and" | "then"));
         before.into_iter().any(|at| self.leaves(at) || self.word(at) == "out")
     }
 }
 
-/// Adds the forms of each name that are no names yet; of several the same one in each run.
+/// Adds the forms that are not names yet. If names share a form, the choice is deterministic.
 fn add_new(place_of_name: &mut HashMap<String, Mention>, forms: impl Fn(&str) -> [Option<String>; 3]) {
     let known: Vec<_> = place_of_name.iter().map(|(name, place)| (name.clone(), *place)).collect();
     let mut new: Vec<(String, Mention)> = known
@@ -382,7 +379,7 @@ mod tests {
         }
     }
 
-    /// However many words a label has, and whatever stands between them.
+    /// For any number of words in a label, and any separators.
     #[test]
     fn every_label_of_a_map_can_be_mentioned() {
         let words = ["led", "strip", "board", "shelf's", "tv-set", "42", "grün", "upper", "left", "lamp"];
@@ -430,7 +427,7 @@ mod tests {
                         asked(name).or_else(|| other_numbers(name).into_iter().flatten().find_map(|form| asked(&form)))
                     };
                     let expected = (1..=words.len()).rev().find_map(|length| of(&words[..length].join(" ")));
-                    // A word of a name that the map lacks may be a name by itself: the "table" of "cpu table".
+                    // A word of a name that the map lacks may itself be a name: the "table" of "cpu table".
                     if expected.is_none() {
                         continue;
                     }

@@ -1,10 +1,10 @@
-//! Answers that are ready before the event: the scores of prompts that may come next.
+//! Prefetching: scores of likely next prompts, computed before the event.
 //!
-//! A prompt's label scores depend on the prompt, the labels and the model alone. So what was scored ahead is what the event would have
-//! been given, whenever its prompt is the same to the letter; whatever else has happened meanwhile makes another prompt, and a miss.
+//! A prompt's label scores depend only on the prompt, the labels and the model. If the prompt is identical, the prefetched scores are exactly the
+//! scores that the event would have got. Any other event changes the prompt, which is a miss.
 //!
-//! A [`Preparer`] has a model of its own, so it can work on another thread than the [`crate::pipeline::Pipeline`]: that gives an
-//! [`Outlook`], and keeps each [`Answer`] until it is asked for.
+//! A [`Preparer`] has its own model, so it can run on another thread than the [`crate::pipeline::Pipeline`]. The pipeline gives an [`Outlook`], and
+//! stores each [`Answer`] until its prompt comes.
 
 use std::hash::BuildHasher;
 use std::sync::Arc;
@@ -15,74 +15,74 @@ use crate::narration::{Event, Sentence};
 use crate::prompt::write_prompt;
 use crate::scorer::{LabelScores, LanguageModel, Method, PreparedLabels, ScoreError, Scorer, Tokenisation};
 
-/// Most answers that are kept at once, of all persons together.
+/// Most stored answers, of all persons together.
 pub const ANSWERS_MAX: usize = 256;
 
-/// One person, as far as it says what comes next.
+/// One person's state for predicting the next prompt.
 #[derive(Debug, Clone)]
 pub struct PersonOutlook {
-    /// Who.
+    /// The person.
     pub person: PersonId,
-    /// What they did last.
+    /// The person's latest events.
     pub history: History,
-    /// Per label `ln s_c` in nats; empty of whoever is out of the house, or whose scores are not of what they did last.
+    /// `ln s_c` per label in nats. Empty if the person is out of the house, or if the scores lack the latest event.
     pub label_log_prob_nats: Vec<f64>,
 }
 
-/// All that says which prompts may come next, as it was at one moment.
+/// A snapshot of the state that determines likely next prompts.
 #[derive(Debug, Clone)]
 pub struct Outlook {
     /// The labels to score.
     pub labels: Arc<PreparedLabels>,
-    /// Everybody who is known, in the order of their numbers.
+    /// All known persons, sorted by id.
     pub persons: Vec<PersonOutlook>,
     round: u64,
 }
 
-/// A prompt that may come next.
+/// A possible next prompt.
 #[derive(Debug)]
 pub struct Ask {
     labels: Arc<PreparedLabels>,
     round: u64,
     person: PersonId,
-    /// How much was told of the person before.
+    /// [`History::told`] of the person at the time of the snapshot.
     told: u64,
     prompt: String,
     hash: u64,
 }
 
 impl Ask {
-    /// A number that two prompts share where they are the same, and else hardly ever.
+    /// A hash of the prompt: equal for equal prompts, otherwise almost surely different.
     #[must_use]
     pub fn number(&self) -> u64 {
         self.hash
     }
 }
 
-/// The scores of a prompt that may come next.
+/// The scores of a possible next prompt.
 #[derive(Debug)]
 pub struct Answer {
     ask: Ask,
     pub(crate) scores: LabelScores,
-    /// What an explanation shows: see [`Scorer::token_log_prob_nats`].
+    /// Data for explanations: see [`Scorer::token_log_prob_nats`].
     pub(crate) node_log_prob_nats: Vec<f64>,
     is_spent: bool,
 }
 
-/// Scores prompts that may come next, with a model of its own.
+/// Scores possible next prompts with its own model.
 #[derive(Debug)]
 pub struct Preparer<M> {
     scorer: Scorer<M>,
 }
 
 impl<M: LanguageModel> Preparer<M> {
-    /// On a model that answers as the pipeline's does.
+    /// Uses `model`, which must score like the pipeline's model.
     pub fn new(model: M) -> Self {
         Self { scorer: Scorer::new(model) }
     }
 
-    /// The prompt that a person has after `sentence`, told by the voice that spoke last; none where nothing was told of them, or they have
-    /// no scores of now.
+    /// The person's prompt after `sentence`, said by the voice of the person's newest event. `None` if the person has no event yet, or no current
+    /// scores.
     pub fn ask(&mut self, outlook: &Outlook, person: PersonId, sentence: &Sentence) -> Option<Ask> {
         let own = outlook.persons.iter().find(|own| own.person == person)?;
         if own.label_log_prob_nats.is_empty() {
@@ -100,10 +100,10 @@ impl<M: LanguageModel> Preparer<M> {
         Some(Ask { labels, round: outlook.round, person, told: own.history.told(), prompt, hash })
     }
 
-    /// Scores it.
+    /// Scores the prompt.
     ///
     /// # Errors
-    /// When the model fails, or was stopped.
+    /// If the model fails, or is stopped.
     pub fn answer(&mut self, ask: Ask) -> Result<Answer, ScoreError> {
         let mut scores = LabelScores::default();
         self.scorer.score(&ask.labels, &ask.prompt, Method::Trie, &mut scores)?;
@@ -117,18 +117,18 @@ fn hash_of(prompt: &str) -> u64 {
     foldhash::fast::FixedState::default().hash_one(prompt)
 }
 
-/// Answers by their prompt, at most [`ANSWERS_MAX`].
+/// Stored answers by prompt, at most [`ANSWERS_MAX`].
 #[derive(Debug, Default)]
 pub(crate) struct PreparedAnswers {
     kept: Vec<Answer>,
-    /// Of no use any more, and freed in silence: the thread that made them may be in the middle of using its memory.
+    /// Useless answers, freed later in idle time: the thread that made them may be using the allocator.
     stale: Vec<Answer>,
-    /// Grows when all that was asked before is of no use.
+    /// Increases when all earlier prompts become useless.
     round: u64,
 }
 
 impl PreparedAnswers {
-    /// Gives a prompt's answer to `with`; true where there is one. Allocates and frees nothing.
+    /// Calls `with` with a prompt's answer, and returns whether there is one. Allocates and frees nothing.
     pub(crate) fn take(&mut self, prompt: &str, with: impl FnOnce(&mut Answer)) -> bool {
         if self.kept.is_empty() {
             return false;
@@ -141,7 +141,7 @@ impl PreparedAnswers {
         true
     }
 
-    /// Begins with what is of use still: answers for whom nothing was told since. Makes room for more.
+    /// Drops used answers and answers for persons with newer events, reserves memory, and returns the round.
     pub(crate) fn begin(&mut self, histories: &Histories) -> u64 {
         self.kept.retain(|answer| !answer.is_spent && answer.is_current(histories));
         self.kept.reserve_exact(ANSWERS_MAX.saturating_sub(self.kept.len()));
@@ -150,7 +150,7 @@ impl PreparedAnswers {
         self.round
     }
 
-    /// Keeps an answer, if it is of use; where there is no room, in place of a spent one or the least likely of somebody else, which came last.
+    /// Stores an answer if it is useful. If the store is full, it replaces a used answer or the last (least likely) answer of another person.
     pub(crate) fn keep(&mut self, answer: Answer, histories: &Histories) -> bool {
         let mut is_of_use = answer.ask.round == self.round && answer.is_current(histories);
         if is_of_use && self.kept.len() >= ANSWERS_MAX {
@@ -169,7 +169,7 @@ impl PreparedAnswers {
         is_of_use
     }
 
-    /// All are stale, also those that are on their way: the labels or the model's view of them are other ones, or somebody is forgotten.
+    /// Invalidates all answers, even those still being computed: the labels have changed, or a person was forgotten.
     pub(crate) fn clear(&mut self) {
         self.kept.clear();
         self.stale.clear();
@@ -184,12 +184,11 @@ impl Answer {
 }
 
 impl Outlook {
-    /// What was known when the answers of `round` began.
     pub(crate) fn new(labels: &Arc<PreparedLabels>, persons: Vec<PersonOutlook>, round: u64) -> Self {
         Self { labels: Arc::clone(labels), persons, round }
     }
 
-    /// Another one says that no answer from before is kept any more.
+    /// Changes when all earlier answers become invalid.
     #[must_use]
     pub fn round(&self) -> u64 {
         self.round

@@ -1,14 +1,13 @@
-//! The prompt `N_h + B`: narration, then a binding sequence that cues the future; the stable part stands first.
+//! The prompt `N_h + B`: narration, then a binding sequence that cues the future. The stable part comes first.
 //!
-//! The trailing space of a binding sequence moves to the label (`" mug"`), because a lone space token is not what a
-//! model saw in training before a word.
+//! The trailing space of a binding sequence moves to the label (`" mug"`), because in training data a word follows its space within one token.
 
 use crate::text::is_hidden;
 use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
-/// The binding sequence `B`, and whether the narration stands before it.
+/// The binding sequence `B`, and whether the narration precedes it.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct BindingSequence {
     name: Cow<'static, str>,
@@ -16,14 +15,14 @@ pub struct BindingSequence {
     uses_narration: bool,
 }
 
-/// Most bytes of a binding sequence; longer ones are refused.
+/// Most bytes of a binding sequence.
 pub const BINDING_BYTES_MAX: usize = 1024;
 
-/// A binding sequence that cannot be used.
+/// An unusable binding sequence.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum BindingError {
-    /// Nothing but white space.
+    /// Only white space.
     #[error(
         "the binding sequence is empty: give words that cue the next object, such as \"Next, they will go to the \""
     )]
@@ -31,10 +30,10 @@ pub enum BindingError {
     /// Longer than 1024 bytes.
     #[error("the binding sequence has {bytes} bytes, more than {BINDING_BYTES_MAX}: shorten it")]
     TooLong {
-        /// Its length.
+        /// Its length in bytes.
         bytes: usize,
     },
-    /// Holds a control character.
+    /// Contains a control character.
     #[error("the binding sequence holds the control character {character:?} at byte {at}: remove it")]
     Control {
         /// The character.
@@ -47,7 +46,7 @@ pub enum BindingError {
 const EXPENSIVE: &str = "The most expensive object in the world is the ";
 const P0: &str = "Next, they will go to the ";
 
-/// The built-in binding sequences: name, text, whether the narration stands before them. `p0` to `p5` are the paper's prompts.
+/// The built-in binding sequences: name, text, whether the narration precedes them. `p0` to `p5` are the paper's prompts.
 const BUILT_IN: [(&str, &str, bool); 7] = [
     ("default", "Next, the human will go to the ", true),
     ("p0", P0, true),
@@ -59,10 +58,10 @@ const BUILT_IN: [(&str, &str, bool); 7] = [
 ];
 
 impl BindingSequence {
-    /// A binding sequence of the user's own.
+    /// A user's binding sequence.
     ///
     /// # Errors
-    /// When it is empty, too long or holds control characters.
+    /// If it is empty, too long or contains control characters.
     pub fn custom(text: &str) -> Result<Self, BindingError> {
         if text.trim().is_empty() {
             return Err(BindingError::Empty);
@@ -76,7 +75,7 @@ impl BindingSequence {
         Ok(Self { name: Cow::Borrowed("custom"), text: Cow::Owned(text.to_owned()), uses_narration: true })
     }
 
-    /// The built-in binding sequence of that name: `default`, `p0` to `p5`.
+    /// The built-in binding sequence with this name: `default`, `p0` to `p5`.
     #[must_use]
     pub fn built_in(name: &str) -> Option<Self> {
         BUILT_IN.iter().find(|(n, ..)| n.eq_ignore_ascii_case(name)).map(|&(name, text, uses_narration)| Self {
@@ -91,14 +90,14 @@ impl BindingSequence {
         BUILT_IN.iter().filter_map(|(name, ..)| Self::built_in(name))
     }
 
-    /// This binding sequence without narration before it, as the "no narration" baseline uses it.
+    /// This binding sequence without narration, for the "no narration" baseline.
     #[must_use]
     pub fn without_narration(mut self) -> Self {
         self.uses_narration = false;
         self
     }
 
-    /// Its name: one of the built-in ones, or `custom`.
+    /// Its name: a built-in one, or `custom`.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
@@ -116,7 +115,7 @@ impl BindingSequence {
         self.text.trim_end()
     }
 
-    /// Whether the narration stands before it (not so in P4 and P5).
+    /// Whether the narration precedes it (false for P4 and P5).
     #[must_use]
     pub fn uses_narration(&self) -> bool {
         self.uses_narration
@@ -130,7 +129,7 @@ impl Default for BindingSequence {
     }
 }
 
-/// A built-in name (`p1`), or any other text as a binding sequence of its own.
+/// Parses a built-in name (`p1`); any other text is a custom binding sequence.
 impl FromStr for BindingSequence {
     type Err = BindingError;
 
@@ -145,8 +144,8 @@ impl fmt::Display for BindingSequence {
     }
 }
 
-/// Writes the prompt for `sentences` and `binding` into `out`, which is cleared first: the sentences joined by single
-/// spaces, a space, the binding sequence's stem.
+/// Writes the prompt for `sentences` and `binding` to `out`, which is cleared first: the sentences joined by single spaces, a space, the binding
+/// sequence's stem.
 pub fn write_prompt<'a>(
     sentences: impl IntoIterator<Item = &'a str>,
     binding: &BindingSequence,

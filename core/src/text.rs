@@ -1,44 +1,43 @@
-//! Which characters may stand in names and sentences, numbers of things in words, and files of bounded size.
+//! Characters allowed in names and sentences, counted nouns, excerpts for errors, and files of bounded size.
 
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// What a file holds; none when that is more than `bytes_max`. A device or a pipe has no size, so it is the reading that ends there.
+/// Reads a file. `None` if it has more than `bytes_max` bytes. The limit applies while reading, because a device or a pipe has no size.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If it cannot be read.
 pub fn read_at_most(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u8>>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(bytes_max.saturating_add(1)).read_to_end(&mut bytes)?;
     Ok((bytes.len() as u64 <= bytes_max).then_some(bytes))
 }
 
-/// What editors on Windows put before a text: no part of it.
+/// Editors on Windows write it before a text.
 const BYTE_ORDER_MARK: char = '\u{feff}';
 
-/// So many of something whose plural ends in s: "1 room", "2 rooms".
+/// A number with a noun that has a plural in s: "1 room", "2 rooms".
 #[must_use]
 pub fn count(number: usize, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
-/// A text without a byte order mark at its beginning.
 #[must_use]
 pub(crate) fn without_mark(text: &str) -> &str {
     text.strip_prefix(BYTE_ORDER_MARK).unwrap_or(text)
 }
 
-/// Most characters of a line that an error quotes whole, and what it has of a longer one: its beginning and its end.
+/// Longer lines are shortened in errors to their beginning and end.
 const LINE_CHARS: usize = 640;
 const BEGINNING_CHARS: usize = 400;
 const END_CHARS: usize = 200;
-/// Most lines of it.
+/// Most lines of an error.
 const LINES: usize = 64;
 
-/// What an error has of a text that others wrote, a parser's message for instance, which quotes what it does not expect, whatever its
-/// length. Of a line that is too long beginning and end are left, and so of lines that are too many.
+/// Shortens a text for an error, for instance a parser's message, which may quote an input of any length. Of a long line, and of many lines, only the
+/// beginning and the end remain.
 ///
 /// ```
 /// use roomcast_core::text::excerpt;
@@ -68,10 +67,10 @@ fn excerpt_of_line(line: &str) -> Cow<'_, str> {
     Cow::Owned(format!("{} ... {}", line[..until].trim_end(), line[from..].trim_start()))
 }
 
-/// The same as text, without a byte order mark.
+/// As [`read_at_most`], for a text; a byte order mark is removed.
 ///
 /// # Errors
-/// As [`read_at_most`], and [`io::ErrorKind::InvalidData`] when it is not UTF-8, [`io::ErrorKind::FileTooLarge`] when it is larger.
+/// As [`read_at_most`], and [`io::ErrorKind::InvalidData`] if it is not UTF-8, [`io::ErrorKind::FileTooLarge`] if it is larger.
 pub fn read_text_at_most(path: &Path, bytes_max: u64) -> io::Result<String> {
     let too_large = || io::Error::new(io::ErrorKind::FileTooLarge, format!("it has more than {bytes_max} bytes"));
     let bytes = read_at_most(path, bytes_max)?.ok_or_else(too_large)?;
@@ -81,8 +80,8 @@ pub fn read_text_at_most(path: &Path, bytes_max: u64) -> io::Result<String> {
     Ok(text)
 }
 
-/// Whether a character has no place in them: control characters, which would reach terminals and logs; and those without a shape of their
-/// own, which make text look like other text (directions, zero width, line ends, tags). Messages between processes refuse the same.
+/// Whether a character is forbidden in names and sentences: control characters, which could affect terminals and logs, and invisible characters,
+/// which make a text look like another one (directions, zero width, line ends, tags). Messages between processes refuse the same characters.
 #[must_use]
 pub fn is_hidden(character: char) -> bool {
     character.is_control()
@@ -91,7 +90,7 @@ pub fn is_hidden(character: char) -> bool {
             | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
 }
 
-/// Letters of these alphabets look like one another's: Unicode's table of confusable characters.
+/// Alphabets with letters that look alike, from Unicode's table of confusable characters.
 const ALPHABETS: [(&str, &[std::ops::RangeInclusive<char>]); 5] = [
     ("Latin", &['A'..='Z', 'a'..='z', '\u{c0}'..='\u{24f}', '\u{1e00}'..='\u{1eff}']),
     ("Greek", &['\u{370}'..='\u{3ff}', '\u{1f00}'..='\u{1fff}']),
@@ -99,13 +98,13 @@ const ALPHABETS: [(&str, &[std::ops::RangeInclusive<char>]); 5] = [
     ("Armenian", &['\u{531}'..='\u{58f}']),
     ("Cherokee", &['\u{13a0}'..='\u{13ff}', '\u{ab70}'..='\u{abbf}']),
 ];
-/// Greek and Cyrillic letters, and the Latin ones that they look like, by Unicode's table of confusable characters.
+/// Greek and Cyrillic letters, and the Latin letters that look like them, from Unicode's table of confusable characters.
 const LOOKS: [(&str, &str); 2] = [
     ("АВЕЅІЈКМНОРСТУХԚԜаеѕіјорсухԁԛԝһ", "ABESIJKMHOPCTYXQWaesijopcyxdqwh"),
     ("ΑΒΕΖΗΙΚΜΝΟΡΤΥΧαινορυ", "ABEZHIKMNOPTYXaivopu"),
 ];
 
-/// A name by the Latin letters that it looks like, without capitals.
+/// A name in lower case, with letters replaced by the Latin letters that look like them.
 fn look_of(name: &str) -> String {
     let looks = |letter: char| {
         let pair = |(letters, latin): &(&str, &str)| letters.chars().zip(latin.chars()).find(|(one, _)| *one == letter);
@@ -114,8 +113,8 @@ fn look_of(name: &str) -> String {
     name.chars().map(looks).collect::<String>().to_lowercase()
 }
 
-/// A warning about a person's name, if a word mixes alphabets with letters that look alike, or if the name looks like a known one. A program takes
-/// such a name for another person, and its reader does not.
+/// A warning about a person's name, if a word mixes alphabets with letters that look alike, or if the name looks like a known one. Programs treat
+/// such a name as another person, but readers see the known one.
 ///
 /// ```
 /// use roomcast_core::text::odd_name;
@@ -147,7 +146,7 @@ pub fn odd_name<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Opt
     }
 }
 
-/// A text from outside as a terminal or a log may have it, on one line: hidden characters stand as JSON writes them, `\u001b`.
+/// Makes an untrusted text safe for a terminal or a log, on one line: hidden characters become JSON escapes such as `\u001b`.
 ///
 /// ```
 /// use roomcast_core::text::visible;
@@ -159,7 +158,7 @@ pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, is_hidden)
 }
 
-/// The same for a text of several lines, in columns: line ends and tabs stay.
+/// As [`visible`] for several lines in columns: line ends and tabs stay.
 #[must_use]
 pub fn visible_lines(text: &str) -> Cow<'_, str> {
     escaped(text, |character| is_hidden(character) && !matches!(character, '\n' | '\t'))
@@ -172,7 +171,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     let mut shown = String::with_capacity(text.len() + 16);
     for character in text.chars() {
         if is_escaped(character) {
-            // So a document of JSON stays one.
+            // JSON escapes keep a JSON document valid.
             shown.extend(character.encode_utf16(&mut [0; 2]).iter().map(|unit| format!("\\u{unit:04x}")));
         } else {
             shown.push(character);
@@ -181,7 +180,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Whether a text has these words next to one another, as whole words. Capitals of the English alphabet count as small letters.
+/// Whether a text contains these words in sequence, as whole words. Upper and lower case ASCII letters are equal.
 ///
 /// ```
 /// use roomcast_core::text::has_words;
@@ -227,7 +226,7 @@ mod tests {
         let lines = format!("first\n{}{long}\nlast", "kkk\n".repeat(1 << 16));
         let said = excerpt(&lines);
         assert!(said.starts_with("first\nkkk\n") && said.ends_with("\nlast") && said.len() < 4_000, "{said}");
-        // What is cut once is cut.
+        // An excerpt of an excerpt is unchanged.
         assert_eq!(excerpt(&excerpt(&long)), excerpt(&long));
     }
 
@@ -237,7 +236,7 @@ mod tests {
             ("\u{410}da", None, Some("mixes Latin and Cyrillic letters")),
             ("B\u{3bf}b", None, Some("mixes Latin and Greek letters")),
             ("\u{410}da", Some("Ada"), Some("looks like \"Ada\"")),
-            // A word of another alphabet as a whole, and in capitals.
+            // A whole word of another alphabet, and in capitals.
             ("\u{430}\u{441}\u{435}", Some("ace"), Some("looks like \"ace\"")),
             ("\u{410}NN\u{410}", Some("Anna"), Some("looks like \"Anna\"")),
             ("Ada Анна", Some("Ada"), None),
@@ -256,7 +255,7 @@ mod tests {
         }
     }
 
-    /// A device says that it has no bytes, and has no end.
+    /// This device reports a size of 0 and never ends.
     #[test]
     fn what_has_no_size_is_read_to_its_limit() {
         let device = Path::new("/dev/zero");

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rustix::process::geteuid;
 
-/// Permission bits of group and others to write.
+/// Write permission for the group and others.
 const WIDE: u32 = 0o022;
 
 /// Refuses a file of a state directory that another user could have put there or may write to: a symbolic link, a FIFO or a device, a file
@@ -29,6 +29,14 @@ pub fn require_own(path: &Path) -> io::Result<()> {
         Ok(about) if !about.is_file() => Err(refused("it is no plain file: remove it".to_owned())),
         Ok(about) => require(&about, path, "it"),
     }
+}
+
+/// Refuses a state directory that another user owns or may write to. A missing directory is good.
+///
+/// # Errors
+/// When the directory is refused, with the remedy.
+pub fn require_own_folder(path: &Path) -> io::Result<()> {
+    fs::metadata(path).map_or(Ok(()), |about| require(&about, path, "it"))
 }
 
 fn require(about: &Metadata, path: &Path, what: &str) -> io::Result<()> {

@@ -22,7 +22,7 @@ pub struct Order<'a> {
     pub cancels: u64,
 }
 
-/// Follows scores and forecasts, and publishes decisions: [`Domain::planner`].
+/// Follows scores and forecasts, and publishes decisions for one robot: [`Domain::planner`].
 #[derive(Debug)]
 pub struct Planner {
     publisher: Publisher<DecisionV1>,
@@ -58,7 +58,8 @@ impl Planner {
         })
     }
 
-    /// Waits for the next forecast, `None` if none comes within `timeout`.
+    /// Waits for the next forecast, `None` if none comes within `timeout`: then the daemon does not run in this domain. It publishes four times a
+    /// second.
     ///
     /// # Errors
     ///
@@ -82,7 +83,8 @@ impl Planner {
         Ok(next.map(|message| &*self.newest.insert(RoomScores(message))))
     }
 
-    /// Publishes that the robot goes to `room`, or stays there. Returns the number of participants that received it: 0 if no robot listens.
+    /// Publishes that the robot goes to `room`. If the previous decision names the same room, it publishes that the robot stays, so a
+    /// planner may decide at each forecast. Returns the number of participants that received it: 0 if no robot listens.
     ///
     /// # Errors
     ///
@@ -99,7 +101,10 @@ impl Planner {
     /// [`IpcError::Refused`] for text that no message holds; [`IpcError::Port`].
     pub fn publish(&mut self, order: &Order<'_>) -> Result<usize, IpcError> {
         let rooms = self.rooms()?;
-        if !order.room.is_empty() && !rooms.is_empty() && !rooms.iter().any(|room| room == order.room) {
+        if order.room.is_empty() {
+            return Err(IpcError::Argument("room \"\": give the id of a room of the map".to_owned()));
+        }
+        if !rooms.is_empty() && !rooms.iter().any(|room| room == order.room) {
             let text = format!("room {:?}: the map has no such room; give one of {}", order.room, rooms.join(", "));
             return Err(IpcError::Argument(text));
         }
@@ -126,7 +131,6 @@ impl Planner {
         self.sequence
     }
 
-    /// The rooms of the map, as far as they are known; takes the newest messages.
     fn rooms(&mut self) -> Result<Vec<String>, IpcError> {
         while let Some(message) = self.scores.take(|message| (message.epoch, message.sequence))? {
             self.newest = Some(RoomScores(message));

@@ -1,4 +1,4 @@
-//! A robot: follows its decisions, and reports what became of them.
+//! A robot follows its decisions and reports on its work.
 
 use std::time::Duration;
 
@@ -59,7 +59,7 @@ impl Robot {
         })
     }
 
-    /// Waits for the next decision for this robot, `None` if none comes within `timeout`.
+    /// Waits for the next decision for this robot, `None` if none comes within `timeout`: its planner may be silent, or run in another domain.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! What the commands that speak MQTT have in common: the broker, and which error has which exit code.
+//! Shared by the commands that speak MQTT: the broker, and the exit codes of its errors.
 
 use std::path::PathBuf;
 
@@ -8,23 +8,22 @@ use roomcast_services::mqtt::{Broker, MqttError};
 use super::Failure;
 use crate::exit_code;
 
-/// The broker, in place of the configuration's section `[mqtt]`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The broker, in place of the configuration's: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca. The configuration's login and
-    /// certificates are of its own broker, and not used then.
+    /// certificates are only for its own broker.
     #[arg(long, value_name = "URL")]
     mqtt: Option<String>,
     /// A file with the broker's user name and password, a line each.
     #[arg(long, value_name = "FILE")]
     mqtt_credentials: Option<PathBuf>,
-    /// A PEM file with the certificates that the broker's is signed by.
+    /// A PEM file with the certificates of the broker's certificate authority.
     #[arg(long, value_name = "FILE")]
     mqtt_ca: Option<PathBuf>,
 }
 
 impl Args {
-    /// What a command line says that spells these options in its own way.
+    /// For a command that declares these options itself.
     pub fn of(mqtt: Option<String>, mqtt_credentials: Option<PathBuf>, mqtt_ca: Option<PathBuf>) -> Self {
         Self { mqtt, mqtt_credentials, mqtt_ca }
     }
@@ -33,7 +32,7 @@ impl Args {
     ///
     /// # Errors
     ///
-    /// When neither the command line nor the configuration names one, or what they name is none.
+    /// If neither the command line nor the configuration names a broker, or its address or files are invalid.
     pub fn broker(&self, config: &MqttConfig, client: String) -> Result<Broker, Failure> {
         let Some(address) = self.mqtt.clone().or_else(|| config.broker.clone()) else {
             return Err(Failure::new(
@@ -51,7 +50,7 @@ impl Args {
             authority: self.mqtt_ca.clone().or_else(|| configured(&config.ca)),
         };
         match broker.options() {
-            // Whose it is, is known here alone. A CA file of the command line may not fit a configured address.
+            // The configured address is at fault. A CA file of the command line may not fit a configured address.
             Err(error @ (MqttError::Address { .. } | MqttError::Login)) if own => {
                 Err(Failure::new(exit_code::CONFIG, error))
             }
@@ -64,7 +63,6 @@ impl Args {
     }
 }
 
-/// The failure that an error of MQTT is.
 pub fn failure(error: MqttError) -> Failure {
     let code = match error {
         MqttError::Address { .. } | MqttError::Login | MqttError::Scheme { .. } => exit_code::USAGE,

@@ -4,17 +4,12 @@ use clap::{Command, CommandFactory};
 
 use super::{Cli, CommandResult};
 
-/// Arguments of `roomcast completions`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The shell to complete for.
     shell: clap_complete::Shell,
 }
 
-/// Prints the script on standard output.
-///
-/// # Errors
-/// When it cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     super::print(&script(args.shell))
 }
@@ -25,9 +20,9 @@ fn script(shell: clap_complete::Shell) -> String {
     String::from_utf8_lossy(&script).into_owned()
 }
 
-/// The command without what is hidden, which the generators offer all the same.
+/// A copy without hidden commands and options, which the generators would offer.
 fn visible(command: &Command) -> Command {
-    // clap takes a static name; a few bytes per command, once, in a process that ends soon.
+    // clap takes a static name: a few bytes per command, once, in a short process.
     let mut copy = Command::new(&*command.get_name().to_owned().leak())
         .propagate_version(command.is_propagate_version_set())
         .args(command.get_arguments().filter(|argument| !argument.is_hide_set()).cloned())

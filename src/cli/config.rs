@@ -1,4 +1,4 @@
-//! `roomcast config`: the commented default configuration, or a check of one's own.
+//! `roomcast config`: prints the commented default configuration, or checks a file.
 
 use std::path::{Path, PathBuf};
 
@@ -16,10 +16,9 @@ use roomcast_services::logging::chain;
 use roomcast_services::mqtt::{Broker, MqttError};
 use roomcast_services::setup;
 
-/// Arguments of `roomcast config`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Check this file, and that this machine has what it names, and print what it amounts to, instead of the commented defaults.
+    /// Check this file and everything that it names on this machine, and print it with every default, instead of the commented defaults.
     #[arg(long, value_name = "FILE")]
     check: Option<PathBuf>,
 }
@@ -27,8 +26,8 @@ pub struct Args {
 /// Prints the manual, or the checked file with every default filled in.
 ///
 /// # Errors
-/// When the file is malformed, or names a scene, a model file, cores, rules or folders that this machine has not, a broker's address that is
-/// none, or a room that the scene has not.
+/// If the file is malformed, or names a missing scene, model file, core, rules file or folder, an invalid broker address, or a room that the scene
+/// lacks.
 pub fn run(args: &Args) -> CommandResult {
     let text = match &args.check {
         None => DEFAULT_TOML.to_owned(),
@@ -41,8 +40,7 @@ pub fn run(args: &Args) -> CommandResult {
     super::print(&text)
 }
 
-/// Whether the values are within their limits, and the services would find what the configuration names. All that is wrong is said at once;
-/// what works less well than it could is a remark.
+/// Checks the values and the names in a configuration. All faults are reported at once; lesser problems are remarks.
 fn check_names(config: &Config, file: &Path) -> CommandResult {
     let value = |fault: ConfigError| {
         let fault = ConfigError::InFile { path: file.to_owned(), fault: Box::new(fault) };
@@ -54,7 +52,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     let model = config.model.path.as_deref().map_or(Ok(()), |path| {
         Header::read_language_model(path).map(|_| ()).map_err(|error| Failure::new(exit_code::MODEL, error))
     });
-    // Of a file that is no model the checksum says nothing more.
+    // The checksum of a file that is no model adds nothing.
     let pin = if model.is_ok() { setup::check_pin(config).map_err(Failure::from) } else { Ok(()) };
     let cores = affinity::check(&config.model.cores).map_err(|error| Failure::new(exit_code::CONFIG, error));
     let (wrong, limited) = doctor::names(config, map.as_ref().ok(), file);
@@ -73,7 +71,7 @@ fn check_names(config: &Config, file: &Path) -> CommandResult {
     Err(Failure::new(failures[0].code, text))
 }
 
-/// What is wrong with the broker's address and its files.
+/// The fault of the broker's address or files.
 #[cfg(feature = "mqtt")]
 fn check_broker(config: &MqttConfig) -> Option<Failure> {
     let broker = Broker {

@@ -7,7 +7,6 @@ use roomcast_services::{daemon, logging};
 
 use crate::exit_code;
 
-/// Arguments of `roomcast daemon`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -18,7 +17,7 @@ pub struct Args {
     /// The GGUF model, in place of the configuration's.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// The state directory with the narration journal, in place of the configuration's.
+    /// The state directory with the state database, in place of the configuration's.
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
     /// Score without a model, every word as likely as every other: for `roomcast latency`.
@@ -26,11 +25,6 @@ pub struct Args {
     no_model: bool,
 }
 
-/// Runs the daemon until it is asked to stop.
-///
-/// # Errors
-///
-/// When it cannot begin: configuration, model, scene, shared memory, another daemon.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();
@@ -45,7 +39,7 @@ pub fn run(args: &Args) -> CommandResult {
         config.daemon.state.clone_from(&args.state);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // Before each of its files is read, and fails by itself.
+    // The later readers of its files would report this fault less clearly.
     if let Some(fault) = config.state_fault() {
         return Err(Failure::new(exit_code::CONFIG, fault));
     }

@@ -1,10 +1,8 @@
-//! `roomcast demo`: the whole system on this machine, three processes in a private domain, one activity in one apartment.
+//! `roomcast demo`: the whole system on this machine, as processes in a private domain, with one activity in one apartment. The robot hears the
+//! planner's decisions and reports over the real services.
 //!
-//! The robot hears the planner's decisions and reports what it does, both over the real services.
-//!
-//! The person is the simulation's, as in the experiments: the laboratory's timeline says where the person is and when what is
-//! observed, and its cost function counts what the robot shared with them. Beside the figures of the robot that ran stand those of
-//! simulated robots in the same home.
+//! The person comes from the simulation, as in the experiments: the laboratory's timeline gives the person's places and observations, and its cost
+//! function counts the time that the robot shared with the person. For comparison, the summary has figures of simulated robots in the same home.
 
 use std::collections::VecDeque;
 use std::ffi::OsString;
@@ -15,10 +13,10 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RobotReportV1, RoomScoresV1, Subscriber,
-    action, decision_flags, report_kind, score_flags,
+use roomcast_ipc::raw::{
+    DecisionV1, NarrationV1, RobotReportV1, RoomScoresV1, action, decision_flags, report_kind, score_flags,
 };
+use roomcast_ipc::{Domain, IpcError, ItemScoresSubscriber, Node, Subscriber};
 use roomcast_services::clock;
 
 use super::demo_robot::DemoRobot;
@@ -46,12 +44,11 @@ use roomcast_simulation::{ScoreSource, StudyError};
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
 const ITEMS_WITHIN: Duration = Duration::from_millis(200);
-/// How long somebody is in the robot's room before it is interrupted, in the person's time.
+/// How long a person is in the robot's room before its work is interrupted, in the person's time.
 const INTERRUPT_AFTER_S: f64 = 2.0;
 const BAR_WIDTH: usize = 30;
 const TOP_OBJECTS: usize = 5;
 
-/// Arguments of `roomcast demo`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The scene file, or a shipped scene's name.
@@ -75,20 +72,20 @@ pub struct Args {
     /// T_r: seconds of the person's time that the robot spends in a room.
     #[arg(long, value_name = "SECONDS", default_value_t = 25, value_parser = ranges::room_time_s())]
     room_time: usize,
-    /// Let somebody who comes into the robot's room end its work there. The simulated robots of the table stay.
+    /// End the robot's work when a person comes into its room. The simulated robots of the table stay.
     #[arg(long)]
     interrupt: bool,
-    /// Show instead how the forecast becomes good while so many days of the home are watched.
+    /// Show instead how the forecast improves during this many days of one home.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=60),
         conflicts_with_all = ["program", "policy", "seconds", "room_time", "interrupt"])]
     days: Option<u16>,
 }
 
-/// Plays the activity and prints what happens, and a summary.
+/// Plays the activity; prints the events and a summary.
 ///
 /// # Errors
 ///
-/// When a process cannot be started or ends too early, with what it said.
+/// If a process cannot be started or ends too early; the error has the process's own message.
 pub fn run(args: &Args) -> CommandResult {
     if let Some(days) = args.days {
         let mut config = Config::default();
@@ -136,7 +133,7 @@ pub fn run(args: &Args) -> CommandResult {
     let result = play(args, &mut stage, &mut show, speed, &stop);
     let result = result.and(robot.end());
     show.close();
-    // The ports go before the domain can be removed.
+    // The ports must be dropped before the domain can be removed.
     let (summary, unheard) = (show.summary(args, &plot, map.name()), show.unheard);
     drop((show, node));
     drop(stage);
@@ -144,7 +141,7 @@ pub fn run(args: &Args) -> CommandResult {
         return Err(Failure::new(exit_code::INTERRUPTED, "interrupted; everything is cleaned up"));
     }
     result?;
-    // Whoever read has left: the show ends as well, and quietly.
+    // The reader of standard output has left: the show ends too, without an error.
     if unheard { Ok(()) } else { super::print(&format!("{}\n", prose(&summary))) }
 }
 
@@ -158,7 +155,7 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
             return Err(Failure::new(exit_code::FAILURE, format!("the daemon gave no scores within {within} s")));
         }
     }
-    // The narrator waits for what is observed: it is there before the person's time begins.
+    // The narrator must run before the person's time begins.
     let failed = |error: io::Error| Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}"));
     let (reading, writing) = io::pipe().map_err(failed)?;
     stage.start_with(
@@ -169,7 +166,7 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     )?;
     let (policy, seed) = (args.policy.to_string().into(), args.seed.to_string().into());
     let real = |person_s: usize| (person_s as f64 / speed).to_string().into();
-    // The experiments' robots enter where the policy says so, and stay.
+    // The experiments' robots enter by the policy's choice and do not leave early.
     let mut planner: Vec<OsString> = vec!["--policy".into(), policy, "--seed".into(), seed];
     planner.extend(["--room-time".into(), real(args.room_time), "--round".into(), real(show.timeline.len())]);
     planner.extend(["--reports", "always", "--forced", "enter", "--scene"].map(OsString::from));
@@ -185,11 +182,11 @@ fn play(args: &Args, stage: &mut Stage, show: &mut Show<'_>, speed: f64, stop: &
     while !stop.requested() && !show.unheard && !stage.ended("narrate")? {
         show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))?;
     }
-    // What the narrator's end was waiting for may still lie in the ports.
+    // The last narration may still be in the ports.
     show.poll(Duration::from_millis(50)).map_err(|error| Failure::new(exit_code::IPC, error))
 }
 
-/// Tells the narrator what the person does, when it is observed, to the end of the person's time.
+/// Gives the narrator the person's actions at their times, until the end of the person's time.
 fn act(stage: &mut Stage, show: &mut Show<'_>, mut input: PipeWriter, stop: &Stop) -> CommandResult {
     let timeline = show.timeline;
     let lines = timeline.done.iter().map(|done| (done.at_s, Some(done.sentence.as_str())));
@@ -209,7 +206,7 @@ fn act(stage: &mut Stage, show: &mut Show<'_>, mut input: PipeWriter, stop: &Sto
         if let Some(line) = line
             && let Err(error) = writeln!(input, "{line}")
         {
-            // It has ended: what it said is the better word.
+            // If the narrator has ended, its own message is clearer.
             stage.check()?;
             return Err(Failure::new(exit_code::FAILURE, format!("cannot speak to the narrator: {error}")));
         }
@@ -217,7 +214,7 @@ fn act(stage: &mut Stage, show: &mut Show<'_>, mut input: PipeWriter, stop: &Sto
     Ok(())
 }
 
-/// The person of the show, what robots may cost, and what simulated ones come to.
+/// The person's timeline, the cost function, and the results of simulated robots.
 struct Plot {
     timeline: Timeline,
     cost: Cost,
@@ -226,7 +223,7 @@ struct Plot {
 }
 
 impl Plot {
-    /// The experiments' simulation of one cell: this scene, this program, this T_r, with their options.
+    /// One cell of the experiments: this scene, program and T_r, with the experiments' options.
     fn new(args: &Args, map: &SemanticMap, grounding: &Grounding) -> Result<Self, Failure> {
         let program = setup::load_program(&args.program)?;
         program.notes.iter().for_each(|note| super::tell(format_args!("roomcast: {note}")));
@@ -257,7 +254,7 @@ impl Plot {
     }
 }
 
-/// The name that the experiments give a program, which their draws follow from.
+/// The experiments' name of a program, which seeds their draws.
 fn program_name(path: &Path) -> String {
     match setup::shipped_program(path) {
         Some(_) => path.display().to_string(),
@@ -265,7 +262,7 @@ fn program_name(path: &Path) -> String {
     }
 }
 
-/// What is seen on the way, and how it is printed.
+/// Collects messages and prints them.
 struct Show<'a> {
     narration: Subscriber<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,
@@ -282,19 +279,19 @@ struct Show<'a> {
     /// Narration that no scores contain yet, with the time of its observation.
     sentences: VecDeque<(u64, String)>,
     untold: VecDeque<DecisionV1>,
-    /// Decisions that the robot has reported as carried out, and when.
+    /// Decisions that the robot has reported as finished, with the times.
     finished: VecDeque<(u64, u64)>,
     decision: Option<DecisionV1>,
     top: Vec<(String, f64)>,
-    /// Where the robot was, in the person's time.
+    /// The robot's stays, in the person's time.
     robot: Vec<Stay>,
-    /// The rooms that the person is yet to enter, and when, in seconds of their time.
+    /// The person's next rooms, with the times in seconds of the person's time.
     moves: VecDeque<(usize, usize)>,
     person: Option<usize>,
-    /// When the person's time began: with the robot's first decision.
+    /// When the person's time began: at the robot's first decision.
     begin_ns: Option<BootNs>,
     latency_ns: Option<Histogram<u64>>,
-    /// Lines of the live panel that stand at the end of the terminal.
+    /// Lines of the live panel at the end of the terminal.
     panel: Option<usize>,
 }
 
@@ -332,7 +329,7 @@ impl<'a> Show<'a> {
     fn poll(&mut self, timeout: Duration) -> Result<(), IpcError> {
         self.scores.wait(timeout)?;
         while let Some(scores) = self.scores.receive()? {
-            // The items' scores follow their rooms' within moments.
+            // The items' scores follow the rooms' scores within moments.
             let start = Instant::now();
             while !scores.has(score_flags::HEARTBEAT) && start.elapsed() < ITEMS_WITHIN {
                 let Some(items) = self.items.newest()? else {
@@ -344,7 +341,7 @@ impl<'a> Show<'a> {
                     break;
                 }
             }
-            // After the scores: what they contain was narrated before they were published.
+            // After the scores: their events were narrated before they were published.
             self.hear()?;
             self.scored(&scores);
         }
@@ -353,7 +350,7 @@ impl<'a> Show<'a> {
         Ok(())
     }
 
-    /// Takes what lies in the ports: first the decisions, so that whatever was narrated before them is there, too.
+    /// Receives all waiting messages, decisions first: narration from before a decision is then there too.
     fn hear(&mut self) -> Result<(), IpcError> {
         while let Some(report) = self.reports.receive()? {
             if report.kind == report_kind::FINISHED {
@@ -362,7 +359,7 @@ impl<'a> Show<'a> {
         }
         while let Some(decision) = self.decisions.receive()? {
             self.begin_ns.get_or_insert(BootNs(decision.decided_ns));
-            // What comes behind the person's time is no part of the show.
+            // Decisions after the person's time do not belong to the show.
             if self.at_s(BootNs(decision.decided_ns)) < self.timeline.len() {
                 self.untold.push_back(decision);
             }
@@ -373,8 +370,7 @@ impl<'a> Show<'a> {
         Ok(())
     }
 
-    /// Tells the decisions and the person's moves before `until_ns`, but for those that narration comes before which waits for its
-    /// scores: what is told is in the order of time.
+    /// Prints the decisions and the person's moves before `until_ns`, in the order of time. Those after a narration wait for its scores.
     fn tell(&mut self, until_ns: BootNs) {
         let until_ns = self.sentences.front().map_or(until_ns, |(observed_ns, _)| until_ns.min(BootNs(*observed_ns)));
         let Some(begin_ns) = self.begin_ns else { return };
@@ -398,7 +394,7 @@ impl<'a> Show<'a> {
     }
 
     fn decided(&mut self, decision: &DecisionV1) {
-        // Its end was reported before the robot was sent elsewhere.
+        // The robot reports the end of its work before its next decision.
         while let Some((sequence, at_ns)) =
             self.finished.front().copied().filter(|(_, at_ns)| *at_ns <= decision.decided_ns)
         {
@@ -438,12 +434,12 @@ impl<'a> Show<'a> {
         {
             latency_ns.saturating_record(scores.published_ns.saturating_sub(scores.observed_ns));
         }
-        // Nothing was observed when these scores were made: they are the first.
+        // These are the first scores: they contain no event.
         let mut news = scores.observed_ns == 0;
         if news {
             self.say(&[format!("{:6} s  nothing is known of the person yet", 0)]);
         }
-        // Everything that these scores include for the first time.
+        // All events that these scores contain for the first time.
         while self.sentences.front().is_some_and(|(observed_ns, _)| *observed_ns <= scores.observed_ns) {
             let Some((observed_ns, sentence)) = self.sentences.pop_front() else { break };
             self.tell(BootNs(observed_ns));
@@ -483,13 +479,13 @@ impl<'a> Show<'a> {
         format!("          next object: {}", objects.collect::<Vec<_>>().join(", "))
     }
 
-    /// The person's time of a moment, in whole seconds, as the simulation counts.
+    /// A moment in the person's time, in whole seconds, as the simulation counts.
     fn at_s(&self, monotonic_ns: BootNs) -> usize {
         let since_ns = monotonic_ns.since(self.begin_ns.unwrap_or(monotonic_ns));
         (since_ns as f64 / 1e9 * self.speed).round() as usize
     }
 
-    /// How much of the person's time is over.
+    /// Seconds of the person's time until now.
     fn now_s(&self) -> f64 {
         let now_ns = clock::monotonic_ns();
         now_ns.since(self.begin_ns.unwrap_or(now_ns)) as f64 / 1e9 * self.speed
@@ -501,15 +497,15 @@ impl<'a> Show<'a> {
         let mut out = io::stdout().lock();
         let columns = columns();
         for line in lines {
-            // What is said of a moment goes on below what is said, and not below the time.
+            // A wrapped line continues below its text, not below the time.
             let indent = if line.starts_with(' ') { INDENT } else { 0 };
-            // A closed pipe ends the show; the processes are ended by their own guard.
+            // A closed pipe ends the show; a guard ends the processes.
             self.unheard |= writeln!(out, "{}", wrapped(line, columns, indent)).is_err();
         }
         self.unheard |= out.flush().is_err();
     }
 
-    /// Draws the live panel: a line that the terminal would wrap could not be erased by counting lines, so it is cut.
+    /// Draws the live panel. Lines are cut, because a line that the terminal wraps could not be erased by counting lines.
     fn draw(&mut self, lines: &[String]) {
         let columns = columns();
         self.say(&lines.iter().map(|line| cut(line, columns)).collect::<Vec<_>>());
@@ -523,7 +519,6 @@ impl<'a> Show<'a> {
         }
     }
 
-    /// Leaves the panel where it stands.
     fn close(&mut self) {
         self.panel = self.panel.map(|_| 0);
     }
@@ -576,11 +571,11 @@ impl<'a> Show<'a> {
     }
 }
 
-/// Where lines begin that have a time before them.
+/// The indent of lines behind a time.
 const INDENT: usize = 10;
 
-/// The likeliest labels: an item's score is its label's, shared among the label's items.
-fn top_labels(items: &[roomcast_ipc::ItemScoreV1]) -> Vec<(String, f64)> {
+/// The likeliest labels. A label's score is split among its items.
+fn top_labels(items: &[roomcast_ipc::raw::ItemScoreV1]) -> Vec<(String, f64)> {
     let mut best = std::collections::BTreeMap::new();
     for item in items {
         let probability = item.log_score_nats.exp() * f64::from(item.label_items.max(1));

@@ -1,12 +1,13 @@
-//! The robot of `roomcast demo`: it hears its planner's decisions over the real service, works for its time in the simulated home, and
-//! reports over the real service. It runs in a thread of its own, since its time does not wait for what is printed.
+//! The robot of `roomcast demo`: it hears decisions and sends reports over the real services, and works for its time in the simulated home. It has
+//! its own thread, since its time does not wait for the output.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, Domain, IpcError, Publisher, RobotReportV1, action, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action};
+use roomcast_ipc::{Domain, IpcError, Publisher, sequence};
 use roomcast_services::clock;
 
 use super::{CommandResult, Failure};
@@ -14,10 +15,8 @@ use crate::exit_code;
 use roomcast_services::config::PlannerConfig;
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
-/// How often it looks up from its work.
 const TICK: Duration = Duration::from_millis(50);
 
-/// The robot's thread.
 pub(super) struct DemoRobot {
     /// Dropped to end it.
     stop: Sender<()>,
@@ -25,11 +24,11 @@ pub(super) struct DemoRobot {
 }
 
 impl DemoRobot {
-    /// A robot that works for `stay` in each room that it is sent to.
+    /// Starts a robot that works for `stay` in each target room.
     ///
     /// # Errors
     ///
-    /// When the system has no thread for it.
+    /// If the system refuses a thread.
     pub(super) fn start(domain: &Domain, stay: Duration) -> Result<Self, Failure> {
         let (stop, stopped) = channel();
         let domain = domain.clone();
@@ -39,11 +38,6 @@ impl DemoRobot {
         Ok(Self { stop, thread })
     }
 
-    /// Ends it.
-    ///
-    /// # Errors
-    ///
-    /// When it could not hear or report.
     pub(super) fn end(self) -> CommandResult {
         drop(self.stop);
         let ended = self.thread.join().unwrap_or_else(|_| Err("it panicked".to_owned()));
@@ -59,7 +53,7 @@ fn live(domain: &Domain, stay: Duration, stopped: &Receiver<()>) -> Result<(), S
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
     let reports = node.publisher::<RobotReportV1>().map_err(ipc)?;
     let stay_ns = u64::try_from(stay.as_nanos()).unwrap_or(u64::MAX);
-    // The decision that it works on, and when it is done with it.
+    // The decision in progress, and when its work ends.
     let mut work: Option<(u64, BootNs)> = None;
     while stopped.try_recv() == Err(TryRecvError::Empty) {
         let left = work.map(|(_, ends_ns)| Duration::from_nanos(ends_ns.since(clock::monotonic_ns())));

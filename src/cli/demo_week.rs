@@ -1,14 +1,14 @@
-//! `roomcast demo --days N`: some days of one home, in a minute, in which the forecast becomes good.
+//! `roomcast demo --days N`: some days of one home in a minute, in which the forecast improves.
 //!
-//! The person's days are made of the shipped activity programs at nearly the same hours, and of an absence on working days. What is
-//! observed goes through the daemon's own [`Board`], with its model, its habits and a tick every minute; a second one that learns nothing
-//! stands beside it. Once a minute both say where the person will be a quarter of an hour later, and are measured then.
+//! The person's days consist of the shipped activity programs at nearly the same hours, and of an absence on working days. The events go through the
+//! daemon's own [`Board`], with its model, its habits and a tick every minute, and through a second one that learns nothing. Once a minute both
+//! forecast the person's place a quarter of an hour later, and are scored then.
 
 use std::collections::VecDeque;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::PersonForecastV1;
+use roomcast_ipc::raw::PersonForecastV1;
 
 use super::{CommandResult, Failure};
 use crate::bar::bar;
@@ -29,17 +29,15 @@ use roomcast_simulation::trace::Trace;
 
 const DAY_S: f64 = 86_400.0;
 const MINUTE_S: f64 = 60.0;
-/// How far ahead is measured.
+/// The horizon that is scored.
 const AHEAD_S: f64 = 900.0;
-/// Who.
 const PERSON: PersonId = PersonId(0);
-/// What is impossible for a forecast is not quite.
+/// The least probability in the loss, so that it stays finite.
 const FLOOR: f64 = 1e-6;
 const BAR_WIDTH: usize = 20;
 const WEEKDAYS: [&str; 7] = ["Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday"];
 
-/// An activity of a day: a shipped program, when it begins, by how much that differs from day to day, and how long an action takes; all in
-/// minutes.
+/// An activity of a day: a shipped program, its start, the spread of the start between days, and the time per action; in minutes.
 type Habit = (&'static str, f64, f64, f64);
 
 const WORKDAY: [Habit; 3] = [
@@ -52,40 +50,39 @@ const WEEKEND: [Habit; 3] = [
     ("p2-long-evening", 16.0 * 60.0, 30.0, 6.0),
     ("p1-laundry-and-to-bed", 22.5 * 60.0, 20.0, 2.5),
 ];
-/// On working days the person leaves this long after breakfast's last action, and is back at the evening's first.
+/// On working days the person leaves this long after breakfast's last action, and returns at the evening's first.
 const LEAVES_MIN: f64 = 12.0;
 
-/// What happens in the home.
+/// The simulated days.
 struct Life {
     trace: Trace,
-    /// When nobody is there.
+    /// The absences.
     out: Vec<(f64, f64)>,
     rooms: usize,
 }
 
-/// A forecast that was made, and what came.
+/// A forecast and its outcome.
 #[derive(Debug, Clone)]
 pub(super) struct Case {
     day: usize,
     /// Per place, elsewhere last: without habits, and with.
     without: Vec<f64>,
     with: Vec<f64>,
-    /// The places of the set; none where there are no sets yet.
+    /// The places of the set; `None` while there are no sets.
     set: Option<Vec<bool>>,
     learned: f64,
     truth: usize,
 }
 
-/// Means of a day.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Figures {
     cases: f64,
-    /// Loss in nats, and share in which the likeliest place was right: without habits, and with.
+    /// Loss in nats, and share of cases in which the likeliest place was right: without habits, and with.
     without: [f64; 2],
     with: [f64; 2],
     /// Share of the forecast that was learned.
     learned: f64,
-    /// Sets, the share that held the person, and places in one.
+    /// Number of sets, share of them that held the person, and mean size.
     sets: f64,
     held: f64,
     size: f64,
@@ -149,13 +146,13 @@ impl Life {
             of_days.push(Day { actions });
         }
         let trace = Trace::of_days(&of_days, map, grounding, ItemChoice::Nearest, seed).map_err(failed)?;
-        // The trace begins on a Monday of its own.
+        // The trace begins on its first Monday.
         let begins_s = trace.steps.first().map_or(0.0, |step| (step.at_s / DAY_S).floor() * DAY_S);
         let out = edges.chunks_exact(2).map(|edge| (begins_s + edge[0], begins_s + edge[1])).collect();
         Ok(Self { trace, out, rooms: grounding.partitions().len() })
     }
 
-    /// Where the person is, elsewhere as the last place.
+    /// The person's place; elsewhere is the last one.
     fn truth(&self, at_s: f64) -> Option<usize> {
         if self.out.iter().any(|(from_s, to_s)| *from_s <= at_s && at_s < *to_s) {
             return Some(self.rooms);
@@ -163,7 +160,7 @@ impl Life {
         self.trace.place_at(at_s).map(|(_, place)| place)
     }
 
-    /// What is observed, in the order of time.
+    /// All events, in the order of time.
     fn said(&self) -> Vec<(f64, Event)> {
         let sentences = self.trace.steps.iter().map(|step| (step.at_s, Event::Did(step.sentence.clone())));
         let leaves = self.out.iter().map(|(from_s, _)| (*from_s, Event::Away));
@@ -173,7 +170,6 @@ impl Life {
     }
 }
 
-/// A daemon without its threads.
 struct Watcher<M>(Board<M>);
 
 impl<M: LanguageModel> Watcher<M> {
@@ -193,7 +189,7 @@ impl<M: LanguageModel> Watcher<M> {
         Ok(())
     }
 
-    /// Where the person will be, per place, with the message itself.
+    /// The forecast per place, with the message itself.
     fn looks_ahead(&mut self, now_s: f64, rooms: usize) -> Option<(Vec<f64>, usize, &PersonForecastV1)> {
         let now_ns = (now_s * 1e9) as u64;
         self.0.tick(BootNs(now_ns), UnixNs(now_ns));
@@ -206,7 +202,7 @@ impl<M: LanguageModel> Watcher<M> {
     }
 }
 
-/// Lets both watch the home; every day's cases are told when it is over.
+/// Feeds both boards; reports every day's cases at its end.
 fn watch<M: LanguageModel>(
     life: &Life,
     with: Board<M>,
@@ -247,7 +243,6 @@ fn watch<M: LanguageModel>(
     if over.is_empty() { Ok(()) } else { day_is_over(over[0].day, &over) }
 }
 
-/// Plays the days and prints how good the forecast was on each.
 pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     let board = |learn: bool| {
         let (pipeline, map) = setup::open(config)?;
@@ -274,9 +269,9 @@ pub(super) fn run(config: &Config, days: usize, seed: u64) -> CommandResult {
     super::print(&format!("{}\n", line("all days", &Figures::of(&all), is_wide)))
 }
 
-/// How wide the table with the bars is.
+/// The width of the table with the bars.
 const WIDE: usize = 113;
-/// The least width of a terminal that the table fits into without them.
+/// The least width of a terminal for the table without them.
 #[cfg(test)]
 const NARROW: usize = 60;
 
@@ -336,7 +331,7 @@ mod tests {
         board.with_habits(HomeHabits::new(Memory::new(habits), Zone::UTC))
     }
 
-    /// The figures are those of the minutes, the person's days are what is measured against, and the week is worth showing.
+    /// The daily figures must follow from the minutes, and the week must show progress.
     #[test]
     fn a_week_makes_the_forecast_good() {
         let (with, without) = (board(true), board(false));
@@ -352,7 +347,7 @@ mod tests {
         assert_eq!(days.iter().map(|(day, _)| *day).collect::<Vec<_>>(), (0..7).collect::<Vec<_>>());
         for (_, cases) in &days {
             let figures = Figures::of(cases);
-            // Once more, from the cases themselves.
+            // The same figures, computed again from the cases.
             let n = cases.len() as f64;
             let loss = cases.iter().map(|case| -case.with[case.truth].max(1e-6).ln()).sum::<f64>() / n;
             let right = |p: &[f64], truth: usize| p.iter().all(|other| *other <= p[truth]);

@@ -1,11 +1,12 @@
-//! `roomcast doctor`: can this machine run Roomcast, and how well; and with a configuration, what is wrong with the home that it
-//! describes. Every finding that is not good comes with its remedy.
+//! `roomcast doctor`: checks whether this machine can run Roomcast, and how well; and with a configuration, the home's set-up. Every finding that is
+//! not good has a remedy.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use comfy_table::Table;
-use roomcast_ipc::{Domain, NarrationV1};
+use roomcast_ipc::Domain;
+use roomcast_ipc::raw::NarrationV1;
 use rustix::process::{Resource, getrlimit};
 
 mod finding;
@@ -31,7 +32,6 @@ use roomcast_services::embedded;
 use roomcast_services::logging::chain;
 use roomcast_services::setup;
 
-/// Arguments of `roomcast doctor`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -50,7 +50,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What names in a configuration file and its rules lead to nothing: those with which it cannot run, and those with which it runs less well.
+/// The names in a configuration file and its rules that do not exist: faults that prevent a run, and faults that only limit it.
 pub(super) fn names(config: &Config, map: Option<&SemanticMap>, file: &Path) -> (Vec<String>, Vec<String>) {
     let grounding = map.and_then(|map| Grounding::new(map, &config.grounding).ok());
     let place = Place { config: file, wait: Duration::ZERO };
@@ -66,8 +66,7 @@ pub(super) fn names(config: &Config, map: Option<&SemanticMap>, file: &Path) -> 
     (wrong, limited)
 }
 
-/// Vector units that llama.cpp has kernels for: ggml's name, whether this processor has it, and whether its absence from the build
-/// costs so much that it counts as a fault.
+/// Vector units that llama.cpp has kernels for: ggml's name, whether this processor has the unit, and whether a build without it counts as a fault.
 fn vector_units() -> Vec<(&'static str, bool, bool)> {
     #[cfg(target_arch = "x86_64")]
     let units = vec![
@@ -115,7 +114,7 @@ fn llama_build() -> Finding {
             vector_units().into_iter().filter(|unit| unit.1 && unit.2 == fault && !built.iter().any(|b| b == unit.0));
         units.map(|unit| unit.0).collect::<Vec<_>>()
     };
-    // A portable build has kernels for many processors; what it reports are those that it chose for this one.
+    // A portable build has kernels for many processors. It reports the kernels that it chose for this one.
     let how = if cfg!(feature = "portable") { "portable, chosen here:" } else { "built with" };
     let found = format!("{how} {}", built.join(" "));
     let remedy = "build on this machine with -C target-cpu=native, as .cargo/config.toml in the source does; docs/packaging.md has portable ways";
@@ -155,7 +154,7 @@ fn shared_memory() -> Finding {
     }
 }
 
-/// Joins the domain, which proves its root directory, and opens services in a private one, which disturbs nobody.
+/// Joins the domain, which tests its root directory, and opens services in a private one, which disturbs no other process.
 fn messages(domain: &Domain) -> Finding {
     let check = "messages";
     let root = match tempfile::tempdir() {
@@ -163,7 +162,7 @@ fn messages(domain: &Domain) -> Finding {
         Err(error) => return Finding::wrong(check, error.to_string(), "make the folder for temporary files writable"),
     };
     let tried = domain.open("roomcast-doctor").and_then(|_| {
-        // A root of its own: cleaning up removes it, and with it whatever another domain had there.
+        // A separate root: cleaning up removes it with all its content.
         let private = Domain::new(root.path().join("ipc"), &format!("doctor-{}", std::process::id()))?;
         let node = private.open("roomcast-doctor")?;
         let (publisher, subscriber) = (node.publisher::<NarrationV1>()?, node.subscriber::<NarrationV1>()?);
@@ -214,7 +213,7 @@ fn locked_memory(wanted: bool, model_bytes: u64) -> Finding {
     }
 }
 
-/// Loads scene and model as the daemon would, each judged by itself, and times events of a shipped program where both are good.
+/// Loads scene and model as the daemon does, each with a finding, and times events of a shipped program if both are good.
 fn model_and_scene(config: &Config) -> (Vec<Finding>, Option<(SemanticMap, Grounding)>) {
     let (scene, map) = scene(config);
     let (model, loaded) = model(config);
@@ -315,7 +314,7 @@ fn speed(config: &Config, map: &SemanticMap, model: LlamaModel) -> Finding {
 ///
 /// # Errors
 ///
-/// With [`exit_code::CHECK`] when something is wrong, with [`exit_code::CONFIG`] when the configuration cannot be read.
+/// With [`exit_code::CHECK`] if a check fails, with [`exit_code::CONFIG`] if the configuration cannot be read.
 pub fn run(args: &Args) -> CommandResult {
     let (mut config, domain) = match args.service.load() {
         Ok(loaded) => loaded,
@@ -366,7 +365,6 @@ pub fn run(args: &Args) -> CommandResult {
 /// The longest line of the table.
 const LINE: usize = 120;
 
-/// Prints the findings.
 fn report(args: &Args, findings: &[Finding]) -> CommandResult {
     if !args.json {
         return super::print_styled(&format!("{}\n", table(findings, columns().min(LINE))));
@@ -375,9 +373,9 @@ fn report(args: &Args, findings: &[Finding]) -> CommandResult {
     super::print_json(&serde_json::json!({ "version": env!("CARGO_PKG_VERSION"), "ok": ok, "findings": findings }))
 }
 
-/// A table of at most so many columns, except for longer words. The table fits itself to a terminal, and a pipe has no width.
+/// A table of at most `columns` columns, except for longer words. The table fits itself to a terminal, but a pipe has no width.
 fn table(findings: &[Finding], columns: usize) -> Table {
-    /// What the columns before the text take.
+    /// The width of the columns before the text.
     const BEFORE: usize = 28;
     let mut table = super::table(&["check", "", "found, and what to do"]);
     for finding in findings {
@@ -393,7 +391,7 @@ fn table(findings: &[Finding], columns: usize) -> Table {
             Verdict::Limited => comfy_table::Color::Yellow,
             Verdict::Wrong => comfy_table::Color::Red,
         });
-        // Of a broker's topics, for instance, somebody else says what they are.
+        // Parts of the text are untrusted, for instance a broker's topics.
         let found = visible_lines(&finding.found);
         let text = match &finding.remedy {
             Some(remedy) => format!("{found}\n-> {}", visible_lines(remedy)),

@@ -13,19 +13,18 @@ use super::scene_files::{input, load, read, write};
 use super::{CommandResult, Failure, print};
 use crate::exit_code;
 
-/// Arguments of `roomcast scene draw`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The scene file, or the name of a shipped one.
     scene: PathBuf,
-    /// The drawing; its ending, `.svg` or `.png`, decides the format; PNG needs a build with the feature `png`. By default the
-    /// scene's name with `.svg`, here.
+    /// The drawing; the ending, `.svg` or `.png`, selects the format; PNG needs a build with the feature `png`. By default the scene's name with
+    /// `.svg`, in this folder.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// What a partition is.
+    /// The level of a partition.
     #[arg(long, value_parser = choice::<PartitionLevel>(), default_value_t)]
     level: PartitionLevel,
-    /// What `roomcast score --json` printed for this scene and level.
+    /// The output of `roomcast score --json` for this scene and level.
     #[arg(long, value_name = "FILE")]
     scores: Option<PathBuf>,
     /// A line under the title of scores; by default the map's figures.
@@ -82,10 +81,6 @@ fn read_heat(path: &Path, map: &SemanticMap, grounding: &Grounding, caption: &st
     Ok(Heat::new(&probabilities, &log_scores, caption))
 }
 
-/// Draws the scene.
-///
-/// # Errors
-/// When scene or scores cannot be read, or the drawing cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let (map, grounding) = load(&args.scene, args.level)?;
     let caption = args.caption.as_deref().unwrap_or_default();
@@ -108,7 +103,7 @@ fn png(_svg: &str, _scale: f32) -> Result<Vec<u8>, Failure> {
     Err(Failure::new(exit_code::USAGE, remedy))
 }
 
-/// Writes a drawing as its file's ending says.
+/// Writes a drawing in the format of its file's ending.
 pub(super) fn write_drawing(path: &Path, svg: String, scale: f32) -> CommandResult {
     let bytes = match path.extension().and_then(|ending| ending.to_str()) {
         Some("svg") => svg.into_bytes(),

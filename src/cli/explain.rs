@@ -1,5 +1,5 @@
-//! `roomcast explain`: the chain behind the scores of one moment, as text, JSON and plan: of a given narration, of a running
-//! system, or of a recording.
+//! `roomcast explain`: the chain behind the scores of one moment, as text, JSON and plan: of a given narration, of a running system, or of a
+//! recording.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -25,9 +25,10 @@ use roomcast_services::recording::RecordedMoment;
 use roomcast_services::setup;
 use roomcast_simulation::drawing::{self, Heat};
 
-/// What only scores of a given narration depend on: recorded and running ones are as they are. They exclude `--recording`, which
-/// `--at` and `--sequence` require; clap lets a requirement drop where something excludes it, so those two name them as well.
-const OF_A_NARRATION: [&str; 10] = [
+/// Options that affect only the scores of a given narration. They exclude `--recording`, which `--at` and `--sequence` require. clap drops a
+/// requirement if another option excludes it, so `--at` and `--sequence` exclude these options too.
+const OF_A_NARRATION: [&str; 11] = [
+    "text",
     "narration",
     "program",
     "steps",
@@ -39,20 +40,19 @@ const OF_A_NARRATION: [&str; 10] = [
     "prior",
     "history",
 ];
-/// What a running daemon has of its own.
+/// Options that a running daemon has in its configuration.
 const OF_A_MODEL: [&str; 7] = ["scene", "model", "binding", "level", "no_room_labels", "threads", "cache"];
 
-/// Arguments of `roomcast explain`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
     #[command(flatten)]
     score: score::Args,
-    /// Explain the newest scores of the running system, as its daemon tells them.
+    /// Explain the newest scores of the running system, from its daemon.
     #[arg(long, conflicts_with = "recording", conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     live: bool,
-    /// Explain scores of a recording of `roomcast record`: they are computed once more and compared.
+    /// Explain scores of a recording of `roomcast record`: they are computed again and compared.
     #[arg(long, value_name = "FILE", conflicts_with_all = OF_A_NARRATION)]
     recording: Option<PathBuf>,
     /// The moment, in seconds from the recording's beginning: the last scores before it. Without it, the last scores of all.
@@ -64,22 +64,17 @@ pub struct Args {
     /// Explain the scores of this person alone. Without it, those of each person, one after the other.
     #[arg(long, value_name = "WHO")]
     person: Option<String>,
-    /// Say where the running daemon believes this person to be, and which observations moved that belief most.
+    /// Print the daemon's belief about this person's place, and the observations with the largest effect on it.
     #[arg(long = "where", value_name = "WHO", conflicts_with_all = ["live", "recording", "at", "sequence", "person", "plan"], conflicts_with_all = OF_A_NARRATION, conflicts_with_all = OF_A_MODEL)]
     whereabouts: Option<String>,
-    /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, decides the format. PNG needs a
-    /// build with the feature `png`.
+    /// Also draw the plan with the heat of every room and item; the ending, `.svg` or `.png`, selects the format. PNG needs a build with the feature
+    /// `png`.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
 }
 
-/// How long the daemon may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Explains the moment.
-///
-/// # Errors
-/// When the moment cannot be had (no daemon, no such scores, another model or scene), or the plan cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     if let Some(who) = &args.whereabouts {
         return whereabouts(args, who);
@@ -114,7 +109,7 @@ pub fn run(args: &Args) -> CommandResult {
     if let Some(path) = &args.plan {
         draw_plan(&explained, path)?;
     }
-    // Of several persons each has a chain of their own; what all come to together is the sum of no labels.
+    // Each person has a chain. The combined probability of several persons is not a sum over labels.
     let persons = moment.persons.iter().map(|own| {
         let explained = moment.of_person(own.person).and_then(|alone| alone.explain(args.score.top()));
         explained.map(|explained| (own.person, explained.explanation))
@@ -136,7 +131,7 @@ pub fn run(args: &Args) -> CommandResult {
                 serde_json::json!({"person": person, "name": name, "explanation": explanation})
             };
             value["persons"] = persons.iter().map(person).collect();
-            // What all come to together is no sum over labels.
+            // The combined probability is not a sum over labels.
             value["partitions"] = somebody(&persons);
             if let Some(object) = value.as_object_mut() {
                 object.remove("label_mass");
@@ -158,7 +153,7 @@ pub fn run(args: &Args) -> CommandResult {
     super::print(&text)
 }
 
-/// A name over what is said of somebody: each word begins with a capital.
+/// A person's name as a heading, with capitals.
 fn heading(name: &str) -> String {
     let capital = |word: &str| word.chars().take(1).flat_map(char::to_uppercase).chain(word.chars().skip(1)).collect();
     name.split(' ').map(capital).collect::<Vec<String>>().join(" ")
@@ -182,7 +177,7 @@ fn somebody(persons: &[(PersonId, Explanation)]) -> serde_json::Value {
     partitions.into_iter().map(row).collect()
 }
 
-/// Says where a person is believed to be, and why.
+/// Prints the belief about a person's place, with reasons.
 fn whereabouts(args: &Args, who: &str) -> CommandResult {
     let (_, domain) = args.service.load()?;
     let asker = service::Asker::new(&domain, "roomcast-explain", question::PERSON, PATIENCE.as_secs())?;
@@ -233,7 +228,7 @@ fn draw_plan(explained: &Explained, path: &Path) -> CommandResult {
     draw::write_drawing(path, svg, 2.0)
 }
 
-/// Computes the scores of a recorded moment once more, and says how they compare with the recorded ones.
+/// Computes the scores of a recorded moment again, and compares them with the recorded ones.
 fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let input = |error: String| Failure::new(exit_code::INPUT, error);
     let recording = record::read(path)?;
@@ -279,7 +274,7 @@ fn recorded(args: &Args, path: &Path) -> Result<(Moment, String), Failure> {
     let binding = base.map_or_else(|| Ok(args.score.binding()), Moment::binding);
     let binding = binding.map_err(|error| input(error.to_string()))?;
     let grounded = Grounding::new(&map, &grounding).map_err(|error| input(error.to_string()))?;
-    // What is given is the window: nothing of it is to be cut.
+    // The given narration is the window: none of it may be cut.
     let history = HistoryLimits { observations: narration.len().max(1), slack: 0, tokens: usize::MAX, gap_s: 0 };
     let correction = base.map_or_else(CorrectionChoice::default, |moment| CorrectionChoice::exactly(moment.correction));
     let tokenisation = base.map_or_else(Default::default, |moment| moment.tokenisation);

@@ -1,12 +1,12 @@
-//! `roomcast habits`: what the daemon has learned of the home, to forget it, to take it elsewhere and back.
+//! `roomcast habits`: shows, forgets, exports, imports and learns the daemon's habits.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "simulation")]
-use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
+#[cfg(feature = "simulation")]
+use roomcast_ipc::raw::narration_kind;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
@@ -20,7 +20,6 @@ use roomcast_services::sensor_log::{self, SensorRules};
 #[cfg(feature = "simulation")]
 use roomcast_simulation::homer::Day;
 
-/// Arguments of `roomcast habits`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -29,7 +28,7 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Say how much was learned, of whom, and how much of the forecast comes from it.
+    /// Print how much was learned, for each person, and its share of the forecast.
     Show {
         #[command(flatten)]
         common: Common,
@@ -37,37 +36,36 @@ enum Action {
         #[arg(long)]
         json: bool,
     },
-    /// Forget what was learned of a person, or all of it.
+    /// Forget the habits of a person, or of all persons.
     #[command(group(clap::ArgGroup::new("whom").required(true).args(["person", "all"])))]
     Forget {
         /// A name or a number.
         #[arg(long, value_name = "NAME")]
         person: Option<String>,
-        /// Forget everybody.
+        /// Forget all persons.
         #[arg(long)]
         all: bool,
         #[command(flatten)]
         common: Common,
     },
-    /// Write what was learned into a file, as JSON: names of things and rooms, with counts by hour.
+    /// Write the habits into a file, as JSON: names of things and rooms, with counts by hour.
     Export {
         /// The file; it must not exist.
         file: PathBuf,
         #[command(flatten)]
         common: Common,
     },
-    /// Put what was exported in place of what was learned.
+    /// Replace the habits by exported ones.
     Import {
         /// The file.
         file: PathBuf,
         #[command(flatten)]
         common: Common,
     },
-    /// Learn from what was narrated before, in addition to what was learned.
+    /// Learn from earlier narration, in addition to the present habits.
     Learn(LearnArgs),
 }
 
-/// What is learned from.
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("input").required(true).args(INPUTS)))]
 struct LearnArgs {
@@ -76,34 +74,33 @@ struct LearnArgs {
     /// A sensor log, whose times are local ones.
     #[arg(long, value_name = "LOG", requires = "rules")]
     sensors: Option<PathBuf>,
-    /// The rules that make narration of the sensor log (docs/sensors.md).
+    /// The rules that turn the sensor log into narration (docs/sensors.md).
     #[arg(long, value_name = "FILE", requires = "sensors", conflicts_with_all = INPUTS.iter().filter(|input| **input != "sensors"))]
     rules: Option<PathBuf>,
     /// A recording (docs/recording.md).
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
-    /// A folder of days of activities (HOMER+), in the order of their names, whose times are local ones.
+    /// A folder of days of activities (HOMER+), in the order of their names, with local times.
     #[cfg(feature = "simulation")]
     #[arg(long, value_name = "FOLDER")]
     days: Option<PathBuf>,
-    /// The date of the first of these days; else the last one was yesterday.
+    /// The date of the first of these days; by default the last one was yesterday.
     #[cfg(feature = "simulation")]
     #[arg(long, value_name = "YYYY-MM-DD", requires = "days", conflicts_with = "rules", conflicts_with_all = INPUTS.iter().filter(|input| **input != "days"))]
     first_day: Option<String>,
-    /// The person, by name or number, where nothing says who it was.
+    /// The person, by name or number, if the input names none.
     #[arg(long)]
     person: Option<Who>,
     #[command(flatten)]
     common: Common,
 }
 
-/// What is learned from, one of them.
+/// The inputs of `learn`, one of them.
 #[cfg(feature = "simulation")]
 const INPUTS: [&str; 4] = ["lines", "sensors", "recording", "days"];
 #[cfg(not(feature = "simulation"))]
 const INPUTS: [&str; 3] = ["lines", "sensors", "recording"];
 
-/// Options of every action.
 #[derive(Debug, clap::Args)]
 struct Common {
     #[command(flatten)]
@@ -113,10 +110,6 @@ struct Common {
     patience: u64,
 }
 
-/// Asks the running daemon.
-///
-/// # Errors
-/// When no daemon answers, or it refuses.
 pub fn run(args: &Args) -> CommandResult {
     match &args.action {
         Action::Show { common, json } => {
@@ -147,9 +140,9 @@ pub fn run(args: &Args) -> CommandResult {
     }
 }
 
-/// Makes a file, which stands there whole or not at all. Nobody else may read what somebody does all day: its owner alone can.
+/// Writes a file completely or not at all. Only its owner can read it: habits are private.
 fn write_new(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
-    // What is there is not replaced, and that is known before anything is written.
+    // An existing file is not replaced, and that is checked before anything is written.
     if path.symlink_metadata().is_ok() {
         return Err(ErrorKind::AlreadyExists.into());
     }
@@ -161,7 +154,6 @@ fn write_new(path: &Path, fill: impl FnOnce(&mut File) -> io::Result<()>) -> io:
     File::open(folder)?.sync_all()
 }
 
-/// Reads a file of at most so many bytes of text.
 fn read(file: &Path, most: u64) -> Result<String, Failure> {
     let fault = |reason: String| {
         let text = format!("cannot read {}: {reason}; give a file of text", file.display());
@@ -187,30 +179,28 @@ fn import(file: &Path, asker: &Asker) -> CommandResult {
     print(&format!("Imported: {}.{}\n", known(&answer), after_restart(&answer)))
 }
 
-/// "0 observations and 84 hours in known places": whoever is told by presence alone has only the hours. What was seen long ago counts less, so
-/// they may have become fewer.
+/// "0 observations and 84 hours in known places": a person with presence events alone has only hours. Old observations count less, so the numbers can
+/// fall.
 fn counted([observations, hours]: [f64; 2]) -> String {
-    // A zero with a sign loses it.
+    // Adding 0 turns -0 into 0.
     let (observations, hours) = (observations.round() + 0.0, hours.round() + 0.0);
     let plural = |count: f64| if count == 1.0 { "" } else { "s" };
     let (of_things, of_hours) = (plural(observations), plural(hours));
     format!("{observations} observation{of_things} and {hours} hour{of_hours} in known places")
 }
 
-/// Observations and hours of everybody.
 fn total(answer: &HabitsAnswer) -> [f64; 2] {
     let of = |each: fn(&HabitsLine) -> f64| answer.persons.iter().map(each).sum::<f64>();
     [of(|line| line.observations), of(|line| line.watched_h)]
 }
 
-/// The same in words, and of how many persons.
 fn known(answer: &HabitsAnswer) -> String {
     format!("{} of {}", counted(total(answer)), super::count(answer.persons.len(), "person"))
 }
 
-/// Learns from a file, beside the daemon, and puts what was learned in place of what the daemon had.
+/// Learns from a file in this process, then replaces the daemon's habits.
 fn learn(args: &LearnArgs) -> CommandResult {
-    /// A home in which something is observed all the time leaves no time for it.
+    /// In a busy home the habits may change during each attempt.
     const ATTEMPTS: usize = 3;
     let _log = logging::init();
     let (read, unit) = lessons_of(args)?;
@@ -250,7 +240,7 @@ fn learn(args: &LearnArgs) -> CommandResult {
     Ok(())
 }
 
-/// What is learned from, and what of it stands for one fault.
+/// The lessons, and the unit of its faults.
 fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let person = args.person.clone().unwrap_or_default();
@@ -291,7 +281,6 @@ fn lessons_of(args: &LearnArgs) -> Result<(Lessons, &'static str), Failure> {
     }
 }
 
-/// Says what is left out, and why.
 fn tell_faults(faults: &Faults) {
     const TOLD: usize = 20;
     faults.told().iter().take(TOLD).for_each(|fault| super::tell(format_args!("roomcast: {fault}")));
@@ -300,7 +289,7 @@ fn tell_faults(faults: &Faults) {
     }
 }
 
-/// When the first of so many days began, in seconds since 1970, local time.
+/// The start of the first of these days, in seconds since 1970, local time.
 #[cfg(feature = "simulation")]
 fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failure> {
     const DAY_S: f64 = 86_400.0;
@@ -312,10 +301,10 @@ fn first_day_s(date: Option<&str>, days: usize, now_s: f64) -> Result<f64, Failu
         .ok_or_else(|| Failure::new(exit_code::USAGE, format!("--first-day {date:?} is no date: give YYYY-MM-DD")))
 }
 
-/// What is narrated of an action of some day.
+/// A narrated action of a day.
 #[cfg(feature = "simulation")]
 struct TimedItem {
-    /// From 1, as is the action's number in it.
+    /// From 1, as is the action's number in the day.
     day: usize,
     action: usize,
     /// In seconds since 1970, local time.
@@ -323,8 +312,7 @@ struct TimedItem {
     item: Item,
 }
 
-/// What is narrated of days that follow one another: each action when it was done; times do not go back where a day ends after the next
-/// one has begun.
+/// The narration of successive days, each action at its time. Times never go back, even if a day ends after the start of the next one.
 #[cfg(feature = "simulation")]
 fn day_items(days: &[Day], first_s: f64, person: &Who) -> impl Iterator<Item = TimedItem> {
     let mut last_s = first_s;
@@ -339,7 +327,7 @@ fn day_items(days: &[Day], first_s: f64, person: &Who) -> impl Iterator<Item = T
     })
 }
 
-/// The text in parts that a question can carry, as JSON too.
+/// The text in parts that fit a question, also as JSON.
 fn parts_of(text: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut rest = text;
@@ -359,7 +347,6 @@ fn after_restart(answer: &HabitsAnswer) -> &'static str {
     if answer.kept { "" } else { " A restarted daemon does not know this: daemon.state keeps habits." }
 }
 
-/// The way to the daemon's habits.
 struct Asker(service::Asker);
 
 impl Asker {
@@ -368,7 +355,7 @@ impl Asker {
         service::Asker::new(&domain, "roomcast-habits", question::HABITS, common.patience).map(Self)
     }
 
-    /// Puts what is learned in place of what the daemon has, if it has learned as many observations as expected.
+    /// Replaces the daemon's habits, if it still has the expected number of observations.
     fn replace(&self, json: &str, expected: Option<u64>) -> Result<HabitsAnswer, Failure> {
         let (parts, whole) = (parts_of(json), service::question_name());
         let mut last = HabitsAnswer::default();
@@ -392,13 +379,13 @@ impl Asker {
         done(self.0.ask(question)?)
     }
 
-    /// All that was learned, and the answer that it came with.
+    /// All habits, and the answer that has them.
     fn export(&self) -> Result<(HabitsAnswer, String), Failure> {
         exported(self.ask(&HabitsQuestion::Export)?)
     }
 }
 
-/// What an answer to the question for all that was learned has of it. An answer without it is not one of nothing learned: that has its form, too.
+/// The habits in an answer. An answer without them is an error: even empty habits have content.
 fn exported(mut answer: HabitsAnswer) -> Result<(HabitsAnswer, String), Failure> {
     match answer.export.take().filter(|text| !text.is_empty()) {
         Some(text) => Ok((answer, text)),
@@ -409,7 +396,7 @@ fn exported(mut answer: HabitsAnswer) -> Result<(HabitsAnswer, String), Failure>
     }
 }
 
-/// The answer, if all of it was done.
+/// The answer, if everything was done.
 fn done(answer: HabitsAnswer) -> Result<HabitsAnswer, Failure> {
     let reason = answer.reason.as_deref();
     if !answer.done {
@@ -422,7 +409,6 @@ fn done(answer: HabitsAnswer) -> Result<HabitsAnswer, Failure> {
     }
 }
 
-/// How much was learned, as a table.
 fn shown(answer: &HabitsAnswer) -> String {
     let mut text = match answer.learn {
         true => "Learning.".to_owned(),
@@ -436,7 +422,7 @@ fn shown(answer: &HabitsAnswer) -> String {
     let mut table = table(&["person", "name", "observations", "hours", "in 1 min", "in 15 min", "in 1 h"]);
     for line in &answer.persons {
         let HabitsLine { person, name, observations, watched_h, forecast } = line;
-        // Of the forecast, what is not the forecast without habits.
+        // The share of the forecast that is not the forecast without habits.
         let mut learned = forecast.iter().map(|line| format!("{:.0} %", 100.0 * (1.0 - line.shipped)));
         let mut next = || learned.next().unwrap_or_else(|| "-".to_owned());
         let name = name.clone().unwrap_or_default();
@@ -458,7 +444,7 @@ mod tests {
     use super::*;
     use roomcast_core::ids::PersonId;
 
-    /// Nobody who means to keep what was learned is told that an empty file is that.
+    /// An empty file must not pass as an export.
     #[test]
     fn an_answer_without_what_was_learned_is_no_export() {
         for export in [None, Some(String::new())] {
@@ -470,7 +456,7 @@ mod tests {
         assert_eq!((answer.taken, text.as_str()), (7, "{}"));
     }
 
-    /// On a full disk there is no half of a file, which would be in the way of the next try.
+    /// On a full disk there must be no partial file, which would block the next try.
     #[test]
     fn a_file_is_written_whole_or_not_at_all() {
         use std::os::unix::fs::PermissionsExt;
@@ -484,7 +470,7 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         write_new(&path, |whole| whole.write_all(b"all")).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
-        // Nothing is replaced, also what came while it was written.
+        // An existing file is not replaced, even if it appears during the write.
         assert_eq!(write_new(&path, |_| panic!("it is there")).unwrap_err().kind(), ErrorKind::AlreadyExists);
         let other = folder.path().join("other.json");
         let come = |whole: &mut File| {
@@ -523,7 +509,7 @@ mod tests {
         for wrong in ["yesterday", "2026-11-31", "1969-12-31"] {
             assert_eq!(first_day_s(Some(wrong), 1, now_s).unwrap_err().code, exit_code::USAGE, "{wrong}");
         }
-        // Without a date the last day was yesterday, by the clock of the place.
+        // Without a date the last day was yesterday, by local time.
         assert_eq!(
             [first_day_s(None, 1, now_s).unwrap(), first_day_s(None, 2, now_s).unwrap()],
             [first_s + 86_400.0, first_s]

@@ -1,4 +1,4 @@
-//! Where a home's rooms and rules come from: a Home Assistant's configuration folder, or its WebSocket API.
+//! Reads a home's rooms and rules: from a Home Assistant's configuration folder, or over its WebSocket API.
 
 use std::path::Path;
 
@@ -8,22 +8,22 @@ use super::scene_files::{in_file, input, read, write};
 use crate::home_assistant;
 use roomcast_core::semantic_map::import::{self, Home, Registries};
 
-/// Whether a source is an address, and no folder.
 pub(super) fn is_url(source: &Path) -> bool {
     let schemes = ["http://", "https://", "ws://", "wss://"];
     source.to_str().is_some_and(|source| schemes.iter().any(|scheme| source.starts_with(scheme)))
 }
 
-/// Reads a Home Assistant: the registries of a configuration folder, or those that its API tells.
-pub(super) fn home_assistant(
-    source: &Path,
-    name: &str,
-    token_file: Option<&Path>,
-    authority: Option<&Path>,
-    leave_out: &[String],
-) -> Result<Home, Failure> {
+/// Options for reading a Home Assistant.
+#[derive(Clone, Copy, Default)]
+pub(super) struct HomeOptions<'a> {
+    pub(super) token_file: Option<&'a Path>,
+    pub(super) authority: Option<&'a Path>,
+    pub(super) registries: Registries<'a>,
+}
+
+pub(super) fn home_assistant(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     if is_url(source) {
-        return over_network(source, name, token_file, authority, leave_out);
+        return over_network(source, name, options);
     }
     if !source.exists() {
         let source = source.display();
@@ -32,45 +32,39 @@ pub(super) fn home_assistant(
         );
         return Err(input(text));
     }
-    if token_file.is_some() || authority.is_some() {
+    if options.token_file.is_some() || options.authority.is_some() {
         let source = source.display();
         let text = format!(
             "a token is for an address, and {source} is a folder; give http://HOST:8123, or leave --token-file out"
         );
         return Err(Failure::new(crate::exit_code::USAGE, text));
     }
-    from_folder(source, name, leave_out)
+    from_folder(source, name, options.registries)
 }
 
 #[cfg(feature = "home")]
-fn over_network(
-    source: &Path,
-    name: &str,
-    token: Option<&Path>,
-    authority: Option<&Path>,
-    leave_out: &[String],
-) -> Result<Home, Failure> {
+fn over_network(source: &Path, name: &str, options: HomeOptions<'_>) -> Result<Home, Failure> {
     let url = source.to_string_lossy();
-    let Some(token) = token else {
+    let Some(token) = options.token_file else {
         let text =
             "give --token-file FILE with a long-lived access token (Home Assistant, your profile's page, Security)";
         return Err(Failure::new(crate::exit_code::USAGE, text));
     };
-    let fetched = home_assistant::fetch(&url, token, authority).map_err(input)?;
-    import::home_assistant(&Registries { leave_out, ..fetched.registries() }, name)
+    let fetched = home_assistant::fetch(&url, token, options.authority).map_err(input)?;
+    let Registries { leave_out, residents, furnished, .. } = options.registries;
+    import::home_assistant(&Registries { leave_out, residents, furnished, ..fetched.registries() }, name)
         .map_err(|error| in_file(&format!("Home Assistant {} at", fetched.version), source, &error))
 }
 
 #[cfg(not(feature = "home"))]
-fn over_network(source: &Path, _: &str, _: Option<&Path>, _: Option<&Path>, _: &[String]) -> Result<Home, Failure> {
+fn over_network(source: &Path, _: &str, _: HomeOptions<'_>) -> Result<Home, Failure> {
     let source = source.display();
     Err(input(format!(
         "{source}: this build has no network; give the configuration folder, or build with --features home"
     )))
 }
 
-/// Reads the registries of a configuration folder, or of its `.storage`.
-fn from_folder(folder: &Path, name: &str, leave_out: &[String]) -> Result<Home, Failure> {
+fn from_folder(folder: &Path, name: &str, options: Registries<'_>) -> Result<Home, Failure> {
     let inner = folder.join(".storage");
     let storage = if inner.is_dir() { &inner } else { folder };
     let (areas, registry) = (storage.join("core.area_registry"), "registry");
@@ -93,12 +87,12 @@ fn from_folder(folder: &Path, name: &str, leave_out: &[String]) -> Result<Home, 
         devices: devices.as_deref(),
         entities: entities.as_deref(),
         persons: persons.as_deref(),
-        leave_out,
+        ..options
     };
     import::home_assistant(&texts, name).map_err(|error| in_file("Home Assistant", storage, &error))
 }
 
-/// Whether rules can be used by `narrate --mqtt`.
+/// Checks rules for `narrate --mqtt`.
 pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
     #[cfg(feature = "mqtt")]
     roomcast_services::mqtt::Rules::parse(rules)
@@ -108,7 +102,7 @@ pub(super) fn check_rules(path: &Path, rules: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes rules where none are: somebody may have edited those that are there.
+/// Writes rules unless the file exists: a user may have edited it.
 pub(super) fn write_rules(path: &Path, rules: &str) -> Result<String, Failure> {
     if path.exists() {
         let path = path.display();

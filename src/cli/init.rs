@@ -1,7 +1,7 @@
-//! `roomcast init`: a home's map, rules and configuration, from what the home already knows of itself.
+//! `roomcast init`: writes a home's map, rules and configuration from the home's own data.
 //!
-//! What is not given is found (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal it is asked.
-//! All is read and checked before the first file is written, and no file that is there is overwritten unasked.
+//! Sources that are not given are searched for (a broker on this machine, a Home Assistant's folder, a robot at the broker), and on a terminal the
+//! user is asked. Everything is read and checked before the first file is written, and no existing file is overwritten without consent.
 
 use std::fmt::Write as _;
 use std::io::Read as _;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use roomcast_core::grounding::Grounding;
-use roomcast_core::semantic_map::import::{self, Home, Imported};
+use roomcast_core::semantic_map::import::{self, Home, Imported, Registries};
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 use roomcast_services::config::{Config, QuietHours, WhileAsleep};
 use roomcast_services::mqtt::look::{self, LookError, Seen};
@@ -27,36 +27,35 @@ use configuration::configuration;
 use join::{in_rooms_of, inside, rules_in, with_things};
 
 use super::choice::choice;
-use super::home_source::{check_rules, home_assistant, is_url};
+use super::home_source::{HomeOptions, check_rules, home_assistant, is_url};
 use super::scene::Furnish;
 use super::scene_files::{in_file, in_map, input, read, segment_names, write};
 use super::{CommandResult, Failure, count, print};
 use crate::exit_code;
 
-/// How long robots at the broker are listened to.
+/// How long to listen for robots at the broker.
 const LOOK: Duration = Duration::from_secs(3);
-/// The broker that is tried where none is given.
+/// The broker that is tried by default.
 const LOCAL_BROKER: &str = "mqtt://127.0.0.1";
-/// Where the configuration of a Home Assistant usually lies; under the user's own folder, too.
+/// Usual places of a Home Assistant's configuration, also below the user's home.
 const FOLDERS: [&str; 4] =
     ["/config", "/var/lib/homeassistant", "/usr/share/hassio/homeassistant", "/home/homeassistant/.homeassistant"];
 const OWN_FOLDER: &str = ".homeassistant";
-/// Where Valetudo tells of its state and its map, behind its prefix and identifier.
+/// Valetudo's topics of state and map, after its prefix and identifier.
 const STATUS: &str = "/StatusStateAttribute/status";
 const MAP: &str = "/MapData/map-data";
-/// The files beside the configuration, and the folder for what services keep. It names them as they lie beside it, so that all of them can be moved
-/// together, as to where the units read them.
+/// Files and folder in the configuration's folder. It names them relative to itself, so that all can be moved together to the place where the units
+/// read them.
 const SCENE_FILE: &str = "home.json";
 const RULES_FILE: &str = "home.rules.toml";
 const STATE_FOLDER: &str = "state";
-/// Quiet hours of a home that gives none.
+/// Default quiet hours.
 const QUIET: &str = "22:00-07:00";
 /// The folder for all of them.
 const FOLDER: &str = "home";
-/// The name that docs/home.md gives the file with the token.
+/// The token's file name in docs/home.md.
 const TOKEN_FILE: &str = "token";
 
-/// Arguments of `roomcast init`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The folder for home.json, home.rules.toml and roomcast.toml; it is made if it is missing.
@@ -71,7 +70,7 @@ pub struct Args {
     /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
+    /// A PEM file with the certificates of the Home Assistant's certificate authority, for an https address.
     #[arg(long, value_name = "FILE", requires = "token_file")]
     ca: Option<PathBuf>,
     /// An area of Home Assistant that becomes no room, by its name or id; once for each.
@@ -83,44 +82,44 @@ pub struct Args {
     /// A file with the broker's user name and password, a line each.
     #[arg(long, value_name = "FILE")]
     mqtt_credentials: Option<PathBuf>,
-    /// A PEM file with the certificates that the broker's is signed by.
+    /// A PEM file with the certificates of the broker's certificate authority.
     #[arg(long, value_name = "FILE")]
     mqtt_ca: Option<PathBuf>,
-    /// A robot's map: the file that Valetudo exports, or `mqtt` for the map that it tells the broker; `none` for a home without.
+    /// A robot's map: the file that Valetudo exports, or `mqtt` for the map at the broker; `none` for a home without.
     #[arg(long, value_name = "FILE|mqtt|none")]
     valetudo: Option<PathBuf>,
     /// Names for the segments of the robot's map: a TOML file with a line such as `11 = "kitchen"` each.
     #[arg(long, value_name = "FILE")]
     names: Option<PathBuf>,
-    /// The robot: where it speaks at the broker, Valetudo's prefix and identifier or homeassistant/vacuum/NAME; `none` for a home without.
+    /// The robot's topic at the broker: Valetudo's prefix and identifier, or homeassistant/vacuum/NAME; `none` for a home without.
     #[arg(long, value_name = "TOPIC|none")]
     robot: Option<String>,
-    /// Who lives here; once for each, or with commas between: everybody else is a visitor. Without it, the persons that Home Assistant has;
-    /// `none` for nobody, so that nobody counts as a visitor.
+    /// A resident's name; once for each, or with commas between. Other persons are visitors. Without it, the persons of Home Assistant; `none` for no
+    /// list, so that no person counts as a visitor.
     #[arg(long, value_name = "NAME|none")]
     resident: Vec<String>,
     /// Hours in which no robot works, such as `22:00-07:00` or `sat,sun 22:00-09:00`; once for each, or with semicolons between; `none` for none.
     #[arg(long, value_name = "HOURS|none")]
     quiet: Vec<String>,
-    /// Where no robot works while a person sleeps.
+    /// Rooms that the robot avoids while a person sleeps.
     #[arg(long, value_name = "ROOMS", value_parser = choice::<WhileAsleep>())]
     while_asleep: Option<WhileAsleep>,
-    /// Which rooms get the usual furniture of their kind; ids of such things begin with "assumed". Of a home with a robot's map that is decided
-    /// before Home Assistant's things are put there.
+    /// Which rooms get the usual furniture of their kind; ids of such things begin with "assumed". With a robot's map, this is decided before Home
+    /// Assistant's things are added.
     #[arg(long, value_enum, value_name = "WHICH", default_value = "typical")]
     furnish: Furnish,
     /// Leave all rooms as they are, without assumed furniture.
     #[arg(long, conflicts_with = "furnish")]
     bare: bool,
-    /// Write new files where some are already. Each old file stays beside the new one, as NAME.old.
+    /// Replace existing files. Each old file is kept as NAME.old.
     #[arg(long)]
     replace: bool,
-    /// Ask nothing, also on a terminal.
+    /// Ask no question, also on a terminal.
     #[arg(long)]
     yes: bool,
 }
 
-/// What was found out.
+/// The given, found and asked values.
 struct Found {
     broker: Option<Broker>,
     seen: Seen,
@@ -138,8 +137,8 @@ struct Found {
 ///
 /// # Errors
 ///
-/// [`exit_code::USAGE`] when nothing tells of rooms, [`exit_code::INPUT`] when a source cannot be used, [`exit_code::FAILURE`] when a file
-/// is there already or cannot be written.
+/// [`exit_code::USAGE`] if no source has rooms, [`exit_code::INPUT`] if a source is unusable, [`exit_code::FAILURE`] if a file exists already or
+/// cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let mut asker = Asker::new(args.yes);
     let folder = args.folder.as_ref().unwrap_or(&args.out);
@@ -163,7 +162,7 @@ pub fn run(args: &Args) -> CommandResult {
     print(&report)
 }
 
-/// Moves a file aside that is there with another text: somebody may have edited it. Returns its new name.
+/// Moves an existing file with another text aside: a user may have edited it. Returns its new name.
 fn keep_old(path: &Path, text: &str) -> Result<Option<PathBuf>, Failure> {
     const MOST: usize = 1_000;
     let is_same = || std::fs::read(path).is_ok_and(|old| old == text.as_bytes());
@@ -191,7 +190,7 @@ fn cannot_make(folder: &Path, error: &std::io::Error) -> Failure {
     Failure::new(exit_code::FAILURE, text)
 }
 
-/// Whether these files may be written.
+/// Checks whether these files may be written.
 fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult {
     let there: Vec<String> = files.iter().filter(|path| path.exists()).map(|path| path.display().to_string()).collect();
     if let Some(path) = files.iter().find(|path| path.exists() && !path.is_file()) {
@@ -211,10 +210,10 @@ fn permit(files: &[PathBuf], replace: bool, asker: &mut Asker) -> CommandResult 
     Err(Failure::new(exit_code::FAILURE, text))
 }
 
-/// Takes what is given, finds what is not, and asks.
+/// Takes the given values, searches for the others, and asks.
 fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let mut notes = Vec::new();
-    let home_assistant = find_home_assistant(args, asker, &mut notes)?;
+    let (mut home_assistant, token) = find_home_assistant(args, asker, &mut notes)?;
     if home_assistant.is_none() && !args.leave_out.is_empty() {
         let text = "--leave-out names an area of Home Assistant, and there is none: give --home-assistant, or remove --leave-out";
         return Err(Failure::new(exit_code::USAGE, text));
@@ -231,6 +230,12 @@ fn find(args: &Args, asker: &mut Asker) -> Result<Found, Failure> {
     let valetudo = find_map(args, robot.as_deref(), &seen, asker, &mut notes)?;
     let persons = home_assistant.as_ref().map_or(&[][..], |(_, home)| &home.persons);
     let residents = find_residents(args, persons, asker, &mut notes)?;
+    if let Some((source, home)) = &mut home_assistant
+        && residents.iter().any(|name| !home.persons.contains(name))
+    {
+        // Sensors have names of residents who are not persons in Home Assistant.
+        *home = read_home(args, source, token.as_deref(), &residents)?;
+    }
     let quiet = find_quiet(args, asker, &mut notes)?;
     let while_asleep = find_while_asleep(args, asker)?;
     Ok(Found { broker, seen, home_assistant, robot, valetudo, residents, quiet, while_asleep, notes })
@@ -240,21 +245,25 @@ fn is_none(path: &Path) -> bool {
     path == Path::new("none")
 }
 
-/// The Home Assistant, read, and where it is.
-fn find_home_assistant(
-    args: &Args,
-    asker: &mut Asker,
-    notes: &mut Vec<String>,
-) -> Result<Option<(PathBuf, Home)>, Failure> {
-    let read = |source: &Path, token: Option<&Path>| {
+fn read_home(args: &Args, source: &Path, token_file: Option<&Path>, residents: &[String]) -> Result<Home, Failure> {
+    let registries =
+        Registries { leave_out: &args.leave_out, residents, furnished: !args.bare, ..Registries::default() };
+    home_assistant(source, "home", HomeOptions { token_file, authority: args.ca.as_deref(), registries })
+}
+
+/// Home Assistant's source and content, and the file of its token.
+type FoundHome = (Option<(PathBuf, Home)>, Option<PathBuf>);
+
+fn find_home_assistant(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<FoundHome, Failure> {
+    let read = |source: &Path, token: Option<PathBuf>| -> Result<FoundHome, Failure> {
         if is_none(source) {
-            return Ok(None);
+            return Ok((None, None));
         }
-        let home = home_assistant(source, "home", token, args.ca.as_deref(), &args.leave_out)?;
-        Ok(Some((source.to_owned(), home)))
+        let home = read_home(args, source, token.as_deref(), &[])?;
+        Ok((Some((source.to_owned(), home)), token))
     };
     if let Some(given) = &args.home_assistant {
-        return read(given, args.token_file.as_deref());
+        return read(given, args.token_file.clone());
     }
     let found = home_folder();
     let shown = found.as_ref().map_or("none".to_owned(), |found| found.display().to_string());
@@ -269,24 +278,24 @@ fn find_home_assistant(
             }
             None => None,
         };
-        read(source, token.as_deref())
+        read(source, token)
     })?;
     match (asked, found) {
         (Some(asked), _) => Ok(asked),
-        (None, None) => Ok(None),
+        (None, None) => Ok((None, None)),
         (None, Some(found)) => {
             notes.push(format!("found Home Assistant's configuration in {}", found.display()));
-            read(&found, args.token_file.as_deref())
+            read(&found, args.token_file.clone())
         }
     }
 }
 
-/// Whether an address can be one, before anything else is asked for it.
+/// Checks an address before further questions about it.
 fn usable_address(address: &str) -> CommandResult {
     crate::home_assistant::check_address(address).map_err(input)
 }
 
-/// The token's file for an address. Without one the way leads back to the address.
+/// The token's file for an address. Without one, the address is asked for again.
 fn ask_token(asker: &mut Asker) -> Result<PathBuf, Failure> {
     let question = "A file with a long-lived access token (in Home Assistant: your profile, Security), or none to give another address.";
     let default = if Path::new(TOKEN_FILE).exists() { TOKEN_FILE } else { "none" };
@@ -297,20 +306,18 @@ fn ask_token(asker: &mut Asker) -> Result<PathBuf, Failure> {
     file.flatten().ok_or_else(|| input("an address needs a token; give another one, a folder, or none"))
 }
 
-/// A token's file, if a token can be read from it.
 fn usable_token(path: &Path) -> Result<PathBuf, Failure> {
     crate::home_assistant::read_token(path).map_err(input)?;
     Ok(path.to_owned())
 }
 
-/// The folder of a Home Assistant on this machine.
 fn home_folder() -> Option<PathBuf> {
     let own = std::env::var_os("HOME").map(|home| Path::new(&home).join(OWN_FOLDER));
     let all = FOLDERS.iter().map(PathBuf::from).chain(own);
     all.into_iter().find(|folder| folder.join(".storage/core.area_registry").is_file())
 }
 
-/// The broker, and what is said there of robots.
+/// The broker, and the robots' topics there.
 fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<(Option<Broker>, Seen), Failure> {
     let at = |address: &str| Broker {
         address: address.to_owned(),
@@ -335,7 +342,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
             loop {
                 match look(&broker) {
                     Ok(seen) => return Ok((Some(broker), seen)),
-                    // A login can be given.
+                    // A login may help.
                     Err(LookError::Login { .. }) => {
                         let question =
                             "The broker wants a login: a file with user name and password, a line each, or none.";
@@ -367,7 +374,7 @@ fn find_broker(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Resul
             ));
             Ok((None, Seen::default()))
         }
-        // The map was to come from there.
+        // The user wants the map from the broker.
         Err(error) if args.valetudo.as_deref() == Some(Path::new("mqtt")) => Err(input(told(error))),
         Err(error) => {
             let no_robot = match args.robot {
@@ -386,7 +393,7 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// Whether nothing is given that only a broker can be used for: it would be lost without a word.
+/// Refuses options that need a broker: without one they would be ignored silently.
 fn of_no_broker(args: &Args, robot: bool) -> CommandResult {
     let given = [
         ("--mqtt-credentials", args.mqtt_credentials.is_some()),
@@ -400,7 +407,7 @@ fn of_no_broker(args: &Args, robot: bool) -> CommandResult {
     Err(Failure::new(exit_code::USAGE, text))
 }
 
-/// The failure that a broker's set-up is which cannot be used.
+/// The failure of an unusable broker configuration.
 fn unusable(error: LookError) -> Failure {
     if matches!(&error, LookError::Setup(MqttError::Read { .. })) {
         let text = format!("{error}; give --mqtt-credentials and --mqtt-ca files that are there, or leave them out");
@@ -409,7 +416,7 @@ fn unusable(error: LookError) -> Failure {
     Failure::new(exit_code::USAGE, error)
 }
 
-/// Where robots speak Valetudo at the broker.
+/// The topics of robots with Valetudo at the broker.
 fn robots_at(seen: &Seen) -> Vec<&str> {
     let mut robots: Vec<&str> = (seen.topics.keys())
         .filter_map(|topic| topic.strip_suffix(STATUS).or_else(|| topic.strip_suffix(MAP)))
@@ -419,12 +426,12 @@ fn robots_at(seen: &Seen) -> Vec<&str> {
     robots
 }
 
-/// Whether a robot's topic is that of a vacuum's states in Home Assistant.
+/// Whether a robot's topic is of a vacuum in Home Assistant.
 fn is_of_home_assistant(robot: &str) -> bool {
     robot.contains("/vacuum/")
 }
 
-/// The robot that is given, which may be switched off; where others speak, it may be another one that is meant.
+/// The given robot, which may be switched off. If only others are heard, a note says so.
 fn given_robot(given: &str, seen: &Seen, notes: &mut Vec<String>) -> String {
     let (given, robots) = (given.trim_end_matches('/'), robots_at(seen));
     if !robots.is_empty() && !robots.contains(&given) && !is_of_home_assistant(given) {
@@ -433,7 +440,6 @@ fn given_robot(given: &str, seen: &Seen, notes: &mut Vec<String>) -> String {
     given.to_owned()
 }
 
-/// The robot that speaks Valetudo at the broker.
 fn find_robot(
     seen: &Seen,
     is_broker: bool,
@@ -473,7 +479,7 @@ fn find_robot(
     }
 }
 
-/// The robot's map, where a file is to be read.
+/// The robot's map, if a file is to be read.
 fn find_map(
     args: &Args,
     robot: Option<&str>,
@@ -505,7 +511,7 @@ fn find_map(
     Ok(map)
 }
 
-/// Who lives here: who is given, else whom Home Assistant knows; where it is asked, an answer may say otherwise.
+/// The residents: the given ones, else the persons of Home Assistant, as a default for the question.
 fn find_residents(
     args: &Args,
     known: &[String],
@@ -520,7 +526,7 @@ fn find_residents(
         checked_residents(&given)?;
         return Ok(given);
     }
-    // A comma would make two names of one.
+    // A comma would split one name into two.
     let known = if known.iter().any(|name| name.contains(',')) { &[][..] } else { known };
     let question = "Who lives here: names with commas between, or none. With names, everybody else is a visitor.";
     let shown = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
@@ -544,7 +550,7 @@ fn find_residents(
     Ok(names)
 }
 
-/// The hours in which no robot works: those that are given, else the night.
+/// The given quiet hours, else the night.
 fn find_quiet(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result<Vec<QuietHours>, Failure> {
     let read = |text: &str| -> Result<Vec<QuietHours>, Failure> {
         let parts = text.split(';').map(str::trim).filter(|part| !part.is_empty() && *part != "none");
@@ -566,7 +572,6 @@ fn find_quiet(args: &Args, asker: &mut Asker, notes: &mut Vec<String>) -> Result
     )
 }
 
-/// Where no robot works while a person sleeps.
 fn find_while_asleep(args: &Args, asker: &mut Asker) -> Result<WhileAsleep, Failure> {
     if let Some(given) = args.while_asleep {
         return Ok(given);
@@ -581,12 +586,11 @@ fn find_while_asleep(args: &Args, asker: &mut Asker) -> Result<WhileAsleep, Fail
     Ok(asked.unwrap_or_default())
 }
 
-/// The names in a text with commas between.
 fn names_in(text: &str) -> Vec<String> {
     text.split(',').map(str::trim).filter(|name| !name.is_empty()).map(str::to_owned).collect()
 }
 
-/// Whether these may be residents.
+/// Checks whether these may be residents.
 fn checked_residents(names: &[String]) -> CommandResult {
     if names.iter().any(|name| name == "none") {
         return Err(Failure::new(exit_code::USAGE, "none means nobody and stands alone: give names, or none"));
@@ -596,7 +600,7 @@ fn checked_residents(names: &[String]) -> CommandResult {
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))
 }
 
-/// What is to be written, and what to say of it.
+/// The contents of the files, and notes for the report.
 struct Made {
     map: SemanticMap,
     rules: Option<String>,
@@ -634,7 +638,7 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     let (mut map, mut notes, mut rules) = (imported.map, imported.notes, rules);
     if let Some(Imported { map: areas, .. }) = &areas {
         map = with_things(&map, areas, &known, &mut notes)?;
-        // Where no rule is left, none can be read.
+        // Without a rule there is no valid file of rules.
         rules = rules.map(|text| in_rooms_of(&map, areas, &known, &text, &mut notes)).filter(|text| rules_in(text) > 0);
     }
     if let Some(text) = &rules {
@@ -644,12 +648,12 @@ fn make(args: &Args, files: &[PathBuf; 3], found: &Found) -> Result<Made, Failur
     let checked: Config =
         toml::from_str(&config).map_err(|error| input(format!("{}: {error}", config_file.display())))?;
     checked.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // What the services will read is what was made.
+    // The services will read exactly this configuration and map.
     Grounding::new(&map, &checked.grounding).map_err(input)?;
     Ok(Made { map, rules, config, notes })
 }
 
-/// The robot's own map: of a file, or of what it tells the broker.
+/// The robot's own map, from a file or from the broker.
 fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
     let over_broker = found.valetudo.as_deref() == Some(Path::new("mqtt"));
     let told = || {
@@ -682,7 +686,7 @@ fn robot_map(args: &Args, found: &Found) -> Result<Option<Imported>, Failure> {
     import_map(args, &json, &from).map(Some)
 }
 
-/// A robot's map, with the names that were given for its segments.
+/// A robot's map, with the given names for its segments.
 fn import_map(args: &Args, json: &str, from: &Path) -> Result<Imported, Failure> {
     let names = match &args.names {
         Some(path) => segment_names(path)?,
@@ -691,7 +695,7 @@ fn import_map(args: &Args, json: &str, from: &Path) -> Result<Imported, Failure>
     import::valetudo(json, "home", &names).map_err(|error| in_map(from, args.names.as_deref(), &error))
 }
 
-/// A map as the robot tells it: zlib, or plain.
+/// A map as the robot publishes it: zlib, or plain.
 fn unpacked(payload: &[u8]) -> Result<String, String> {
     let text = if payload.first() == Some(&b'{') {
         String::from_utf8(payload.to_vec()).map_err(|_| "it is not UTF-8".to_owned())?
@@ -711,7 +715,7 @@ fn unpacked(payload: &[u8]) -> Result<String, String> {
 }
 
 impl Made {
-    /// What was written, what is assumed, and how to go on.
+    /// The written files, the assumptions, and the next steps.
     fn report(&self, [scene, rules, config]: &[PathBuf; 3], found: &Found) -> String {
         let mut text = String::new();
         for note in &found.notes {
@@ -806,8 +810,7 @@ mod tests {
         let sensor = |(id, _): &(&str, &str)| json!({"entity_id": format!("binary_sensor.{id}"), "area_id": id, "original_device_class": "motion"});
         let areas_text = json!({"data": {"areas": areas.iter().map(area).collect::<Vec<_>>()}}).to_string();
         let entities = json!({"data": {"entities": areas.iter().map(sensor).collect::<Vec<_>>()}}).to_string();
-        let registries =
-            import::Registries { areas: &areas_text, entities: Some(&entities), ..import::Registries::default() };
+        let registries = Registries { areas: &areas_text, entities: Some(&entities), ..Registries::default() };
         import::home_assistant(&registries, "home").unwrap()
     }
 
@@ -826,7 +829,7 @@ mod tests {
         }
     }
 
-    /// A home is set up in a user's folder, and moved to where the units may read it.
+    /// A home is set up in a user's folder, and moved to the units' folder.
     #[test]
     fn the_files_can_be_moved_together() {
         let broker = Broker {
@@ -851,7 +854,7 @@ mod tests {
         std::fs::write(folder.path().join(SCENE_FILE), "{}").unwrap();
         let file = folder.path().join("roomcast.toml");
         for has_rules in [true, false] {
-            // The line that waits for rules names the same file.
+            // The commented line for rules names the same file.
             let text = configuration(&map, has_rules, &found).replace("# rules = ", "rules = ");
             std::fs::write(&file, text).unwrap();
             let Config { scene, daemon, mqtt, .. } = Config::load(&file).unwrap();
@@ -868,8 +871,7 @@ mod tests {
         let vacuum = json!({"entity_id": "vacuum.dusty", "options": options});
         let entities = json!({"data": {"entities": [vacuum]}}).to_string();
         let areas = areas.to_string();
-        let registries =
-            import::Registries { areas: &areas, entities: Some(&entities), ..import::Registries::default() };
+        let registries = Registries { areas: &areas, entities: Some(&entities), ..Registries::default() };
         let home = import::home_assistant(&registries, "home").unwrap();
         let map = home.imported.map.clone();
         let found = Found {
@@ -888,7 +890,7 @@ mod tests {
         assert_eq!(config.robot.segments, [("kitchen".to_owned(), "16".to_owned())].into());
     }
 
-    /// What `init` does not know no program may take for known: the rules that it leaves name rooms by their ids alone.
+    /// Programs must not act on guesses of `init`: the remaining rules name rooms by their ids.
     #[test]
     fn rules_of_areas_that_no_room_is_known_to_be_are_comments() {
         let rooms = |names: &[&str]| {
@@ -924,7 +926,7 @@ mod tests {
             text.contains("# room = \"bad_gaste\"\n") && text.contains("Write one of kitchen-1, bathroom-2, hallway-3"),
             "{text}"
         );
-        // Without the signs they are the rules that they were.
+        // Without the comment signs, they are the original rules.
         let all = text.replace("# [[rule]]", "[[rule]]").replace("# topic", "topic").replace("# when", "when");
         let all = all.replace("# sensor", "sensor").replace("# id", "id").replace("# room", "room");
         assert_eq!(all.parse::<toml::Table>().unwrap()["rule"].as_array().unwrap().len(), areas.len(), "{all}");

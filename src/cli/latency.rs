@@ -1,4 +1,4 @@
-//! `roomcast latency`: events to scores and decisions between real processes, beside the least that the machine needs for it.
+//! `roomcast latency`: measures events to scores and decisions between real processes, and yardsticks for comparison.
 
 use std::path::PathBuf;
 use std::process::Stdio;
@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 use indicatif::ProgressBar;
-use roomcast_ipc::{DecisionV1, Domain, Node, RoomScoresV1};
+use roomcast_ipc::raw::{DecisionV1, RoomScoresV1};
+use roomcast_ipc::{Domain, Node};
 use serde::Serialize;
 
 use super::stage::Stage;
@@ -21,14 +22,13 @@ use roomcast_services::stop::Stop;
 /// Loading the model is the slow part of the start.
 const START_WITHIN: Duration = Duration::from_secs(120);
 
-/// Arguments of `roomcast latency`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Samples per path.
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = ranges::some())]
     samples: u64,
-    /// Milliseconds of silence before each sample, in which the processes fall asleep. From a few hundred on, as people pace what they do,
-    /// answers are prepared, and have a row of their own.
+    /// Milliseconds of silence before each sample, in which the processes fall asleep. From a few hundred on, at a person's pace, answers are
+    /// prepared, and have a separate row.
     #[arg(long, value_name = "MS", default_value_t = 5, value_parser = ranges::any())]
     pause: u64,
     /// Which scorer: the model, none (every word is as likely), or both in turn.
@@ -43,13 +43,13 @@ pub struct Args {
     /// How many likely next sentences the daemon scores ahead (`scoring.prepare`), in place of the default.
     #[arg(long, value_name = "N", value_parser = ranges::whole(0..=ANSWERS_MAX))]
     prepare: Option<usize>,
-    /// A file with the sentences to narrate, a line each, over and over; the shipped programs' when left out.
+    /// A file with the sentences to narrate, a line each, repeated; by default those of the shipped programs.
     #[arg(long, value_name = "FILE")]
     sentences: Option<PathBuf>,
     /// The scene file, or a shipped scene's name.
     #[arg(long, value_name = "FILE", default_value = "apartment-e0")]
     scene: PathBuf,
-    /// A GGUF model; the embedded household model when left out.
+    /// A GGUF model; by default the embedded household model.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Print one JSON object.
@@ -57,10 +57,10 @@ pub struct Args {
     json: bool,
 }
 
-/// Arguments of `roomcast latency-end`, which a measurement starts for itself.
+/// Arguments of `roomcast latency-end`, which a measurement starts.
 #[derive(Debug, clap::Args)]
 pub struct EndArgs {
-    /// Answer over this yardstick's path; keep every core busy when left out.
+    /// Answer over this yardstick's path; by default keep every core busy.
     #[arg(long)]
     echo: Option<Path>,
     #[command(flatten)]
@@ -96,11 +96,6 @@ impl From<LatencyError> for Failure {
     }
 }
 
-/// Measures and prints a row per path, scorer and load.
-///
-/// # Errors
-///
-/// When a process cannot be started, ends, or does not answer.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let scorers: &[&str] = match args.scorer {
@@ -132,11 +127,6 @@ pub fn run(args: &Args) -> CommandResult {
     print(&rows)
 }
 
-/// Is the other end of a measurement.
-///
-/// # Errors
-///
-/// When the yardstick's path fails.
 pub fn run_end(args: &EndArgs) -> CommandResult {
     let stop = service::stop()?;
     let Some(path) = args.echo else {
@@ -149,13 +139,13 @@ pub fn run_end(args: &EndArgs) -> CommandResult {
 }
 
 impl Args {
-    /// Samples thrown away at first, until caches and connections are warm.
+    /// Samples that are dropped until caches and connections are warm.
     fn warm_up(&self) -> u64 {
         (self.samples / 20).clamp(10, 100)
     }
 }
 
-/// One scorer under one load: first scores, then decisions, each beside the yardsticks; those of the second part are not kept.
+/// One scorer under one load: first scores, then decisions, each with the yardsticks. The second part's yardsticks are dropped.
 fn measure(
     args: &Args,
     scorer: &'static str,
@@ -172,9 +162,9 @@ fn measure(
     stage.configure(&format!("[ipc]\nspin_us = {}\n{prepare}", args.spin))?;
     let node = domain.open("roomcast-latency").map_err(ipc)?;
     let result = on_stage(args, scorer, load, &mut stage, &node, stop, progress);
-    // The node goes before the domain can be removed.
+    // The node must be dropped before the domain can be removed.
     drop(node);
-    // A process that has ended knows better why than the one that waited for it.
+    // If a process has ended, its own error is clearer.
     if result.is_err() && !stop.requested() {
         stage.check()?;
     }
@@ -220,7 +210,7 @@ fn on_stage(
         }
     }
 
-    // The scores' subscriber goes, and the planner takes its place: each path wakes the processes that lie on it, no others.
+    // The planner replaces the scores' subscriber: each path wakes only its own processes.
     let narrator = match probes.pop() {
         Some(Probe::Scores(narrator, _)) => narrator,
         _ => Narrator::new(node, "latency-decision", &sentences)?,
@@ -244,7 +234,7 @@ fn yardsticks(stage: &mut Stage, node: &Node) -> Result<Vec<Probe>, Failure> {
     stage.start_with("latency-end", &echo("eventfd"), Stdio::from(input), Stdio::from(output))?;
     let (socket, there) = Probe::unix_socket()?;
     stage.start_with("latency-end", &echo("unix-socket"), Stdio::from(there), Stdio::null())?;
-    // The requests' sender is there before the process that listens to it.
+    // The sender of requests must exist before its listener.
     let bare = Probe::bare_iceoryx2(node)?;
     stage.start("latency-end", &echo("bare-iceoryx2"))?;
     Ok(vec![counters, socket, bare])
@@ -263,7 +253,7 @@ fn wait_for(stage: &mut Stage, stop: &Stop, mut there: impl FnMut() -> Result<bo
     Ok(())
 }
 
-/// What a person does in the shipped programs.
+/// The actions of the shipped programs, or the lines of a file.
 fn sentences(file: Option<&std::path::Path>) -> Result<Vec<String>, Failure> {
     let mut sentences = Vec::new();
     if let Some(file) = file {
@@ -299,7 +289,7 @@ fn print(rows: &[Row]) -> CommandResult {
         "p50 / bare",
         "p99 / bare",
     ]);
-    // So many columns would break names and figures apart in a narrow terminal.
+    // In a narrow terminal this many columns would break names and figures.
     table.set_content_arrangement(comfy_table::ContentArrangement::Disabled);
     for row in rows {
         let bare =
@@ -339,7 +329,7 @@ mod tests {
         Args::from_arg_matches(&Args::augment_args(clap::Command::new("latency")).try_get_matches_from(line)?)
     }
 
-    /// What the daemon would refuse in a file that nobody wrote is refused on the command line, and nothing else is.
+    /// The command line and the configuration have the same limits.
     #[test]
     fn the_command_line_takes_what_the_configuration_takes() {
         for (option, key, most) in

@@ -7,7 +7,6 @@ use clap::{Command, CommandFactory};
 use super::{Cli, CommandResult, Failure};
 use crate::exit_code;
 
-/// Arguments of `roomcast man`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The folder to write the pages into; it is made if it is missing.
@@ -15,11 +14,6 @@ pub struct Args {
     folder: PathBuf,
 }
 
-/// Writes one page per command.
-///
-/// # Errors
-///
-/// When the folder cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     let folder = &args.folder;
     let mut command = Cli::command().disable_help_subcommand(true);
@@ -34,7 +28,6 @@ pub fn run(args: &Args) -> CommandResult {
     })
 }
 
-/// Writes the pages of a command and of those below it.
 fn write(command: &Command, source: &str, folder: &Path) -> std::io::Result<()> {
     for below in command.get_subcommands().filter(|below| !below.is_hide_set()) {
         write(below, source, folder)?;
@@ -47,7 +40,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
-    /// Two programs are in one package: no page has the name of the other one, and all say whose they are.
+    /// One package has two programs: their pages must have different names, and name their program.
     #[test]
     fn pages_are_of_this_program() {
         let folder = tempfile::tempdir().unwrap();
@@ -58,7 +51,7 @@ mod tests {
         let mqtt = page("roomcast-publish-mqtt.1").unwrap();
         assert!(mqtt.lines().any(|line| line == format!(".TH {header} ")), "{}", &mqtt[..400]);
         assert!(page("roomcast.1").is_ok() && page("roomcast-scene-check.1").is_ok());
-        // Whoever begins at roomcast.1 comes to every page, and to no other.
+        // Links from roomcast.1 lead to every page, and to no other.
         let is_listed = |line: &str| Some(line.strip_suffix("(1)")?.replace('\\', "") + ".1");
         let files = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name());
         let pages: BTreeSet<String> = files.map(|name| name.into_string().unwrap()).collect();

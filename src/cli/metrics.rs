@@ -9,7 +9,6 @@ use roomcast_services::{logging, notify};
 
 use crate::exit_code;
 
-/// Arguments of `roomcast metrics`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -19,11 +18,6 @@ pub struct Args {
     listen: Option<SocketAddr>,
 }
 
-/// Serves until it is asked to stop.
-///
-/// # Errors
-///
-/// When no address is configured, it is none of this machine alone, or it is taken; when a service is lost.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();

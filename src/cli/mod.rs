@@ -100,17 +100,17 @@ enum Command {
     /// Show the whole system at work on this machine.
     #[cfg(feature = "demo")]
     Demo(demo::Args),
-    /// Say whether this machine can run Roomcast, and how well; with --config, what is wrong with a home's set-up.
+    /// Say whether this machine can run Roomcast, and how well; with --config, check a home's set-up.
     Doctor(doctor::Args),
-    /// The program `roomcast-lab` has the experiments.
+    /// Now a command of the program `roomcast-lab`.
     #[command(hide = true, disable_help_flag = true)]
     Experiment(Moved),
     /// Explain the scores of one moment: rooms, labels, tokens, items and the narration behind them.
     #[cfg(all(feature = "simulation", feature = "recordings"))]
     Explain(explain::Args),
-    /// Say what a running daemon has learned of the home, let it learn from before, forget it, or take it elsewhere.
+    /// Show the habits that a running daemon has learned, let it learn from earlier narration, forget them, export and import them.
     Habits(habits::Args),
-    /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for what is not given.
+    /// Set up a home: its map, rules and configuration from Home Assistant and a robot vacuum; asks for missing values.
     #[cfg(feature = "home")]
     Init(init::Args),
     /// Measure how long events take to become scores and decisions, between real processes.
@@ -130,7 +130,7 @@ enum Command {
     Model(model::Args),
     /// Publish what a person does: activity programs, JSON lines, plain sentences, sensor logs, or what devices say over MQTT.
     Narrate(narrate::Args),
-    /// Say who a running daemon knows, forget somebody, or give somebody a name.
+    /// List the persons that a running daemon knows, correct the belief about a person, rename or forget a person.
     Person(person::Args),
     /// Decide where the robot goes: the service that applies a policy to the scores.
     Planner(planner::Args),
@@ -160,7 +160,7 @@ enum Command {
     View(view::Args),
 }
 
-/// The words behind a command that another program has now.
+/// The arguments of a command that another program has now.
 #[derive(Debug, clap::Args)]
 struct Moved {
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -178,7 +178,7 @@ impl From<Moved> for Failure {
 }
 
 impl Command {
-    /// Whether a reader that leaves may end the command at once: it holds no place in a domain, and no processes.
+    /// Whether a reader that leaves may end the command at once: it is in no domain and has no child processes.
     fn only_prints(&self) -> bool {
         match self {
             Self::Config(_) | Self::Doctor(_) | Self::Model(_) | Self::Scene(_) | Self::Score(_) => true,
@@ -191,12 +191,11 @@ impl Command {
     }
 }
 
-/// The commands.
 fn commands() -> clap::Command {
     take_negative_numbers(Cli::command())
 }
 
-/// Parses the command line, runs it and gives the exit code; prints an error once, on standard error.
+/// Parses the command line, runs it and returns the exit code. Prints an error once, on standard error.
 #[must_use]
 pub fn main() -> ExitCode {
     let command = match Cli::from_arg_matches(&commands().get_matches()) {
@@ -205,7 +204,7 @@ pub fn main() -> ExitCode {
     };
     roomcast_ipc::end_where_iceoryx2_panics("roomcast", exit_code::IPC);
     if command.only_prints() {
-        // Output into a pipe that closes (`| head -1`) ends the command as it ends any other.
+        // When a pipe closes (`| head -1`), the command ends as usual programs do.
         sigpipe::reset();
     }
     let result = match command {

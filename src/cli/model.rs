@@ -1,4 +1,4 @@
-//! `roomcast model`: what a model file is, whether it works here, and how to get another.
+//! `roomcast model`: describes, checks and downloads model files.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,6 @@ use roomcast_llama::gguf::Header;
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::embedded::{self, ModelFile};
 
-/// Arguments of `roomcast model`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -33,17 +32,17 @@ pub struct Args {
 enum Command {
     /// Show architecture, quantisation, vocabulary, context, checksum and licence of a model file.
     Info {
-        /// A GGUF file; the embedded household model when left out.
+        /// A GGUF file; by default the embedded household model.
         file: Option<PathBuf>,
         /// Print JSON.
         #[arg(long)]
         json: bool,
     },
-    /// Load a model, tokenise, score by every method, and compare with scores that are known.
+    /// Load a model, tokenise, score by every method, and compare with known scores.
     Check {
-        /// A GGUF file; the embedded household model when left out.
+        /// A GGUF file; by default the embedded household model.
         file: Option<PathBuf>,
-        /// Known scores to compare with, as --record writes them; those in the binary when it is the embedded model.
+        /// Known scores to compare with, as --record writes them; for the embedded model, those in the binary.
         #[arg(long, value_name = "FILE")]
         case: Option<PathBuf>,
         /// Write this model's scores as a known case.
@@ -52,11 +51,11 @@ enum Command {
         /// Print JSON.
         #[arg(long)]
         json: bool,
-        /// In this process, which llama.cpp may end: the check starts itself so.
+        /// In this process, which llama.cpp may end. The check starts itself with this option.
         #[arg(long, hide = true)]
         here: bool,
     },
-    /// Load a model and score one label, nothing else: what a command does in a process of its own before it loads a file.
+    /// Load a model and score one label: the trial before a command loads a file.
     #[command(hide = true)]
     Rehearse {
         /// A GGUF file.
@@ -75,13 +74,13 @@ enum Command {
         /// The hub's address.
         #[arg(long, env = "HF_ENDPOINT", default_value = hub::ENDPOINT_DEFAULT)]
         endpoint: String,
-        /// The SHA-256 that the file must have, 64 hexadecimal digits [default: the one that the hub states].
+        /// The required SHA-256 of the file, 64 hexadecimal digits [default: the one that the hub states].
         #[arg(long, value_name = "DIGITS")]
         sha256: Option<String>,
-        /// The folder that models are kept in [default: ~/.cache/roomcast/models].
+        /// The folder of models [default: ~/.cache/roomcast/models].
         #[arg(long)]
         cache: Option<PathBuf>,
-        /// A file with the token that the hub asks for; it is sent to the hub alone.
+        /// A file with the token that the hub asks for; it is sent only to the hub.
         #[arg(long, env = "HF_TOKEN_PATH", value_name = "FILE")]
         token_file: Option<PathBuf>,
         /// Print JSON.
@@ -90,7 +89,6 @@ enum Command {
     },
 }
 
-/// Runs the subcommand and prints on standard output.
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Info { file, json } => info(file.as_deref(), *json),
@@ -137,7 +135,7 @@ fn recommended(header: &Header) -> Result<Correction, String> {
     Correction::recommended(|key| header.written(key))
 }
 
-/// The same for people: one line per property; of what it is, those that the file does not state are left out.
+/// The description for people: one line per property. Unstated properties are left out.
 fn table(path: &Path, header: &Header, sha256: &str) -> String {
     let number = |name| header.architecture_number(name).map(|number| number.to_string());
     let text = |key| header.text(key).map(str::to_owned);
@@ -176,12 +174,12 @@ fn table(path: &Path, header: &Header, sha256: &str) -> String {
         ("size", Some(format!("{:.1} MB", header.size_bytes as f64 / 1e6))),
         ("sha256", Some(sha256.to_owned())),
     ];
-    // What stands in the file is its maker's.
+    // The file's texts are untrusted.
     let lines = rows.into_iter().filter_map(|(name, value)| Some(format!("{name:<14}{}\n", visible(&value?))));
     lines.collect()
 }
 
-/// The file to look at, and the value that keeps it alive when it is the embedded model.
+/// The file to look at, and the value that keeps it alive if it is the embedded model.
 fn open(file: Option<&Path>) -> Result<(PathBuf, Option<ModelFile>), Failure> {
     if let Some(file) = file {
         return Ok((file.to_owned(), None));
@@ -199,7 +197,7 @@ fn info(file: Option<&Path>, as_json: bool) -> CommandResult {
     print(&if as_json { format!("{:#}\n", describe(shown, &header, &sha256)) } else { table(shown, &header, &sha256) })
 }
 
-/// Scores that a model is known to give: a regression test that travels with the model.
+/// Known scores of a model: a regression test that travels with the model.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct KnownCase {
@@ -209,7 +207,7 @@ struct KnownCase {
     narration: Vec<String>,
     /// A binding sequence, by name or as text.
     binding: String,
-    /// How far a score may be from the recorded one: machines round quantised products differently.
+    /// Largest difference from a recorded score: machines round quantised products differently.
     tolerance_nats: f64,
     /// Labels with `ln s_c`, Equation 1.
     labels: Vec<KnownLabel>,
@@ -223,7 +221,7 @@ struct KnownLabel {
 }
 
 impl KnownCase {
-    /// A case for any model: a morning in a kitchen, and labels that are likely, unlikely, or of several tokens and so decoded.
+    /// A case for any model: a morning in a kitchen, with likely and unlikely labels, and labels of several tokens, which are decoded.
     fn unscored() -> Self {
         let narration =
             ["They walk to the kitchen.", "They open the fridge.", "They grab the milk.", "They close the fridge."];
@@ -262,13 +260,11 @@ impl KnownCase {
         serde_json::from_str(&text).map_err(|error| fail(error.to_string()))
     }
 
-    /// The recorded scores of the embedded model.
     fn embedded() -> Result<Self, Failure> {
         serde_json::from_str(embedded::MODEL_CHECK).map_err(|error| Failure::new(exit_code::MODEL, error))
     }
 }
 
-/// One thing that was checked.
 #[derive(Debug, Serialize)]
 struct Checked {
     check: &'static str,
@@ -276,8 +272,8 @@ struct Checked {
     found: String,
 }
 
-/// Largest difference between two methods' scores of one label, in nats per token. Quantised kernels round activations; sums in another
-/// order, as other batches have them, may take one to the next step.
+/// Largest difference between two methods' scores of one label, in nats per token. Quantised kernels round activations, and sums in another order, as
+/// in other batches, may round to the next step.
 const METHODS_TOLERANCE_NATS_PER_TOKEN: f64 = 2e-2;
 /// Far more than `--record` writes.
 const KNOWN_BYTES_MAX: u64 = 16 << 20;
@@ -291,7 +287,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         _ => None,
     };
     let mut case = known.clone().unwrap_or_else(KnownCase::unscored);
-    // What it is compared with was computed in single precision.
+    // The known scores were computed in single precision.
     let options = LlamaOptions { cache: CacheType::F32, ..LlamaOptions::default() };
     let model = LlamaModel::load(&path, &options).map_err(|error| model_failure(&error))?;
     let about = model.info().clone();
@@ -308,7 +304,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
         case.binding.parse().map_err(|error| Failure::new(exit_code::INPUT, format!("binding: {error}")))?;
     let mut prompt = String::new();
     write_prompt(case.narration.iter().map(String::as_str), &binding, false, &mut prompt);
-    // Equation 1, which is what the known scores are, and what the file recommends.
+    // Equation 1, for the known scores, and the file's recommended correction.
     let mut scores = Vec::new();
     let mut worst: f64 = 0.0;
     let recommended = Some(about.correction).filter(|&recommended| recommended != Correction::default());
@@ -375,7 +371,7 @@ fn check(file: Option<&Path>, case: Option<&Path>, record: Option<&Path>, as_jso
     Ok(())
 }
 
-/// The check in a process of its own: the one that judges does not die of what it judges.
+/// The check in another process, which survives a crash of llama.cpp.
 fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json: bool) -> Vec<OsString> {
     let mut arguments: Vec<OsString> = ["model", "check", "--here"].map(OsString::from).to_vec();
     for (option, given) in [("--case", case), ("--record", record)] {
@@ -387,7 +383,7 @@ fn check_arguments(file: &Path, case: Option<&Path>, record: Option<&Path>, json
     arguments
 }
 
-/// Whether the tokens of each label spell the label.
+/// Checks whether the tokens of each label spell the label.
 fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token>]) -> Checked {
     let spelled = |tokens: &[Token]| tokens.iter().map(|&token| scorer.model().token_text(token)).collect::<String>();
     let misspelt: Vec<_> =
@@ -403,16 +399,16 @@ fn tokenises(scorer: &Scorer<LlamaModel>, labels: &[String], tokens: &[Vec<Token
     }
 }
 
-/// Whether the model expects such labels at all, by the probability of all of them together.
+/// Checks whether the model expects such labels, by their total probability.
 fn expects(mass: f64) -> Checked {
-    /// Twelve common things of a home; with less, scores are noise.
+    /// Twelve common things of a home. Below this, scores are noise.
     const MASS_MIN: f64 = 1e-3;
     let ok = mass >= MASS_MIN;
     let remedy = if ok { "" } else { ": it does not know how such a sentence goes on; take another model" };
     Checked { check: "labels are expected", ok, found: format!("{mass:.1e} in all, {MASS_MIN:.0e} needed{remedy}") }
 }
 
-/// Whether the file is the embedded model but for a few bytes: damage that a model may not show. None where it is another model.
+/// Whether the file is the embedded model with a few bytes changed: damage that scores may not show. `None` for another model.
 fn copy_of_embedded(file: &Path) -> Option<Checked> {
     /// Another model of the same size differs nearly everywhere.
     const SHARE_MAX: f64 = 0.01;
@@ -460,7 +456,7 @@ fn read_token(path: &Path) -> Result<String, Failure> {
 
 #[cfg(feature = "pull")]
 fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
-    // Drawn on standard error, and only where that is a terminal.
+    // Drawn on standard error, and only on a terminal.
     let style = indicatif::ProgressStyle::with_template("{wide_bar} {decimal_bytes}/{decimal_total_bytes} {eta}");
     let progress = indicatif::ProgressBar::new(0);
     let progress = style.map_or(progress.clone(), |style| progress.with_style(style));
@@ -493,7 +489,7 @@ fn pull(hub: &Hub, request: &Request<'_>, as_json: bool) -> CommandResult {
 mod tests {
     use super::*;
 
-    /// Whatever files are called, the process that checks is given what this one was given.
+    /// The checking process gets the same options, for any file name.
     #[test]
     fn a_check_is_handed_on_as_it_was_asked_for() {
         use clap::{Args as _, FromArgMatches as _};
@@ -517,7 +513,7 @@ mod tests {
         }
     }
 
-    /// What stands in a model file is whoever made it's.
+    /// Texts in a model file are untrusted.
     #[test]
     fn a_models_name_forges_no_row() {
         let mut bytes = embedded::MODEL.to_vec();
@@ -535,7 +531,7 @@ mod tests {
         assert_eq!(table.lines().filter(|line| line.starts_with("sha256")).count(), 1, "{table}");
     }
 
-    /// Fails when the model was changed and its known scores were not: `roomcast model check --record models/household-check.json`.
+    /// Fails if the model was changed without its known scores: `roomcast model check --record models/household-check.json`.
     #[test]
     fn the_embedded_model_gives_its_known_scores() {
         if let Err(failure) = check(None, None, None, true) {
@@ -556,7 +552,7 @@ mod tests {
         let mut copy = embedded::MODEL.to_vec();
         std::fs::write(file.path(), &copy).unwrap();
         check(Some(file.path()), None, None, true).unwrap();
-        // A byte of a weight near the end, which changes hardly a score.
+        // A byte of a weight near the end, which hardly changes a score.
         let at = copy.len() - 1000;
         copy[at] ^= 1;
         std::fs::write(file.path(), &copy).unwrap();

@@ -18,11 +18,10 @@ use roomcast_services::stop::Stop;
 
 use crate::exit_code;
 
-/// Other inputs than a broker. What requires `--mqtt` names them as well: clap lets a requirement drop where something given excludes it.
+/// Inputs other than a broker. Options that require `--mqtt` conflict with these: clap drops a requirement if another option excludes it.
 #[cfg(feature = "mqtt")]
 const OTHER_INPUTS: [&str; 4] = ["input", "fifo", "sensors", "speed"];
 
-/// Arguments of `roomcast narrate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -30,18 +29,18 @@ pub struct Args {
     /// An activity program (or a shipped one's name), JSON lines (docs/json-lines.md), or plain lines; `-` is standard input.
     #[arg(value_name = "FILE", default_value = "-", conflicts_with = "fifo")]
     input: PathBuf,
-    /// Make a FIFO there and publish the lines written into it, for ever.
+    /// Make a FIFO there and publish the lines written into it, without end.
     #[arg(long, value_name = "PATH", conflicts_with = "speed")]
     fifo: Option<PathBuf>,
-    /// Publish what an MQTT broker's devices say: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the
-    /// broker of the configuration's section `[mqtt]`, whose login and certificates are used for that one alone.
+    /// Publish messages of an MQTT broker's devices: `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with --mqtt-ca; without a value, the broker of
+    /// the configuration's section `[mqtt]`. The configuration's login and certificates are only for that one.
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "URL", conflicts_with_all = OTHER_INPUTS, num_args = 0..=1)]
     mqtt: Option<Option<String>>,
-    /// Publish a sensor log: intervals with sensor, kind and place, as public smart-home data sets have them.
+    /// Publish a sensor log: intervals with sensor, kind and place, as in public smart-home data sets.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["input", "fifo"], requires = "rules")]
     sensors: Option<PathBuf>,
-    /// The rules by which MQTT messages or sensors' intervals become narration (docs/mqtt.md, docs/sensors.md); for MQTT in place of the
+    /// The rules that turn MQTT messages or sensors' intervals into narration (docs/mqtt.md, docs/sensors.md); for MQTT in place of the
     /// configuration's mqtt.rules.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
@@ -49,18 +48,18 @@ pub struct Args {
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_credentials: Option<PathBuf>,
-    /// A PEM file with the certificates that the broker's is signed by.
+    /// A PEM file with the certificates of the broker's certificate authority.
     #[cfg(feature = "mqtt")]
     #[arg(long, value_name = "FILE", requires = "mqtt", conflicts_with_all = OTHER_INPUTS)]
     mqtt_ca: Option<PathBuf>,
-    /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt, print each message
-    /// with its rule and sentence instead.
+    /// Publish nothing: print how the daemon would understand each event, its person, place and belief. With --mqtt, print each message with its rule
+    /// and sentence instead.
     #[arg(long, conflicts_with = "fifo")]
     dry_run: bool,
     /// This source's name, in place of the configuration's; it must differ between narrators.
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// The person that is observed, by number or name, when the input does not say; without it somebody, whom the daemon makes out.
+    /// The observed person, by number or name, if the input names none. Without it the daemon decides which person an event is about.
     #[arg(long, value_name = "N|NAME")]
     person: Option<Who>,
     /// Seconds before each narration; 0 is as fast as the daemon takes them.
@@ -77,11 +76,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Publishes the input.
-///
-/// # Errors
-///
-/// When the input is malformed, a service cannot be opened, or the daemon did not confirm everything.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();
@@ -117,7 +111,7 @@ pub fn run(args: &Args) -> CommandResult {
             return narrate_mqtt::rehearse(&broker, rules, &config, &stop);
         }
         let (lines, listener) = narrate_mqtt::listen(&broker, rules, person, &config, &stop)?;
-        // First the broker is left, then what it is told to be done with is published.
+        // The broker's connection ends first. Then the remaining lines are published.
         let patience = narrate_mqtt::patience(&stop)?;
         let outcome = publish(&config, &domain, lines, pace, &patience)?;
         if !patience.requested() {
@@ -142,7 +136,7 @@ pub fn run(args: &Args) -> CommandResult {
     report(args, &outcome, &domain, stopped)
 }
 
-/// How the daemon understood the newest events; none if it does not answer.
+/// How the daemon understood the newest events; empty without an answer.
 fn understood(outcome: &Outcome, domain: &Domain) -> Vec<UnderstoodLine> {
     const PATIENCE_S: u64 = 2;
     if outcome.confirmed == 0 {
@@ -184,12 +178,12 @@ fn dry_run(args: &Args, config: &Config, source: Input, stop: &Stop) -> CommandR
     }
 }
 
-/// What somebody has asked to stop.
+/// The kind of work that a stop has ended.
 #[derive(Debug, Clone, Copy)]
 enum Stopped {
-    /// What goes on until it is stopped.
+    /// Work that goes on until it is stopped.
     Service,
-    /// What has an end, before that.
+    /// Work that should have reached its end.
     Halfway,
 }
 
@@ -205,7 +199,7 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
         print_json(&printed)?;
     }
     match stopped {
-        // What was refused or not confirmed is in the log, and no fault of who stops it.
+        // The log reports refused and unconfirmed lines; they are no fault of the stop.
         Some(Stopped::Service) => return Ok(()),
         Some(Stopped::Halfway) => {
             let Outcome { sent, confirmed, .. } = outcome;
@@ -248,7 +242,6 @@ fn report(args: &Args, outcome: &Outcome, domain: &Domain, stopped: Option<Stopp
     Ok(())
 }
 
-/// Makes narration of a sensor log.
 fn read_sensors(log: &Path, rules: &Path, person: &Who) -> Result<Input, Failure> {
     let input = |error| Failure::new(exit_code::INPUT, error);
     let narrated = SensorRules::load(rules).and_then(|rules| rules.narrate_file(log, person)).map_err(input)?;

@@ -1,5 +1,3 @@
-//! `roomcast narrate --mqtt`: a broker's messages as narration.
-
 use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -18,11 +16,11 @@ use super::{CommandResult, Failure, broker, count, print};
 use crate::exit_code;
 
 const TICK: Duration = Duration::from_millis(100);
-/// How long, after a wish to stop, what was read may take to be published and confirmed.
+/// After a stop, the time for publishing and confirming the lines that were read.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Listens to the broker in a thread of its own; its lines come through a pipe, whose small buffer holds it back while the daemon is
-/// behind. The broker keeps what is in it until the daemon has confirmed it.
+/// Listens to the broker in a thread. Lines come through a pipe with a small buffer, which blocks the thread while the daemon is behind. The broker
+/// keeps messages until the daemon has confirmed them.
 pub(super) fn listen(
     broker: &Broker,
     rules: &Path,
@@ -35,7 +33,7 @@ pub(super) fn listen(
     let state = config.daemon.state_directory();
     let tally = state.map(|folder| Tally::new(&folder, &config.narrator.name, rules.keys()));
     let (reader, writer) = std::io::pipe().map_err(|error| Failure::new(exit_code::FAILURE, error))?;
-    // The least there is, a page; a system that refuses leaves it larger.
+    // The smallest size, a page. If the system refuses, it stays larger.
     let _resized = rustix::pipe::fcntl_setpipe_size(&writer, 4096);
     let (stop, (settled, news)) = (stop.clone(), mqtt::settled());
     let listener = std::thread::Builder::new().name("mqtt".to_owned());
@@ -46,12 +44,12 @@ pub(super) fn listen(
     Ok((Input::Lines { name, stream, person, settled: Some(settled) }, listener))
 }
 
-/// Prints what the broker's messages would say, until it is asked to stop, and what of it the home's map does not have, or is about no person. No
+/// Prints the lines of the broker's messages until asked to stop, and reports rooms and things that the home's map lacks, and unknown persons. No
 /// daemon is needed.
 pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &Stop) -> CommandResult {
     let rules = Rules::load(rules).map_err(broker::failure)?;
     let options = broker.options().map_err(broker::failure)?;
-    // The shipped studio is nobody's home: its rooms say nothing of the rules.
+    // The shipped studio is not this home: its rooms do not matter for the rules.
     let map = config.scene.path.as_deref().map(|path| setup::load_map(Some(path))).transpose()?;
     let grounding = map.as_ref().map(|map| Grounding::new(map, &config.grounding)).transpose();
     let grounding = grounding.map_err(|error| Failure::new(exit_code::CONFIG, error))?;
@@ -78,7 +76,7 @@ pub(super) fn rehearse(broker: &Broker, rules: &Path, config: &Config, stop: &St
     print(&summary)
 }
 
-/// A wish to stop that follows the given one after [`PATIENCE`].
+/// A stop that follows the given one after [`PATIENCE`].
 pub(super) fn patience(stop: &Stop) -> Result<Stop, Failure> {
     let (first, last) = (stop.clone(), Stop::new());
     let own = last.clone();
@@ -96,7 +94,7 @@ pub(super) fn patience(stop: &Stop) -> Result<Stop, Failure> {
 
 pub(super) type Listener = JoinHandle<Result<Heard, MqttError>>;
 
-/// How listening ended, which it does by itself only when the client cannot go on.
+/// The end of the listener. It ends by itself only if the client cannot go on.
 pub(super) fn join(listener: Listener) -> CommandResult {
     let heard = listener.join().map_err(|_| Failure::new(exit_code::FAILURE, "the mqtt thread ended unexpectedly"))?;
     let heard = heard.map_err(broker::failure)?;

@@ -1,17 +1,19 @@
-//! `roomcast person`: the persons that the daemon knows, their names, and corrections of the belief about them.
+//! `roomcast person`: lists, corrects, renames and forgets the persons that the daemon knows.
 
-use roomcast_ipc::{narration_kind, question};
+use std::time::Duration;
+
+use roomcast_ipc::question;
+use roomcast_ipc::raw::narration_kind;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;
 use crate::flags::plain;
 use roomcast_core::narration::line::WhoError;
-use roomcast_core::narration::{Event, check_name};
+use roomcast_core::narration::{Event, ReadName, check_name};
 use roomcast_core::text::{odd_name, visible};
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion};
 use roomcast_services::narrator::{self, Input, Item, Pace, Who};
 
-/// Arguments of `roomcast person`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -20,9 +22,9 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Say who is known: number, name, whether they are in the house, and since when.
+    /// List the known persons: number, name, presence in the house, and since when.
     List(Common),
-    /// Forget a person: what they did, where they are, their name, their habits, and what the journal has of them.
+    /// Forget a person: events, place, name, habits, and the entries of the state database.
     Forget {
         /// A name or a number.
         who: String,
@@ -51,7 +53,6 @@ enum Action {
     },
 }
 
-/// Options of every action.
 #[derive(Debug, clap::Args)]
 struct Common {
     #[command(flatten)]
@@ -64,10 +65,6 @@ struct Common {
     patience: u64,
 }
 
-/// Asks the running daemon.
-///
-/// # Errors
-/// When no daemon answers, or it refuses.
 pub fn run(args: &Args) -> CommandResult {
     let id = service::question_name();
     let (common, question) = match &args.action {
@@ -110,10 +107,9 @@ pub fn run(args: &Args) -> CommandResult {
     print(&format!("{}{after_restart}", listed(&answer)))
 }
 
-/// The narrator of corrections.
 const CORRECTIONS: &str = "roomcast-person";
 
-/// Sends a presence and says how the daemon understood it.
+/// Sends a presence and prints how the daemon understood it.
 fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let usage = |error: String| Failure::new(exit_code::USAGE, error);
     let person: Who = who.parse().map_err(|error: WhoError| usage(error.to_string()))?;
@@ -122,6 +118,20 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     let (mut config, domain) = common.service.load()?;
     config.narrator.name = CORRECTIONS.to_owned();
     config.narrator.linger_s = common.patience as f64;
+    let known =
+        domain.persons(Duration::from_secs(common.patience)).map_err(|error| Failure::new(exit_code::IPC, error))?;
+    let names: Vec<String> =
+        known.iter().map(|one| one.name.clone().unwrap_or_else(|| one.person.to_string())).collect();
+    let mut nameable = known
+        .iter()
+        .map(|one| one.person.to_string())
+        .chain(names.iter().cloned())
+        .chain(config.persons.residents.clone());
+    let asked = ReadName::new(who);
+    if !nameable.any(|name| name == who || asked.may_be_one(&ReadName::new(&name))) {
+        let names = if names.is_empty() { "no person yet".to_owned() } else { names.join(", ") };
+        return Err(Failure::new(exit_code::INPUT, format!("no person {who:?}: the daemon knows {names}")));
+    }
     let item = Item::new(narration_kind::PRESENCE, text, person);
     let stop = service::stop()?;
     let (limits, input) = (config.daemon.intake, Input::Items(vec![item]));
@@ -140,11 +150,14 @@ fn correct(who: &str, room: &str, common: &Common) -> CommandResult {
     }
     match answer.understood.last().and_then(|line| line.why.as_deref()) {
         Some(why) => Err(Failure::new(exit_code::INPUT, format!("the daemon changed no belief: {why}"))),
-        None => Ok(()),
+        None if common.json => Ok(()),
+        None => print(&format!(
+            "{who} is {}.\n",
+            if room == "away" { "out".to_owned() } else { format!("in the room {room}") }
+        )),
     }
 }
 
-/// The persons as a table.
 fn listed(answer: &PersonAnswer) -> String {
     if answer.persons.is_empty() {
         return "Nobody is known.\n".to_owned();

@@ -1,5 +1,3 @@
-//! `roomcast planner`: the service that decides where the robot goes.
-
 use std::path::PathBuf;
 
 use super::choice::{self, choice};
@@ -10,7 +8,6 @@ use roomcast_services::{logging, planner};
 
 use crate::exit_code;
 
-/// Arguments of `roomcast planner`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -27,25 +24,25 @@ pub struct Args {
     /// Seconds of work in every room, in place of the configuration's; 0 decides with every new score.
     #[arg(long, value_name = "SECONDS", value_parser = ranges::time_s)]
     room_time: Option<f64>,
-    /// Seconds from the begin of a round to its deadline, in place of the configuration's; a round takes one stay at least.
+    /// Seconds from the beginning of a round to its deadline, in place of the configuration's; a round takes one stay at least.
     #[arg(long, value_name = "SECONDS", value_parser = ranges::positive)]
     round: Option<f64>,
-    /// Seconds to wait at most until each resident was observed, in place of the configuration's; 0 does not wait.
+    /// Longest wait in seconds until each resident was observed, in place of the configuration's; 0 does not wait.
     #[arg(long, value_name = "SECONDS", value_parser = ranges::time_s)]
     know: Option<f64>,
-    /// What to do where the deadline leaves no later time for a room that somebody is in, in place of the configuration's.
+    /// What to do if a room is occupied and the deadline leaves no later time for it, in place of the configuration's.
     #[arg(long, value_name = "HOW", value_parser = choice::<Forced>())]
     forced: Option<Forced>,
-    /// Whether no room is entered that is in a person's room set at any time of the stay, in place of the configuration's.
+    /// Whether to avoid rooms that are in a person's room set at any time of the stay, in place of the configuration's.
     #[arg(long, value_name = "BOOL")]
     avoid_sets: Option<bool>,
-    /// Whether somebody who comes into the robot's room ends its work there, in place of the configuration's.
+    /// Whether the robot's work ends when a person comes into its room, in place of the configuration's.
     #[arg(long, value_name = "BOOL")]
     interrupt: Option<bool>,
-    /// Seconds for which somebody must be there before that, in place of the configuration's.
+    /// Seconds for which the person must be there before that, in place of the configuration's.
     #[arg(long, value_name = "SECONDS", value_parser = ranges::time_s)]
     interrupt_after: Option<f64>,
-    /// Whose word is taken for what is done, in place of the configuration's.
+    /// Which reports of done work count, in place of the configuration's.
     #[arg(long, value_name = "WHOSE", value_parser = choice::<Reports>())]
     reports: Option<Reports>,
     /// The daemon's scene file, in place of the configuration's: the robot's positions are placed on it.
@@ -54,11 +51,11 @@ pub struct Args {
 }
 
 impl Args {
-    /// Puts what the command line gives in place of the configuration's.
+    /// Overrides the configuration by the command line.
     ///
     /// # Errors
     ///
-    /// When a round would be shorter than a stay, by the names of whoever gave them.
+    /// If a round would be shorter than a stay. The message names the options or keys at fault.
     fn apply(&self, planned: &mut PlannerConfig) -> Result<(), String> {
         if let Some(robot) = &self.robot {
             planned.robot.clone_from(robot);
@@ -89,11 +86,6 @@ impl Args {
     }
 }
 
-/// Runs the planner until it is asked to stop.
-///
-/// # Errors
-///
-/// When the configuration is malformed or a service cannot be opened.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();

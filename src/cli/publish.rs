@@ -1,4 +1,4 @@
-//! `roomcast publish`: what Roomcast knows, for programs that speak something else.
+//! `roomcast publish`: publishes the state of Roomcast for other programs.
 
 use std::io::Write;
 
@@ -7,7 +7,6 @@ use crate::exit_code;
 use crate::publish::{self, BridgeError, Way};
 use roomcast_services::logging;
 
-/// Arguments of `roomcast publish`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -26,7 +25,7 @@ struct MqttArgs {
     service: service::Args,
     #[command(flatten)]
     broker: broker::Args,
-    /// What the topics begin with, in place of the configuration's.
+    /// The beginning of the topics, in place of the configuration's.
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
     /// Connect to no broker; print each message that would be published, as a line of JSON. Ends with Ctrl-C.
@@ -35,16 +34,11 @@ struct MqttArgs {
     /// With --dry-run: end when everything was printed once.
     #[arg(long, requires = "dry_run", conflicts_with = "remove")]
     once: bool,
-    /// Take away everything that a publisher with these topics has left at the broker, and end.
+    /// Remove everything that a publisher with these topics has left at the broker, and end.
     #[arg(long, conflicts_with = "dry_run")]
     remove: bool,
 }
 
-/// Publishes until it is asked to stop.
-///
-/// # Errors
-///
-/// When no broker is named, its files cannot be used, or a service is lost.
 pub fn run(args: &Args) -> CommandResult {
     let To::Mqtt(args) = &args.to;
     let stop = service::stop()?;
@@ -77,7 +71,7 @@ pub fn run(args: &Args) -> CommandResult {
             false => publish::run(&config, &domain, Way::Broker(&broker), &stop),
         }
     };
-    // To take everything away, and to print everything once, has an end; all else is a service.
+    // `--remove` and `--once` have an end; otherwise this is a service.
     if done.is_ok() && (args.remove || args.once) && stop.requested() {
         return Err(service::interrupted("what the publisher was to do once may not be done"));
     }

@@ -1,14 +1,15 @@
-//! `roomcast record`: everything on the services into an MCAP file.
+//! `roomcast record`: records the messages of all services into an MCAP file.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Subscriber, limits, question, score_flags,
+    RoomScoresV1, score_flags,
 };
+use roomcast_ipc::{Subscriber, limits, question};
 use roomcast_services::clock;
 
 use super::choice::choice;
@@ -22,7 +23,6 @@ use roomcast_services::recording::{self, Profile, Received, Recorded, Recorder, 
 use crate::decided::{Decided, News};
 use crate::exit_code;
 
-/// Arguments of `roomcast record`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -30,7 +30,7 @@ pub struct Args {
     /// The file to write; it must not exist yet.
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// For whom the file is written.
+    /// The format of the file.
     #[arg(long, value_parser = choice::<Profile>(), default_value_t)]
     profile: Profile,
     /// Record scores and forecasts that the daemon only repeats, too.
@@ -41,30 +41,30 @@ pub struct Args {
     seconds: Option<u64>,
 }
 
-/// How often the services are looked at. Room scores have a buffer of 2, and come a few milliseconds apart at most.
+/// Period of reading the services. Room scores have a buffer of 2, and may arrive a few milliseconds apart.
 const POLL: Duration = Duration::from_millis(2);
-/// How often the file is brought up to date: what a crash may cost.
+/// Period of flushing the file: a crash loses at most this much.
 const FLUSH: Duration = Duration::from_secs(5);
-/// A forecast of the same scores is recorded once in so many nanoseconds: a minute. All of them would be 5 GiB a day.
+/// Forecasts of the same scores are recorded once a minute. All of them would be 5 GiB a day.
 const FORECAST_NS: u64 = 60_000_000_000;
-/// How long the daemon may take to tell its map.
+/// Timeout of the daemon's map.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How often it is said that the daemon does not tell its map.
+/// Period of the warning that the daemon's map is missing.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
-/// Reads a recording, and says so where its recorder was ended before it finished it.
+/// Reads a recording; says so if its recorder did not finish it.
 ///
 /// # Errors
-/// When it is none, or damaged.
+/// If the file is no recording, or damaged.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     read_until(path, &|| false)
 }
 
-/// As [`read`], until somebody asks to stop.
+/// As [`read`], until a stop is requested.
 ///
 /// # Errors
-/// As [`read`], and when somebody asked to stop.
+/// As [`read`], and if a stop was requested.
 pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recording, Failure> {
     let recording = recording::read_until(path, is_stopped).map_err(|error| match error {
         RecordingError::Stopped { .. } => Failure::new(exit_code::INTERRUPTED, error),
@@ -80,7 +80,6 @@ pub(super) fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<R
     Ok(recording)
 }
 
-/// The recorder of a profile.
 enum Output {
     Roomcast(Box<Recorder>),
     Ros2(Box<Ros2Recorder>),
@@ -115,7 +114,7 @@ impl Output {
         }
     }
 
-    /// Ends the file; how many messages it has.
+    /// Finishes the file; returns its number of messages.
     fn finish(&mut self) -> Result<u64, RecordingError> {
         match self {
             Self::Roomcast(recorder) => recorder.finish().map(|()| recorder.written()),
@@ -123,7 +122,7 @@ impl Output {
         }
     }
 
-    /// What the file lacks when the daemon does not tell its map.
+    /// The consequence of a missing map.
     fn without_map(&self) -> &'static str {
         match self {
             Self::Roomcast(_) => {
@@ -139,7 +138,7 @@ impl Output {
 /// A daemon's start and its map.
 type Map = (u64, [u8; 32]);
 
-/// Which map the recording has, and which the daemon is asked for.
+/// The recorded map, and the map that the daemon was asked for.
 #[derive(Debug, Default)]
 struct MapAsked {
     known: Option<Map>,
@@ -147,22 +146,22 @@ struct MapAsked {
 }
 
 impl MapAsked {
-    /// Whether the daemon is to be asked for this map: one question at a time.
+    /// Whether to ask the daemon for this map: one question at a time.
     fn is_wanted(&self, map: Map) -> bool {
         self.asked.is_none() && self.known != Some(map)
     }
 
-    /// The daemon has told its map, or had no time: then it is asked again.
+    /// Records whether the daemon has sent its map. If not, it is asked again.
     fn hear(&mut self, has_told: bool) {
         let asked = self.asked.take();
         self.known = if has_told { asked } else { self.known };
     }
 }
 
-/// A publisher's start, and the number of what it said.
+/// A publisher's start, and the number of its message.
 type Name = (u64, u64);
 
-/// What was recorded last of what the services say again and again.
+/// The last recorded messages of services that repeat them.
 #[derive(Debug, Default)]
 struct Known {
     scores: Option<(Name, u32, Vec<IncludedV1>)>,
@@ -173,10 +172,10 @@ struct Known {
 }
 
 impl Known {
-    /// Whether a message only says again what the recording has.
+    /// Whether the recording already has the message.
     fn repeats(&mut self, message: &Recorded, now_ns: BootNs) -> bool {
         match message {
-            // Scores that claim more, because the journal has it now, or whose scorer has failed since, say something new.
+            // Scores with new flags or confirmations are new: the journal has more now, or the scorer has failed.
             Recorded::RoomScores(scores) => {
                 let flags = scores.flags & !score_flags::HEARTBEAT;
                 let said = Some(((scores.epoch, scores.sequence), flags, scores.included().to_vec()));
@@ -192,14 +191,14 @@ impl Known {
             Recorded::PersonForecasts(forecasts) => {
                 self.person_forecasts.repeats((forecasts.epoch, forecasts.sequence), now_ns)
             }
-            // A bridge to other robots sends theirs again to who joins.
+            // A bridge sends other robots' decisions again to new subscribers.
             Recorded::Decision(decision) => self.decided.take(decision) == News::None,
             Recorded::Narration(_) | Recorded::RobotReport(_) => false,
         }
     }
 }
 
-/// What is expected changes a little as time passes, so of the forecasts of the same scores one a minute is kept.
+/// Forecasts change a little with time, so forecasts of the same scores are recorded once a minute.
 #[derive(Debug, Default)]
 struct Forecasts {
     last: Option<Name>,
@@ -210,7 +209,7 @@ struct Forecasts {
 impl Forecasts {
     fn repeats(&mut self, name: Name, now_ns: BootNs) -> bool {
         let is_same = self.last.replace(name) == Some(name);
-        // What is new in between begins no other minute: whoever compares forecasts with what came finds one of each.
+        // New forecasts in between do not start another minute, so that each minute has one for comparison.
         let is_within = self.minute_ns.is_some_and(|begun_ns| now_ns.since(begun_ns) < FORECAST_NS);
         if !is_within {
             self.minute_ns = Some(now_ns);
@@ -219,11 +218,6 @@ impl Forecasts {
     }
 }
 
-/// Records until it is asked to stop.
-///
-/// # Errors
-///
-/// When a service cannot be opened, or the file cannot be written.
 pub fn run(args: &Args) -> CommandResult {
     if args.file.as_os_str() == "-" {
         let why = "a recording goes into a file, not to standard output: its index is written last and points back; give a file's name";
@@ -234,8 +228,7 @@ pub fn run(args: &Args) -> CommandResult {
     let (config, domain) = args.service.load()?;
     let ipc = |error| Failure::new(exit_code::IPC, error);
     let node = domain.open("roomcast-record").map_err(ipc)?;
-    // What narrators said before is not of this recording: it may be of somebody whom the home has forgotten since, and a replay would bring them
-    // back.
+    // Earlier narration does not belong to this recording: it may be of a person that was forgotten since, and a replay would restore the person.
     let narration = node.subscriber_from_now::<NarrationV1>().map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
     let persons = node.subscriber::<PersonScoresV1>().map_err(ipc)?;
@@ -251,7 +244,7 @@ pub fn run(args: &Args) -> CommandResult {
         Failure::new(code, error)
     };
     let mut recorder = Output::create(args, &config.planner.robot).map_err(output)?;
-    // The daemon is asked by a thread of its own, so that nothing is missed meanwhile.
+    // A thread asks the daemon, so that no message is missed.
     let port = node.question_port(question::MOMENT).map_err(ipc)?;
     let (ask, asked) = bounded(1);
     let (tell, told) = bounded(1);
@@ -274,10 +267,10 @@ pub fn run(args: &Args) -> CommandResult {
     let (started, mut flushed) = (Instant::now(), Instant::now());
     let mut is_silent = true;
     let interrupted = loop {
-        // What came before the end is still recorded.
+        // Messages from before the end are still recorded.
         let is_over = args.seconds.map(|seconds| started.elapsed() >= Duration::from_secs(seconds));
         let ends = stop.requested() || is_over == Some(true);
-        // In the order of the flow: what scores contain stands before them.
+        // In the order of the flow: narration before the scores that contain it.
         let mut news = Vec::new();
         take(&narration, &mut news, |message| Recorded::Narration(Box::new(message)))?;
         take(&scores, &mut news, |message| Recorded::RoomScores(Box::new(message)))?;
@@ -299,7 +292,7 @@ pub fn run(args: &Args) -> CommandResult {
             }
         }
         for message in &news {
-            // Another daemon, or another map: what it is goes into the file too.
+            // A new daemon or map: the map goes into the file too.
             if let Recorded::RoomScores(scores) = message
                 && map.is_wanted((scores.epoch, scores.map_fingerprint))
                 && ask.try_send(()).is_ok()
@@ -328,7 +321,7 @@ pub fn run(args: &Args) -> CommandResult {
             break is_over == Some(false);
         }
         if news.is_empty() {
-            // A narrator that says one thing and leaves is gone within milliseconds.
+            // A narrator with one line may leave within milliseconds.
             roomcast_ipc::wait_for_any(&[&narration, &scores], POLL).map_err(ipc)?;
         }
     };
@@ -366,7 +359,7 @@ fn take<M: Message>(
 mod tests {
     use super::*;
 
-    /// Persons' forecasts came into the file with each event alone, and nothing was there to compare an idle hour with.
+    /// Regression: persons' forecasts were recorded only after events, so idle hours had none for comparison.
     #[test]
     fn of_repeated_forecasts_there_is_one_a_minute_of_rooms_and_of_persons() {
         let second_ns = 1_000_000_000;
@@ -378,7 +371,7 @@ mod tests {
         };
         let (mut known, mut kept) = (Known::default(), [Vec::new(), Vec::new()]);
         for second in 0..200 {
-            // Something is said after 100 s.
+            // There is an event after 100 s.
             for (message, kept) in both(1 + u64::from(second >= 100)).iter().zip(&mut kept) {
                 if !known.repeats(message, BootNs((7 + second) * second_ns)) {
                     kept.push(second);

@@ -1,19 +1,18 @@
-//! `roomcast replay`: a recording back onto the services, bit for bit, at any speed.
+//! `roomcast replay`: sends a recording back onto the services, bit for bit, at any speed.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, MAX_SOURCES, NarrationV1, Node, PersonForecastsV1, PersonScoresV1,
-    Publisher, RobotReportV1, RoomScoresV1,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_SOURCES, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
 };
+use roomcast_ipc::{Domain, IpcError, Node, Publisher};
 
 use super::{CommandResult, Failure, ranges, record, service};
 use crate::exit_code;
 use roomcast_services::recording::Recorded;
 use roomcast_services::stop::Stop;
 
-/// Arguments of `roomcast replay`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -21,11 +20,11 @@ pub struct Args {
     /// A recording of `roomcast record`.
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// So many times faster than it was recorded.
+    /// Speed: this many times faster than recorded.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = ranges::positive)]
     speed: f64,
-    /// Replay scores, forecasts, decisions and robots' reports too, in a domain without a daemon, planner, robot and bridge, which would act on
-    /// them. Without it only the narration is replayed, and a daemon that has not heard it before scores it again.
+    /// Replay scores, forecasts, decisions and robots' reports too. The domain must have no daemon, planner, robot and bridge, which would act on
+    /// them. Without this option only the narration is replayed, and a daemon that does not have it yet scores it again.
     #[arg(long)]
     all: bool,
     /// Seconds to wait at the end until a daemon has taken in the last narration.
@@ -33,9 +32,9 @@ pub struct Args {
     linger: u64,
 }
 
-/// The shortest time between two messages: what a daemon's buffer takes at any speed.
+/// The shortest time between two messages, which a daemon's buffer can take at any speed.
 const PAUSE_MIN: Duration = Duration::from_millis(2);
-/// How often late subscribers are handed what they missed.
+/// Period of sending missed messages to late subscribers.
 const TICK: Duration = Duration::from_millis(100);
 
 struct Publishers {
@@ -43,7 +42,7 @@ struct Publishers {
     others: Option<Others>,
 }
 
-/// What daemon, planner and robots send.
+/// The messages of daemon, planner and robots.
 struct Others {
     scores: Publisher<RoomScoresV1>,
     persons: Publisher<PersonScoresV1>,
@@ -101,11 +100,6 @@ impl Publishers {
     }
 }
 
-/// Replays the file.
-///
-/// # Errors
-///
-/// When the recording is malformed, a service cannot be opened, or no daemon took in the narration.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (_, domain) = args.service.load()?;
@@ -152,7 +146,7 @@ pub fn run(args: &Args) -> CommandResult {
         super::tell(format_args!("{known}"));
     }
     let (Some(heard), Some(last)) = (heard, last) else { return Ok(()) };
-    // What waits in shared memory dies with its publisher, so this one lives until the daemon has it.
+    // Waiting messages are lost with their publisher, so this one lives until the daemon has them.
     let (begun, linger) = (Instant::now(), Duration::from_secs(args.linger));
     while !stop.requested() {
         publishers.tick().map_err(ipc)?;
@@ -160,11 +154,11 @@ pub fn run(args: &Args) -> CommandResult {
         newest = heard.newest().map_err(ipc)?.or(newest);
         let mut included = newest.iter().flat_map(RoomScoresV1::included);
         if included.any(|i| (i.source, i.epoch) == (last.0, last.1) && i.sequence >= last.2) {
-            // A recorder that looks now and then gets its chance, too.
+            // A recorder with slow polls gets the last messages too.
             std::thread::sleep(TICK);
             return Ok(());
         }
-        // Also whoever does not wait looks once.
+        // Without a wait, it still checks once.
         if begun.elapsed() >= linger {
             break;
         }
@@ -187,8 +181,8 @@ pub fn run(args: &Args) -> CommandResult {
     ))
 }
 
-/// Who takes what is replayed for what is so, by the beginning of their names: a robot would drive where it was sent then, and of a daemon's
-/// scores beside the recorded ones nobody knows which hold.
+/// Participants that would act on replayed messages, by the beginning of their names: a robot would drive, and a daemon's scores would mix with the
+/// recorded ones.
 const MISLED: [(&str, &str); 6] = [
     ("roomcast-daemon", "a daemon"),
     ("roomcast-planner", "a planner"),
@@ -198,7 +192,7 @@ const MISLED: [(&str, &str); 6] = [
     ("roomcast-ros2", "a bridge to ROS 2"),
 ];
 
-/// Refuses to replay everything where somebody would act on it.
+/// Refuses to replay everything if a participant would act on it.
 fn refuse_beside(participants: &[String], domain: &Domain) -> CommandResult {
     let misled =
         MISLED.into_iter().find_map(|(name, who)| Some((who, participants.iter().find(|own| own.starts_with(name))?)));
@@ -210,7 +204,7 @@ fn refuse_beside(participants: &[String], domain: &Domain) -> CommandResult {
     Err(Failure::new(exit_code::IPC, text))
 }
 
-/// How many of the narrations the daemon has taken in already, in words, as far as its newest scores tell.
+/// How many narrations the daemon has taken in already, in words, by its newest scores.
 fn known_words(scores: &RoomScoresV1, messages: &[(u64, Recorded)]) -> Option<String> {
     let contained = |message: &NarrationV1| {
         let newest = scores.included().iter().find(|i| (i.source, i.epoch) == (message.source, message.epoch));
@@ -220,7 +214,7 @@ fn known_words(scores: &RoomScoresV1, messages: &[(u64, Recorded)]) -> Option<St
         Recorded::Narration(message) => contained(message),
         _ => false,
     });
-    // Of more sources the scores name the newest alone.
+    // With more sources, the scores name only the newest.
     let names_all = scores.included().len() < MAX_SOURCES;
     let how_many = match (narrations.count(), names_all) {
         (0, true) => return None,
@@ -245,7 +239,7 @@ fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::IncludedV1;
+    use roomcast_ipc::raw::IncludedV1;
     use roomcast_services::participant::{DRIVER, PLANNER};
 
     #[test]
@@ -273,7 +267,7 @@ mod tests {
         }
     }
 
-    /// Nineteen narrators said one sentence each, and scores have places for sixteen.
+    /// Nineteen narrators sent one sentence each, but scores have places for sixteen.
     #[test]
     fn what_was_taken_in_before_is_not_counted_short() {
         let narration = |source| {

@@ -1,4 +1,4 @@
-//! `roomcast report`: what a robot says of itself, and what a person orders, to the robot's planner.
+//! `roomcast report`: sends a robot's reports, and a person's orders, to the robot's planner.
 
 use std::io::{self, BufRead, Read};
 use std::path::Path;
@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{DecisionV1, IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1, RoomV1};
+use roomcast_ipc::{IpcError, Node, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
 use strum::{EnumMessage, VariantArray};
 
@@ -20,17 +21,16 @@ use roomcast_services::reporter::{Kind, LINE_BYTES_MAX, Report, Reporter};
 use roomcast_services::setup;
 use roomcast_services::stop::Stop;
 
-/// A report wakes a planner; after so long, longer than one sleeps, a running one has what was sent.
+/// A report wakes a planner. After this time, longer than its sleep, a running one has received it.
 const LINGER: Duration = Duration::from_millis(500);
-/// How long a planner may take to notice a new listener.
+/// Time in which a planner notices a new subscriber.
 const NOTICED_WITHIN: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(50);
-/// A daemon that runs repeats its scores within so long.
+/// A running daemon repeats its scores within this time.
 const HEARTBEAT: Duration = Duration::from_millis(1500);
-/// Lines that may lie between standard input and the service.
+/// Most queued lines of standard input.
 const LINES: usize = 8;
 
-/// Arguments of `roomcast report`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -41,7 +41,7 @@ pub struct Args {
     /// The robot's name, in place of the configuration's planner.robot.
     #[arg(long, value_name = "NAME")]
     robot: Option<String>,
-    /// The room that it speaks of, by its id or its name in the map.
+    /// The report's room, by its id or its name in the map.
     #[arg(long, value_name = "ROOM")]
     room: Option<String>,
     /// How full the battery is, 0 to 1.
@@ -50,10 +50,10 @@ pub struct Args {
     /// Where the robot is, in the map's metres: x,y,z.
     #[arg(long, value_name = "X,Y,Z", value_parser = position, allow_hyphen_values = true)]
     position: Option<[f64; 3]>,
-    /// The sequence of the decision that it answers.
+    /// The sequence of the decision that the report answers.
     #[arg(long, value_name = "SEQUENCE", value_parser = clap::value_parser!(u64).range(1..))]
     decision: Option<u64>,
-    /// Why, in words.
+    /// The reason, in words.
     #[arg(long, value_name = "TEXT")]
     note: Option<String>,
     /// Seconds until a hold ends; without it, a resume ends it.
@@ -64,7 +64,6 @@ pub struct Args {
     wait: f64,
 }
 
-/// What the command line names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum What {
     One(Kind),
@@ -91,11 +90,6 @@ fn position(text: &str) -> Result<[f64; 3], String> {
     numbers.ok_or_else(|| "give three numbers in metres, such as 1.5,2,0".to_owned())
 }
 
-/// Sends the reports, and stays until a planner can have received them.
-///
-/// # Errors
-///
-/// When a report is malformed, a service cannot be opened, or nobody listens.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (config, domain) = args.service.load()?;
@@ -115,7 +109,7 @@ pub fn run(args: &Args) -> CommandResult {
         return Err(usage(format!("{option} is for one report; with `-`, give it in the line")));
     }
     let ipc = |error: IpcError| Failure::new(exit_code::IPC, error);
-    // What is malformed is said before anybody is waited for.
+    // A malformed report is refused before any wait.
     let one = match args.what {
         What::One(kind) => {
             let report = Report {
@@ -145,7 +139,7 @@ pub fn run(args: &Args) -> CommandResult {
         None => send_lines(&mut reporter, &publisher, &mut rooms, &stop, (&mut sent, &mut refused))?,
     }
     if stop.requested() {
-        // Who reads what a robot says goes on until it is stopped.
+        // A reader of a robot's reports goes on until it is stopped.
         let follows = args.what == What::Lines && !service::has_end(Path::new("-"));
         return if follows { Ok(()) } else { Err(service::interrupted(&format!("{} sent", count(sent, "report")))) };
     }
@@ -189,7 +183,7 @@ pub fn run(args: &Args) -> CommandResult {
     Ok(())
 }
 
-/// Sends a report for each line of standard input, to its end. A malformed line is named, and the next one follows.
+/// Sends a report for each line of standard input. A malformed line is reported, and the next one follows.
 fn send_lines(
     reporter: &mut Reporter,
     publisher: &Publisher<RobotReportV1>,
@@ -222,7 +216,7 @@ fn send_lines(
             "" => Ok(None),
             line => Report::parse(line).map_err(|error| error.to_string()).map(Some),
         });
-        // What is malformed is said of the whole line, whatever room it names.
+        // A malformed line is refused as a whole, with any room.
         let said = report.and_then(|report| report.map(|report| Ok((message(&report)?, report))).transpose());
         match said {
             Ok(None) => {}
@@ -230,7 +224,7 @@ fn send_lines(
                 let mut messages = vec![whole];
                 if let Err(error) = rooms.check(whole.room()) {
                     messages.clear();
-                    // Where the robot is, and its battery, do not hang on the room's name.
+                    // The robot's place and its battery do not depend on the room's name.
                     for report in without_room(&report) {
                         messages.extend(message(&report).map_err(&mut complain));
                     }
@@ -249,7 +243,7 @@ fn send_lines(
     Ok(())
 }
 
-/// Whether a report says what became of work in a room.
+/// Whether a report is about work in a room.
 fn is_work(kind: Kind) -> bool {
     match kind {
         Kind::Started | Kind::Finished | Kind::Failed | Kind::Blocked | Kind::Cancelled => true,
@@ -258,7 +252,7 @@ fn is_work(kind: Kind) -> bool {
     }
 }
 
-/// What is left of a report that names a room which is none: that the robot is docked, its position, its battery.
+/// The parts of a report with an unknown room that stay valid: docked, position, battery.
 fn without_room(report: &Report) -> Vec<Report> {
     let Report { kind, battery, position, .. } = *report;
     let placed = |kind| Report { battery, position, note: report.note.clone(), ..Report::new(kind) };
@@ -273,11 +267,11 @@ fn without_room(report: &Report) -> Vec<Report> {
     }
 }
 
-/// The rooms that a planner can know, where a daemon says which there are.
+/// The rooms that a planner can know, if a daemon publishes them.
 struct Rooms {
     scores: Subscriber<RoomScoresV1>,
     newest: Option<RoomScoresV1>,
-    /// The scene, as the planner has it, whose names mean rooms.
+    /// The planner's scene, for rooms by name.
     names: Option<Names>,
 }
 
@@ -293,7 +287,7 @@ impl Names {
         Self { map, partitions }
     }
 
-    /// The id of the room that a name means: of several in one room, none.
+    /// The id of the room with this name; `None` if the room has several partitions.
     fn id(&self, name: &str) -> Option<&str> {
         let room = self.map.find_one_room(name)?;
         let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));
@@ -303,13 +297,13 @@ impl Names {
 
 impl Rooms {
     fn open(node: &Node, config: &Config) -> Result<Self, IpcError> {
-        // What is wrong with the scene is for the planner and the daemon to say.
+        // The planner and the daemon report faults of the scene.
         let map = setup::load_map(config.scene.path.as_deref()).ok();
         let names = map.map(|map| Names::new(map, config.grounding.level));
         Ok(Self { scores: node.subscriber()?, newest: None, names })
     }
 
-    /// Refuses a room that neither the daemon nor the scene has. Without a daemon nobody can tell.
+    /// Refuses a room that neither the daemon nor the scene has. Without a daemon, every room passes.
     fn check(&mut self, room: &str) -> Result<(), String> {
         if room.is_empty() {
             return Ok(());
@@ -333,7 +327,7 @@ impl Rooms {
     }
 }
 
-/// That no room is called so, and what to do where the scene is another one than the daemon's map.
+/// The error for an unknown room, with the remedy if the scene is not the daemon's map.
 fn no_room(room: &str, known: &str, is_other_map: bool) -> String {
     let remedy = match is_other_map {
         true => {
@@ -355,7 +349,7 @@ fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
             let said = match read {
                 Ok(0) => return,
                 Ok(bytes) if bytes as u64 > LINE_BYTES_MAX => {
-                    // The rest of the line is no other line.
+                    // The rest of an overlong line is not a line.
                     if input.skip_until(b'\n').is_err() {
                         return;
                     }
@@ -374,22 +368,22 @@ fn read_lines() -> io::Result<Receiver<Result<String, String>>> {
     Ok(lines)
 }
 
-/// Who has received the reports.
+/// The receiver of the reports.
 enum Hearer {
     Planner,
-    /// One of another robot, that takes part by this name.
+    /// A planner of another robot, by its participant's name.
     OtherPlanner(String),
     Others,
     Nobody,
 }
 
-/// The name of the robot of a planner, which may be whole in its last decision alone.
+/// The name of a planner's robot; only its last decision may have the whole name.
 fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
     if let Some(name) = PLANNER.robot_name(planner) {
         return Ok(Some(name.to_owned()));
     }
     let decisions = node.subscriber::<DecisionV1>()?;
-    // The planner has to notice that somebody listens before it gives what it decided last.
+    // The planner must notice the subscriber before it sends its last decision.
     let until = Instant::now() + NOTICED_WITHIN;
     loop {
         while let Some(decision) = decisions.receive()? {
@@ -404,7 +398,7 @@ fn other_name(node: &Node, planner: &str) -> Result<Option<String>, IpcError> {
     }
 }
 
-/// Waits for the robot's planner, and then as long as it takes to receive what was sent.
+/// Waits for the robot's planner, and then until it can have received the reports.
 fn wait(
     publisher: &Publisher<RobotReportV1>,
     robot: &str,

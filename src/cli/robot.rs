@@ -1,4 +1,4 @@
-//! `roomcast robot`: a vacuum that follows the planner's decisions.
+//! `roomcast robot`: drives a vacuum by the planner's decisions.
 
 use std::io::Write;
 
@@ -9,32 +9,26 @@ use roomcast_services::config::RobotKind;
 use roomcast_services::vacuum::{self, DriveError, Way};
 use roomcast_services::{logging, setup};
 
-/// Arguments of `roomcast robot`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
     #[command(flatten)]
     broker: broker::Args,
-    /// How the robot speaks, in place of the configuration's.
+    /// The robot's protocol, in place of the configuration's.
     #[arg(long, value_name = "KIND", value_parser = choice::<RobotKind>())]
     kind: Option<RobotKind>,
-    /// Where it speaks, in place of the configuration's: Valetudo's prefix and identifier, or Home Assistant's state topics of the vacuum.
+    /// The robot's topic, in place of the configuration's: Valetudo's prefix and identifier, or Home Assistant's state topics of the vacuum.
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
     /// The robot's name, in place of the configuration's planner.robot.
     #[arg(long, value_name = "NAME")]
     robot: Option<String>,
-    /// Tell the robot. Without it, and without robot.obey in the configuration, what it would be told is only printed.
+    /// Send the commands to the robot. Without it, and without robot.obey in the configuration, they are only printed.
     #[arg(long)]
     obey: bool,
 }
 
-/// Drives the robot until it is asked to stop.
-///
-/// # Errors
-///
-/// When no broker is named, its files cannot be used, or a service is lost.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();
@@ -49,12 +43,12 @@ pub fn run(args: &Args) -> CommandResult {
         config.planner.robot.clone_from(name);
     }
     config.check().map_err(|error| Failure::new(exit_code::CONFIG, error))?;
-    // Rooms that are named in other words than the map's ids.
+    // Rooms may be named by other words than the map's ids.
     if !config.robot.segments.is_empty() {
         let map = setup::load_map(config.scene.path.as_deref())?;
         config.robot.segments = vacuum::by_ids(&config.robot.segments, &map);
     }
-    // A broker ends the connection of whoever has a name before: a dry run has one of its own.
+    // A broker disconnects an earlier client with the same name, so a dry run has another one.
     let dry = if config.robot.obey { String::new() } else { format!("-dry-run-{}", std::process::id()) };
     let client = format!("roomcast-robot-{}{dry}", config.robot.topic.replace('/', "-"));
     let broker = args.broker.broker(&config.mqtt, client)?;

@@ -1,4 +1,4 @@
-//! `roomcast scene`: import, check, show and draw semantic maps.
+//! `roomcast scene`: imports, checks, shows and draws semantic maps.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -12,18 +12,17 @@ use serde_json::{Value, json};
 use super::choice::choice;
 #[cfg(feature = "simulation")]
 use super::draw;
-use super::home_source::{home_assistant, write_rules};
+use super::home_source::{HomeOptions, home_assistant, write_rules};
 use super::scene_files::{in_file, in_map, input, load, read, segment_names, write};
 use super::{CommandResult, Failure, count, print, ranges, service};
 use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::grounding::{Grounding, GroundingOptions, PartitionLevel, Placement, Reason};
 use roomcast_core::semantic_map::delta;
-use roomcast_core::semantic_map::import::{self, ImportError, Imported, Up};
+use roomcast_core::semantic_map::import::{self, ImportError, Imported, Registries, Up};
 use roomcast_core::semantic_map::{ItemId, PartitionId, Room, RoomId, SemanticMap, Space};
 use roomcast_services::daemon::{MapAnswer, MapQuestion, Outcome};
 
-/// Arguments of `roomcast scene`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -34,13 +33,13 @@ pub struct Args {
 enum Command {
     /// Turn a map of another format into a scene.
     Import(Import),
-    /// Check scenes: the format, and whether every item lies somewhere and every room can be reached.
+    /// Check scenes: the format, and whether every item is in a room and every room can be reached.
     Check(Check),
     /// Apply changes to a scene file: items added, moved, removed; rooms added, removed.
     Change(Change),
     /// Apply changes to the map of a running daemon, without a restart.
     Apply(Apply),
-    /// Print what a scene holds and what was assigned where, by which rule, and what was not.
+    /// Print a scene's contents, each item's partition with the rule of the assignment, and the unassigned items.
     Show(Show),
     /// Draw a scene from above, with scores as heat, as SVG or PNG.
     #[cfg(feature = "simulation")]
@@ -61,14 +60,13 @@ enum Format {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub(super) enum Furnish {
-    /// The usual furniture of their kind in rooms without things. What cannot furnish a room, such as walls and windows, does not count.
+    /// The usual furniture of their kind in rooms without things. Structural things, such as walls and windows, do not count.
     Typical,
-    /// The same, and in rooms with one or two kinds of things alone the pieces that they lack.
+    /// The same, and the missing pieces in rooms with only one or two kinds of things.
     Sparse,
 }
 
 impl Furnish {
-    /// Puts assumed furniture where it says.
     pub(super) fn furnish(self, imported: Imported) -> Result<Imported, ImportError> {
         match self {
             Self::Typical => imported.furnished(),
@@ -79,8 +77,8 @@ impl Furnish {
 
 #[derive(Debug, clap::Args)]
 struct Import {
-    /// The map to read; of open-vocabulary maps several files that belong together, or a folder of them; of a Home Assistant its
-    /// configuration folder, or its address (http://HOST:8123) with --token-file.
+    /// The map to read; for open-vocabulary maps several files that belong together, or a folder of them; for a Home Assistant its configuration
+    /// folder, or its address (http://HOST:8123) with --token-file.
     #[arg(required = true)]
     graph: Vec<PathBuf>,
     /// The scene to write.
@@ -95,16 +93,16 @@ struct Import {
     /// VirtualHome's table of equivalent class names; adds aliases.
     #[arg(long, value_name = "FILE")]
     equivalence: Option<PathBuf>,
-    /// Which axis of an open-vocabulary map points up, where the map does not say.
+    /// The axis of an open-vocabulary map that points up, if the map does not say.
     #[arg(long, value_parser = choice::<Up>(), default_value_t)]
     up: Up,
-    /// Keep labels of an open-vocabulary map that differ in spelling or number only ("mugs", "coffeemaker").
+    /// Keep labels of an open-vocabulary map that differ only in spelling or number ("mugs", "coffeemaker").
     #[arg(long)]
     keep_spellings: bool,
     /// Names for the segments of a Valetudo map: a TOML file with a line such as `11 = "kitchen"` each.
     #[arg(long, value_name = "FILE")]
     names: Option<PathBuf>,
-    /// Where the rules that come with a Home Assistant's map go; by default beside it, as `NAME.rules.toml`. A file that is there stays.
+    /// The file for the rules from a Home Assistant's map; by default beside the map, as `NAME.rules.toml`. An existing file stays.
     #[arg(long, value_name = "FILE")]
     rules: Option<PathBuf>,
     /// An area of Home Assistant that becomes no room, by its name or id; once for each.
@@ -113,7 +111,7 @@ struct Import {
     /// A file with a long-lived access token of the Home Assistant at an address; only its owner may be able to read it.
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// A PEM file with the certificates that the Home Assistant's is signed by, for an https address.
+    /// A PEM file with the certificates of the Home Assistant's certificate authority, for an https address.
     #[arg(long, value_name = "FILE", requires = "token_file")]
     ca: Option<PathBuf>,
     /// Put the usual furniture of their kind into rooms; ids of such things begin with "assumed".
@@ -166,7 +164,7 @@ struct Check {
 struct Show {
     /// The scene file, or the name of a shipped one.
     scene: PathBuf,
-    /// What a partition is.
+    /// The level of a partition.
     #[arg(long, value_parser = choice::<PartitionLevel>(), default_value_t)]
     level: PartitionLevel,
     /// Print JSON: every item with its partition and the rule that put it there.
@@ -174,10 +172,10 @@ struct Show {
     json: bool,
 }
 
-/// Runs the subcommand and prints on standard output.
+/// Runs the subcommand.
 ///
 /// # Errors
-/// [`exit_code::INPUT`] for a map that cannot be used, [`exit_code::CHECK`] for a check with faults.
+/// [`exit_code::INPUT`] for an unusable map, [`exit_code::CHECK`] for a check with faults.
 pub fn run(args: &Args) -> CommandResult {
     match &args.command {
         Command::Import(args) => import(args),
@@ -191,7 +189,7 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 impl Import {
-    /// Refuses options that the format has no use for: passed over in silence they would be believed to have done something.
+    /// Refuses options that the format does not use: they would be ignored silently.
     fn refuse_without_effect(&self) -> CommandResult {
         let options = [
             (self.equivalence.is_some(), "--equivalence", "has VirtualHome's names", Format::Virtualhome),
@@ -255,7 +253,10 @@ fn import(args: &Import) -> CommandResult {
                 ));
             };
             let name = args.name.as_deref().unwrap_or("home");
-            let home = home_assistant(folder, name, args.token_file.as_deref(), args.ca.as_deref(), &args.leave_out)?;
+            let registries =
+                Registries { leave_out: &args.leave_out, furnished: args.furnish.is_some(), ..Registries::default() };
+            let (token_file, authority) = (args.token_file.as_deref(), args.ca.as_deref());
+            let home = home_assistant(folder, name, HomeOptions { token_file, authority, registries })?;
             rules = home
                 .rules
                 .map(|text| (args.rules.clone().unwrap_or_else(|| args.out.with_extension("rules.toml")), text));
@@ -293,7 +294,7 @@ fn import(args: &Import) -> CommandResult {
     print(&text)
 }
 
-/// "3 doors", and whether the map says so.
+/// "3 doors", and whether they were found where rooms touch.
 fn doors(map: &SemanticMap) -> String {
     let found = if map.doors_found() && !map.doors().is_empty() { " found where rooms touch" } else { "" };
     format!("{}{found}", count(map.doors().len(), "door"))
@@ -370,7 +371,7 @@ fn apply(args: &Apply) -> CommandResult {
     ))
 }
 
-/// The files, with folders replaced by the JSON files in them and in their folders, in the order of names.
+/// The files, sorted by name, with folders replaced by the JSON files in them and in their subfolders.
 fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     const DEEPEST: usize = 3;
     fn collect(path: &Path, depth: usize, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
@@ -398,12 +399,12 @@ fn map_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
-/// How far a door may lie from the rooms that it joins, in metres: walls have a thickness.
+/// Largest distance of a door from the rooms that it joins, in metres: walls have a thickness.
 const DOOR_OFF_M: f64 = 0.5;
-/// How far an item's point may lie outside its box, in metres: numbers are rounded.
+/// Largest distance of an item's point from its box, in metres: numbers are rounded.
 const ITEM_OFF_M: f64 = 0.05;
 
-/// What a person should know about a map that is well formed.
+/// Remarks on a well-formed map.
 fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     let mut warnings = Vec::new();
     for (ItemId(item), Reason::Outside { nearest, distance_m }) in grounding.unassigned() {
@@ -448,14 +449,14 @@ fn warnings(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     warnings
 }
 
-/// No hall is larger; a room of a map in centimetres is.
+/// No hall is larger, but a room of a map in centimetres is.
 const LARGEST_M3: f64 = 1e6;
-/// How much of a room may lie in another one without a word, as a share of its volume: walls have a thickness.
+/// Largest share of a room's volume inside another one without a warning: walls have a thickness.
 const OVERLAP_SHARE: f64 = 0.05;
 /// Most items that one warning names.
 const NAMED_MAX: usize = 5;
 
-/// Rooms that take up the same space, but for a nook that stands after the room around it.
+/// Rooms that overlap, except a nook that is listed after the room around it.
 fn overlaps(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     let mut warnings = Vec::new();
     for (index, later) in map.rooms().iter().enumerate() {
@@ -487,12 +488,12 @@ fn overlaps(map: &SemanticMap, grounding: &Grounding) -> Vec<String> {
     warnings
 }
 
-/// Aliases that mean nothing: of no label, or words that are another label or room themselves.
+/// Aliases without effect: of no label, or equal to another label or room.
 fn odd_aliases(map: &SemanticMap) -> Vec<String> {
     let is_label = |words: &str| map.labels().iter().any(|label| label == words);
     let is_of = |room: &Room, words: &str| room.id == words || room.label == words;
     let is_known = |words: &str| is_label(words) || map.rooms().iter().any(|room| is_of(room, words));
-    // The id of the very room that the alias is of says what the alias says.
+    // An alias that equals its own room's id is fine.
     let is_another = |words: &str, own: &str| {
         let mut rooms = map.rooms().iter();
         words != own && (is_label(words) || rooms.any(|room| is_of(room, words) && !is_of(room, own)))
@@ -728,7 +729,7 @@ mod tests {
         let items = json!([item("fridge", 1.0), item("sofa", 6.0)]);
         let of = |rooms: &[Value]| warned(&json!(rooms), &items, &json!({}));
         let (kitchen, living) = (room("kitchen", 0.0, 3.0), room("living", 0.0, 8.0));
-        // Typed with a wrong corner, the room takes all that is in the other one.
+        // With a wrong corner, the room contains everything in the other one.
         let said = of(&[kitchen.clone(), living.clone()]);
         assert_eq!(said.len(), 1);
         assert!(
@@ -781,7 +782,7 @@ mod tests {
         }
     }
 
-    /// What the import writes has nothing odd.
+    /// The import writes no odd aliases.
     #[test]
     fn the_map_of_a_home_assistant_has_no_odd_aliases() {
         let area = |(id, name): (&str, &str)| json!({"id": id, "name": name, "aliases": ["Stube", "wz"]});
@@ -792,7 +793,7 @@ mod tests {
             ("flur", "Flur"),
         ];
         let areas = json!({"data": {"areas": names.map(area)}}).to_string();
-        let registries = import::Registries { areas: &areas, ..Default::default() };
+        let registries = Registries { areas: &areas, ..Default::default() };
         let map = import::home_assistant(&registries, "home").unwrap().imported.furnished().unwrap().map;
         assert_eq!(odd_aliases(&map), [""; 0], "{:?}", map.aliases());
         for (place, (id, name)) in (0..).zip(names) {

@@ -1,4 +1,4 @@
-//! Reads and writes what the commands of scenes work on.
+//! Reads and writes the files of the commands for scenes.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -38,7 +38,7 @@ pub(super) fn read(what: &str, path: &Path) -> Result<String, Failure> {
     })
 }
 
-/// The names of a map's segments, from a file of at most as much as rules may have: who gives the map by mistake is told so at once.
+/// The names of a map's segments. The size limit is the same as for rules, so a map that is given by mistake is refused at once.
 pub(super) fn segment_names(path: &Path) -> Result<HashMap<String, String>, Failure> {
     let fault = |error: std::io::Error| {
         input(format!("names {}: {error}; give a file with lines as 11 = \"kitchen\"", path.display()))
@@ -47,11 +47,11 @@ pub(super) fn segment_names(path: &Path) -> Result<HashMap<String, String>, Fail
     import::segment_names(&text).map_err(|error| in_file("names", path, &error))
 }
 
-/// Writes beside the target and renames, so that no reader sees half a file. A link and a FIFO are refused.
+/// Writes a new file and renames it, so that no reader sees half a file. Links and FIFOs are refused.
 pub(super) fn write(path: &Path, bytes: &[u8]) -> CommandResult {
     let fail = |error: std::io::Error| {
         let is_refused = error.kind() == std::io::ErrorKind::Other;
-        // tempfile's errors end with the name of its file, which nobody has asked for.
+        // tempfile's errors end with the temporary file's name.
         let said = error.to_string();
         let (path, error) = (path.display(), said.rsplit_once(" at path ").map_or(&said[..], |(said, _)| said));
         // A refused place has its own remedy.

@@ -1,4 +1,4 @@
-//! `roomcast score`: one narration against one scene, once.
+//! `roomcast score`: scores one narration in one scene, once.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -22,25 +22,27 @@ use roomcast_core::semantic_map::{PartitionId, SemanticMap};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions};
 use roomcast_services::setup;
 
-/// Arguments of `roomcast score`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The scene file, or the name of a shipped one; the studio flat when left out.
+    /// The scene file, or the name of a shipped one; by default the studio flat.
     #[arg(long, value_name = "FILE")]
     scene: Option<PathBuf>,
-    /// What was just done, as sentences or VirtualHome actions; several stand on lines of their own, or end with a full stop and a space.
-    #[arg(long, value_name = "TEXT", conflicts_with = "program")]
+    /// The last actions, as sentences or VirtualHome actions; several stand on separate lines, or end with a full stop and a space.
+    #[arg(value_name = "TEXT", conflicts_with = "program")]
+    text: Option<String>,
+    /// The same as TEXT.
+    #[arg(long, value_name = "TEXT", conflicts_with_all = ["program", "text"])]
     narration: Option<String>,
-    /// An activity program, or a shipped one's name, whose first steps are the narration.
+    /// An activity program, or a shipped one's name; its first steps are the narration.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
-    /// How many steps of the program were done; all when left out.
-    #[arg(long, value_name = "N", requires = "program", conflicts_with = "narration", value_parser = ranges::whole(0..=usize::MAX))]
+    /// How many steps of the program were done; by default all.
+    #[arg(long, value_name = "N", requires = "program", conflicts_with_all = ["text", "narration"], value_parser = ranges::whole(0..=usize::MAX))]
     steps: Option<usize>,
-    /// The binding sequence: default, p0 to p5, or a text of your own; default when left out.
+    /// The binding sequence: default, p0 to p5, or your own text.
     #[arg(long, value_name = "TEXT")]
     binding: Option<BindingSequence>,
-    /// A GGUF model; the embedded household model when left out.
+    /// A GGUF model; by default the embedded household model.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// How labels are scored; all methods agree up to rounding.
@@ -49,7 +51,7 @@ pub struct Args {
     /// How far the answer goes: exact, or until the ranking, the top partition, or the time is certain.
     #[arg(long, value_parser = choice::<Effort>(), default_value_t)]
     effort: Effort,
-    /// The time for the answer under --effort deadline, in milliseconds, 1 to 60000; 5 when left out.
+    /// The time for the answer under --effort deadline, in milliseconds, 1 to 60000; by default 5.
     #[arg(long, value_name = "MS", value_parser = ranges::deadline_ms())]
     deadline_ms: Option<u64>,
     /// How prompt and labels are cut into tokens.
@@ -57,7 +59,7 @@ pub struct Args {
     tokenisation: Tokenisation,
     #[command(flatten)]
     correction: CorrectionArgs,
-    /// What a partition is; a room when left out.
+    /// The level of a partition; by default a room.
     #[arg(long, value_parser = choice::<PartitionLevel>())]
     level: Option<PartitionLevel>,
     /// Do not score the rooms' names as labels.
@@ -80,10 +82,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Scores once and prints the result.
-///
-/// # Errors
-/// When scene, program, text or model cannot be used.
 pub fn run(args: &Args) -> CommandResult {
     let (pipeline, map) = scored(args)?;
     if args.json {
@@ -94,12 +92,11 @@ pub fn run(args: &Args) -> CommandResult {
 }
 
 impl Args {
-    /// How the map is grounded.
     pub(super) fn grounding(&self) -> GroundingOptions {
         GroundingOptions { level: self.level.unwrap_or_default(), room_labels: !self.no_room_labels }
     }
 
-    /// The scene, the model and how it runs, for commands that score something else than a given narration.
+    /// Scene, model and its options, for commands that do not score a given narration.
     pub(super) fn scene_and_model(&self) -> (Option<&Path>, Option<&Path>, LlamaOptions) {
         (self.scene.as_deref(), self.model.as_deref(), self.llama_options())
     }
@@ -113,22 +110,19 @@ impl Args {
         }
     }
 
-    /// The binding sequence.
     pub(super) fn binding(&self) -> BindingSequence {
         self.binding.clone().unwrap_or_default()
     }
 
-    /// Whether it is said how to ask or what a partition is, which a recording may say itself.
+    /// Whether the command line sets binding or partitions, which a recording may set itself.
     pub(super) fn says_binding_or_partitions(&self) -> bool {
         self.binding.is_some() || self.level.is_some() || self.no_room_labels
     }
 
-    /// How many labels are wanted.
     pub(super) fn top(&self) -> usize {
         self.top
     }
 
-    /// Whether JSON is wanted.
     pub(super) fn json(&self) -> bool {
         self.json
     }
@@ -180,7 +174,9 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
         }
     }
-    for line in args.narration.as_deref().unwrap_or_default().lines().filter(|l| !l.trim().is_empty()) {
+    for line in
+        args.text.as_deref().or(args.narration.as_deref()).unwrap_or_default().lines().filter(|l| !l.trim().is_empty())
+    {
         if line.trim_start().starts_with('[') {
             let action = Action::parse(line).map_err(|e| Failure::new(exit_code::INPUT, e))?;
             sentences.push(Sentence::new(&action.sentence()).map_err(|e| Failure::new(exit_code::INPUT, e))?);
@@ -193,7 +189,7 @@ fn observations(args: &Args) -> Result<Vec<Observation>, Failure> {
     Ok((0..).zip(sentences).map(|(sequence, sentence)| Observation::of(sequence, sentence)).collect())
 }
 
-/// Everything that the scores consist of; other programs rely on these keys.
+/// All parts of the scores. Other programs rely on these keys.
 pub(super) fn report<M: LanguageModel>(pipeline: &Pipeline<M>, map: &SemanticMap) -> serde_json::Value {
     let (scores, grounding, prepared) = (pipeline.scores(), pipeline.grounding(), pipeline.inside().prepared());
     let partition_id = |p: Option<PartitionId>| p.map(|p| grounding.partitions()[p.0 as usize].id.as_str());

@@ -1,4 +1,4 @@
-//! What the commands of the services have in common: configuration and domain.
+//! Shared by the commands of services: configuration and domain.
 
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -13,11 +13,11 @@ use crate::exit_code;
 use roomcast_services::config::Config;
 use roomcast_services::stop::Stop;
 
-/// What the environment says in place of the configuration, for every command that joins a domain.
+/// Environment variables that override the configuration, for every command that joins a domain.
 const ROOT_VARIABLE: &str = "ROOMCAST_ROOT";
 const DOMAIN_VARIABLE: &str = "ROOMCAST_DOMAIN";
 
-/// Which keys of a configuration have no effect here, because the environment says otherwise.
+/// The keys of a configuration that the environment overrides.
 pub fn overridden(config: &Config) -> Vec<String> {
     overridden_by(config, |name| std::env::var_os(name))
 }
@@ -36,7 +36,6 @@ fn overridden_by(config: &Config, variable: impl Fn(&str) -> Option<OsString>) -
     keys.into_iter().filter_map(other).collect()
 }
 
-/// Arguments of every command that joins a domain.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The configuration file; see `roomcast config` for all keys.
@@ -51,7 +50,7 @@ pub struct Args {
 }
 
 impl Args {
-    /// Whether the command line, and not only the environment, names a configuration or a domain.
+    /// Whether the command line itself, not only the environment, names a configuration or a domain.
     pub fn on_command_line(&self) -> bool {
         let given = |value: Option<&OsStr>, name| value.is_some() && value != std::env::var_os(name).as_deref();
         given(self.config.as_ref().map(|path| path.as_os_str()), "ROOMCAST_CONFIG")
@@ -59,7 +58,6 @@ impl Args {
             || given(self.domain.as_ref().map(OsStr::new), DOMAIN_VARIABLE)
     }
 
-    /// The configuration file, if one is named.
     pub fn config_file(&self) -> Option<&Path> {
         self.config.as_deref()
     }
@@ -68,7 +66,7 @@ impl Args {
     ///
     /// # Errors
     ///
-    /// When the file is malformed or the domain cannot be.
+    /// If the file is malformed or the domain is invalid.
     pub fn load(&self) -> Result<(Config, Domain), Failure> {
         let mut config = match &self.config {
             Some(path) => Config::load(path).map_err(|error| Failure::new(exit_code::CONFIG, error))?,
@@ -85,7 +83,7 @@ impl Args {
     }
 }
 
-/// The way to one of the daemon's services of questions.
+/// Asks one of the daemon's services of questions.
 pub struct Asker {
     port: QuestionPort,
     patience: Duration,
@@ -96,18 +94,13 @@ impl Asker {
     ///
     /// # Errors
     ///
-    /// When the domain or the service cannot be joined.
+    /// If the domain or the service cannot be joined.
     pub fn new(domain: &Domain, participant: &str, service: &'static str, patience_s: u64) -> Result<Self, Failure> {
         let port = domain.open(participant).and_then(|node| node.question_port(service));
         let port = port.map_err(|error| Failure::new(exit_code::IPC, error))?;
         Ok(Self { port, patience: Duration::from_secs(patience_s) })
     }
 
-    /// Asks, and waits for the answer.
-    ///
-    /// # Errors
-    ///
-    /// When no daemon answers, or one of another version.
     pub fn ask<A: DeserializeOwned>(&self, question: &impl Serialize) -> Result<A, Failure> {
         let question = serde_json::to_string(question).map_err(|error| Failure::new(exit_code::FAILURE, error))?;
         let text = self.port.ask(&question, self.patience).map_err(|error| Failure::new(exit_code::IPC, error))?;
@@ -118,7 +111,7 @@ impl Asker {
     }
 }
 
-/// A name that no other question has.
+/// A random name for a question.
 #[must_use]
 pub fn question_name() -> String {
     format!("{:016x}", sequence::random_epoch())
@@ -130,8 +123,8 @@ pub fn shown(domain: &Domain) -> String {
     format!("the domain {} at {}", domain.name(), domain.root().display())
 }
 
-/// Whether what is read there has an end, so that being stopped before it is being interrupted. Whoever follows a pipe, a FIFO or a terminal
-/// goes on until somebody stops it. `-` is standard input, and a name that is no file's is one that Roomcast ships.
+/// Whether this input has an end, so that an earlier stop counts as an interruption. Pipes, FIFOs and terminals have none. `-` is standard input; a
+/// name that is no file is of a shipped program.
 pub fn has_end(path: &Path) -> bool {
     if path.as_os_str() == "-" {
         let about = rustix::fs::fstat(std::io::stdin());
@@ -140,16 +133,16 @@ pub fn has_end(path: &Path) -> bool {
     std::fs::metadata(path).map_or(true, |about| about.is_file())
 }
 
-/// What a command ends with that was asked to stop before its work was done.
+/// The failure of a command that was stopped before its work was done.
 pub fn interrupted(done: &str) -> Failure {
     Failure::new(exit_code::INTERRUPTED, format!("interrupted: {done}"))
 }
 
-/// A stop on signals, and with the command that has started this one for itself.
+/// A stop on signals, and at the end of the parent process on a stage.
 ///
 /// # Errors
 ///
-/// When the system refuses the handlers.
+/// If the system refuses the handlers.
 pub fn stop() -> Result<Stop, Failure> {
     let stop = Stop::on_signals(exit_code::INTERRUPTED);
     stop.and_then(|stop| stage::leave_with_parent().map(|()| stop))

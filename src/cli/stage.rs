@@ -1,4 +1,4 @@
-//! Child processes in a private domain: what `demo` and `latency` play on.
+//! Child processes in a private domain, for `demo` and `latency`.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -13,31 +13,31 @@ use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_dea
 use super::{CommandResult, Failure};
 use crate::exit_code;
 
-/// A process that has not ended so long after it was asked to is killed.
+/// After this time a process that was asked to end is killed.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
-/// Tells a process on a stage who has set it up.
+/// The process id of the parent, for a process on a stage.
 const PARENT_VARIABLE: &str = "ROOMCAST_STAGE";
 
-/// Ends this process with the one that has set up its stage, if it is on one: that one may be killed without a chance to end it.
+/// Ends this process together with its stage's parent, which may be killed without a chance to end it.
 ///
 /// # Errors
 ///
-/// When the system refuses.
+/// If the system refuses.
 pub(super) fn leave_with_parent() -> io::Result<()> {
     let Some(parent) = std::env::var(PARENT_VARIABLE).ok().and_then(|text| text.parse().ok()).and_then(Pid::from_raw)
     else {
         return Ok(());
     };
     set_parent_process_death_signal(Some(Signal::TERM))?;
-    // It may have been killed before that.
+    // The parent may have been killed before that.
     if getppid() != Some(parent) {
         kill_process(rustix::process::getpid(), Signal::TERM)?;
     }
     Ok(())
 }
 
-/// `roomcast` commands that run as processes of their own; dropping ends them and removes the domain.
+/// `roomcast` commands as child processes. Dropping ends them and removes the domain.
 pub(super) struct Stage {
     children: Vec<(&'static str, Child)>,
     domain: Domain,
@@ -46,12 +46,12 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// Nobody yet; what the processes log goes into files in `logs`.
+    /// An empty stage; the processes log into files in `logs`.
     pub(super) fn new(domain: Domain, logs: &Path) -> Self {
         Self { children: Vec::new(), domain, logs: logs.to_owned(), config: None }
     }
 
-    /// What is started from now on reads this configuration.
+    /// Sets the configuration of the processes that are started later.
     pub(super) fn configure(&mut self, text: &str) -> CommandResult {
         let path = self.logs.join("config.toml");
         std::fs::write(&path, text)
@@ -98,7 +98,7 @@ impl Stage {
         self.logs.join(format!("log-{number}"))
     }
 
-    /// Fails with what a process said when it has ended, unless it is the narrator and all is well.
+    /// Fails with the message of a process that has ended, unless it is the narrator and it succeeded.
     pub(super) fn check(&mut self) -> CommandResult {
         for number in 0..self.children.len() {
             let log = self.log(number);
@@ -128,7 +128,7 @@ impl Stage {
 impl Drop for Stage {
     fn drop(&mut self) {
         for (_, child) in self.children.iter().rev() {
-            // One that has ended already needs no signal.
+            // A process that has ended needs no signal.
             let _gone = Pid::from_raw(child.id().cast_signed()).map(|pid| kill_process(pid, Signal::TERM));
         }
         let start = Instant::now();
@@ -136,7 +136,7 @@ impl Drop for Stage {
             while matches!(child.try_wait(), Ok(None)) && start.elapsed() < STOP_WITHIN {
                 std::thread::sleep(Duration::from_millis(10));
             }
-            // Only one that hangs is still there to be killed.
+            // Only a process that hangs is still alive.
             let _killed = child.kill();
             let _reaped = child.wait();
         }

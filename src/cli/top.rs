@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_ipc::{
-    Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, Subscriber, narration_kind, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, LEARNED_SHARE_S, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1,
+    PersonV1, RobotReportV1, RoomScoresV1, narration_kind,
 };
+use roomcast_ipc::{Action, Domain, Node, Presence, Subscriber, sequence};
 use roomcast_services::clock;
 use serde_json::{Value, json};
 
@@ -21,34 +22,28 @@ use crate::top::{POINT_NS, View, set_places};
 use roomcast_services::daemon::flag_words;
 use roomcast_services::stop::Stop;
 
-/// Arguments of `roomcast top`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     service: service::Args,
-    /// Print each new snapshot as a line of JSON instead of drawing, and the newest one again when a robot's planner decides; also where
-    /// standard output is no terminal.
+    /// Print each new snapshot as a line of JSON instead of drawing, and the newest one again when a robot's planner decides. This is the default if
+    /// standard output is not a terminal.
     #[arg(long)]
     json: bool,
-    /// Leave after so many snapshots, or with exit code 6 when no daemon is heard for 10 seconds.
+    /// Leave after this many snapshots, or with exit code 6 when no daemon is heard for 10 seconds.
     #[arg(long, value_name = "N", value_parser = ranges::any())]
     snapshots: Option<u64>,
 }
 
-/// How often the daemon is asked for its status, in nanoseconds.
+/// Period of questions about the daemon's status, in nanoseconds.
 const STATUS_NS: u64 = 1_000_000_000;
-/// How long it may take to answer before the view goes on without.
+/// Timeout of the status.
 const STATUS_TIMEOUT: Duration = Duration::from_millis(50);
-/// How long nothing may be heard before it is said: a daemon that lives repeats its scores much more often.
+/// Silence until a warning. A running daemon repeats its scores much more often.
 pub(super) const SILENCE: Duration = Duration::from_secs(10);
-/// How often the screen is drawn again when no key is pressed.
+/// Longest time between two drawings.
 const FRAME: Duration = Duration::from_millis(100);
 
-/// Shows the system until it is asked to leave.
-///
-/// # Errors
-///
-/// When a service cannot be opened, or the terminal fails.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let (config, domain) = args.service.load()?;
@@ -61,13 +56,13 @@ pub fn run(args: &Args) -> CommandResult {
     shown
 }
 
-/// What is said of a silence.
+/// The warning about a silent daemon.
 pub(super) fn silence(domain: &Domain) -> String {
     let place = service::shown(domain);
     format!("no daemon is heard in {place} for {} s: start `roomcast daemon`", SILENCE.as_secs())
 }
 
-/// The end of a view that was asked to leave: whoever wanted more snapshots has not got them.
+/// The end of a view that was asked to leave. Missing snapshots make it an interruption.
 fn left(count: u64, limit: Option<u64>) -> CommandResult {
     match limit {
         Some(limit) if count < limit => Err(service::interrupted(&format!("{count} of {limit} snapshots came"))),
@@ -94,7 +89,7 @@ fn screen(
     let forecasts = node.subscriber::<PersonForecastsV1>().map_err(ipc)?;
     let forecast = node.subscriber::<ForecastV1>().map_err(ipc)?;
     let decisions = node.subscriber::<DecisionV1>().map_err(ipc)?;
-    // Without a place at this service it is not known where the robot is.
+    // If this service has no free place, the robot's place is unknown.
     let mut reports = node.subscriber::<RobotReportV1>().ok();
     let items = node.item_scores_subscriber().map_err(ipc)?;
     let status = node.status_client().map_err(ipc)?;
@@ -142,7 +137,7 @@ fn screen(
             }
             view.malformed(narration.malformed() + scores.malformed() + decisions.malformed());
             if now_ns.since(status_ns) >= STATUS_NS {
-                // A daemon that is busy or gone does not hold up the view: its last answer stays.
+                // A busy or absent daemon does not block the view: its last answer stays.
                 if let Ok(answer) = status.ask(STATUS_TIMEOUT) {
                     view.status(answer);
                 }
@@ -157,7 +152,7 @@ fn screen(
         if limit.is_some_and(|limit| count >= limit) {
             return Ok(());
         }
-        // Nothing is received while the view is paused.
+        // While the view is paused, no messages are received.
         if view.paused {
             heard = Instant::now();
         } else if limit.is_some() && heard.elapsed() >= SILENCE {
@@ -184,9 +179,7 @@ fn screen(
     left(count, limit)
 }
 
-/// One line of JSON per snapshot, heartbeats left out.
-///
-/// Whoever wants some snapshots gets an error where there is no daemon; whoever follows it for good is told, and waits.
+/// One line of JSON per snapshot, without heartbeats. Without a daemon, a limited view ends with an error, and an unlimited one warns and waits.
 fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> CommandResult {
     let node = domain.open("roomcast-top").map_err(ipc)?;
     let scores = node.subscriber::<RoomScoresV1>().map_err(ipc)?;
@@ -224,7 +217,7 @@ fn lines(domain: &Domain, stop: &Stop, limit: Option<u64>, robot: String) -> Com
     left(count, limit)
 }
 
-/// Prints a snapshot, with what came beside it since the last line.
+/// Prints a snapshot, with the other messages since the last line.
 fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
     let rooms: Vec<_> = (snapshot.rooms().iter())
         .map(|room| json!({"id": room.id(), "probability": room.probability, "log_score_nats": room.log_score_nats}))
@@ -242,10 +235,10 @@ fn print_line(snapshot: &RoomScoresV1, others: &mut Others) -> CommandResult {
     super::print(&format!("{line}\n"))
 }
 
-/// What goes with scores is sent right behind them: at most so long it is waited for.
+/// Longest wait for the messages that follow scores.
 const BEHIND: Duration = Duration::from_millis(200);
 
-/// The services that a line tells of beside the room scores.
+/// The services of a line, besides the room scores.
 struct Ports {
     persons: Subscriber<PersonScoresV1>,
     forecast: Subscriber<ForecastV1>,
@@ -254,7 +247,7 @@ struct Ports {
     decisions: Subscriber<DecisionV1>,
 }
 
-/// What a line tells beside the room scores: the newest of persons and forecasts, and what was narrated and decided since the last line.
+/// The contents of a line, besides the room scores: the newest persons and forecasts, and the narration and decisions since the last line.
 struct Others {
     ports: Ports,
     persons: Option<PersonScoresV1>,
@@ -263,9 +256,9 @@ struct Others {
     narration: Vec<Value>,
     decisions: Vec<DecisionV1>,
     decided: Decided,
-    /// The configured robot, whose number decisions bear.
+    /// The name of the configured robot. Decisions have its number.
     robot: String,
-    /// Nothing came behind the scores before.
+    /// No messages followed the last scores.
     is_waited_for_in_vain: bool,
 }
 
@@ -306,8 +299,8 @@ impl Others {
         Ok(())
     }
 
-    /// Receives until what comes behind the scores has come: persons and forecasts, of which those of the persons are the last. Who publishes scores
-    /// alone is waited for once.
+    /// Receives until the messages behind the scores have come: persons and forecasts, the persons' forecasts last. If a daemon publishes only
+    /// scores, this waits only once.
     fn receive_behind(&mut self, scores: &RoomScoresV1) -> Result<(), roomcast_ipc::IpcError> {
         let until = Instant::now() + BEHIND;
         loop {
@@ -325,7 +318,7 @@ impl Others {
         }
     }
 
-    /// Persons and forecasts that go with the scores of this epoch and sequence, and the narration and the decisions that came since the last line.
+    /// Persons and forecasts of the scores' epoch and sequence, and the narration and decisions since the last line.
     fn since_the_last_line(&mut self, scores: &RoomScoresV1) -> [(&'static str, Value); 5] {
         let of = (scores.epoch, scores.sequence);
         let decisions = std::mem::take(&mut self.decisions);
@@ -384,14 +377,14 @@ fn forecasts_json(told: &PersonForecastsV1) -> Value {
     })
 }
 
-/// How much of the forecast was learned, by how far ahead it looks, in seconds.
+/// The learned shares of the forecast, by horizon in seconds.
 fn learned_json(person: &PersonForecastV1) -> Value {
     let share = |(ahead_s, share): (&f32, &f32)| json!({"horizon_s": ahead_s, "share": share});
     LEARNED_SHARE_S.iter().zip(&person.learned_share).map(share).collect()
 }
 
 fn narration_json(told: &NarrationV1) -> Value {
-    // What is not known is null: somebody has no number, and who has one is not always named.
+    // Unknown values are null: somebody has no number, and a known person may have no name.
     let person = (told.person != PersonId::SOMEBODY.0).then_some(told.person);
     json!({
         "source": told.source_name(), "person": person, "name": given(told.person_name()), "kind": told.kind,
@@ -400,12 +393,11 @@ fn narration_json(told: &NarrationV1) -> Value {
     })
 }
 
-/// A text that may be left out.
 fn given(text: &str) -> Option<&str> {
     (!text.is_empty()).then_some(text)
 }
 
-/// How a narration's text is read, as JSON lines say it.
+/// The kind of a narration, as in JSON lines.
 const fn kind_word(kind: u32) -> Option<&'static str> {
     match kind {
         narration_kind::SENTENCE => Some("sentence"),
@@ -416,7 +408,7 @@ const fn kind_word(kind: u32) -> Option<&'static str> {
     }
 }
 
-/// A decision beside the scores of its daemon: `robot` is the name of the configured robot, whose planner may not tell it.
+/// A decision with the scores of its daemon. `robot` is the configured robot's name, which its planner may not send.
 fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value {
     let own = (sequence::source_of_name(robot) == told.robot).then_some(robot);
     let name = own.or(Some(told.robot_name())).filter(|name| !name.is_empty());
@@ -434,7 +426,8 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{action, text};
+    use roomcast_ipc::raw::action;
+    use roomcast_ipc::text;
 
     use super::*;
 
@@ -457,12 +450,12 @@ mod tests {
         assert_eq!((&line["robot_name"], &line["action_name"]), (&json!("dusty"), &json!("pause")));
         assert_eq!((&line["covered"], &line["action"]), (&json!(["hall", "office"]), &json!(action::PAUSE)));
         assert_eq!(line["robot"], json!(format!("{robot:016x}")));
-        // Of another robot, and of another daemon's rooms, the names are not known.
+        // Names of another robot, and of another daemon's rooms, are unknown.
         let other = decision_json(&DecisionV1 { scores_epoch: 6, ..told }, &scores, "rusty");
         assert_eq!((&other["robot_name"], &other["covered"]), (&Value::Null, &Value::Null));
     }
 
-    /// A line waits for what belongs to its scores, and only once for what never comes.
+    /// A line waits for the messages of its scores, but only once for missing ones.
     #[test]
     fn what_comes_behind_scores_is_waited_for() {
         let folder = tempfile::tempdir().unwrap();
@@ -473,7 +466,7 @@ mod tests {
         let scores = RoomScoresV1 { epoch: 5, sequence: 2, ..Default::default() };
         others.receive_behind(&scores).unwrap();
         assert!(others.forecasts.is_none() && others.is_waited_for_in_vain);
-        // Not again: a thousand times would take minutes.
+        // Not again: a thousand waits would take minutes.
         for _ in 0..1000 {
             others.receive_behind(&scores).unwrap();
         }

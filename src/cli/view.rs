@@ -1,4 +1,4 @@
-//! `roomcast view`: the plan in a browser, of the running system or of a recording.
+//! `roomcast view`: shows the plan in a browser, of the running system or of a recording.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -9,7 +9,6 @@ use crate::http::HttpError;
 use crate::view::{self, Place, ViewError};
 use roomcast_services::{logging, notify};
 
-/// Arguments of `roomcast view`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -20,15 +19,11 @@ pub struct Args {
     /// Show a recording of `roomcast record` in place of the running system.
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
-    /// Let every user of this machine look. Without it only who has the address with its key can.
+    /// Let every user of this machine look. Without it, a viewer needs the address with its key.
     #[arg(long)]
     no_key: bool,
 }
 
-/// Serves the page until it is asked to stop.
-///
-/// # Errors
-/// When the address is none of this machine alone, or is taken; when a service is lost; when the recording cannot be read.
 pub fn run(args: &Args) -> CommandResult {
     let stop = service::stop()?;
     let _log = logging::init();

@@ -7,12 +7,11 @@ use super::orders;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::slug::slug;
 
-/// Who has made the entities, as discovery names it.
+/// The origin of the entities in discovery messages.
 pub(super) const ORIGIN: &str = "roomcast";
 /// Most bytes of the state of a text sensor in Home Assistant.
 const STATE_BYTES_MAX: usize = 255;
 
-/// Makes the messages.
 pub(super) struct Discovery<'a> {
     config: &'a BridgeConfig,
     node: String,
@@ -20,34 +19,33 @@ pub(super) struct Discovery<'a> {
     messages: Vec<(String, String)>,
 }
 
-/// The node that a bridge's entities have in discovery topics.
+/// The bridge's node in discovery topics.
 pub(super) fn node(config: &BridgeConfig) -> String {
     slug(&config.topic)
 }
 
-/// Whether a discovery message is one of a bridge's of this node, and not of somebody else who took its name.
+/// Whether a discovery message comes from a bridge with this node, not from another program with its name.
 pub(super) fn is_own(payload: &[u8], node: &str) -> bool {
     let Ok(message) = serde_json::from_slice::<Value>(payload) else { return false };
     let at = |pointer: &str| message.pointer(pointer).and_then(Value::as_str);
     at("/origin/name") == Some(ORIGIN) && at("/device/identifiers/0") == Some(node)
 }
 
-/// A share as percent, or unknown.
+/// A template for a share as a percentage, or unknown.
 fn percent(at: &str) -> String {
     format!("{{{{ 'None' if value_json.{at} is none else (value_json.{at} * 100) | round | int }}}}")
 }
 
-/// True or false as Home Assistant's binary sensors have it, or unknown.
+/// A template for a binary sensor, or unknown.
 fn on_off(at: &str) -> String {
     format!("{{{{ 'None' if value_json.{at} is none else ('ON' if value_json.{at} else 'OFF') }}}}")
 }
 
-/// A text, or unknown: Home Assistant 2024.3 shows `None` as a text.
+/// A template for a text, or unknown. Home Assistant 2024.3 shows `None` as a text.
 fn text(at: &str) -> String {
     format!("{{{{ {at} or 'unknown' }}}}")
 }
 
-/// An entity.
 struct Entity<'a> {
     component: &'a str,
     object: String,
@@ -76,7 +74,7 @@ impl<'a> Discovery<'a> {
         self.messages
     }
 
-    /// Adds an entity, which is there while the bridge is, and the daemon, unless it tells of the daemon itself.
+    /// Adds an entity. It is available while the bridge runs and, if `needs_daemon`, the daemon.
     fn add(&mut self, entity: Entity<'_>, needs_daemon: bool) {
         let Entity { component, object, name, topic, template, more } = entity;
         let (base, node) = (&self.config.topic, &self.node);
@@ -88,7 +86,7 @@ impl<'a> Discovery<'a> {
         let mut message = json!({
             "name": name,
             "unique_id": id,
-            // The name of the next key until 2025, and since then.
+            // The key `default_entity_id` was `object_id` until 2025.
             "object_id": id,
             "default_entity_id": format!("{component}.{id}"),
             "state_topic": format!("{base}/{topic}"),
@@ -109,7 +107,7 @@ impl<'a> Discovery<'a> {
         self.messages.push((topic, message.to_string()));
     }
 
-    /// The home, how the daemon is, and when something was last narrated, where anything was.
+    /// The home, the daemon's health, and the time of the last event if there was one.
     pub(super) fn home(&mut self, narrated: bool) {
         let entity = |component, object: &str, name: &str, topic: &str, template, more| Entity {
             component,
@@ -133,8 +131,8 @@ impl<'a> Discovery<'a> {
         }
     }
 
-    /// A room: how likely somebody is there now and later, whether somebody is expected soon, whether it is a good time to clean it, and, where
-    /// that is known, when it was last cleaned.
+    /// A room: the probability that it is occupied now and later, whether a person is expected soon, whether this is a good time to clean it, and, if
+    /// known, when it was last cleaned.
     pub(super) fn room(&mut self, id: &str, shown: &str, is_cleaned: bool) {
         let room = of_room(id);
         let topic = format!("rooms/{room}");
@@ -175,7 +173,7 @@ impl<'a> Discovery<'a> {
         }
     }
 
-    /// A person: the likely room, also later, and whether they are at home.
+    /// A person: the likely room now and later, and whether the person is at home.
     pub(super) fn person(&mut self, Named { part: person, name }: &Named) {
         let topic = format!("persons/{person}");
         let entity = |component, object: String, name, template: String, more| Entity {
@@ -202,7 +200,7 @@ impl<'a> Discovery<'a> {
         self.add(entity("binary_sensor", object, format!("{name} home"), home, presence), true);
     }
 
-    /// The orders to a robot: a switch that holds it, and for each room, by id and name, a button to clean and one to skip it.
+    /// The orders to a robot: a switch that holds it, and for each room (id and name) buttons to clean and to skip it.
     pub(super) fn orders(&mut self, Named { part: robot, name }: &Named, rooms: &[(String, String)]) {
         let base = self.config.topic.clone();
         let topic = format!("robots/{robot}");
@@ -231,7 +229,7 @@ impl<'a> Discovery<'a> {
         }
     }
 
-    /// A robot: what it is to do, where and why.
+    /// A robot: its decision, the target room and the reason.
     pub(super) fn robot(&mut self, Named { part: robot, name }: &Named) {
         let topic = format!("robots/{robot}");
         let attributes = format!("{}/{topic}", self.config.topic);
@@ -255,7 +253,7 @@ impl<'a> Discovery<'a> {
             entity("place", text("value_json.place"), plain("mdi:map-marker")),
             entity("reason", reason, plain("mdi:comment-question")),
         ];
-        // What the robot was told holds on while the daemon is away.
+        // A robot's decision stays valid while the daemon is away.
         all.into_iter().for_each(|entity| self.add(entity, false));
     }
 }

@@ -1,12 +1,13 @@
-//! What the services have said last, and what of it is told: a JSON message for the home and for each room, person and robot.
+//! The newest messages of the services, and the JSON messages that are published from them: for the home and for each room, person and robot.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RobotReportV1, RoomScoresV1,
-    StatusResponseV1, decision_flags, forecast_flags, person_flags, presence, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1, StatusResponseV1,
+    decision_flags, forecast_flags, person_flags, presence,
 };
+use roomcast_ipc::{Action, Presence, sequence};
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
@@ -19,62 +20,58 @@ use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use roomcast_services::planner::Planner;
 
-/// Robots that are told of, the configured one and as many as `roomcast-zenoh` follows; of more, the one that decided longest ago gives way.
+/// Most robots: the configured one, and as many as `roomcast-zenoh` follows. If there are more, the one with the oldest decision is dropped.
 pub(super) const ROBOTS_MAX: usize = 16;
 /// The place of a person outside all rooms.
 const AWAY: &str = "away";
-/// What an availability topic says.
+/// The value of an availability topic.
 pub(super) const ONLINE: &str = "online";
-/// What it says when the bridge or the daemon is gone.
+/// Its value when the bridge or the daemon is gone.
 pub(super) const OFFLINE: &str = "offline";
 
-/// The newest messages.
 #[derive(Debug, Default)]
 pub(super) struct Known {
     scores: Option<Box<RoomScoresV1>>,
     forecast: Option<Box<ForecastV1>>,
     persons: Option<Box<PersonForecastsV1>>,
     decisions: BTreeMap<u64, DecisionV1>,
-    /// The robots whose planners run in this domain.
+    /// The robots with planners in this domain.
     planners: BTreeSet<u64>,
     status: Option<StatusResponseV1>,
-    /// When something was last narrated, in seconds of the wall clock, as far as anybody said.
+    /// When the last known event was narrated, in seconds of the wall clock.
     narrated_unix_s: Option<u64>,
-    /// Rooms in which somebody is expected soon, with hysteresis.
+    /// Rooms in which a person is expected soon, with hysteresis.
     soon: BTreeMap<String, bool>,
     /// A robot has decided for the first time.
     new_robot: bool,
     places: Places,
-    /// By person: the observation that moved the belief about the place most.
+    /// By person: the observation with the largest effect on the belief about the place.
     reasons: BTreeMap<u32, String>,
-    /// Says which rooms may well be cleaned now, by the rules of the house.
+    /// Judges which rooms may be cleaned now, by the rules of the house.
     advisor: Option<Planner>,
-    /// Of each room the reason why not, if it is no good time.
+    /// By room: the reason if this is no good time, else `None`.
     advice: BTreeMap<String, Option<String>>,
 }
 
 impl Known {
-    /// With a planner that decides nothing, and knows the rules of the house.
+    /// Adds a planner that knows the rules of the house but decides nothing.
     pub(super) fn with_advisor(mut self, advisor: Planner) -> Self {
         self.advisor = Some(advisor);
         self
     }
 
-    /// The numbers of the persons.
     pub(super) fn persons_known(&self) -> Vec<u32> {
         self.persons().map(|(_, person)| person.person).collect()
     }
 
-    /// Takes in why persons are believed to be where they are.
     pub(super) fn take_reasons(&mut self, reasons: &BTreeMap<u32, String>) {
         self.reasons.clone_from(reasons);
     }
 
-    /// Asks the advisor about this moment.
     pub(super) fn advise(&mut self, now_ns: BootNs, unix_ns: UnixNs, own: &str) {
         let Some(advisor) = &mut self.advisor else { return };
         if let (Some(scores), Some(forecast), Some(persons)) = (&self.scores, &self.forecast, &self.persons) {
-            // What is dated ahead is of another boot, and the advice stays away.
+            // A message that is dated ahead comes from another boot. Then there is no advice.
             let taken = [
                 advisor.take(scores, now_ns).is_ok(),
                 advisor.take_forecast(forecast, now_ns).is_ok(),
@@ -91,7 +88,7 @@ impl Known {
         }
     }
 
-    /// The robots, as topics and people name them; the configured one, `own`, is among them.
+    /// The robots with their names for topics and people, including the configured one, `own`.
     pub(super) fn robots(&self, own: &str) -> Vec<Named> {
         let number = sequence::source_of_name(own);
         let others =
@@ -100,18 +97,16 @@ impl Known {
         others.map(|decision| named(decision.robot_name())).chain([named(own)]).collect()
     }
 
-    /// The ids of the rooms.
     pub(super) fn rooms(&self) -> Vec<String> {
         self.scores.iter().flat_map(|scores| scores.rooms()).map(|room| room.id().to_owned()).collect()
     }
 
-    /// When a room was last cleaned by any robot, in Unix seconds.
+    /// When any robot last cleaned a room, in Unix seconds.
     fn cleaned_unix_s(&self, id: &str) -> Option<u64> {
         let room = self.scores.as_ref()?.rooms().iter().position(|room| room.id() == id)?;
         self.decisions.values().filter_map(|decision| decision.cleaned_unix_s(room)).max()
     }
 
-    /// Takes what a robot reports.
     pub(super) fn take_report(&mut self, report: &RobotReportV1) {
         self.places.take(report, self.decisions.get(&report.robot));
     }
@@ -132,8 +127,8 @@ impl Known {
         self.persons = Some(Box::new(*persons));
     }
 
-    /// Takes a decision; the configured robot, `own`, gives way to none. What is repeated of a robot whose planner is here says nothing new, and
-    /// may say of it that it is gone.
+    /// Handles a decision. The configured robot, `own`, is never dropped. Repetitions by a bridge are ignored if the robot's planner is in this
+    /// domain: they may report the robot as gone.
     pub(super) fn take_decision(&mut self, decision: &DecisionV1, own: &str) {
         let own = sequence::source_of_name(own);
         let is_here = decision.robot == own || self.planners.contains(&decision.robot);
@@ -150,13 +145,13 @@ impl Known {
         }
     }
 
-    /// Whether a robot has decided for the first time since this was asked last: its planner is looked for before it can end.
+    /// Whether a robot has decided for the first time since the last call: its planner must be found before it can end.
     pub(super) fn take_new_robot(&mut self) -> bool {
         std::mem::take(&mut self.new_robot)
     }
 
-    /// Who takes part in the domain: a robot whose planner has ended goes. The configured robot, `own`, stays, and so does one that was never
-    /// seen here.
+    /// Handles the domain's participants: a robot is dropped when its planner ends. The configured robot, `own`, stays, and so does a robot whose
+    /// planner was never in this domain.
     pub(super) fn take_planners(&mut self, participants: &[String], own: &str) {
         let planners = participants.iter().filter_map(|participant| PLANNER.robot_of(participant)).collect();
         let before = std::mem::replace(&mut self.planners, planners);
@@ -169,23 +164,23 @@ impl Known {
         self.status = status.or(self.status);
     }
 
-    /// Nanoseconds since the daemon last said that it lives; none where it never did.
+    /// Nanoseconds since the daemon's last sign of life; `None` before the first one.
     pub(super) fn silence_ns(&self, now_ns: BootNs) -> Option<u64> {
         self.scores.as_ref().map(|scores| scores.silence_ns(now_ns.0))
     }
 
-    /// Whether all rooms and persons are known, so that what an earlier run told of others may go.
+    /// Whether all rooms and persons are known, so that other topics of an earlier run may be removed.
     pub(super) fn is_complete(&self) -> bool {
         self.scores.is_some() && self.forecast.is_some() && self.persons.is_some()
     }
 
-    /// All that is to stand at the broker. `robot` is the configured robot's name.
+    /// All retained messages. `robot` is the configured robot's name.
     pub(super) fn picture(&mut self, config: &BridgeConfig, robot: &str, alive: bool) -> Picture {
         let base = &config.topic;
         let mut picture = Picture::new();
         let mut put = |topic: String, value: &Value| picture.insert(format!("{base}/{topic}"), value.to_string());
         put("health".to_owned(), &self.health(alive));
-        // Home Assistant warns of a time that is none, so there is nothing where nothing is known.
+        // Home Assistant warns about an invalid time, so an unknown one is not published.
         if let Some(seconds) = self.narrated_unix_s {
             put("narrated".to_owned(), &seconds.into());
         }
@@ -219,7 +214,7 @@ impl Known {
             let place = self.places.of(decision.robot);
             put(format!("robots/{part}"), &decision_message(decision, name, &rooms, &place));
         }
-        // It has its place before it decides, and keeps it while its planner is away.
+        // The configured robot has a topic before its first decision and while its planner is away.
         if !self.decisions.contains_key(&own) {
             robots.push(named(own, robot));
         }
@@ -251,7 +246,7 @@ impl Known {
         let flags = self.forecast.as_ref().map(|forecast| forecast_flag_names(forecast.flags));
         let mut health = json!({ "daemon": alive, "narrated_unix_s": self.narrated_unix_s, "forecast": flags });
         if let (Some(status), Some(health)) = (&self.status, health.as_object_mut()) {
-            // Nobody has checked what the daemon says of itself.
+            // The daemon's counters are unchecked.
             let refused = [status.malformed, status.limited, status.forged, status.costly];
             let refused = refused.into_iter().fold(0, u64::saturating_add);
             let more = json!({
@@ -310,7 +305,7 @@ impl Known {
     }
 }
 
-/// A probability to the percent: what changes by less is no news.
+/// A probability to the percent, so that smaller changes are not published.
 fn share(probability: f64) -> f64 {
     (probability * 100.0).round() / 100.0
 }
@@ -321,7 +316,7 @@ fn nearest(horizons: &[f32], count: usize, seconds: f64) -> Option<usize> {
     (0..count.min(horizons.len())).min_by(|a, b| apart(a).total_cmp(&apart(b)))
 }
 
-/// What a person is called: the name, else the number.
+/// The person's name, else the number.
 fn name_of(person: &PersonForecastV1) -> String {
     match person.name() {
         "" => unnamed_person(person.person),
@@ -329,10 +324,10 @@ fn name_of(person: &PersonForecastV1) -> String {
     }
 }
 
-/// Where somebody is at a horizon: the likeliest room, or "away"; nothing of whom nothing is known.
+/// A person's place at a horizon: the likeliest room, or "away". Null if it is unknown.
 fn likely(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) -> Value {
     let elsewhere = person.elsewhere.get(horizon).copied().map_or(0.0, f64::from);
-    let chance = |row: &[f32; roomcast_ipc::MAX_HORIZONS]| row.get(horizon).copied().map_or(0.0, f64::from);
+    let chance = |row: &[f32; roomcast_ipc::raw::MAX_HORIZONS]| row.get(horizon).copied().map_or(0.0, f64::from);
     let rooms = all.rooms().zip(person.probability.iter().map(chance));
     let best = rooms.reduce(|best, room| if room.1 > best.1 { room } else { best });
     let (place, probability) = match best {
@@ -349,7 +344,7 @@ fn likely(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) ->
     told
 }
 
-/// The smallest set of rooms that holds the person with the promised coverage; none where the daemon makes none.
+/// The smallest set of rooms with the promised coverage; `None` if the daemon computes none.
 fn room_set(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) -> Option<Value> {
     let held = |room: usize| person.set_holds(horizon, room);
     held(0)?;

@@ -1,16 +1,13 @@
-//! The bridge: what Roomcast knows, over MQTT, for Home Assistant, Node-RED and whoever reads topics.
+//! Publishes Roomcast's state over MQTT, for Home Assistant, Node-RED and other readers of topics.
 //!
-//! A participant of its own, beside the daemon and not in it: the daemon keeps its hands free of sockets. It holds the newest message of
-//! each kind and what it has said last, nothing else, so a broker that is away costs no memory. At every connection it says everything
-//! again, and takes away what an earlier run has left there and nobody wants any more.
+//! This is a separate participant, so that the daemon needs no sockets. It holds only the newest message of each kind and its last published values,
+//! so an absent broker costs no memory. At every connection it publishes everything again, and removes unwanted topics of an earlier run.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber,
-    sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;
@@ -33,77 +30,70 @@ use known::{Known, OFFLINE};
 use orders::Orders;
 use outbox::{FOUND_MAX, Outbox, Picture, list_topic, listed};
 
-/// How often connections are renewed at least.
+/// Longest period of the main loop.
 const TICK: Duration = Duration::from_millis(100);
-/// How often the daemon is asked for its counters, and how long it has to answer.
+/// How often the daemon is asked for its counters, and its timeout.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
-/// What somebody else has overwritten is said again at most so often.
+/// An overwritten topic is published again at most this often.
 const HEAL_EVERY: Duration = Duration::from_secs(10);
-/// A broker that does not give back what it keeps is told everything after so long; a later run may find topics then that no list names.
+/// If the broker does not return its retained messages in this time, everything is published. A later run may then find unlisted topics.
 const LISTEN: Duration = Duration::from_secs(5);
-/// How often it is looked which planners there are.
+/// How often the domain's planners are looked up.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_millis(200);
-/// The daemon is away when it has missed so many heartbeats, and is silent for two seconds at least.
+/// The daemon is away when it has missed this many heartbeats and has been silent for at least two seconds.
 const HEARTBEATS: u64 = 4;
 const SILENCE_NS: u64 = 2_000_000_000;
-/// How long `once` waits for the daemon, and taking away for the broker.
+/// How long `once` waits for the daemon, and `remove` for the broker.
 const WAIT: Duration = Duration::from_secs(10);
-/// How long the connection's thread may take for a turn before this process no longer says that it lives.
+/// If a turn of the connection's thread takes longer, the watchdog is not fed.
 const TURN_MAX_NS: u64 = 5_000_000_000;
-/// Complaints about malformed messages come at most so often.
+/// Least time between two complaints about malformed messages.
 const QUIET_NS: u64 = 5_000_000_000;
 
-/// Why there is no bridge.
 #[derive(Debug, thiserror::Error)]
 pub enum BridgeError {
-    /// A service.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The broker.
     #[error(transparent)]
     Mqtt(#[from] MqttError),
-    /// What is printed cannot be written.
     #[error("failed to write to standard output: {0}; check where it leads")]
     Print(std::io::Error),
-    /// Nobody publishes scores.
+    /// No daemon publishes scores.
     #[error("no daemon has published scores and forecasts within {} s; start `roomcast daemon` in this domain", WAIT.as_secs())]
     NoDaemon,
-    /// What the broker keeps could not be taken away.
     #[error("the broker has not taken everything away within {} s; is it there, and may this client write its topics?", WAIT.as_secs())]
     NotRemoved,
 }
 
-/// Where messages go.
+/// The destination of messages.
 pub enum Way<'a> {
-    /// To a broker.
     Broker(&'a Broker),
-    /// To whoever reads them, as lines of JSON; nothing is published.
+    /// Lines of JSON for a reader; no broker is used.
     Print {
         /// Ends when everything was printed once.
         once: bool,
-        /// Takes topic, payload and whether it is retained.
+        /// Prints a topic and its payload.
         print: &'a mut dyn FnMut(&str, &str) -> std::io::Result<()>,
     },
 }
 
-/// What the broker tells of itself, and of what it keeps.
+/// Handles the broker's messages, among them its retained ones.
 struct Ears {
     discovery: String,
     node: String,
     base: String,
     marker: String,
     nonce: String,
-    /// The topics that the list of an earlier run names, and what was heard that may be among them.
+    /// The topics in the list of an earlier run, and the retained topics that may be in it.
     listed: BTreeSet<String>,
     kept: BTreeSet<String>,
-    /// Everything that the broker keeps was heard.
+    /// All retained messages have arrived.
     all: bool,
-    /// Orders of persons.
     orders: Orders,
 }
 
-/// Whether a topic is one that messages can be published to, and that a filter asks for.
+/// Whether a topic matches a filter and has no wildcards.
 fn fits(filter: &str, topic: &str) -> bool {
     let (filter, levels): (Vec<_>, Vec<_>) = (filter.split('/').collect(), topic.split('/').collect());
     let is_wanted = |(wanted, level): (&&str, &&str)| *wanted == "+" || wanted == level;
@@ -126,14 +116,14 @@ impl Ears {
         }
     }
 
-    /// Those of what is told.
+    /// Filters of the state topics.
     fn told(&self) -> impl Iterator<Item = String> {
         let own = ["rooms", "persons", "robots"].map(|kind| format!("{}/{kind}/+", self.base));
         let single = ["status", "daemon", "health", "home", "narrated"].map(|topic| format!("{}/{topic}", self.base));
         own.into_iter().chain(single)
     }
 
-    /// That of entities.
+    /// The filter of discovery topics.
     fn entities(&self) -> Option<String> {
         (!self.discovery.is_empty()).then(|| format!("{}/+/{}/+/config", self.discovery, self.node))
     }
@@ -146,7 +136,7 @@ impl Ears {
             .collect()
     }
 
-    /// A new connection: the marker comes back behind all that the broker keeps.
+    /// Starts a new connection. The marker comes back after all retained messages.
     fn connect(&mut self, link: &Link) -> bool {
         self.all = false;
         self.listed.clear();
@@ -159,7 +149,7 @@ impl Ears {
         if topic == self.marker {
             if payload == self.nonce.as_bytes() && !self.all {
                 self.all = true;
-                // What is told has no origin of its own: an earlier run has listed what it told, and all else is somebody else's.
+                // State messages have no origin: only topics in the list of an earlier run are ours.
                 let own = std::mem::take(&mut self.kept).into_iter().filter(|topic| self.listed.contains(topic));
                 own.for_each(|topic| outbox.find(topic));
                 outbox.hear_all();
@@ -167,7 +157,7 @@ impl Ears {
         } else if self.all {
             outbox.hear(&topic, &payload);
         } else if !retained || payload.is_empty() {
-            // What comes now is new.
+            // A message that is not retained is new.
         } else if topic == list_topic(&self.base) {
             self.listed = listed(&payload, &self.base, &self.node);
             self.kept.retain(|topic| self.listed.contains(topic));
@@ -181,20 +171,18 @@ impl Ears {
     }
 }
 
-/// The daemon's and the planners' services.
 struct Ports {
     scores: Subscriber<RoomScoresV1>,
     forecasts: Subscriber<ForecastV1>,
     persons: Subscriber<PersonForecastsV1>,
     decisions: Subscriber<DecisionV1>,
-    /// None where all places of this service are taken: robots' places are not known then.
+    /// `None` if the service has no free place; then robots' places are unknown.
     reports: Option<Subscriber<RobotReportV1>>,
     log: Limiter,
     message: Box<(RoomScoresV1, ForecastV1, PersonForecastsV1, DecisionV1, RobotReportV1)>,
 }
 
 impl Ports {
-    /// Takes whatever has come.
     fn take(&mut self, known: &mut Known, own: &str) -> Result<(), IpcError> {
         let Self { scores, forecasts, persons, decisions, reports, log, message } = self;
         let (of_rooms, forecast, of_persons, decision, report) = &mut **message;
@@ -219,11 +207,11 @@ impl Ports {
     }
 }
 
-/// Publishes until it is asked to stop, or, printing once, until all was printed.
+/// Publishes until asked to stop, or, with `once`, until everything was printed.
 ///
 /// # Errors
 ///
-/// [`BridgeError`] when a service or the broker's set-up cannot be used, or nobody publishes scores.
+/// [`BridgeError`] if a service or the broker's configuration is unusable, or no daemon publishes scores.
 pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> Result<(), BridgeError> {
     let node = domain.open("roomcast-publish")?;
     let mut ports = Ports {
@@ -246,7 +234,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     let advisor = Planner::for_advice(config);
     let mut known = Known::default().with_advisor(advisor);
     let mut reports: Option<Publisher<RobotReportV1>> = None;
-    // What is printed stands nowhere.
+    // Printed messages are not retained.
     let mut outbox = match &link {
         Some(_) => Outbox::with_list(&ears.base, &ears.node),
         None => Outbox::default(),
@@ -265,10 +253,10 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             asked = Some(Instant::now());
             known.take_status(status.ask(PATIENCE).ok());
         }
-        // Whose planner ends right after its first decision was there, too.
+        // A planner may end right after its first decision.
         if known.take_new_robot() || looked.is_none_or(|looked| looked.elapsed() >= LOOK_AGAIN) {
             looked = Some(Instant::now());
-            // A list that fails changes nothing: whoever is there is there the next time.
+            // A failed list changes nothing; the next one will show the participants.
             if let Ok(participants) = node.participants() {
                 known.take_planners(&participants, &config.planner.robot);
             }
@@ -291,7 +279,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
                     }
                 }
             }
-            // A planner that joins gets the last orders.
+            // A new planner gets the last orders.
             reports.as_ref().map(Publisher::tick).transpose()?;
             connected = if connection == now { connected } else { Instant::now() };
             connection = now;
@@ -310,7 +298,7 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
             outbox.want(known.picture(&config.bridge, &config.planner.robot, alive), complete);
         }
         match (&mut way, &link) {
-            // First the list of topics, which is made of what the broker keeps.
+            // The list of topics needs the broker's retained messages, so it comes first.
             (Way::Broker(_), Some(link)) if ears.all || connected.elapsed() >= LISTEN => send(link, &mut outbox),
             (Way::Print { once, print }, _) if known.is_complete() || !*once => {
                 // The picture was drawn before everything was known.
@@ -338,11 +326,11 @@ pub fn run(config: &Config, domain: &Domain, mut way: Way<'_>, stop: &Stop) -> R
     Ok(())
 }
 
-/// Takes everything away that a bridge has left at the broker, and ends.
+/// Removes everything that a bridge has retained at the broker, and ends.
 ///
 /// # Errors
 ///
-/// [`BridgeError`] when the broker cannot be reached, or refuses.
+/// [`BridgeError`] if the broker cannot be reached or refuses.
 pub fn remove(config: &Config, broker: &Broker, stop: &Stop) -> Result<(), BridgeError> {
     let mut ears = Ears::new(config);
     let link = Link::start(broker, ears.filters(), None)?;
@@ -368,7 +356,7 @@ fn open(config: &Config, broker: &Broker, ears: &Ears) -> Result<Link, MqttError
     Link::start(broker, ears.filters(), Some(will))
 }
 
-/// Takes what the broker says; gives the number of the connection, and the orders of persons. An order that the broker has kept is an old one.
+/// Handles the broker's messages. Returns the number of the connection, and persons' orders. A retained order is old and ignored.
 fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> (u64, Vec<Heard>) {
     let mut connection = link.connection();
     if connection != before {
@@ -382,7 +370,6 @@ fn listen(link: &Link, before: u64, ears: &mut Ears, outbox: &mut Outbox) -> (u6
     (connection, orders.into_iter().filter(|heard| !heard.retained).collect())
 }
 
-/// Says what is new, as much as may be under way.
 fn send(link: &Link, outbox: &mut Outbox) {
     while let Some((topic, payload)) = outbox.next().map(|(topic, payload)| (topic.to_owned(), payload.to_owned())) {
         if !link.say(&topic, &payload, true, None) {

@@ -1,16 +1,15 @@
 //! Names of rooms, persons and robots as parts of MQTT topics and of Home Assistant's ids.
 //!
-//! Ordinary names stand there as they are. Whoever is told of chooses their own name, so no name may become what belongs to another: a part of
-//! a topic that could be mistaken gets a sum.
+//! Ordinary names stay as they are. Persons choose their names, so no name may yield another's topic or id: an ambiguous part gets a checksum.
 
 use roomcast_services::slug::{slug, summed};
 
-/// What stands behind a person's part in the ids of the person's entities, and a room's in those of the room's, beside times ahead.
+/// Endings of the ids of persons' and rooms' entities, besides times ahead.
 const ENDINGS: [&str; 3] = ["_home", "_now", "_soon"];
-/// What ids of persons' entities begin with.
+/// The beginning of the ids of persons' entities.
 pub(super) const PERSON: &str = "person_";
 
-/// What stands in ids for a time ahead.
+/// The part of an id for a time ahead.
 pub(super) fn in_s(seconds: f64) -> String {
     format!("_in_{}_s", slug(&seconds.to_string()))
 }
@@ -20,8 +19,7 @@ pub(super) fn of_room(id: &str) -> String {
     if id.starts_with(PERSON) { summed(id, id) } else { slug(id) }
 }
 
-/// A room's name, as people read it. The number that an imported map gives each room ("hallway-17") stays only where another room has the
-/// same words.
+/// A room's name for people. An imported map gives each room a number ("hallway-17"), which stays only if another room has the same words.
 pub(super) fn room_name<'a>(id: &str, rooms: impl Iterator<Item = &'a str>) -> String {
     let stem = |id: &'a str| without_number(id);
     let own = without_number(id);
@@ -37,7 +35,7 @@ fn without_number(id: &str) -> &str {
     }
 }
 
-/// A person's part of topics and ids; of one without a name it is the number's alone.
+/// A person's part of topics and ids; without a name, only from the number.
 pub(super) fn of_person(number: u32, name: &str) -> String {
     if name.is_empty() {
         return slug(&unnamed_person(number));
@@ -49,24 +47,22 @@ pub(super) fn of_person(number: u32, name: &str) -> String {
     of_named(&name, ends, is_like_unnamed)
 }
 
-/// What a person without a name is called.
 pub(super) fn unnamed_person(number: u32) -> String {
     format!("person {number}")
 }
 
-/// A robot's part of topics and ids; of one whose name is not known it is the number's alone.
+/// A robot's part of topics and ids; without a name, only from the number.
 pub(super) fn of_robot(number: u64, name: Option<&str>) -> String {
     let Some(name) = name else { return slug(&unnamed_robot(number)) };
     let is_number = |rest: &str| rest.len() == 16 && rest.bytes().all(|byte| byte.is_ascii_hexdigit());
     of_named(name, false, name.strip_prefix("robot ").is_some_and(is_number))
 }
 
-/// What a robot is called whose name is not known.
 pub(super) fn unnamed_robot(number: u64) -> String {
     format!("robot {number:016x}")
 }
 
-/// A name's part: with a sum where it ends like the id of an entity, and with one that no name has where it is like a number's.
+/// A name's part. It gets a checksum if it ends like an entity's id, and an impossible one if it looks like a numbered part.
 fn of_named(name: &str, ends_like_id: bool, is_like_unnamed: bool) -> String {
     match (ends_like_id, is_like_unnamed) {
         // A name has no character zero.
@@ -108,7 +104,7 @@ mod tests {
         assert_eq!(names, ["hallway", "bedroom 1", "bedroom 2", "office", "office 3", "living room", " 5", "wing b"]);
     }
 
-    /// People have automations on them.
+    /// Automations of users contain these names.
     #[test]
     fn ordinary_names_have_the_parts_that_they_always_had() {
         assert_eq!([of_room("living-room"), of_room("küche")], ["living-room", "k_che_d4b04d03"]);

@@ -1,24 +1,23 @@
-//! Orders of persons over MQTT: a switch that holds a robot, and buttons that clean or skip a room. Pure: others listen and send.
+//! Orders of persons over MQTT: a switch that holds a robot, and buttons that clean or skip a room. No I/O.
 
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{RobotReportV1, sequence};
+use roomcast_ipc::raw::RobotReportV1;
+use roomcast_ipc::sequence;
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
 use super::names::{Named, of_room};
 
 /// The last level of the topics.
 const LEVELS: [&str; 3] = ["hold", "clean", "skip"];
-/// Most bytes of a message.
 const BYTES_MAX: usize = 1024;
 
-/// The topic of a kind of orders to a robot.
 pub(super) fn topic(base: &str, robot: &str, level: &str) -> String {
     format!("{base}/robots/{robot}/{level}")
 }
 
-/// A hold with more to say than on or off.
+/// A hold with a note or an end.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Hold {
@@ -28,7 +27,6 @@ struct Hold {
     for_s: Option<f64>,
 }
 
-/// Makes reports of messages.
 #[derive(Debug)]
 pub(super) struct Orders {
     base: String,
@@ -40,12 +38,10 @@ impl Orders {
         Self { base: base.to_owned(), reporters: BTreeMap::new() }
     }
 
-    /// The topics of orders.
     pub(super) fn filters(&self) -> Vec<String> {
         LEVELS.map(|level| topic(&self.base, "+", level)).into()
     }
 
-    /// Whether a topic is one of orders.
     pub(super) fn has(&self, topic: &str) -> bool {
         self.parts(topic).is_some()
     }
@@ -56,7 +52,7 @@ impl Orders {
         LEVELS.contains(&level).then_some((robot, level))
     }
 
-    /// The order that a message gives to one of these robots, by the ids of these rooms.
+    /// The order of a message to one of these robots, for one of these rooms.
     ///
     /// # Errors
     /// The fault and the remedy, in words.
@@ -102,7 +98,7 @@ impl Orders {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::report_kind;
+    use roomcast_ipc::raw::report_kind;
 
     #[test]
     fn messages_become_orders_to_the_robot_of_their_topic() {

@@ -1,4 +1,4 @@
-//! What is to stand at the broker, and what stands there. Pure: it decides, others send.
+//! Decides which messages to send, from the wanted and the published ones. No I/O.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,10 +6,10 @@ use serde_json::json;
 
 use super::discovery::ORIGIN;
 
-/// Topics of earlier runs that are remembered until they are known to be wanted or not.
+/// Most topics of earlier runs that are remembered until it is clear whether they are wanted.
 pub(super) const FOUND_MAX: usize = 4096;
 
-/// Most bytes of the names in the list of our topics: a topic that finds no room there is not taken away by a later run.
+/// Most bytes of names in the list of our topics. A later run cannot remove topics that do not fit.
 const LISTED_BYTES_MAX: usize = 48 << 10;
 
 /// Retained messages by topic.
@@ -18,37 +18,36 @@ pub(super) type Picture = BTreeMap<String, String>;
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     wanted: Picture,
-    /// What was said over this connection.
+    /// The messages that were sent over this connection.
     said: Picture,
-    /// Of what was said, topics where something else was heard last: somebody has overwritten it or taken it away.
+    /// Sent topics that have another value now: another program has overwritten or removed them.
     foreign: BTreeSet<String>,
-    /// Topics of ours that the broker has kept from before.
+    /// Our retained topics from earlier.
     found: BTreeSet<String>,
-    /// Whether the picture has everything, so that what is not in it may go.
+    /// Whether the picture is complete, so that other topics may be removed.
     complete: bool,
-    /// Entities have gone since the picture was drawn: what they tell goes after them, or whoever shows them would read emptiness.
+    /// Entities were removed since the picture was drawn. Their states are removed later, or Home Assistant would read empty ones.
     waits: bool,
     list: Option<List>,
 }
 
-/// The list of our topics that stands at the broker beside them: their messages have no origin, so by this a later run knows them.
+/// The retained list of our topics. State messages have no origin, so a later run recognises them by this list.
 #[derive(Debug)]
 struct List {
     topic: String,
     base: String,
     node: String,
-    /// The list of an earlier run was heard, and is part of this one.
+    /// The list of an earlier run was received and is part of this one.
     heard: bool,
     wanted: String,
     said: Option<String>,
 }
 
-/// The topic of the list.
 pub(super) fn list_topic(base: &str) -> String {
     format!("{base}/bridge/topics")
 }
 
-/// The topics that the list of a bridge of this node names; none where it is somebody else's.
+/// The topics in the list of a bridge with this node; none if another program wrote it.
 pub(super) fn listed(payload: &[u8], base: &str, node: &str) -> BTreeSet<String> {
     let list = serde_json::from_slice::<serde_json::Value>(payload).unwrap_or_default();
     let at = |pointer: &str| list.pointer(pointer).and_then(serde_json::Value::as_str);
@@ -59,14 +58,14 @@ pub(super) fn listed(payload: &[u8], base: &str, node: &str) -> BTreeSet<String>
 }
 
 impl Outbox {
-    /// One that keeps a list of its topics below `base` at the broker.
+    /// Creates an outbox that retains a list of its topics below `base`.
     pub(super) fn with_list(base: &str, node: &str) -> Self {
         let (topic, base, node) = (list_topic(base), base.to_owned(), node.to_owned());
         let list = List { topic, base, node, heard: false, wanted: String::new(), said: None };
         Self { list: Some(list), ..Self::default() }
     }
 
-    /// All that the broker has kept was heard.
+    /// Records that all retained messages have arrived.
     pub(super) fn hear_all(&mut self) {
         if let Some(list) = &mut self.list
             && !list.heard
@@ -76,7 +75,7 @@ impl Outbox {
         }
     }
 
-    /// Makes the list again. A topic is in it from before it is said until it is gone.
+    /// Rebuilds the list. It names a topic from before its first message until after its removal.
     fn renew_list(&mut self) {
         let payload = self.list.as_ref().map(|list| self.list_payload(list)).unwrap_or_default();
         if let Some(list) = &mut self.list {
@@ -103,20 +102,20 @@ impl Outbox {
         json!({ "origin": { "name": ORIGIN }, "node": list.node, "topics": topics }).to_string()
     }
 
-    /// What is to stand there from now on. Where the picture is `complete`, all else of ours is to go.
+    /// Sets the wanted messages. If the picture is `complete`, our other topics are removed.
     pub(super) fn want(&mut self, picture: Picture, complete: bool) {
         (self.wanted, self.complete, self.waits) = (picture, complete, false);
         self.renew_list();
     }
 
-    /// The broker has kept a message of ours from before.
+    /// Records a retained message of ours.
     pub(super) fn find(&mut self, topic: String) {
         if self.found.len() < FOUND_MAX {
             self.found.insert(topic);
         }
     }
 
-    /// The broker tells what stands under a topic now: it tells its own of what we say, too.
+    /// Handles a message under a topic, which may be our own.
     pub(super) fn hear(&mut self, topic: &str, payload: &[u8]) {
         match self.said.get(topic) {
             Some(said) if said.as_bytes() != payload => _ = self.foreign.insert(topic.to_owned()),
@@ -124,7 +123,7 @@ impl Outbox {
         }
     }
 
-    /// What somebody has overwritten or taken away is to be said again.
+    /// Schedules overwritten and removed topics for sending.
     pub(super) fn heal(&mut self) {
         for topic in std::mem::take(&mut self.foreign) {
             if self.said.remove(&topic).is_some() && !self.wanted.contains_key(&topic) {
@@ -133,7 +132,7 @@ impl Outbox {
         }
     }
 
-    /// What was said may not have arrived, and what the broker keeps may be lost: all of it is to be said again.
+    /// After a lost connection all messages are sent again: they may not have arrived, and the broker may have lost its retained ones.
     pub(super) fn lose(&mut self) {
         let said = std::mem::take(&mut self.said);
         said.into_keys().for_each(|topic| self.find(topic));
@@ -143,7 +142,7 @@ impl Outbox {
         }
     }
 
-    /// What is to be said next; an empty message takes a topic's last one away.
+    /// The next message; an empty payload removes the topic's retained one.
     pub(super) fn next(&self) -> Option<(&str, &str)> {
         let list = self.list.as_ref().filter(|list| list.heard && list.said.as_ref() != Some(&list.wanted));
         if let Some(list) = list {
@@ -156,19 +155,19 @@ impl Outbox {
         news.or_else(|| entity().or_else(other).map(|topic| (topic, "")))
     }
 
-    /// Whether nothing is left to be said or to go, also later.
+    /// Whether all messages are sent and all removals done.
     pub(super) fn is_done(&self) -> bool {
         let is_listed = |list: &List| list.heard && list.said.as_ref() == Some(&self.list_payload(list));
         self.next().is_none() && self.stale().next().is_none() && self.list.as_ref().is_none_or(is_listed)
     }
 
-    /// Topics that nobody wants any more.
+    /// Topics that are no longer wanted.
     fn stale(&self) -> impl Iterator<Item = &str> {
         let known = self.said.keys().chain(&self.found).filter(|_| self.complete);
         known.filter(|topic| !self.wanted.contains_key(*topic)).map(String::as_str)
     }
 
-    /// It was said.
+    /// Records that a topic's message was sent.
     pub(super) fn done(&mut self, topic: &str) {
         if let Some(list) = self.list.as_mut().filter(|list| list.topic == topic) {
             list.said = Some(list.wanted.clone());
@@ -226,7 +225,7 @@ mod tests {
         let mut outbox = Outbox::default();
         outbox.want(picture(&[("a", "1"), ("b", "1"), ("c", "1")]), true);
         send(&mut outbox);
-        // What we say comes back, and a change that was said since has not come back yet.
+        // Our own messages come back. A later change has not come back yet.
         outbox.hear("a", b"1");
         outbox.hear("b", b"offline");
         outbox.hear("c", b"");
@@ -235,7 +234,7 @@ mod tests {
         assert_eq!(send(&mut outbox), [("b".to_owned(), "1".to_owned()), ("c".to_owned(), "1".to_owned())]);
         outbox.heal();
         assert_eq!(outbox.next(), None, "once");
-        // Meanwhile it is not wanted any more.
+        // By now it is unwanted.
         outbox.hear("b", b"offline");
         outbox.want(picture(&[("a", "1"), ("c", "1")]), true);
         outbox.heal();

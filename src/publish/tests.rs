@@ -2,7 +2,8 @@ use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{StatusResponseV1, action, decision_flags, forecast_flags, presence, text};
+use roomcast_ipc::raw::{StatusResponseV1, action, decision_flags, forecast_flags, presence};
+use roomcast_ipc::text;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use serde_json::{Value, json};
@@ -40,7 +41,7 @@ fn persons(of: &RoomScoresV1, names: &[&str]) -> PersonForecastsV1 {
     for (person, name) in persons.person.iter_mut().zip(names) {
         person.name = text::encode("name", name).unwrap();
         person.presence = presence::PRESENT;
-        person.probability[0] = [0.7; roomcast_ipc::MAX_HORIZONS];
+        person.probability[0] = [0.7; roomcast_ipc::raw::MAX_HORIZONS];
         person.elsewhere[2] = 0.9;
     }
     persons
@@ -103,7 +104,7 @@ fn health_says_what_the_forecast_lacks() {
     assert_eq!(message(&draw(&mut known), "roomcast/health")["forecast"], json!(["resident-unknown"]));
 }
 
-/// Home Assistant warns of a time that is none, and shows a text that is none as the word `None`.
+/// Home Assistant warns about an invalid time, and shows a null text as the word `None`.
 #[test]
 fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
     let (topic, entity) = ("roomcast/narrated", "homeassistant/sensor/roomcast/narrated/config");
@@ -119,7 +120,7 @@ fn no_entity_is_told_of_a_time_or_a_text_that_is_none() {
     };
     known.take_scores(&heard);
     assert_eq!(message(&draw(&mut known), topic), 1_789_999_998);
-    // A daemon that has forgotten everything takes nothing back.
+    // A daemon without memory does not retract the time.
     known.take_scores(&scores(&["kitchen"]));
     let picture = draw(&mut known);
     assert_eq!(message(&picture, topic), 1_789_999_998);
@@ -203,7 +204,7 @@ fn robots_have_their_planners_names_and_go_with_them() {
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);
     let decision = |robot: &str| DecisionV1 {
         robot: sequence::source_of_name(robot),
-        // One that came from elsewhere says no name.
+        // A decision from another machine may have no name.
         robot_name: text::encode_cut(if robot == "far" { "" } else { robot }),
         ..Default::default()
     };
@@ -219,13 +220,13 @@ fn robots_have_their_planners_names_and_go_with_them() {
     let shown = robots(&mut known);
     assert!(shown[0] == "mop2" && shown[1] == "robot" && shown.len() == 4, "{shown:?}");
     assert!(shown[2].starts_with(&far) && shown[3] == roomcast_services::slug::slug("Staubi Ä"), "{shown:?}");
-    // Of those that are here nothing counts that a bridge says.
+    // If a robot's planner is here, a bridge's decisions for it are ignored.
     for robot in ["robot", "mop2"] {
         let flags = decision_flags::ELSEWHERE;
         known.take_decision(&DecisionV1 { flags, sequence: 9, ..decision(robot) }, "robot");
         assert_eq!(message(&draw(&mut known), &format!("roomcast/robots/{robot}"))["decision"], 0);
     }
-    // The configured robot keeps its place, and one that is elsewhere cannot be seen to go.
+    // The configured robot stays, and a robot on another machine cannot be seen to end.
     known.take_planners(&[], "robot");
     assert_eq!(robots(&mut known), shown[1..3]);
 }
@@ -244,7 +245,7 @@ fn only_what_an_earlier_run_has_listed_is_found() {
         heard("roomcast/bridge/topics", list),
         heard("roomcast/status", "offline"),
         heard("roomcast/rooms/other_program", "{}"),
-        // What no broker keeps, and what nobody has asked for.
+        // Topics that no broker retains, and topics outside the filters.
         heard("roomcast/#", "x"),
         heard("roomcast/rooms/#", "x"),
         heard("roomcast/persons/+", "x"),
@@ -313,7 +314,7 @@ fn discovery_is_one_device_with_unique_safe_ids_whatever_names_are_like() {
     assert!(!discovery::is_own(b"{\"name\": \"lamp\"}", "roomcast") && !discovery::is_own(b"\xff", "roomcast"));
 }
 
-/// Names that are parts of what others become: endings of ids, numbers, sums, and what a name with a sum looks like.
+/// Names that are parts of topics and ids: endings, numbers, checksums, and names that look like results.
 fn names() -> impl Strategy<Value = String> {
     let word = proptest::sample::select(vec!["lily", "tom", "person", "robot", "x", "Ä", "in", "s", "5", "600"]);
     let joint = proptest::sample::select(vec!["_", " ", "_in_", "-", ""]);
@@ -333,7 +334,7 @@ fn names() -> impl Strategy<Value = String> {
     ]);
     let name = (word.clone(), joint, word, ending).prop_map(|(a, b, c, d)| format!("{a}{b}{c}{d}"));
     let name = proptest::prop_oneof![4 => name, 1 => Just("person 5".to_owned()), 1 => Just("lily".to_owned())];
-    // Also what a name becomes, and what it then becomes.
+    // Also the results of names, and the results of results.
     let names = (name, 0..4_u32, 0..3).prop_map(|(name, number, times)| {
         let becomes = |name: String, _| match number {
             0 => names::of_room(&name),
@@ -343,13 +344,13 @@ fn names() -> impl Strategy<Value = String> {
         };
         (0..times).fold(name, becomes)
     });
-    names.prop_filter("a name fits into a message", |name| name.len() <= roomcast_ipc::NAME_BYTES)
+    names.prop_filter("a name fits into a message", |name| name.len() <= roomcast_ipc::raw::NAME_BYTES)
 }
 
 proptest::proptest! {
     #![proptest_config(ProptestConfig { cases: 2_000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever rooms, persons and robots are called, none gets what belongs to another: all topics, ids and states are apart.
+    /// All topics, ids and states stay apart, for any names of rooms, persons and robots.
     #[test]
     fn nobodys_name_takes_anothers_place(
         rooms in proptest::collection::btree_set(names(), 1..4),
@@ -388,7 +389,7 @@ proptest::proptest! {
         };
         prop_assert_eq!(entities.len(), expected, "topics of {:?} {:?} {:?}", rooms, people, robots);
         prop_assert_eq!(of("unique_id").len(), expected, "ids of {:?} {:?} {:?}", rooms, people, robots);
-        // Those of the home and of how the daemon is, and one for each.
+        // The home's, the daemon's, and one for each.
         let states = 2 + rooms.len() + people.len() + all_robots + 1;
         prop_assert_eq!(of("state_topic").len(), states, "states of {:?} {:?} {:?}", rooms, people, robots);
         let kept = picture.keys().filter(|topic| ["/rooms/", "/persons/", "/robots/"].iter().any(|kind| topic.contains(kind)));
@@ -409,7 +410,7 @@ fn without_a_prefix_there_is_no_discovery_and_horizons_can_be_any() {
     assert!(picture.keys().all(|topic| !topic.contains('.')), "{:?}", picture.keys());
 }
 
-/// Nobody checks what a daemon says of itself, and a sum that does not fit ended the bridge.
+/// Regression: the daemon's counters are unchecked, and an overflowing sum ended the bridge.
 #[test]
 fn counters_without_measure_are_told_as_the_most_there_is() {
     let mut known = known(&["kitchen"], &[[0.0; 3]], &[]);

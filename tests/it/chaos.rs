@@ -24,13 +24,14 @@ use rand_chacha::ChaCha8Rng;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::Pipeline;
-use roomcast_ipc::{
-    DecisionV1, Domain, IncludedV1, NarrationV1, Node, Publisher, QuestionPort, RobotReportV1, RoomScoresV1,
-    StatusResponseV1, Subscriber, action, clock, decision_flags, narration_kind, question, score_flags, sequence, text,
+use roomcast_ipc::raw::{
+    DecisionV1, IncludedV1, NarrationV1, RobotReportV1, RoomScoresV1, StatusResponseV1, action, decision_flags,
+    narration_kind, score_flags,
 };
+use roomcast_ipc::{Domain, Node, Publisher, QuestionPort, Subscriber, clock, question, sequence, text};
 use roomcast_llama::LlamaModel;
 use roomcast_services::config::Config;
-use roomcast_services::daemon::{PersonAnswer, PersonQuestion, Recovered, journal};
+use roomcast_services::daemon::{PersonAnswer, PersonQuestion, journal};
 use roomcast_services::moment::{Moment, PersonLabels};
 use roomcast_services::reporter::{Kind, Report, Reporter};
 use roomcast_services::setup;
@@ -852,12 +853,7 @@ fn survives(household: bool) {
     let took_s = start.elapsed().as_secs_f64();
 
     // The history, as the daemon's successor would find it.
-    let mut recovered = Recovered::default();
-    for name in ["narration.journal.old", "narration.journal"] {
-        let bytes = fs::read(world.directory.path().join("state").join(name)).unwrap_or_default();
-        journal::read_records(&bytes, &[0; 16], &mut recovered);
-    }
-    let history = recovered.observations;
+    let history = journal::look(&world.directory.path().join("state")).unwrap().observations;
     let narrator = sequence::source_of_name(NARRATOR);
     let honest = || history.iter().filter(|o| o.source == narrator);
     let texts: HashSet<(Option<&str>, &str)> =

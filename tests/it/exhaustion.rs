@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::StatusResponseV1;
-use roomcast_services::daemon::{Recovered, journal};
+use roomcast_ipc::raw::StatusResponseV1;
+use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
 use crate::eventually::eventually;
@@ -177,9 +177,9 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     let mut world = World::new("disk");
     let state = world.path("state");
     fs::create_dir(&state).unwrap();
-    // The disk holds 256 KiB, of which something else has taken all but some pages.
+    // The disk holds 2 MiB, of which something else has taken all but some pages.
     let mount = format!(
-        "mount -t tmpfs -o size=256k,mode=0700 tmpfs {0} && head -c 240k /dev/zero > {0}/other && exec \"$@\"",
+        "mount -t tmpfs -o size=2m,mode=0700 tmpfs {0} && head -c 1800k /dev/zero > {0}/other && exec \"$@\"",
         state.display()
     );
     let prefix = ["unshare", "-m", "sh", "-c", &mount, "sh"];
@@ -189,17 +189,12 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     let status = status(&world);
     assert_eq!((status.accepted, status.missed), (800, 0));
     assert!(status.journal_failures > 0, "the disk was not full");
-    assert!(world.log(0).contains("the journal cannot be written"), "{}", world.log(0));
+    assert!(world.log(0).contains("the state database cannot be written"), "{}", world.log(0));
 
     let inside = PathBuf::from(format!("/proc/{}/root{}", world.children[0].child.id(), state.display()));
     fs::remove_file(inside.join("other")).unwrap();
-    let kept = || {
-        let mut recovered = Recovered::default();
-        let bytes = fs::read(inside.join("narration.journal")).unwrap();
-        journal::read_records(&bytes, &[0; 16], &mut recovered);
-        recovered.observations
-    };
-    eventually("the journal catches up", || (kept().len() == 800).then_some(()));
+    let kept = || journal::look(&inside).map(|recovered| recovered.observations).unwrap_or_default();
+    eventually("the database catches up", || (kept().len() == 800).then_some(()));
     assert!(kept().iter().zip(0..).all(|(o, number)| o.sentence() == Some(&format!("They do thing {number}."))));
     assert_eq!(world.end(0, Signal::TERM), Some(0), "{}", world.log(0));
 }

@@ -10,14 +10,13 @@ use std::process::Command;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
-use roomcast_core::narration::{Event, Observation, Sentence};
+use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::scorer::correction::Correction;
 use roomcast_core::scorer::{LabelScores, Method, Scorer, Tokenisation};
-use roomcast_ipc::{ByteImage, NarrationV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1, text};
+use roomcast_ipc::raw::{ByteImage, NarrationV1, PersonForecastsV1, PersonScoresV1, RoomScoresV1};
+use roomcast_ipc::text;
 use roomcast_llama::{LlamaModel, LlamaOptions};
-use roomcast_services::daemon::journal;
 use roomcast_services::embedded;
 use roomcast_services::recording::{Received, Recorded, Recorder};
 
@@ -57,32 +56,23 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     seeds
 }
 
-fn observation(sequence: u64) -> Observation {
-    let sentence = Sentence::new(&format!("They do thing {sequence}.")).unwrap();
-    let (observed_ns, observed_unix_ns) = (sequence, sequence);
-    Observation {
-        source: 7,
-        epoch: 1,
-        observed_ns: BootNs(observed_ns),
-        observed_unix_ns: UnixNs(observed_unix_ns),
-        ..Observation::of(sequence, sentence)
-    }
-}
-
-/// Records of every kind.
+/// Records of earlier versions.
 fn journal_bytes() -> Vec<u8> {
-    let told = [
-        observation(1),
-        Observation { name: Some("ada".into()), ..observation(2) },
-        Observation { event: Event::Away, person: PersonId::SOMEBODY, ..observation(3) },
-        Observation { by_fit: true, ..observation(4) },
-    ];
-    let outcome = |by_fit: bool, probability: &'static [f64]| {
-        let (person, map) = (PersonId(4), 9);
-        journal::encode_outcome(&journal::Outcome { event: EventId::new(7, 1, 3), person, by_fit, map, probability })
+    let record = |letter: u8, payload: &[u8]| {
+        let (length, checksum) = ((payload.len() as u32).to_le_bytes(), crc32fast::hash(payload).to_le_bytes());
+        [b"RCJ".as_slice(), &[letter], &length, &checksum, payload].concat()
     };
-    let records = told.iter().map(|observation| journal::encode(observation, &[7; 16]));
-    records.chain([outcome(true, &[]), outcome(false, &[0.25, 0.75])]).flatten().collect()
+    let name = [7_u64, 1, 3].map(u64::to_le_bytes).concat();
+    let said = |rest: &[u8]| [&name, &[0; 36][..], rest].concat();
+    let outcome = [&name, &[4, 0, 0, 0, 0][..], &[9; 8], &0.25_f32.to_le_bytes()].concat();
+    [
+        record(b'1', &said(b"They do thing 1.")),
+        record(b'3', &said(&[&[1, 3][..], b"adaaway"].concat())),
+        record(b'5', &outcome),
+        record(b'B', &[&name, &[8, 0, 0, 0, 1 << 2, 3][..], b"Ada"].concat()),
+        record(b'6', &[&name[..16], &[3; 16]].concat()),
+    ]
+    .concat()
 }
 
 fn recording() -> Vec<u8> {

@@ -18,9 +18,9 @@
 //! - the wall clock may be set at any time, and the machine suspended: neither changes what is believed of where anybody is, but for the time
 //!   that has passed;
 //! - power that fails takes what no sync has reached, and nothing else;
-//! - a disk may refuse any call, lose what a sync fails with, keep names that were not synced as they were, and give a block of elsewhere or
-//!   of before: what was confirmed outlives the daemon all the same, but for what that block held;
-//! - a rotation of the journal drops the oldest alone, and nobody's place, no source and no port with it;
+//! - a disk may refuse any call, lose what a sync fails with, flip a bit, and give a block of elsewhere or of before: what was confirmed outlives
+//!   the daemon all the same, unless the database is damaged;
+//! - when there are too many events, the oldest alone go, and nobody's place, no source and no port with them;
 //! - whoever invents sources takes nothing from the others;
 //! - where the transport is faithful, all that living narrators say is confirmed in the end.
 //!
@@ -49,15 +49,17 @@ use roomcast_core::prepared::{Answer, Preparer};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, IsStopped, LanguageModel, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{
-    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, Sender,
-    action, decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
+use roomcast_database::Database;
+use roomcast_ipc::Sender;
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_PERSONS, Message, NarrationV1, PersonForecastV1, RobotReportV1, RoomScoresV1, action,
+    decision_flags, forecast_flags, narration_kind, person_flags, presence, report_kind, score_flags,
 };
 use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
-use roomcast_services::daemon::journal::Writer;
+use roomcast_services::daemon::journal::{Record, SCHEMA, Writer};
 use roomcast_services::daemon::{
     Board, Cycle, Entry, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken, Zone,
-    decode_memory, encode_memory, journal,
+    decode_memory, encode_memory,
 };
 use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::planner::{Planner, ReportFault};
@@ -65,14 +67,14 @@ use roomcast_services::reporter::{Kind, Report, Reporter};
 
 #[path = "../support/simulated_disk.rs"]
 mod simulated_disk;
-use simulated_disk::{DiskFault, DiskTally, SimulatedDisk};
+use simulated_disk::{DiskTally, SimulatedDisk};
 
 const MS: u64 = 1_000_000;
 const SEEDS: u64 = 1000;
 /// Seeds with each planted fault.
 const PLANTED_SEEDS: u64 = 2400;
 const STEPS: usize = 400;
-/// Every fourth seed is longer, so that its journal is rotated.
+/// Every fourth seed is longer, so that its oldest events go.
 const LONG_STEPS: usize = 2000;
 const HEARTBEAT_NS: u64 = 100 * MS;
 const DEADLINE_MS: u64 = 400;
@@ -108,7 +110,7 @@ enum Planted {
     NoDeduplication,
     /// The planner accepts scores of any age.
     NoDeadline,
-    /// Damage on the disk goes unnoticed, as without a checksum: the checksum is made to fit it.
+    /// Damage on the disk goes unnoticed, as without a checksum.
     NoChecksum,
     /// Scores claim narration that the journal does not hold yet.
     ClaimsBeforeJournal,
@@ -138,8 +140,28 @@ enum Planted {
     NoNamesAfterRestart,
     /// The planner's clock stands still while the machine is suspended.
     ClockStopsInSleep,
-    /// The disk, or what the journal asks of it.
-    Disk(DiskFault),
+    /// A sync that fails counts as one that went well.
+    SyncErrorsHidden,
+    /// When there are too many events, the newest goes, too.
+    NewestGoes,
+    /// When there are too many events, the last ones of persons go, too.
+    LastWordsGo,
+    /// When there are too many events, it is forgotten whose the sources are.
+    PortsGo,
+}
+
+impl Planted {
+    /// What is done to the database after its oldest events were deleted.
+    fn after_trim(self) -> Option<&'static str> {
+        match self {
+            Self::NewestGoes => Some("DELETE FROM event WHERE id = (SELECT max(id) FROM event)"),
+            Self::LastWordsGo => Some(
+                "DELETE FROM event WHERE id < (SELECT min(id) FROM (SELECT id FROM event ORDER BY id DESC LIMIT 3))",
+            ),
+            Self::PortsGo => Some("DELETE FROM source"),
+            _ => None,
+        }
+    }
 }
 
 /// Ports of strangers: one speaks in others' names, one invents sources.
@@ -208,14 +230,15 @@ struct Daemon {
     /// From the ear to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
     /// To the journal's writer, and whether it is an observation from the ear.
-    records: VecDeque<(Vec<u8>, bool)>,
-    writer: Writer<SimulatedDisk>,
+    records: VecDeque<(Record, bool)>,
+    writer: Writer,
+    /// Events that it has deleted, as far as the world knows.
+    trimmed: usize,
     appended: u64,
     written: u64,
     /// Stopped until then, as by SIGSTOP.
     hung_ns: u64,
-    /// How many of the accepted observations are from the journal, the cycle has entered, and the scores contain.
-    found: usize,
+    /// How many of the accepted observations the cycle has entered, and the scores contain.
     entered: usize,
     scored: usize,
     /// What the model read for the newest scores.
@@ -324,7 +347,7 @@ struct World {
     /// Nobody is killed any more.
     calm: bool,
     disk: SimulatedDisk,
-    half_bytes: u64,
+    bytes_max: u64,
     /// Since the last start the power has failed.
     lost_power: bool,
     /// What a sync has reached; and what the disk refused when it was last asked, which is kept in memory.
@@ -335,14 +358,17 @@ struct World {
     ever: BTreeMap<EventId, Observation>,
     /// When each was accepted the last time, as a number: a start that misreads the journal has seen it in another order.
     order: BTreeMap<EventId, u64>,
-    /// How many were accepted before each rotation.
-    rotated_at: Vec<u64>,
+    /// A bit was flipped since the last start; databases that were set aside until then, and events that trims have deleted.
+    is_damaged: bool,
+    /// A daemon was killed before it had written again what a sync has lost.
+    lost_pages: bool,
+    /// How likely calls fail and starts misread.
+    faults: (f64, f64),
+    set_aside: u64,
+    trimmed: usize,
     /// What was accepted more than once, since it was lost.
     again: BTreeSet<EventId>,
     rotated: BTreeSet<EventId>,
-    /// What a start was not given by a disk that has it, and what had happened to the disk then.
-    hidden: BTreeSet<EventId>,
-    hidden_at: DiskTally,
     /// The machine was suspended for so long in all.
     asleep_ns: u64,
     /// The names that the home gave.
@@ -490,19 +516,21 @@ impl World {
             last_sent: None,
             strangers: VecDeque::new(),
             calm: false,
-            disk: SimulatedDisk::new(seed, if let Planted::Disk(fault) = planted { Some(fault) } else { None }),
-            half_bytes: 4096,
+            disk: SimulatedDisk::new(seed, planted == Planted::SyncErrorsHidden),
+            bytes_max: 8192,
             lost_power: false,
             safe: BTreeSet::new(),
             refused: BTreeSet::new(),
             is_refused: false,
             ever: BTreeMap::new(),
             order: BTreeMap::new(),
-            rotated_at: Vec::new(),
+            is_damaged: false,
+            lost_pages: false,
+            faults: (0.0, 0.0),
+            set_aside: 0,
+            trimmed: 0,
             again: BTreeSet::new(),
             rotated: BTreeSet::new(),
-            hidden: BTreeSet::new(),
-            hidden_at: DiskTally::default(),
             asleep_ns: 0,
             names: PersonsFile::default(),
             told: BTreeSet::new(),
@@ -531,10 +559,11 @@ impl World {
         }
         world.start_planner();
         world.learns = world.rng.random_bool(0.4);
-        // The least that may be configured, so that it is rotated often.
-        world.half_bytes = [4096, 4096, 8192, 1 << 20][world.rng.random_range(0..4)];
-        let fails = if world.rng.random_bool(0.5) { 0.05 } else { 0.0 };
+        // Little, so that the oldest go often.
+        world.bytes_max = [16_384, 16_384, 32_768, 2 << 20][world.rng.random_range(0..4)];
+        let fails = if world.rng.random_bool(0.5) { 0.01 } else { 0.0 };
         let misreads = if world.rng.random_bool(0.25) { 0.5 } else { 0.0 };
+        world.faults = (fails, misreads);
         world.disk.set_faults(fails, misreads);
         world
     }
@@ -661,7 +690,7 @@ impl World {
     /// and which the disk and the power leave whole.
     fn is_known(&self, start: (u64, u64)) -> bool {
         let heard = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&start));
-        let is_whole = !self.tally.is_hurt() && !self.is_refused && !self.lost_power && !self.disk.lacks_pages();
+        let is_whole = !self.tally.is_hurt() && !self.is_refused && !self.lost_power && !self.lacks_pages();
         heard || (is_whole && self.claimed.iter().any(|name| name.start() == start))
     }
 
@@ -689,7 +718,7 @@ impl World {
     /// A stranger invents sources, and each of them says something that may be.
     fn invent(&mut self) {
         // Where more are carried over than the least journal holds, all of them go.
-        let most = if self.half_bytes > 8192 { 100 } else { 6 };
+        let most = if self.bytes_max > 32_768 { 100 } else { 6 };
         for _ in 0..self.rng.random_range(1..most) {
             self.said += 1;
             let text = format!("They do thing {} with the pan.", self.said);
@@ -764,12 +793,13 @@ impl World {
                     format!("a stranger is heard: {}", observation.event)
                 })?;
                 if binds {
-                    let record = journal::encode_port((observation.source, observation.epoch), port);
+                    let start = (observation.source, observation.epoch);
                     daemon.appended += 1;
-                    daemon.records.push_back((record, false));
+                    daemon.records.push_back((Record::Port { start, port }, false));
                 }
                 daemon.appended += 1;
-                daemon.records.push_back((journal::encode(&observation, &BOOT), true));
+                let record = Record::Event { observation: observation.clone(), is_of_this_boot: true };
+                daemon.records.push_back((record, true));
                 let after_gap = missed > 0;
                 let entry =
                     Entry { observation: observation.clone(), received_ns: BootNs(now_ns), after_gap, voice, leaves };
@@ -893,16 +923,16 @@ impl World {
         let Some(daemon) = &mut self.daemon else { return };
         let observations = daemon.records.iter().take(count).filter(|(_, is_observation)| *is_observation).count();
         let before = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
-        let batch: Vec<u8> = daemon.records.drain(..count).flat_map(|(record, _)| record).collect();
+        let batch: Vec<Record> = daemon.records.drain(..count).map(|(record, _)| record).collect();
         daemon.written += count as u64;
         if batch.is_empty() && !self.is_refused {
             return;
         }
-        let rotations = self.disk.tally().rotations;
-        self.is_refused = daemon.writer.write(&batch).is_err();
-        let (is_refused, rotated) = (self.is_refused, self.disk.tally().rotations - rotations);
-        self.rotated_at.extend((0..rotated).map(|_| self.tally.accepted));
-        self.note(|| format!("the journal takes {observations}, rotated {rotated} times, refused: {is_refused}"));
+        self.is_refused = daemon.writer.write(batch).is_err();
+        self.trimmed += daemon.writer.trimmed() - daemon.trimmed;
+        daemon.trimmed = daemon.writer.trimmed();
+        let is_refused = self.is_refused;
+        self.note(|| format!("the database takes {observations}, refused: {is_refused}"));
         match self.is_refused {
             true => self.refused.extend(self.accepted[before..before + observations].iter().map(Observation::id)),
             false => self.refused.clear(),
@@ -912,13 +942,17 @@ impl World {
     /// Brings what was handed over to the disk.
     fn sync(&mut self) -> Check {
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
-        if daemon.writer.sync().is_ok() {
+        let is_synced = daemon.writer.sync().is_ok();
+        let trimmed = daemon.writer.trimmed() - daemon.trimmed;
+        (daemon.trimmed, self.trimmed) = (daemon.writer.trimmed(), self.trimmed + trimmed);
+        if let Some(statement) = self.planted.after_trim().filter(|_| trimmed > 0) {
+            daemon.writer.plant(statement);
+        }
+        if is_synced {
             let waiting = daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
-            // What a sync has lost that failed under a daemon that is dead counts as written, and no later one can know.
-            let known = if self.disk.lacks_pages() { daemon.found } else { 0 };
-            let written = &self.accepted[known..self.accepted.len() - waiting];
+            let written = &self.accepted[..self.accepted.len() - waiting];
             self.safe.extend(written.iter().map(Observation::id).filter(|name| !self.refused.contains(name)));
-            self.note(|| "the journal is synced".to_owned());
+            self.note(|| format!("the database is synced, {trimmed} of its events went"));
         }
         Ok(())
     }
@@ -1022,7 +1056,7 @@ impl World {
                     let mut attributed = 0;
                     cycle.board_mut().tell_outcomes(|outcome| {
                         *appended += 1;
-                        records.push_back((journal::encode_outcome(outcome), false));
+                        records.push_back((outcome.into(), false));
                         if outcome.by_fit {
                             attributed = *appended;
                             let name = outcome.event;
@@ -1320,9 +1354,9 @@ impl World {
                 // What was learned since it was written is learned again in less detail.
                 // What was observed before what the journal holds says how long somebody stays.
                 let tolerance = if is_joint { 0.1 } else { 1e-4 };
-                // The joint filter moves persons by the local hour, and starts with the events that the journal kept.
-                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.disk.tally().rotations > 0);
-                let is_open = !same_windows || self.learns || self.disk.tally().rotations > 1 || is_moved;
+                // The joint filter moves persons by the local hour, and starts with the events that the database has.
+                let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0);
+                let is_open = !same_windows || self.learns || self.trimmed > 0 || is_moved;
                 ensure(is_open || (before - after).abs() < tolerance, || {
                     format!("after a restart person {} is in a room with {after}, before with {before}", own.person)
                 })?;
@@ -1349,21 +1383,28 @@ impl World {
     }
 
     fn kill_daemon(&mut self) -> Check {
-        let Some(daemon) = self.daemon.take() else { return Ok(()) };
+        let Some(mut daemon) = self.daemon.take() else { return Ok(()) };
         self.tally.daemon_kills += 1;
         // The record that was being written may be torn.
         if let Some((record, _)) = daemon.records.front()
+            && !self.is_refused
+            && !daemon.writer.lacks_pages()
             && self.rng.random_bool(0.5)
         {
-            self.disk.tear(&record[..self.rng.random_range(0..record.len())]);
+            self.disk.set_faults(1.0, 0.0);
+            // A record that changes nothing needs no disk.
+            let _torn = daemon.writer.write([record.clone()]);
+            self.disk.set_faults(self.faults.0, self.faults.1);
             self.tally.torn += 1;
         }
+        let lacks_pages = daemon.writer.lacks_pages();
+        self.lost_pages |= lacks_pages;
         // What the journal did not get is lost, and may be: nothing claimed it, so its narrator still has it.
         let kept = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
         // Only what the journal has and scores contain is known to the next one, too.
         let whole = daemon.records.is_empty()
             && !self.is_refused
-            && !self.disk.lacks_pages()
+            && !self.lacks_pages()
             && !self.disk.was_misread()
             && daemon.scored == self.accepted.len()
             && daemon.map == daemon.scored_map;
@@ -1402,35 +1443,48 @@ impl World {
         Ok(())
     }
 
-    /// One bit of the journal flips while nobody runs. The narration it belonged to is lost, and nothing else.
+    /// One bit of the database or its log flips while nobody runs.
     fn damage_disk(&mut self) {
-        let (place, bit, seals) =
-            (self.rng.random::<u32>(), self.rng.random_range(0..8), self.planted == Planted::NoChecksum);
-        let is_damaged = self.disk.damage(|bytes| {
-            let at = place as usize % bytes.len();
-            bytes[at] ^= 1 << bit;
-            if seals {
-                seal(bytes);
-            }
-        });
-        if !is_damaged {
+        if !self.disk.damage() {
             return;
         }
         self.ghost = None;
-        // It may be the record of whose a source is.
+        // It may be the row of whose a source is.
         self.strangers.clear();
+        self.is_damaged = true;
         self.tally.damaged += 1;
-        self.note(|| "a bit of the journal is damaged".to_owned());
+        self.note(|| "a bit of the database is damaged".to_owned());
+    }
+
+    /// A sync has failed, and what it lost is not written again.
+    fn lacks_pages(&self) -> bool {
+        self.lost_pages || self.daemon.as_ref().is_some_and(|daemon| daemon.writer.lacks_pages())
     }
 
     fn start_daemon(&mut self) -> Check {
-        if self.daemon.is_some() || self.disk.start().is_err() {
+        if self.daemon.is_some() {
             return Ok(());
         }
+        self.disk.start();
         // A disk that cannot be read is an error, and the daemon is started again.
-        let Ok((writer, mut recovered)) = Writer::open(self.disk.clone(), self.half_bytes, &BOOT) else {
-            return Ok(());
+        let opened = Database::open_simulated(self.disk.simulation(), SCHEMA).map_err(|error| error.to_string());
+        let opened = opened
+            .and_then(|opened| Writer::open(opened, None, self.bytes_max, &BOOT).map_err(|error| error.to_string()));
+        let (writer, mut recovered) = match opened {
+            Ok(opened) => opened,
+            Err(reason) => {
+                // A sync that fails here may lose pages that a killed daemon has left.
+                self.lost_pages = true;
+                self.note(|| format!("the daemon does not start: {reason}"));
+                return Ok(());
+            }
         };
+        if self.planted == Planted::NoChecksum
+            && self.is_damaged
+            && let Some(newest) = recovered.observations.last_mut()
+        {
+            newest.event = Event::Did(Sentence::new("They do thing 1\u{31}1 with the pam.").unwrap());
+        }
         let pipeline = self.pipeline(0, self.options.history, &self.failures);
         let config =
             PersonsConfig { residents: self.residents.clone(), visitor_s: VISITOR_S, ..PersonsConfig::default() };
@@ -1448,20 +1502,17 @@ impl World {
             recovered = Recovered::default();
         }
         if self.planted == Planted::ReadsTwice {
-            let each = self.disk.read_record_by_record(&BOOT);
-            if each.len() > recovered.observations.len() {
-                recovered.observations = each;
-            }
+            let again = recovered.observations.first().cloned();
+            recovered.observations.extend(again);
         }
-        let halves: Vec<_> = recovered.observations.iter().map(Observation::id).collect();
-        let back = recovered.clone().join().observations;
+        let back = recovered.observations.clone();
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
         self.note(|| format!("daemon starts with {} narrations{misread}", back.len()));
-        if self.disk.was_misread() {
-            // It may hold the record of whose a source is.
+        if self.disk.was_misread() || self.disk.tally().set_aside > self.set_aside {
+            // It may hold the row of whose a source is.
             self.strangers.clear();
         }
-        self.check_recovered(&back, &halves)?;
+        self.check_recovered(&back)?;
         // What a start does not see it cannot believe, however many it accepts after it.
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
         self.ghost = self.ghost.take_if(is_whole);
@@ -1503,6 +1554,7 @@ impl World {
             queue,
             records,
             writer,
+            trimmed: 0,
             appended: 0,
             written: 0,
             hung_ns: 0,
@@ -1510,7 +1562,6 @@ impl World {
             scored,
             read: Vec::new(),
             heard: BTreeSet::new(),
-            found: entered,
             map: 0,
             scored_map: 0,
             restarted: true,
@@ -1521,10 +1572,13 @@ impl World {
         Ok(())
     }
 
-    /// What comes back is what was accepted, each once and in its order, but for what may be lost: what a rotation has dropped, which lies before
-    /// all that the `halves` hold themselves; what damaged bytes held; what the disk had refused, or no sync had reached when the power
-    /// failed. And nothing that was never said.
-    fn check_recovered(&mut self, back: &[Observation], halves: &[EventId]) -> Check {
+    /// What comes back is what was accepted, each once and in its order, but for what may be lost: what has gone because there were too many, which is
+    /// older than most of what there is; what the disk had refused, or no sync had reached when the power failed; and all, if the database is
+    /// damaged. And nothing that was never said.
+    fn check_recovered(&mut self, back: &[Observation]) -> Check {
+        let set_aside = self.disk.tally().set_aside;
+        let is_hurt = self.is_damaged || self.disk.was_misread() || set_aside > self.set_aside;
+        self.set_aside = set_aside;
         let mut names = BTreeSet::new();
         for again in back {
             let name = again.id();
@@ -1535,8 +1589,8 @@ impl World {
             // What was claimed was said to be somebody's; damage may have taken that, or a sync that failed.
             let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
             // A kill between a failed sync and the next write loses what that sync did.
-            let is_lost = self.lost_power || self.is_refused || self.disk.lacks_pages();
-            let may_be = self.tally.is_hurt() || is_lost || self.disk.was_misread();
+            let is_lost = self.lost_power || self.is_refused || self.lacks_pages();
+            let may_be = self.tally.is_hurt() || is_lost || is_hurt;
             ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
             let other = again.by_fit && self.attributed.get(&name).is_some_and(|person| *person != again.person);
             let was_said = may_be && self.ever_attributed.contains(&(name, again.person));
@@ -1545,24 +1599,20 @@ impl World {
         let in_order = self.accepted.iter().map(Observation::id).filter(|name| names.contains(name));
         let before =
             back.iter().map(Observation::id).filter(|name| self.accepted.iter().any(|said| said.id() == *name));
-        ensure(in_order.eq(before) || self.tally.misread > 0 || self.disk.was_misread(), || {
+        ensure(in_order.eq(before) || self.tally.misread > 0 || is_hurt, || {
             "the journal gives back what was accepted in another order".to_owned()
         })?;
 
-        let once = halves.iter().find(|name| !self.again.contains(name));
-        let first = once.map_or(u64::MAX, |name| self.order[name]);
-        // What a disk has refused lies behind what was accepted after it, in the next half: the half before that may have gone without it.
-        let older_from = self.rotated_at.iter().rev().nth(1).copied().filter(|_| self.disk.tally().failed_calls > 0);
-        let first = first.max(older_from.unwrap_or(0));
-        let rotations = self.disk.tally().rotations;
-        let has_rotated = rotations > 1;
-        self.check_hidden(&names)?;
+        // The last events of persons have a quarter at most; all others that went are older than what stays.
+        let mut order: Vec<u64> = names.iter().map(|name| self.order[name]).collect();
+        order.sort_unstable();
+        let first = order.get(order.len() * 3 / 5).copied().unwrap_or_default();
         let (mut lost, mut rotated) = (Vec::new(), 0);
         for said in self.accepted.iter().filter(|said| !names.contains(&said.id())) {
             let name = said.id();
             let unsafe_then = self.lost_power && !self.safe.contains(&name);
-            let refused = self.refused.contains(&name) || self.disk.lacks_pages();
-            if has_rotated && self.order[&name] < first {
+            let refused = self.refused.contains(&name) || self.lacks_pages();
+            if self.trimmed > 0 && self.order[&name] < first {
                 self.rotated.insert(name);
                 rotated += 1;
                 continue;
@@ -1573,58 +1623,37 @@ impl World {
             if unsafe_then {
                 self.attributed.remove(&name);
                 self.tally.lost_with_power += 1;
-            } else if refused {
+            } else if refused || is_hurt {
                 self.damaged.insert(name);
                 self.tally.lost_refused += 1;
             } else {
                 lost.push(name);
                 self.damaged.insert(name);
-                self.hidden.extend(self.disk.was_misread().then_some(name));
             }
         }
-        self.hidden_at = self.disk.tally();
         self.tally.rotated += rotated;
-        let is_whole = !self.tally.is_hurt() && !self.lost_power && !self.is_refused && !self.disk.was_misread();
+        let is_whole = !self.tally.is_hurt() && !self.lost_power && !self.is_refused && !is_hurt;
         for person in self.told.iter().filter(|_| is_whole && rotated > 0) {
             let mut own = self.accepted.iter().filter(|said| self.person_of(said) == Some(*person)).peekable();
             let is_kept = own.peek().is_none() || own.any(|said| names.contains(&said.id()));
-            ensure(is_kept, || format!("a rotation has dropped all of person {person}"))?;
+            ensure(is_kept, || format!("all of person {person} went"))?;
         }
-        let half = usize::try_from(self.half_bytes).unwrap_or(usize::MAX) / 2;
-        ensure(rotated == 0 || self.disk.bytes() >= half, || {
-            format!("a rotation has dropped {rotated}, and {} bytes are left", self.disk.bytes())
+        ensure(!is_whole || rotated <= self.trimmed as u64, || {
+            format!("{rotated} went of {} that were deleted", self.trimmed)
         })?;
-        // Damage happens while the daemon is down; each flips a single bit. A block that is read wrongly holds some narrations.
-        let damages = self.tally.damaged as usize + if self.disk.was_misread() { 12 } else { 0 };
         self.tally.misread += u64::from(self.disk.was_misread());
-        ensure(lost.len() <= damages, || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
+        ensure(lost.is_empty(), || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
         // The daemon may say again whose it is, and claims it then.
         for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
             }
         }
-        (self.lost_power, self.is_refused) = (false, false);
+        (self.lost_power, self.is_refused, self.lost_pages, self.is_damaged) = (false, false, false, false);
         self.refused.clear();
-        // What a start reads is on the disk, or was hidden from it.
+        // What a start reads is on the disk.
         self.safe.retain(|name| names.contains(name));
         Ok(())
-    }
-
-    /// What a start did not see for a block that was read wrongly, a later one sees: unless the disk has lost it since.
-    fn check_hidden(&mut self, back: &BTreeSet<EventId>) -> Check {
-        let (then, now) = (self.hidden_at, self.disk.tally());
-        let is_same = (then.rotations, then.failed_calls) == (now.rotations, now.failed_calls);
-        if !is_same || self.lost_power || self.tally.damaged > 0 {
-            // What was not on the disk for good, or went with a half, is gone, whatever the start between them saw.
-            self.hidden.clear();
-        }
-        if self.disk.was_misread() {
-            return Ok(());
-        }
-        let hidden = std::mem::take(&mut self.hidden);
-        let gone: Vec<_> = hidden.difference(back).collect();
-        ensure(gone.is_empty(), || format!("what a start did not see is not given back by the next: {gone:?}"))
     }
 
     fn kill_narrator(&mut self) {
@@ -1897,6 +1926,7 @@ impl World {
     fn settle(&mut self) -> Check {
         self.calm = true;
         self.failures.set(0);
+        self.faults = (0.0, 0.0);
         self.disk.set_faults(0.0, 0.0);
         self.start_daemon()?;
         for _ in 0..600 {
@@ -1952,22 +1982,6 @@ fn number_of(who: &str) -> PersonId {
 fn as_it_came(observation: &Observation) -> Observation {
     let person = if observation.by_fit { PersonId::SOMEBODY } else { observation.person };
     Observation { person, by_fit: false, ..observation.clone() }
-}
-
-/// Makes every checksum of the journal fit what it holds, which is what a reader without checksums sees.
-fn seal(disk: &mut [u8]) {
-    let mut at = 0;
-    while let Some(header) = disk.get(at..at + 12) {
-        let length = u32::from_le_bytes(header[4..8].try_into().unwrap()) as usize;
-        match disk.get(at + 12..at + 12 + length) {
-            Some(payload) if header.starts_with(b"RCJ") => {
-                let checksum = crc32fast::hash(payload);
-                disk[at + 8..at + 12].copy_from_slice(&checksum.to_le_bytes());
-                at += 12 + length;
-            }
-            _ => at += 1,
-        }
-    }
 }
 
 /// Plays a seed; the error says what was violated, when, and what happened before.
@@ -2054,12 +2068,11 @@ fn no_seed_violates_an_invariant() {
                 total.renamed += tally.renamed;
                 total.lost_refused += tally.lost_refused;
                 total.misread += tally.misread;
-                total.disk.rotations += tally.disk.rotations;
                 total.disk.failed_calls += tally.disk.failed_calls;
                 total.disk.failed_syncs += tally.disk.failed_syncs;
                 total.disk.stale_reads += tally.disk.stale_reads;
                 total.disk.misdirected_reads += tally.disk.misdirected_reads;
-                total.disk.names_lost += tally.disk.names_lost;
+                total.disk.set_aside += tally.disk.set_aside;
             }
             Err(what) => {
                 println!("{}", what.lines().next().unwrap_or_default());
@@ -2101,7 +2114,7 @@ fn no_seed_violates_an_invariant() {
             total.disk.failed_syncs,
             total.disk.stale_reads,
             total.disk.misdirected_reads,
-            total.disk.names_lost,
+            total.disk.set_aside,
         ] {
             assert!(reached > 0, "{total:?}");
         }
@@ -2125,7 +2138,7 @@ fn planted_faults_are_found() {
         (Planted::NoJournal, "missing from the history"),
         (Planted::NoDeduplicationAfterRestart, "taken twice"),
         (Planted::NoTimesAfterRestart, "after a"),
-        (Planted::NoAttributionsAfterRestart, "after a restart"),
+        (Planted::NoAttributionsAfterRestart, "lacks accepted narration"),
         (Planted::NoPresenceAfterRestart, "was last said to be"),
         (Planted::MapBeforeScores, "of another map"),
         (Planted::OnePort, "a stranger is heard"),
@@ -2135,15 +2148,14 @@ fn planted_faults_are_found() {
         (Planted::ReadsTwice, "in the history twice"),
         (Planted::NoNamesAfterRestart, "after a restart person"),
         (Planted::ClockStopsInSleep, "stale scores"),
-        (Planted::Disk(DiskFault::NamesNotSynced), "missing from the history"),
-        (Planted::Disk(DiskFault::SyncErrorsHidden), "missing from the history"),
-        (Planted::Disk(DiskFault::FullHalfGoes), "missing from the history"),
-        (Planted::Disk(DiskFault::WordsNotCarried), "a rotation has dropped all of person"),
-        (Planted::Disk(DiskFault::PortsNotCarried), "a stranger is heard"),
-        (Planted::Disk(DiskFault::ReadsWrittenBack), "is not given back by the next"),
+        (Planted::SyncErrorsHidden, "missing from the history"),
+        (Planted::NewestGoes, "missing from the history"),
+        (Planted::LastWordsGo, "went"),
+        (Planted::PortsGo, "a stranger is heard"),
     ] {
-        // What only shows with a rotation, or seldom, takes a long seed.
-        let takes_long = matches!(planted, Planted::Disk(_) | Planted::ReadsTwice | Planted::NoNamesAfterRestart);
+        // What only shows when the oldest go, or seldom, takes a long seed.
+        let takes_long = planted.after_trim().is_some()
+            || matches!(planted, Planted::SyncErrorsHidden | Planted::ReadsTwice | Planted::NoNamesAfterRestart);
         let seeds: Vec<u64> = (0..4 * PLANTED_SEEDS).filter(|seed| is_long(*seed) == takes_long).collect();
         let found = seeds.par_iter().find_map_any(|seed| {
             let what = play(*seed, planted).err()?;

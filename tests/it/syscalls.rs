@@ -17,8 +17,9 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::{DecisionV1, Domain};
-use roomcast_services::daemon::{Recovered, journal};
+use roomcast_ipc::Domain;
+use roomcast_ipc::raw::DecisionV1;
+use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::eventually::eventually;
@@ -199,12 +200,8 @@ impl World {
 
     /// What the journal holds.
     fn kept(&self) -> HashMap<String, usize> {
-        let mut recovered = Recovered::default();
-        for name in ["narration.journal.old", "narration.journal"] {
-            let bytes = fs::read(self.path("state").join(name)).unwrap_or_default();
-            journal::read_records(&bytes, &[0; 16], &mut recovered);
-        }
         let mut kept = HashMap::new();
+        let Ok(recovered) = journal::look(&self.path("state")) else { return kept };
         for observation in &recovered.observations {
             *kept.entry(observation.sentence().unwrap_or_default().to_owned()).or_insert(0) += 1;
         }

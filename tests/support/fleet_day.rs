@@ -1,7 +1,7 @@
 //! A day of two robots and one person in four rooms: the narration, the configuration, and the count of what the robots did. Real processes and
 //! bridges live its first hours; the whole day is played without them.
 
-use roomcast_ipc::{DecisionV1, action};
+use roomcast_ipc::raw::{DecisionV1, action};
 
 pub(crate) const ROBOTS: [&str; 2] = ["robot-1", "robot-2"];
 const ROOMS: [&str; 4] = ["kitchen", "living-room", "bedroom", "bathroom"];

@@ -1,56 +1,43 @@
-//! A disk of the simulation: two files and their names, as the system shows them and as the disk has them. A call may fail, a sync may lose what
-//! it fails with, a read may give a block of elsewhere or of before, and power that fails takes some of what no sync has reached.
+//! A disk of the simulation, as a VFS of SQLite: files as the system shows them and as the disk has them. A call may fail, a sync may lose what it
+//! fails with, a read may give a block of elsewhere or of before, and a power loss takes some of the data that no sync has reached.
+
+#![allow(unsafe_code, reason = "SQLite asks for its files through C")]
 
 use std::cell::RefCell;
-use std::collections::BTreeSet;
-use std::io;
-use std::rc::Rc;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::{CStr, c_char, c_int, c_void};
+use std::ptr::null_mut;
+use std::sync::Once;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_core::narration::Observation;
-use roomcast_services::daemon::journal::{Disk, Half};
-use roomcast_services::daemon::{Recovered, journal};
+use roomcast_database::Simulation;
+use roomcast_database::rusqlite::ffi;
 
 /// Bytes that reach the disk, or are read from it, together.
 const BLOCK: usize = 512;
+/// The database among the files.
+const DATABASE: &str = "simulated";
+const NAME: &CStr = c"roomcast-simulated";
 
-/// A fault planted into the disk, or into what the journal asks of it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DiskFault {
-    /// Names are not brought to the disk, and count as brought.
-    NamesNotSynced,
-    /// A sync that fails counts as one that went well.
-    SyncErrorsHidden,
-    /// At a rotation the full half goes, not the one before it.
-    FullHalfGoes,
-    /// A new half begins without anybody's last words.
-    WordsNotCarried,
-    /// A new half begins without whose the sources are.
-    PortsNotCarried,
-    /// What was read is taken for what is there, and written over it.
-    ReadsWrittenBack,
-}
-
-/// What happened to the disk.
+/// Counts of the disk's faults.
 #[derive(Debug, Default, Clone, Copy)]
 pub struct DiskTally {
-    pub rotations: u64,
     pub failed_calls: u64,
     pub failed_syncs: u64,
     pub stale_reads: u64,
     pub misdirected_reads: u64,
-    pub names_lost: u64,
+    pub set_aside: u64,
 }
 
 /// One file.
 #[derive(Debug, Default, Clone)]
 struct File {
-    /// What whoever reads it is given.
+    /// The bytes for a reader.
     shown: Vec<u8>,
-    /// What a loss of power leaves.
+    /// The bytes after a power loss.
     kept: Vec<u8>,
-    /// What the disk had before that, which a stale read gives.
+    /// The bytes of the disk before that, for a stale read.
     before: Vec<u8>,
     /// Blocks that the system has still to bring to the disk.
     dirty: BTreeSet<usize>,
@@ -77,40 +64,27 @@ impl File {
     }
 }
 
-/// Which file has which name.
-#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
-struct Names {
-    older: Option<usize>,
-    current: Option<usize>,
-    next: Option<usize>,
-}
-
 #[derive(Debug)]
 struct Machine {
     rng: ChaCha8Rng,
-    planted: Option<DiskFault>,
-    files: Vec<File>,
-    names: Names,
-    /// The names that the disk has, and after them what was done to them since, in order.
-    kept_names: Vec<Names>,
-    open: usize,
-    prepared: Option<usize>,
-    /// How likely each call fails, and each read at a start is wrong.
+    /// A sync that fails counts as one that went well: a planted fault.
+    hides_failed_syncs: bool,
+    files: BTreeMap<String, File>,
+    /// How likely each call fails, and each start is given a wrong block.
     fails: f64,
     misreads: f64,
-    /// Pages were lost that nobody has written again yet.
-    lacks_pages: bool,
-    /// A block of a file, until the next start, as every read gives it: what the disk does not have there.
-    misreading: Option<(usize, usize, Vec<u8>)>,
+    /// A wrong block of the database, which every read gives until the next start.
+    misreading: Option<(usize, Vec<u8>)>,
     tally: DiskTally,
 }
 
-/// The way to the disk, for a daemon and for whoever takes its power.
-#[derive(Debug, Clone)]
-pub struct SimulatedDisk(Rc<RefCell<Machine>>);
+thread_local! {
+    /// The disk of the world that this thread plays.
+    static MACHINE: RefCell<Option<Machine>> = const { RefCell::new(None) };
+}
 
-fn refused() -> io::Error {
-    io::ErrorKind::StorageFull.into()
+fn with<T>(work: impl FnOnce(&mut Machine) -> T) -> T {
+    MACHINE.with_borrow_mut(|machine| work(machine.as_mut().expect("a disk was made on this thread")))
 }
 
 impl Machine {
@@ -120,247 +94,204 @@ impl Machine {
         fails
     }
 
-    fn file(&self, half: Half) -> Option<&File> {
-        let name = match half {
-            Half::Older => self.names.older,
-            Half::Current => self.names.current,
-        };
-        name.map(|file| &self.files[file])
-    }
-
-    /// Notes that a name has changed.
-    fn renamed(&mut self) {
-        self.kept_names.push(self.names);
-    }
-
-    /// A block of what a start reads may be of elsewhere, or of before.
+    /// A start may read a block of elsewhere, or of before.
     fn misread(&mut self) {
-        if !self.rng.random_bool(self.misreads) {
+        let file = self.files.get(DATABASE).cloned().unwrap_or_default();
+        let blocks = file.shown.len() / BLOCK;
+        if blocks == 0 || !self.rng.random_bool(self.misreads) {
             return;
         }
-        let named: Vec<usize> = [self.names.older, self.names.current].into_iter().flatten().collect();
-        let blocks: Vec<_> = named
-            .iter()
-            .flat_map(|file| (0..self.files[*file].shown.len() / BLOCK).map(move |block| (*file, block)))
-            .collect();
-        if blocks.is_empty() {
-            return;
-        }
-        let (file, block) = blocks[self.rng.random_range(0..blocks.len())];
+        let block = self.rng.random_range(0..blocks);
         let range = block * BLOCK..(block + 1) * BLOCK;
         let is_stale = self.rng.random_bool(0.5);
         let given = if is_stale {
-            // Of before it was written the disk has zeros.
-            let mut before = self.files[file].before.clone();
+            // Before the first write the disk has zeros.
+            let mut before = file.before;
             before.resize(before.len().max(range.end), 0);
             before[range.clone()].to_vec()
         } else {
-            let (other, from) = blocks[self.rng.random_range(0..blocks.len())];
-            self.files[other].shown[from * BLOCK..(from + 1) * BLOCK].to_vec()
+            let from = self.rng.random_range(0..blocks);
+            file.shown[from * BLOCK..(from + 1) * BLOCK].to_vec()
         };
-        if self.files[file].shown[range.clone()] == given {
-            return;
+        if file.shown[range] != given {
+            *(if is_stale { &mut self.tally.stale_reads } else { &mut self.tally.misdirected_reads }) += 1;
+            self.misreading = Some((block, given));
         }
-        *(if is_stale { &mut self.tally.stale_reads } else { &mut self.tally.misdirected_reads }) += 1;
-        self.misreading = Some((file, block, given));
     }
 }
+
+/// The way to the disk of this thread.
+#[derive(Debug, Clone, Copy)]
+pub struct SimulatedDisk;
 
 impl SimulatedDisk {
-    /// An empty disk.
-    pub fn new(seed: u64, planted: Option<DiskFault>) -> Self {
-        Self(Rc::new(RefCell::new(Machine {
+    /// An empty disk, in place of the one that the thread had.
+    pub fn new(seed: u64, hides_failed_syncs: bool) -> Self {
+        static REGISTERED: Once = Once::new();
+        REGISTERED.call_once(register);
+        let machine = Machine {
             rng: ChaCha8Rng::seed_from_u64(seed),
-            planted,
-            files: Vec::new(),
-            names: Names::default(),
-            kept_names: vec![Names::default()],
-            open: 0,
-            prepared: None,
+            hides_failed_syncs,
+            files: BTreeMap::new(),
             fails: 0.0,
             misreads: 0.0,
-            lacks_pages: false,
             misreading: None,
             tally: DiskTally::default(),
-        })))
+        };
+        MACHINE.set(Some(machine));
+        Self
     }
 
-    /// From now on calls fail, and reads at a start are wrong, with these probabilities.
-    pub fn set_faults(&self, fails: f64, misreads: f64) {
-        let mut machine = self.0.borrow_mut();
-        (machine.fails, machine.misreads) = (fails, misreads);
+    /// As the product asks for it.
+    pub fn simulation(self) -> Simulation {
+        let set_aside = || {
+            with(|machine| {
+                machine.files.clear();
+                machine.tally.set_aside += 1;
+            });
+        };
+        Simulation { vfs: NAME.to_str().unwrap(), set_aside }
     }
 
-    pub fn tally(&self) -> DiskTally {
-        self.0.borrow().tally
+    /// Sets the probabilities that a call fails and that a start reads a wrong block.
+    pub fn set_faults(self, fails: f64, misreads: f64) {
+        with(|machine| (machine.fails, machine.misreads) = (fails, misreads));
     }
 
-    /// Bytes in both halves.
-    pub fn bytes(&self) -> usize {
-        let machine = self.0.borrow();
-        [Half::Older, Half::Current].iter().filter_map(|half| machine.file(*half)).map(|file| file.shown.len()).sum()
+    pub fn tally(self) -> DiskTally {
+        with(|machine| machine.tally)
     }
 
-    /// Pages of the open file were lost with a sync that failed, and are not written again.
-    pub fn lacks_pages(&self) -> bool {
-        self.0.borrow().lacks_pages
+    /// The last start has read a wrong block.
+    pub fn was_misread(self) -> bool {
+        with(|machine| machine.misreading.is_some())
     }
 
-    /// The last start was given what the disk does not have.
-    pub fn was_misread(&self) -> bool {
-        self.0.borrow().misreading.is_some()
+    /// A daemon starts.
+    pub fn start(self) {
+        with(|machine| {
+            machine.misreading = None;
+            machine.misread();
+        });
     }
 
-    /// Does what a starting daemon does with the folder: a next file takes the place of a current one that is missing, or goes.
-    pub fn start(&self) -> io::Result<()> {
-        let mut machine = self.0.borrow_mut();
-        machine.misreading = None;
-        if machine.names.current.is_none() {
-            if machine.names.next.is_none() {
-                machine.files.push(File::default());
-                machine.names.next = Some(machine.files.len() - 1);
+    /// Flips a bit of a file. False if all are empty. The bytes of before are gone.
+    pub fn damage(self) -> bool {
+        with(|machine| {
+            let Machine { rng, files, .. } = machine;
+            let mut files: Vec<&mut File> = files.values_mut().filter(|file| !file.shown.is_empty()).collect();
+            if files.is_empty() {
+                return false;
             }
-            machine.names.current = machine.names.next;
-        }
-        machine.names.next = None;
-        machine.prepared = None;
-        machine.renamed();
-        machine.open = machine.names.current.unwrap_or_default();
-        if machine.fails() {
-            return Err(refused());
-        }
-        machine.kept_names = vec![machine.names];
-        machine.misread();
-        Ok(())
+            let which = rng.random_range(0..files.len());
+            let file = &mut files[which];
+            let at = rng.random_range(0..file.shown.len());
+            file.shown[at] ^= 1 << rng.random_range(0..8);
+            (file.kept, file.before) = (file.shown.clone(), file.shown.clone());
+            true
+        })
     }
 
-    /// What a reader takes from both halves that reads every record by itself.
-    pub fn read_record_by_record(&self, boot_id: &[u8; 16]) -> Vec<Observation> {
-        let mut observations = Vec::new();
-        for half in [Half::Older, Half::Current] {
-            let bytes = Disk::read(self, half).unwrap_or_default();
-            let begins = bytes.windows(3).enumerate().filter(|(_, letters)| *letters == b"RCJ").map(|(at, _)| at);
-            let mut begins: Vec<_> = begins.collect();
-            begins.push(bytes.len());
-            for record in begins.windows(2) {
-                let mut recovered = Recovered::default();
-                journal::read_records(&bytes[record[0]..record[1]], boot_id, &mut recovered);
-                observations.append(&mut recovered.observations);
-            }
-        }
-        observations
-    }
-
-    /// What a killed daemon has written of a record.
-    pub fn tear(&self, bytes: &[u8]) {
-        let machine = &mut *self.0.borrow_mut();
-        let file = &mut machine.files[machine.open];
-        file.overwrite(file.shown.len(), bytes);
-    }
-
-    /// Changes a file of those that have a name, or says that there is nothing in them. What it was before is gone.
-    pub fn damage(&self, mut damage: impl FnMut(&mut Vec<u8>)) -> bool {
-        let machine = &mut *self.0.borrow_mut();
-        let mut named: Vec<usize> = [machine.names.older, machine.names.current].into_iter().flatten().collect();
-        named.retain(|file| !machine.files[*file].shown.is_empty());
-        if named.is_empty() {
-            return false;
-        }
-        let file = &mut machine.files[named[machine.rng.random_range(0..named.len())]];
-        damage(&mut file.shown);
-        (file.kept, file.before) = (file.shown.clone(), file.shown.clone());
-        true
-    }
-
-    /// The power fails: of names some of the last changes are gone, and of each file some of what no sync has reached.
-    pub fn lose_power(&self) {
-        let machine = &mut *self.0.borrow_mut();
-        let reached = machine.rng.random_range(0..machine.kept_names.len());
-        machine.tally.names_lost += u64::from(machine.kept_names[reached] != machine.names);
-        machine.names = machine.kept_names[reached];
-        machine.kept_names = vec![machine.names];
-        (machine.prepared, machine.lacks_pages) = (None, false);
-        for file in &mut machine.files {
-            for block in std::mem::take(&mut file.dirty) {
-                if machine.rng.random_bool(0.5) {
-                    file.keep(block);
+    /// The power fails: each file loses some of the data that no sync has reached.
+    pub fn lose_power(self) {
+        with(|machine| {
+            let Machine { rng, files, .. } = machine;
+            for file in files.values_mut() {
+                for block in std::mem::take(&mut file.dirty) {
+                    if rng.random_bool(0.5) {
+                        file.keep(block);
+                    }
                 }
+                // The length may have reached the disk without the content.
+                if file.kept.len() != file.shown.len() && rng.random_bool(0.3) {
+                    file.kept.resize(file.shown.len(), 0);
+                }
+                (file.shown, file.before) = (file.kept.clone(), file.kept.clone());
             }
-            // How long it is may have reached the disk without what is in it.
-            if file.kept.len() != file.shown.len() && machine.rng.random_bool(0.3) {
-                file.kept.resize(file.shown.len(), 0);
-            }
-            (file.shown, file.before) = (file.kept.clone(), file.kept.clone());
-        }
+        });
     }
 }
 
-impl Disk for SimulatedDisk {
-    fn read(&self, half: Half) -> io::Result<Vec<u8>> {
-        let machine = &mut *self.0.borrow_mut();
-        if machine.fails() {
-            return Err(refused());
-        }
-        let mut bytes = machine.file(half).map(|file| file.shown.clone()).unwrap_or_default();
-        let is_misread = |name: Option<usize>| machine.misreading.as_ref().filter(|(file, ..)| Some(*file) == name);
-        let name = if half == Half::Older { machine.names.older } else { machine.names.current };
-        if let Some((_, block, given)) = is_misread(name) {
-            bytes[block * BLOCK..(block + 1) * BLOCK].copy_from_slice(given);
-        }
-        if machine.planted == Some(DiskFault::ReadsWrittenBack)
-            && let Some(file) = name
+/// A file that SQLite has open.
+#[repr(C)]
+struct Open {
+    base: ffi::sqlite3_file,
+    /// Its name, from `Box::into_raw`.
+    name: *mut String,
+}
+
+/// The name of a file that SQLite has open.
+///
+/// # Safety
+/// `file` was opened by [`open`] and not closed yet.
+unsafe fn name_of<'a>(file: *mut ffi::sqlite3_file) -> &'a String {
+    // SAFETY: `open` has put an `Open` there, and its name lives until `close`.
+    unsafe { &*(*file.cast::<Open>()).name }
+}
+
+/// Does something with an open file, or lets the call fail.
+fn of_file(file: *mut ffi::sqlite3_file, code: c_int, work: impl FnOnce(&mut Machine, &str) -> c_int) -> c_int {
+    // SAFETY: SQLite gives files that it has open.
+    let name = unsafe { name_of(file) };
+    with(|machine| if machine.fails() { code } else { work(machine, name) })
+}
+
+unsafe extern "C" fn close(file: *mut ffi::sqlite3_file) -> c_int {
+    // SAFETY: the name was made by `Box::into_raw` in `open`, and SQLite closes a file once.
+    drop(unsafe { Box::from_raw((*file.cast::<Open>()).name) });
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn read(file: *mut ffi::sqlite3_file, to: *mut c_void, count: c_int, at: i64) -> c_int {
+    let (count, at) = (usize::try_from(count).unwrap(), usize::try_from(at).unwrap());
+    // SAFETY: SQLite gives room for that many bytes.
+    let to = unsafe { std::slice::from_raw_parts_mut(to.cast::<u8>(), count) };
+    of_file(file, ffi::SQLITE_IOERR_READ, |machine, name| {
+        let mut shown = machine.files.get(name).map(|file| file.shown.clone()).unwrap_or_default();
+        if let Some((block, given)) = machine.misreading.as_ref().filter(|_| name == DATABASE)
+            && let Some(there) = shown.get_mut(block * BLOCK..(block + 1) * BLOCK)
         {
-            machine.files[file].overwrite(0, &bytes);
+            there.copy_from_slice(given);
         }
-        Ok(bytes)
-    }
+        let found = shown.get(at..).unwrap_or_default();
+        let found = &found[..found.len().min(count)];
+        to.fill(0);
+        to[..found.len()].copy_from_slice(found);
+        if found.len() == count { ffi::SQLITE_OK } else { ffi::SQLITE_IOERR_SHORT_READ }
+    })
+}
 
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
+unsafe extern "C" fn write(file: *mut ffi::sqlite3_file, from: *const c_void, count: c_int, at: i64) -> c_int {
+    // SAFETY: SQLite gives that many bytes, and a file that it has open.
+    let (from, name) =
+        unsafe { (std::slice::from_raw_parts(from.cast::<u8>(), usize::try_from(count).unwrap()), name_of(file)) };
+    with(|machine| {
         let fails = machine.fails();
-        let written = if fails { machine.rng.random_range(0..=bytes.len()) } else { bytes.len() };
-        let file = &mut machine.files[machine.open];
-        file.overwrite(file.shown.len(), &bytes[..written]);
-        if fails { Err(refused()) } else { Ok(()) }
-    }
+        let written = if fails { machine.rng.random_range(0..=from.len()) } else { from.len() };
+        let file = machine.files.entry(name.clone()).or_default();
+        file.overwrite(usize::try_from(at).unwrap(), &from[..written]);
+        if fails { ffi::SQLITE_FULL } else { ffi::SQLITE_OK }
+    })
+}
 
-    fn cut(&mut self, length: u64) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        if machine.fails() {
-            return Err(refused());
-        }
-        let file = &mut machine.files[machine.open];
-        let length = usize::try_from(length).unwrap_or(usize::MAX);
-        assert!(length <= file.shown.len(), "a file of {} bytes is cut off after {length}", file.shown.len());
-        file.shown.truncate(length);
+unsafe extern "C" fn truncate(file: *mut ffi::sqlite3_file, length: i64) -> c_int {
+    of_file(file, ffi::SQLITE_IOERR_TRUNCATE, |machine, name| {
+        let length = usize::try_from(length).unwrap();
+        let file = machine.files.entry(name.to_owned()).or_default();
+        file.shown.resize(length, 0);
         file.dirty.retain(|block| *block <= length / BLOCK);
         file.dirty.insert(length / BLOCK);
-        Ok(())
-    }
+        ffi::SQLITE_OK
+    })
+}
 
-    fn rewrite(&mut self, pieces: &[(u64, Vec<u8>)]) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
+unsafe extern "C" fn sync(file: *mut ffi::sqlite3_file, _flags: c_int) -> c_int {
+    // SAFETY: SQLite gives a file that it has open.
+    let name = unsafe { name_of(file) };
+    with(|machine| {
         let fails = machine.fails();
-        let bytes = pieces.iter().map(|(_, piece)| piece.len()).sum();
-        let mut left = if fails { machine.rng.random_range(0..=bytes) } else { bytes };
-        let file = &mut machine.files[machine.open];
-        for (at, piece) in pieces {
-            let written = piece.len().min(left);
-            left -= written;
-            file.overwrite(usize::try_from(*at).unwrap_or(usize::MAX), &piece[..written]);
-        }
-        if fails {
-            return Err(refused());
-        }
-        machine.lacks_pages = false;
-        Ok(())
-    }
-
-    fn sync(&mut self) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        let fails = machine.fails();
-        let Machine { rng, files, open, .. } = machine;
-        let file = &mut files[*open];
+        let Machine { rng, files, .. } = machine;
+        let file = files.entry(name.clone()).or_default();
         file.before.clone_from(&file.kept);
         for block in std::mem::take(&mut file.dirty) {
             if !fails || rng.random_bool(0.5) {
@@ -372,106 +303,196 @@ impl Disk for SimulatedDisk {
                 let range = block * BLOCK..((block + 1) * BLOCK).min(file.shown.len());
                 let mut kept = file.kept.clone();
                 kept.resize(kept.len().max(range.end), 0);
-                file.shown[range.clone()].copy_from_slice(&kept[range]);
+                if let Some(shown) = file.shown.get_mut(range.clone()) {
+                    shown.copy_from_slice(&kept[range]);
+                }
             }
         }
         if !fails {
             file.kept.resize(file.shown.len(), 0);
-            return Ok(());
+            return ffi::SQLITE_OK;
         }
         machine.tally.failed_syncs += 1;
-        if machine.planted == Some(DiskFault::SyncErrorsHidden) {
-            return Ok(());
-        }
-        machine.lacks_pages = true;
-        Err(refused())
-    }
-
-    fn prepare(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        (machine.prepared, machine.names.next) = (None, None);
-        if machine.fails() {
-            machine.renamed();
-            return Err(refused());
-        }
-        let dropped = match machine.planted {
-            Some(DiskFault::WordsNotCarried) => b"78".as_slice(),
-            Some(DiskFault::PortsNotCarried) => b"6",
-            _ => &[],
-        };
-        let bytes = without(bytes, dropped);
-        machine.files.push(File { shown: bytes.clone(), kept: bytes.clone(), before: bytes, ..File::default() });
-        machine.prepared = Some(machine.files.len() - 1);
-        machine.names.next = machine.prepared;
-        machine.renamed();
-        Ok(())
-    }
-
-    /// No half is ever too large here.
-    fn remove_aside(&mut self) -> io::Result<()> {
-        if self.0.borrow_mut().fails() { Err(refused()) } else { Ok(()) }
-    }
-
-    fn is_current(&self) -> io::Result<bool> {
-        let machine = &mut *self.0.borrow_mut();
-        if machine.fails() { Err(refused()) } else { Ok(machine.names.current == Some(machine.open)) }
-    }
-
-    fn retire(&mut self) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        if machine.fails() {
-            return Err(refused());
-        }
-        let full = machine.names.current.take();
-        if machine.planted != Some(DiskFault::FullHalfGoes) {
-            machine.names.older = full;
-        }
-        machine.renamed();
-        machine.tally.rotations += 1;
-        Ok(())
-    }
-
-    fn place(&mut self, half: Half) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        let Some(next) = machine.prepared.take() else { return Err(io::Error::other("no file is prepared")) };
-        if machine.fails() {
-            return Err(refused());
-        }
-        machine.names.next = None;
-        match half {
-            Half::Older => machine.names.older = Some(next),
-            Half::Current => {
-                machine.names.current = Some(next);
-                machine.open = next;
-                // What the file before lacked is in its other half now.
-                machine.lacks_pages = false;
-            }
-        }
-        machine.renamed();
-        Ok(())
-    }
-
-    fn sync_names(&mut self) -> io::Result<()> {
-        let machine = &mut *self.0.borrow_mut();
-        if machine.fails() {
-            return Err(refused());
-        }
-        if machine.planted != Some(DiskFault::NamesNotSynced) {
-            machine.kept_names = vec![machine.names];
-        }
-        Ok(())
-    }
+        if machine.hides_failed_syncs { ffi::SQLITE_OK } else { ffi::SQLITE_IOERR_FSYNC }
+    })
 }
 
-/// Whole records, of which those whose fourth letter is one of these are none any more.
-fn without(records: &[u8], dropped: &[u8]) -> Vec<u8> {
-    let mut kept = records.to_vec();
-    let mut at = 0;
-    while let Some(length) = records.get(at + 4..at + 8).and_then(|length| length.first_chunk()) {
-        if dropped.contains(&records[at + 3]) {
-            kept[at] = 0;
-        }
-        at += 12 + u32::from_le_bytes(*length) as usize;
+unsafe extern "C" fn size(file: *mut ffi::sqlite3_file, out: *mut i64) -> c_int {
+    of_file(file, ffi::SQLITE_IOERR_FSTAT, |machine, name| {
+        let length = machine.files.get(name).map_or(0, |file| file.shown.len());
+        // SAFETY: SQLite gives room for the answer.
+        unsafe { *out = i64::try_from(length).unwrap() };
+        ffi::SQLITE_OK
+    })
+}
+
+unsafe extern "C" fn lock(_file: *mut ffi::sqlite3_file, _level: c_int) -> c_int {
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn is_reserved(_file: *mut ffi::sqlite3_file, out: *mut c_int) -> c_int {
+    // SAFETY: SQLite gives room for the answer.
+    unsafe { *out = 0 };
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn control(_file: *mut ffi::sqlite3_file, _what: c_int, _argument: *mut c_void) -> c_int {
+    ffi::SQLITE_NOTFOUND
+}
+
+unsafe extern "C" fn sector_bytes(_file: *mut ffi::sqlite3_file) -> c_int {
+    BLOCK as c_int
+}
+
+unsafe extern "C" fn features(_file: *mut ffi::sqlite3_file) -> c_int {
+    0
+}
+
+static METHODS: ffi::sqlite3_io_methods = ffi::sqlite3_io_methods {
+    iVersion: 1,
+    xClose: Some(close),
+    xRead: Some(read),
+    xWrite: Some(write),
+    xTruncate: Some(truncate),
+    xSync: Some(sync),
+    xFileSize: Some(size),
+    xLock: Some(lock),
+    xUnlock: Some(lock),
+    xCheckReservedLock: Some(is_reserved),
+    xFileControl: Some(control),
+    xSectorSize: Some(sector_bytes),
+    xDeviceCharacteristics: Some(features),
+    xShmMap: None,
+    xShmLock: None,
+    xShmBarrier: None,
+    xShmUnmap: None,
+    xFetch: None,
+    xUnfetch: None,
+};
+
+/// The name in C's letters.
+///
+/// # Safety
+/// `name` ends with a zero byte, or is null.
+unsafe fn text(name: *const c_char) -> String {
+    if name.is_null() {
+        return "temporary".to_owned();
     }
-    kept
+    // SAFETY: the caller promises it.
+    unsafe { CStr::from_ptr(name) }.to_str().unwrap().to_owned()
+}
+
+unsafe extern "C" fn open(
+    _vfs: *mut ffi::sqlite3_vfs,
+    name: ffi::sqlite3_filename,
+    file: *mut ffi::sqlite3_file,
+    flags: c_int,
+    out: *mut c_int,
+) -> c_int {
+    // SAFETY: SQLite gives a name, or null for a temporary file.
+    let name = unsafe { text(name) };
+    // SAFETY: SQLite gives room for a file of `szOsFile` bytes.
+    let file = unsafe { &mut *file.cast::<Open>() };
+    file.base.pMethods = std::ptr::null();
+    if with(Machine::fails) {
+        return ffi::SQLITE_IOERR;
+    }
+    with(|machine| _ = machine.files.entry(name.clone()).or_default());
+    file.base.pMethods = &METHODS;
+    file.name = Box::into_raw(Box::new(name));
+    if !out.is_null() {
+        // SAFETY: SQLite gives room for the answer, or null.
+        unsafe { *out = flags };
+    }
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn delete(_vfs: *mut ffi::sqlite3_vfs, name: *const c_char, _sync: c_int) -> c_int {
+    // SAFETY: SQLite gives a name.
+    let name = unsafe { text(name) };
+    with(|machine| {
+        if machine.fails() {
+            ffi::SQLITE_IOERR_DELETE
+        } else {
+            machine.files.remove(&name);
+            ffi::SQLITE_OK
+        }
+    })
+}
+
+unsafe extern "C" fn access(_vfs: *mut ffi::sqlite3_vfs, name: *const c_char, _flags: c_int, out: *mut c_int) -> c_int {
+    // SAFETY: SQLite gives a name, and room for the answer.
+    unsafe { *out = c_int::from(with(|machine| machine.files.contains_key(&text(name)))) };
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn full_path(
+    _vfs: *mut ffi::sqlite3_vfs,
+    name: *const c_char,
+    room: c_int,
+    out: *mut c_char,
+) -> c_int {
+    // SAFETY: SQLite gives a name, and room for `room` letters.
+    unsafe {
+        let name = CStr::from_ptr(name).to_bytes_with_nul();
+        if name.len() > usize::try_from(room).unwrap() {
+            return ffi::SQLITE_CANTOPEN;
+        }
+        std::ptr::copy_nonoverlapping(name.as_ptr().cast(), out, name.len());
+    }
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn randomness(_vfs: *mut ffi::sqlite3_vfs, count: c_int, out: *mut c_char) -> c_int {
+    for at in 0..usize::try_from(count).unwrap() {
+        let byte = MACHINE.with_borrow_mut(|machine| machine.as_mut().map_or(7, |machine| machine.rng.random::<u8>()));
+        // SAFETY: SQLite gives room for `count` bytes.
+        unsafe { *out.add(at) = byte.cast_signed() };
+    }
+    count
+}
+
+unsafe extern "C" fn sleep(_vfs: *mut ffi::sqlite3_vfs, microseconds: c_int) -> c_int {
+    microseconds
+}
+
+unsafe extern "C" fn now(_vfs: *mut ffi::sqlite3_vfs, out: *mut f64) -> c_int {
+    // SAFETY: SQLite gives room for the answer.
+    unsafe { *out = 2_460_000.5 };
+    ffi::SQLITE_OK
+}
+
+unsafe extern "C" fn last_error(_vfs: *mut ffi::sqlite3_vfs, _room: c_int, _out: *mut c_char) -> c_int {
+    0
+}
+
+/// Tells SQLite of the disk, once in a process.
+fn register() {
+    let vfs = Box::leak(Box::new(ffi::sqlite3_vfs {
+        iVersion: 1,
+        szOsFile: size_of::<Open>() as c_int,
+        mxPathname: 512,
+        pNext: null_mut(),
+        zName: NAME.as_ptr(),
+        pAppData: null_mut(),
+        xOpen: Some(open),
+        xDelete: Some(delete),
+        xAccess: Some(access),
+        xFullPathname: Some(full_path),
+        xDlOpen: None,
+        xDlError: None,
+        xDlSym: None,
+        xDlClose: None,
+        xRandomness: Some(randomness),
+        xSleep: Some(sleep),
+        xCurrentTime: Some(now),
+        xGetLastError: Some(last_error),
+        xCurrentTimeInt64: None,
+        xSetSystemCall: None,
+        xGetSystemCall: None,
+        xNextSystemCall: None,
+    }));
+    // SAFETY: the VFS is complete, and is never freed.
+    let code = unsafe { ffi::sqlite3_vfs_register(vfs, 0) };
+    assert_eq!(code, ffi::SQLITE_OK);
 }

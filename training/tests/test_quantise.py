@@ -1,4 +1,4 @@
-"""Rounding to four bits: what the file holds, and that the inputs decide which errors count."""
+"""Rounding to four bits: the contents of the file, and the weight of errors by the inputs."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What the training reads of the product is there. Runs without PyTorch, in every `make test`."""
+"""The product's sources that training reads exist. Runs without PyTorch, in every `make test`."""
 
 import random
 import re
@@ -53,7 +53,7 @@ def test_every_activity_is_held_out_by_one_fold_or_sealed():
 
 
 def test_a_model_is_measured_on_nothing_that_it_was_trained_on():
-    """Whatever its training held out; and what it did not hold out is refused."""
+    """For every kind of training, exactly its held-out splits are accepted."""
     programs = [data.Program(cluster, cluster, cluster, ()) for cluster in [*data.SPLITS["clusters"], "annoy your dog", "tell jokes", "whine"]]
     for dev, fold in [(False, None), (True, None), *[(False, fold) for fold in [*range(1, data.FOLDS + 1), "sealed"]]]:
         splits = {data.split_of(program.cluster, dev, fold) for program in programs} - {"train"}
@@ -108,7 +108,7 @@ def test_kneser_ney_keeps_for_the_unknown_what_the_calibration_split_has_of_it()
     unknown = ["harp", "loom", "kiln", "anvil"]
     *_, third = statistics_file.count([program(*known)] * 20)
     kept = lambda *calibration: statistics_file.fit(third, list(calibration), [{*known, *unknown}])["discounts"][0][0]
-    # Every second object that is turned to is one of the map that the training split does not know.
+    # Every second object is in the map that the training split does not know.
     assert kept(program("fridge", "harp", "sofa", "loom"), program("bed", "kiln", "table", "anvil")) > 0.9
     assert kept(program(*known), program("sofa", "fridge", "table", "bed")) < 0.5
 

@@ -1,7 +1,7 @@
 """Quick checks of the pipeline's parts: narration, splits, generator, batches, export. `pytest training/tests`.
 
-Those that need the data folders take them from SHARED, by default ../shared beside the repository, and skip without. All of them
-skip where the training's own requirements (PyTorch and gigabytes behind it) are not installed: using Roomcast needs none.
+Tests with data use the folder SHARED, by default ../shared next to the repository, and are skipped without it. All tests are skipped without
+the training's own requirements (PyTorch and gigabytes of dependencies): Roomcast itself needs none.
 """
 
 import argparse
@@ -169,7 +169,7 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
     sequence = corpus.narrate([Step(v, ((w, 1),)) for v, w in (("walk", "kitchen"), ("grab", "mug"), ("walk", "sink"), ("wash", "mug"))], random.Random(7), {})
     part = encoder.encode(sequence, 400, random.Random(0))
     index = np.arange(len(part["token"]))
-    # Behind another sequence of the row, which it must not see.
+    # After another sequence of the row, which must stay invisible.
     row = {name: torch.from_numpy(np.concatenate([part[name], part[name]]))[None] for name in part}
     row |= {"place": torch.from_numpy(np.tile(index, 2))[None], "sequence": torch.from_numpy(np.repeat([1, 2], len(index)))[None]}
     packed = model(row["token"], row["position"], train.visible(row))[0, len(index):]
@@ -182,7 +182,8 @@ def test_a_branch_is_the_prompt_that_the_product_sends(tiny):
 
 
 def test_calibration_finds_what_was_put_in(monkeypatch):
-    """Scores, faked, that are 1.5 times too sure and hold 0.6 of the blank narration's: both are found again, the temperature made softer."""
+    """With fake scores, 1.5 times too confident and with 0.6 of the blank narration's scores, the fit finds both numbers; the temperature is
+    multiplied by `SOFTER`."""
     rng = np.random.default_rng(1)
     labels = [f"label {i}" for i in range(30)]
     blank, told = rng.normal(0, 1.5, 30), rng.normal(0, 1.5, (3000, 30))
@@ -238,7 +239,7 @@ def test_a_shorter_training_is_the_whole_one_in_proportion():
     assert abs(train.rate_at(short.until, short) - train.rate_at(whole.until, whole)) < 0.02 * whole.rate
     assert short.averages * short.apart <= short.until
     assert abs(short.apart / short.until - whole.apart / whole.until) < 0.001
-    # A try of the pipeline, in a few steps.
+    # A trial of the pipeline in a few steps.
     assert whole.within(2).until == 2 and whole.within(2).apart == 1
 
 
@@ -274,7 +275,7 @@ def test_an_ended_training_goes_on_as_if_it_had_not_ended(tmp_path, monkeypatch,
     assert [path.name for path in (tmp_path / "cut").glob("resume-*")]
     assert torch.equal(weights("cut"), whole)
     assert not [*(tmp_path / "cut").glob("resume-*")]
-    # Whoever watches changes nothing.
+    # `watch` does not change the result.
     assert torch.equal(weights("watched", watch=lambda step, model: None), whole)
 
 
@@ -319,7 +320,7 @@ def test_the_figures_of_development_are_computed(tiny):
 
 
 def fake_batch(rng):
-    """A row of chance tokens, as `pack` gives it."""
+    """A row of random tokens in the format of `pack`."""
     length = 12
     token, place = np.array([[rng.randrange(64) for _ in range(length)]]), np.arange(length)[None]
     trunk = {"branch": np.zeros_like(token), "sees": np.full_like(token, length), "sequence": np.ones_like(token), "place": place}

@@ -1,4 +1,4 @@
-//! Questions of others to the daemon, where the configuration allows them: as text, as they are asked in the robot's own domain.
+//! Passes questions from outside the robot to the daemon, as text, if the configuration allows them.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
 use std::time::{Duration, Instant};
@@ -11,13 +11,13 @@ use crate::config::{Ask, Config};
 use crate::keys::Keys;
 use crate::stop::Stop;
 
-/// Questions that wait for their answer; more are refused.
+/// Most questions that wait for an answer. More are refused.
 pub const WAITING_MAX: usize = 8;
-/// How long a question waits at most, for others and for the daemon: later nobody asks any more.
+/// Longest wait of a question, in the queue and for the daemon together.
 const PATIENCE: Duration = Duration::from_secs(5);
 const TICK: Duration = Duration::from_millis(200);
 
-/// The questions that are allowed: their name in keys, and the daemon's service.
+/// The allowed questions: the name in keys, and the daemon's service.
 #[must_use]
 pub fn allowed(ask: &Ask) -> Vec<(&'static str, &'static str)> {
     let all = [
@@ -28,14 +28,14 @@ pub fn allowed(ask: &Ask) -> Vec<(&'static str, &'static str)> {
     all.into_iter().filter(|(may, ..)| *may).map(|(_, name, service)| (name, service)).collect()
 }
 
-/// A question of somebody.
+/// A question that waits for its answer.
 pub struct Asked {
     service: &'static str,
     query: Query,
     since: Instant,
 }
 
-/// Takes a question, or refuses it where too many wait.
+/// Queues a question, or refuses it if the queue is full.
 pub fn take(to: &SyncSender<Asked>, service: &'static str, query: Query) {
     if let Err(TrySendError::Full(asked) | TrySendError::Disconnected(asked)) =
         to.try_send(Asked { service, query, since: Instant::now() })
@@ -44,7 +44,7 @@ pub fn take(to: &SyncSender<Asked>, service: &'static str, query: Query) {
     }
 }
 
-/// Answers until asked to stop.
+/// Answers questions until asked to stop.
 ///
 /// # Errors
 ///
@@ -77,17 +77,17 @@ fn answer(
         };
         let Some((_, key, port)) = ports.iter().find(|(name, ..)| *name == service) else { continue };
         let text = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
-        // Whoever asked so long ago was told that there is no answer. What they asked for is not to be done behind their back.
+        // The asker of an old question already got an error. The daemon must not act on it later.
         let left = patience.saturating_sub(since.elapsed());
         let answer = match String::from_utf8(text) {
             Err(_) => Err("a question is text".to_owned()),
-            // With less than that a daemon that is there may do it and be too late to say so.
+            // With less time than this, the daemon could act on the question and answer too late.
             Ok(_) if left < patience / 5 => Err("the daemon answers nobody; it was not asked: ask again".to_owned()),
             Ok(text) => port.ask(&text, left).map_err(|error| error.to_string()),
         };
-        // Whoever asked may have left.
+        // The asker may have left.
         let _answered = match answer {
-            // By the robot's own key: of answers with one key, as that of a question to all robots, whoever asked gets one.
+            // Each robot replies by its own key. With one key for all, a question to all robots would get only one answer.
             Ok(answer) => query.reply(key, answer).wait(),
             Err(error) => query.reply_err(error).wait(),
         };
@@ -113,7 +113,7 @@ mod tests {
         zenoh::open(alone).wait().unwrap()
     }
 
-    /// A name was given minutes after its asker was told that nobody had answered.
+    /// Regression: a person got a name minutes after the request had failed.
     #[test]
     fn what_was_asked_while_the_daemon_was_away_is_not_done_later() {
         let session = alone();
@@ -156,7 +156,7 @@ mod tests {
         domain.clean_up().unwrap();
     }
 
-    /// Answers to a question to all robots had one key, so that whoever asked got one of them, and not whose it was.
+    /// Regression: all robots answered by one key, so the asker got one answer without the robot's name.
     #[test]
     fn each_robot_answers_a_question_to_all_by_its_own_key() {
         let session = alone();

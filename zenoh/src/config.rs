@@ -6,22 +6,23 @@ use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::parsing::{keyed, list_of_keyed, toml_says};
-use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use roomcast_ipc::raw::NAME_BYTES;
+use roomcast_ipc::{Domain, IpcError};
 use roomcast_ros2::content::HORIZONS_S;
 use serde::Deserialize;
 
-/// The manual.
+/// The example file, which documents every key.
 pub const MANUAL: &str = include_str!("default.toml");
-/// Most bytes of a configuration.
+/// Largest configuration in bytes.
 pub const FILE_BYTES_MAX: u64 = 64 << 10;
-/// Most narrators elsewhere: each has a port of its own, so that the daemon's rates and shares hold for each, and a service has eight.
+/// Most narrators on other machines. Each has its own port, so that the daemon's rates and quotas hold for each. A service has eight ports.
 pub const NARRATORS_MAX: usize = 4;
-/// The narrator whose words are strings of ROS 2.
+/// The narrator of strings from ROS 2.
 pub const ROS2_NARRATOR: &str = "ros2";
 /// Most robots of a hub.
 pub const ROBOTS_MAX: usize = 16;
 
-/// Why there is no configuration.
+/// Why a configuration is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
@@ -29,34 +30,34 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The system's error.
         source: io::Error,
     },
-    /// It is too long.
+    /// The file is too long.
     #[error("{path} has more than {FILE_BYTES_MAX} bytes; is it a configuration?")]
     TooLong {
         /// The file.
         path: PathBuf,
     },
-    /// It is malformed, or has an unknown key.
+    /// The file is malformed or has an unknown key.
     #[error("{path}: {}\n`roomcast-zenoh config` prints every key", toml_says(.error))]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Where and what. No source: it would be told once more, in the parser's words.
+        /// Position and fault. It is not the `source`, which would be printed a second time.
         error: Box<toml::de::Error>,
     },
-    /// A value is none that can be.
+    /// A value is not allowed.
     #[error("{}", shown(key, value, allowed))]
     Value {
         /// The key.
         key: &'static str,
         /// Its value.
         value: String,
-        /// What can be there.
+        /// The allowed values.
         allowed: String,
     },
-    /// The domain cannot be.
+    /// The domain is invalid.
     #[error(transparent)]
     Domain(#[from] IpcError),
 }
@@ -73,7 +74,7 @@ fn refuse<T>(key: &'static str, value: impl ToString, allowed: impl Into<String>
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The way to the router.
+    /// The connection to the router.
     #[serde(deserialize_with = "keyed")]
     pub router: Router,
     /// The site.
@@ -82,22 +83,22 @@ pub struct Config {
     /// The robot.
     #[serde(deserialize_with = "keyed")]
     pub robot: Robot,
-    /// Where the robot's processes meet.
+    /// The domain of the robot's processes.
     #[serde(deserialize_with = "keyed")]
     pub ipc: Ipc,
-    /// What is told.
+    /// Topics that the robot publishes.
     #[serde(deserialize_with = "keyed")]
     pub tell: Tell,
-    /// What is told of habits.
+    /// Sharing of habits.
     #[serde(deserialize_with = "keyed")]
     pub habits: Habits,
-    /// What may be asked.
+    /// Allowed questions.
     #[serde(deserialize_with = "keyed")]
     pub ask: Ask,
-    /// Other robots.
+    /// Other robots of the site.
     #[serde(deserialize_with = "keyed")]
     pub peers: Peers,
-    /// Narrators elsewhere that are heard.
+    /// Narrators on other machines.
     #[serde(deserialize_with = "list_of_keyed")]
     pub narrator: Vec<Narrator>,
     /// ROS 2.
@@ -108,19 +109,19 @@ pub struct Config {
     pub hub: Hub,
 }
 
-/// The way to the router.
+/// The connection to the router.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Router {
     /// `tls/HOST:PORT` or `tcp/HOST:PORT`.
     pub connect: String,
-    /// PEM files.
+    /// PEM file of the certificate authority.
     pub ca: Option<PathBuf>,
-    /// This machine's certificate.
+    /// PEM file of this machine's certificate.
     pub certificate: Option<PathBuf>,
-    /// Its key.
+    /// PEM file of its key.
     pub key: Option<PathBuf>,
-    /// Whether tcp may lead elsewhere.
+    /// Whether TCP without TLS may lead to another machine.
     pub insecure: bool,
 }
 
@@ -142,7 +143,7 @@ impl Default for Site {
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Robot {
-    /// Its planner's name for it.
+    /// The planner's name for it.
     pub name: String,
     /// Its name in keys.
     pub key: Option<String>,
@@ -162,7 +163,7 @@ impl Robot {
     }
 }
 
-/// Where the robot's processes meet.
+/// The domain of the robot's processes.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ipc {
@@ -178,7 +179,7 @@ impl Default for Ipc {
     }
 }
 
-/// What is told.
+/// Topics that the robot publishes.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tell {
@@ -190,7 +191,7 @@ pub struct Tell {
     pub persons: bool,
     /// The planner's decisions.
     pub decision: bool,
-    /// How often what has not changed is told again.
+    /// Seconds after which unchanged values are published again.
     pub repeat_s: f64,
 }
 
@@ -200,11 +201,11 @@ impl Default for Tell {
     }
 }
 
-/// What is told of habits.
+/// Sharing of habits.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Habits {
-    /// Whether counts of visits leave the robot; nothing else of habits does.
+    /// Whether counts of visits are published. Nothing else about habits ever is.
     pub share: bool,
 }
 
@@ -212,15 +213,15 @@ pub struct Habits {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Peers {
-    /// Whether the planner hears what they are told.
+    /// Whether the planner receives their messages.
     pub hear: bool,
 }
 
-/// What may be asked.
+/// Allowed questions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ask {
-    /// The moment behind the scores.
+    /// The snapshot behind the scores.
     pub moment: bool,
     /// Changes of the map.
     pub map_change: bool,
@@ -228,16 +229,16 @@ pub struct Ask {
     pub person: bool,
 }
 
-/// A narrator elsewhere.
+/// A narrator on another machine.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Narrator {
     /// Its name.
     pub name: String,
-    /// What of it reaches the daemon over time.
+    /// Events per second that reach the daemon in the long run.
     #[serde(default = "rate")]
     pub rate_per_s: f64,
-    /// Whether its hub hears how the daemon understood each event.
+    /// Whether its hub learns how the daemon understood each event.
     #[serde(default)]
     pub understood: bool,
 }
@@ -250,29 +251,29 @@ fn rate() -> f64 {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ros2 {
-    /// rmw_zenoh's router.
+    /// The endpoint of rmw_zenoh's router.
     pub connect: Option<String>,
     /// `ROS_DOMAIN_ID`.
     pub domain: u32,
-    /// What its topics begin with.
+    /// The prefix of its topics.
     pub prefix: String,
-    /// Whether its strings are narration.
+    /// Whether its strings are events.
     pub narration: bool,
     /// The frame of scene and map.
     pub frame: String,
     /// The robot's scene.
     pub scene: Option<PathBuf>,
-    /// What a partition is, as in `grounding.level`.
+    /// The level of a partition, as in `grounding.level`.
     pub level: PartitionLevel,
     /// A Nav2 map's YAML file.
     pub map: Option<PathBuf>,
-    /// The height of the floor that it is of, where the scene has several storeys.
+    /// The height of the map's floor, if the scene has several storeys.
     pub floor_m: Option<f64>,
-    /// Seconds ahead that rooms and persons have topics for, beside now.
+    /// Seconds ahead for which rooms and persons have topics. Now always has one.
     pub horizons_s: Vec<f64>,
-    /// A mask has the likeliest moment within so long.
+    /// A mask shows the likeliest time within this many seconds.
     pub horizon_s: f64,
-    /// A mask is sent at most so often.
+    /// Least seconds between two masks.
     pub mask_s: f64,
 }
 
@@ -296,7 +297,7 @@ impl Default for Ros2 {
 }
 
 impl Ros2 {
-    /// The way to its router.
+    /// The connection to its router.
     #[must_use]
     pub fn router(&self) -> Option<Router> {
         self.connect.clone().map(|connect| Router { connect, ..Router::default() })
@@ -364,7 +365,7 @@ pub struct Hub {
     pub name: String,
     /// Names of robots, as in keys.
     pub robots: Vec<String>,
-    /// The folder of what is not confirmed.
+    /// The folder of unconfirmed narration.
     pub spool: PathBuf,
     /// Most narrations in it.
     pub keep: usize,
@@ -376,7 +377,7 @@ impl Default for Hub {
     }
 }
 
-/// What a file begins with: no more of it than shows that it is too long. A device has no length, and no end.
+/// Reads one byte more than allowed, which shows that a file is too long. A device has no length and no end.
 fn read_start(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     fs::File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
@@ -409,13 +410,13 @@ impl Config {
         let text = String::from_utf8(bytes).map_err(|error| read(io::Error::new(io::ErrorKind::InvalidData, error)))?;
         let mut config: Self = toml::from_str(&text)
             .map_err(|error| ConfigError::Malformed { path: path.to_owned(), error: Box::new(error) })?;
-        // Of a path such as `zenoh.toml` the folder is empty, and a domain's root is absolute.
+        // The parent of a bare file name is an empty path, but a domain's root must be absolute.
         let file = std::path::absolute(path).map_err(read)?;
         config.begin_at(file.parent().unwrap_or(Path::new("/")));
         Ok(config)
     }
 
-    /// Relative paths begin at this folder.
+    /// Resolves relative paths against this folder.
     fn begin_at(&mut self, folder: &Path) {
         let Self { router, ipc, ros2, hub, .. } = self;
         let files = [&mut router.ca, &mut router.certificate, &mut router.key, &mut ipc.root];
@@ -427,7 +428,6 @@ impl Config {
         }
     }
 
-    /// What both roles need.
     fn check(&self) -> Result<(), ConfigError> {
         self.router.check("router.connect")?;
         if !is_chunk(&self.site.name) {
@@ -436,7 +436,7 @@ impl Config {
         Ok(())
     }
 
-    /// Whether an operator can watch with it.
+    /// Checks the configuration for `watch`.
     ///
     /// # Errors
     ///
@@ -445,18 +445,18 @@ impl Config {
         self.check()
     }
 
-    /// Whether a robot's bridge can run with it.
+    /// Checks the configuration for a robot's bridge.
     ///
     /// # Errors
     ///
     /// [`ConfigError::Value`].
     pub fn check_robot(&self) -> Result<(), ConfigError> {
-        // A robot may speak to ROS 2 alone.
+        // A robot may connect to ROS 2 alone.
         if self.ros2.connect.is_none() || !self.router.connect.is_empty() {
             self.check()?;
         }
         self.ros2.check()?;
-        // Other robots know it by its name in keys, and its planner compares their names with its own.
+        // Other robots know it by its name in keys, and its planner compares these names with its own.
         if self.peers.hear && !is_chunk(&self.robot.name) {
             let remedy =
                 "with peers.hear it is the robot's name in keys, too: give it another, and planner.robot the same";
@@ -492,7 +492,7 @@ impl Config {
         Ok(())
     }
 
-    /// Whether a hub can run with it.
+    /// Checks the configuration for a hub.
     ///
     /// # Errors
     ///
@@ -585,7 +585,7 @@ mod tests {
     #[test]
     fn the_manual_is_the_default() {
         assert_eq!(toml::from_str::<Config>(MANUAL).unwrap(), Config::default());
-        // What is commented out is a key, too.
+        // Keys that are commented out are checked too.
         let all: String = MANUAL
             .lines()
             .map(|line| match line.strip_prefix("# ") {
@@ -621,7 +621,7 @@ mod tests {
         assert!(fault.starts_with("router.ca = ") && fault.contains("PEM"), "{fault}");
     }
 
-    /// A domain's root was joined to an empty folder, and refused for being relative.
+    /// Regression: the root was joined to an empty folder and refused as a relative path.
     #[test]
     fn relative_paths_of_a_file_that_is_named_relatively_are_absolute() {
         let folder = tempfile::tempdir().unwrap();
@@ -633,7 +633,6 @@ mod tests {
         assert!(config.ipc.root.is_some_and(|root| root.is_absolute()) && config.hub.spool.is_absolute());
     }
 
-    /// A device has no length by which it could be refused, and no end.
     #[test]
     fn no_more_is_read_than_a_configuration_may_have() {
         for endless in ["/dev/zero", "/dev/full"] {
@@ -673,7 +672,7 @@ mod tests {
         }
         assert!(fault(&format!("{near}[robot]\nname='my robot'")).contains("robot.key"));
         assert!(fault(&format!("{near}[site]\nname='a/**'")).starts_with("site.name"));
-        // Each remedy leads on, and not back.
+        // No remedy may lead to the next error.
         let hears = |robot: &str| fault(&format!("{near}[peers]\nhear=true\n[robot]\n{robot}"));
         for robot in ["name='Küche'", "name='Küche'\nkey='kitchen'"] {
             let fault = hears(robot);

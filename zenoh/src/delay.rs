@@ -1,39 +1,38 @@
-//! How long a message was on its way, without clocks that agree.
+//! How long a message was delayed, without synchronised clocks.
 //!
-//! A monotonic clock counts from its machine's start, so the difference between the receiver's and the sender's says nothing by itself.
-//! Its least value over some minutes is that of the fastest message; what another message has more, it was delayed for: in a queue, or
-//! because the link was cut. What the fastest itself took stays unknown, and counts as nothing. Wall clocks are not asked, so that it does
-//! not matter whether they agree.
+//! The monotonic clocks of two machines differ by an unknown constant. The least difference between receiving and sending time over some minutes
+//! belongs to the fastest message. A larger difference means a delay, in a queue or by a cut link. The delay of the fastest message is unknown and
+//! counts as 0. Wall clocks are not used, so they need not agree.
 
 use std::collections::VecDeque;
 
 use roomcast_ipc::sequence;
 
-/// The least difference is that of this window and the one before it. Quartz clocks drift by 50 millionths: 60 ms in two windows.
+/// The minimum covers this window and the previous one. Quartz clocks drift by 50 ppm: 60 ms in two windows.
 const WINDOW_NS: u64 = 600_000_000_000;
 
-/// The first message may be one that was held up. When a clock was followed for so long, one that was not has come.
+/// The first message may be a delayed one. After this time, an undelayed one has arrived.
 const KNOWN_NS: u64 = 2_000_000_000;
 
-/// This machine's monotonic clock: another one with every start of the machine.
+/// Identifies this machine's monotonic clock. It changes with every boot.
 #[must_use]
 pub fn clock_id() -> u64 {
     let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     sequence::source_of_name(boot.trim())
 }
 
-/// Follows one sender.
+/// Follows the delays of one sender.
 #[derive(Debug, Clone, Default)]
 pub struct Delay {
-    /// The sender's clock, and since when it is followed.
+    /// The sender's clock, and when it was first heard.
     clock: Option<(u64, u64)>,
-    /// When each window began, and its least difference; two at most.
+    /// Start and least difference of each window; two at most.
     windows: VecDeque<(u64, i64)>,
 }
 
 impl Delay {
-    /// How much longer than the fastest a message took that was sent at `sent_ns` of the clock `clock` and received at `now_ns` of this
-    /// machine's; none while too little was heard of that clock to know.
+    /// How much longer than the fastest message this one took. `sent_ns` is by the sender's `clock`, `now_ns` by this machine's. `None` until that
+    /// clock was followed for two seconds.
     pub fn excess_ns(&mut self, clock: u64, sent_ns: u64, now_ns: u64) -> Option<u64> {
         if self.clock.is_none_or(|(own, _)| own != clock) {
             (self.clock, self.windows) = (Some((clock, now_ns)), VecDeque::new());

@@ -1,58 +1,58 @@
-//! How far one robot has a hub's narration, and what is sent to it next. Pure: time comes in as a number.
+//! Tracks which of a hub's narrations one robot has, and which one is sent next. No I/O: the time is an argument.
 
 use crate::wire::Confirmed;
 
-/// Narrations that are sent ahead of what the robot has confirmed.
+/// Most narrations that are sent before the robot confirms the first.
 const AHEAD_MAX: u64 = 64;
-/// A robot that says nothing for so long is away, and nothing is sent to it.
+/// A robot that is silent for this long is away and gets no narration.
 const AWAY_NS: u64 = 5_000_000_000;
-/// What the robot waits for is sent again after so long.
+/// The narration that the robot waits for is sent again after this time.
 const AGAIN_NS: u64 = 1_000_000_000;
 
-/// One robot.
+/// The state of one robot.
 #[derive(Debug, Clone, Default)]
 pub struct Delivery {
-    /// Up to here the robot's daemon has dealt with everything.
+    /// The robot's daemon has processed everything up to this number.
     confirmed: u64,
-    /// Up to here it was sent.
+    /// The last number that was sent.
     sent: u64,
-    /// Up to here it was sent by this start, or can have been by those before it.
+    /// The last number that this start sent, or that earlier starts may have sent.
     given: u64,
-    /// Up to here the robot has it, as it said last.
+    /// The last number in order that the robot reported.
     has: u64,
-    /// When the number that it waits for was sent, or the one before it came. What is sent beyond it says nothing of it.
+    /// When the awaited number was sent, or its predecessor was received. Numbers sent beyond it do not count.
     waits_ns: Option<u64>,
     heard_ns: Option<u64>,
-    /// Up to here nothing is kept any more.
+    /// Numbers up to this one are no longer kept.
     gone: u64,
-    /// Narrations that were given up before the robot had them, or whose numbers it had for others.
+    /// Narrations that were given up before the robot had them, or with numbers that it had for other ones.
     lost: u64,
-    /// What the robot has refused, as it said last; none until it has said so.
+    /// The refusals in the robot's last report; `None` before the first one.
     said_refused: Option<u64>,
-    /// Narrations that it has refused since this start.
+    /// Narrations that it refused since this start.
     refused: u64,
 }
 
 impl Delivery {
-    /// Begins with the first number that is kept: what was before it has come, as far as it is `confirmed`, or was given up before this start.
-    /// `last` is the last one that was given before it.
+    /// Begins at `first`, the first number that is kept. Earlier ones up to `confirmed` have arrived; the others were given up. `last` is the last
+    /// number of earlier starts.
     #[must_use]
     pub fn from(first: u64, last: u64, confirmed: u64) -> Self {
         let gone = first.saturating_sub(1);
         Self { confirmed: confirmed.min(gone), sent: gone, given: last, has: gone, gone, ..Self::default() }
     }
 
-    /// Numbers up to this one can have been sent before this start, as a robot says.
+    /// Records that earlier starts may have sent numbers up to `last`, as a robot reports.
     pub fn given_before(&mut self, last: u64) {
         self.given = self.given.max(last);
     }
 
-    /// Takes note of what the robot says: `epoch` is the hub's own, `last` the last number that it has.
+    /// Handles a robot's report. `epoch` is the hub's own, `last` the hub's last number.
     pub fn hear(&mut self, said: Confirmed, epoch: u64, last: u64, now_ns: u64) {
         self.heard_ns = Some(now_ns);
         let may_repeat = self.waits_ns.is_none_or(|waits_ns| now_ns.saturating_sub(waits_ns) >= AGAIN_NS);
         if said.epoch.0 != epoch {
-            // It knows nothing of this start: whatever it has not confirmed goes again.
+            // The robot does not know this epoch: unconfirmed narrations are sent again.
             self.has = self.begin();
             if may_repeat {
                 self.sent = self.begin();
@@ -60,16 +60,16 @@ impl Delivery {
             return;
         }
         self.confirmed = self.confirmed.max(said.confirmed.min(last));
-        // What it refused before this start was counted then; of a bridge that starts again it is counted from 0.
+        // Refusals before this start were counted then. A restarted bridge counts from 0.
         let before = self.said_refused.unwrap_or(if self.waits_ns.is_none() { said.refused } else { 0 });
         let more = said.refused.checked_sub(before).unwrap_or(said.refused);
         (self.said_refused, self.refused) = (Some(said.refused), self.refused.saturating_add(more).min(last));
         let has = said.next.saturating_sub(1).min(last);
-        // It had these numbers before this start gave them to something else, which it has not.
+        // The robot has these numbers for other narrations, from before this start.
         self.lost = self.lost.saturating_add(has.saturating_sub(self.given));
         self.given = self.given.max(has);
         if has > self.has {
-            // What it waits for now may be right behind what came.
+            // The next awaited number may follow at once.
             self.waits_ns = Some(now_ns);
         } else if may_repeat {
             self.sent = has;
@@ -78,7 +78,7 @@ impl Delivery {
         self.sent = self.sent.max(has).max(self.begin());
     }
 
-    /// What is older than `first` is not kept any more.
+    /// Gives up narrations before `first`.
     pub fn give_up_before(&mut self, first: u64) {
         let gone = first.saturating_sub(1);
         self.lost += gone.saturating_sub(self.begin());
@@ -86,7 +86,7 @@ impl Delivery {
         self.sent = self.sent.max(self.gone);
     }
 
-    /// The number that is to be sent next, up to `last`; none where nothing may go now.
+    /// The next number to send, up to `last`; `None` if nothing may be sent now.
     #[must_use]
     pub fn next(&self, last: u64, now_ns: u64) -> Option<u64> {
         let there = !self.is_away(now_ns);
@@ -94,7 +94,7 @@ impl Delivery {
         (there && next <= last && next - self.begin() <= AHEAD_MAX).then_some(next)
     }
 
-    /// Takes note that the next one was sent.
+    /// Records that the next number was sent.
     pub fn sent(&mut self, now_ns: u64) {
         if self.sent <= self.has.max(self.begin()) {
             self.waits_ns = Some(now_ns);
@@ -109,37 +109,37 @@ impl Delivery {
         self.begin() + 1
     }
 
-    /// Up to here nothing is sent any more.
+    /// Numbers up to this one are not sent again.
     #[must_use]
     pub fn begin(&self) -> u64 {
         self.confirmed.max(self.gone)
     }
 
-    /// Up to here it is confirmed.
+    /// Numbers up to this one are confirmed.
     #[must_use]
     pub fn confirmed(&self) -> u64 {
         self.confirmed
     }
 
-    /// Whether it was ever heard.
+    /// Whether the robot was ever heard.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.heard_ns.is_some()
     }
 
-    /// Whether it was silent for long.
+    /// Whether the robot has been silent too long.
     #[must_use]
     pub fn is_away(&self, now_ns: u64) -> bool {
         self.heard_ns.is_none_or(|heard_ns| now_ns.saturating_sub(heard_ns) > AWAY_NS)
     }
 
-    /// Narrations that were given up before the robot had them, or whose numbers it had for others.
+    /// Narrations that were given up before the robot had them, or with numbers that it had for other ones.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Narrations that the robot or its daemon has refused since this start.
+    /// Narrations that the robot or its daemon refused since this start.
     #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
@@ -151,7 +151,8 @@ mod tests {
     use super::*;
     use crate::relay::{Offered, Relay};
     use crate::wire::Hex;
-    use roomcast_ipc::{IncludedV1, NarrationV1, RoomScoresV1, sequence};
+    use roomcast_ipc::raw::{IncludedV1, NarrationV1, RoomScoresV1};
+    use roomcast_ipc::sequence;
 
     const S: u64 = 1_000_000_000;
 
@@ -160,7 +161,7 @@ mod tests {
         NarrationV1 { source, epoch, sequence, ..NarrationV1::new(0, "They sit.").unwrap() }
     }
 
-    /// A daemon that has accepted everything up to this number.
+    /// Scores of a daemon that has accepted everything up to this number.
     fn accepted(epoch: u64, sequence: u64) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 { source_count: 1, ..Default::default() };
         let source = sequence::source_of_name("hub");
@@ -168,7 +169,6 @@ mod tests {
         scores
     }
 
-    /// Sends what may go over a link that loses nothing.
     fn give(delivery: &mut Delivery, relay: &mut Relay, last: u64, now_ns: u64) {
         while let Some(number) = delivery.next(last, now_ns) {
             relay.offer(7, number, delivery.first(), Some(message(7, number)));
@@ -204,13 +204,13 @@ mod tests {
         assert_eq!((delivery.lost(), delivery.next(10, S), delivery.first(), delivery.confirmed()), (3, Some(4), 4, 0));
         delivery.give_up_before(6);
         assert_eq!((delivery.lost(), delivery.first()), (5, 6));
-        // A hub that starts again has lost nothing by that.
+        // A hub loses nothing by a restart.
         let mut delivery = Delivery::from(4124, 4130, 4000);
         delivery.give_up_before(4124);
         assert_eq!((delivery.lost(), delivery.confirmed(), delivery.first()), (0, 4000, 4124));
     }
 
-    /// The disk has lost the numbers 8 to 10 that a robot has, and 8 and 9 were given again before it was heard.
+    /// The disk lost the numbers 8 to 10, which a robot has. The hub gave out 8 and 9 again before it heard the robot.
     #[test]
     fn a_number_that_a_robot_had_for_something_else_is_lost_and_not_confirmed() {
         let said = Confirmed { epoch: Hex(7), next: 11, confirmed: 10, refused: 0 };
@@ -220,7 +220,7 @@ mod tests {
         delivery.given_before(10);
         delivery.hear(said, 7, 10, S);
         assert_eq!((delivery.lost(), delivery.next(11, S)), (2, Some(11)));
-        // Heard before anything was given again, nothing is.
+        // If the robot is heard first, no number is given out twice.
         let mut delivery = Delivery::from(1, 7, 0);
         delivery.hear(said, 7, 7, S);
         delivery.given_before(10);
@@ -232,12 +232,12 @@ mod tests {
     fn what_a_robot_refuses_is_counted_once() {
         let said = |refused| Confirmed { epoch: Hex(7), next: 5, confirmed: 4, refused };
         let mut delivery = Delivery::from(3, 10, 2);
-        // From before this start; then some, the same again, and a bridge that starts again.
+        // A count from before this start, a higher one, the same again, and one of a restarted bridge.
         for (refused, so_far) in [(2, 0), (3, 1), (3, 1), (1, 2), (u64::MAX, 10)] {
             delivery.hear(said(refused), 7, 10, S);
             assert_eq!(delivery.refused(), so_far);
         }
-        // One that knew nothing of this start has refused nothing of it before.
+        // A robot that did not know this start has refused nothing before.
         let mut delivery = Delivery::default();
         delivery.hear(Confirmed::default(), 7, 10, S);
         delivery.sent(S);
@@ -245,8 +245,7 @@ mod tests {
         assert_eq!(delivery.refused(), 2);
     }
 
-    /// A link that loses one message of some, and a bridge that is away for two seconds, while lines come one by one. New lines must not put
-    /// off giving again what was lost.
+    /// The link loses one message in n, and the bridge is away for two seconds, while lines come one by one. New lines must not postpone a resend.
     #[test]
     fn a_line_is_late_by_three_seconds_however_lines_are_spaced() {
         for (gap_ms, loses) in
@@ -279,7 +278,7 @@ mod tests {
                 if taken > 0 {
                     relay.confirm(&accepted(7, taken), now_ns);
                 }
-                // As a bridge does: at once when it is another word, and every second.
+                // A bridge reports each change at once, and every second.
                 if !is_away && (relay.confirmed() != said || now_ns - said_ns >= S) {
                     (said, said_ns) = (relay.confirmed(), now_ns);
                     delivery.hear(said, 7, last, now_ns);
@@ -290,7 +289,7 @@ mod tests {
         }
     }
 
-    /// The daemon has more than the hub has heard of: what the hub then sends again was dealt with before, and is not dropped.
+    /// The daemon has more than the hub knows. Narrations that the hub then resends were processed before; they are not dropped.
     #[test]
     fn a_bridge_that_starts_again_tells_a_hub_that_lags_of_no_loss() {
         let (mut delivery, mut relay, mut now_ns) = (Delivery::default(), Relay::new("hub", 1e9), S);
@@ -299,9 +298,9 @@ mod tests {
         relay.confirm(&accepted(7, 20), now_ns);
         delivery.hear(relay.confirmed(), 7, 30, now_ns);
         assert_eq!((delivery.confirmed(), delivery.refused()), (20, 0));
-        // Ten more reach the daemon, and the bridge ends before it can say so.
+        // Ten more reach the daemon, but the bridge ends before it reports them.
         give(&mut delivery, &mut relay, 30, now_ns);
-        // Its successor hears the daemon first; or the hub first, of which it has given the daemon nothing yet.
+        // Its successor first hears either the daemon or the hub.
         for daemon_first in [true, false] {
             let (mut delivery, mut relay) = (delivery.clone(), Relay::new("hub", 1e9));
             now_ns += 3 * S;
@@ -318,7 +317,7 @@ mod tests {
             assert_eq!(relay.confirm(&accepted(7, 30), now_ns), 0);
             delivery.hear(relay.confirmed(), 7, 40, now_ns);
             assert_eq!((delivery.confirmed(), delivery.refused()), (30, 0), "{daemon_first}");
-            // What it drops of those that are new still counts.
+            // New narrations that the daemon drops still count.
             give(&mut delivery, &mut relay, 40, now_ns);
             let mut scores = accepted(7, 40);
             scores.included[0].accepted = 38;
@@ -328,8 +327,7 @@ mod tests {
         }
     }
 
-    /// A link that loses and delays, a bridge and a hub that start again, and a daemon that confirms late: everything arrives once and in
-    /// order. The random numbers are a plain generator, so that a seed names a run.
+    /// The link loses and delays, bridge and hub restart, and the daemon confirms late. The generator is plain, so that a seed names a run.
     #[test]
     fn whatever_the_link_does_everything_arrives_once_and_in_order() {
         for seed in 1..200_u64 {
@@ -367,7 +365,7 @@ mod tests {
                     let Some((number, first)) = on_the_way.pop_front() else { break };
                     let message = message(epoch, number);
                     if relay.offer(epoch, number, first, Some(message)) == Offered::Taken && random(10) == 0 {
-                        // The same again, as a link may do.
+                        // A link may duplicate a message.
                         assert_eq!(relay.offer(epoch, number, first, Some(message)), Offered::Again);
                     }
                 }

@@ -1,10 +1,11 @@
-//! What leaves the robot of its habits, where `habits.share` is set: how often each room was visited, by part of the day, of all persons
-//! together. Whoever hears it checks it here, too: a peer's bytes are not believed.
+//! Publishes how often each room was visited, by part of the day and for all persons together, if `habits.share` is set. Receivers check the message
+//! too: a peer's bytes are untrusted.
 
 use std::time::{Duration, Instant};
 
 use roomcast_core::habits::PARTS;
-use roomcast_ipc::{Domain, IpcError, MAX_ROOMS, NAME_BYTES, QuestionPort, clock, question};
+use roomcast_ipc::raw::{MAX_ROOMS, NAME_BYTES};
+use roomcast_ipc::{Domain, IpcError, QuestionPort, clock, question};
 use serde::Deserialize;
 
 use crate::config::Config;
@@ -18,22 +19,22 @@ use crate::wire::Fault;
 
 /// The topic's name in keys.
 pub const TOPIC: &str = "habits";
-/// Most bytes of a message: of each room an id, whose bytes JSON may write with six each, and its counts.
+/// Largest message in bytes. Each room has an id, for which JSON may need six bytes a byte, and counts.
 pub const BYTES_MAX: usize = 32 << 10;
-/// More visits than that are none: one a second for thirty years.
+/// Larger counts are invalid: this is one visit a second for thirty years.
 const COUNT_MAX: f64 = 1e9;
-/// The daemon's answer has more in it than is told; longer than that it is none.
+/// Largest answer of the daemon, which has more in it than is published.
 const ANSWER_BYTES_MAX: usize = 1 << 20;
 
-/// How often the daemon is asked, how soon again where it gave no answer, and how long it has for one.
+/// How often the daemon is asked, how soon again without an answer, and its timeout.
 const ASK: Duration = Duration::from_secs(60);
 const ASK_AGAIN: Duration = Duration::from_secs(5);
 const PATIENCE: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(200);
-/// As `roomcast habits show --json` asks.
+/// The question of `roomcast habits show --json`.
 const QUESTION: &str = r#"{"ask":"show"}"#;
 
-/// A room and how many visits ended there in each part of the day.
+/// A room, and how many visits ended there in each part of the day.
 pub type Visits = (String, [f64; PARTS]);
 
 #[derive(Deserialize)]
@@ -42,7 +43,7 @@ struct Line {
     by_part: [f64; PARTS],
 }
 
-/// Of the daemon's answer what may be told; the rest, which names persons, is passed over.
+/// The public part of the daemon's answer. The rest, which names persons, is ignored.
 #[derive(Deserialize)]
 struct Answer {
     visits: Vec<Line>,
@@ -72,11 +73,11 @@ fn checked(visits: Vec<Visits>) -> Result<Vec<Visits>, Fault> {
     Ok(visits)
 }
 
-/// Reads what another robot has told of its habits.
+/// Reads another robot's habits.
 ///
 /// # Errors
 ///
-/// [`Fault`] for too many bytes, for what is not the JSON that is expected, and for rooms or counts that cannot be.
+/// [`Fault`] for too many bytes, for unexpected JSON, and for invalid rooms or counts.
 pub fn read(bytes: &[u8]) -> Result<Vec<Visits>, Fault> {
     #[derive(Deserialize)]
     struct Message {
@@ -89,7 +90,7 @@ pub fn read(bytes: &[u8]) -> Result<Vec<Visits>, Fault> {
     checked(message.rooms.into_iter().collect())
 }
 
-/// Asks the daemon, and tells what has changed; the rest as often as everything. Runs until asked to stop.
+/// Asks the daemon and publishes changes, and the rest every `tell.repeat_s`. Runs until asked to stop.
 ///
 /// # Errors
 ///
@@ -111,7 +112,7 @@ pub fn run(config: &Config, domain: &Domain, link: &Link, last: &Last, stop: &St
                     said = Some((visits, Instant::now()));
                 }
                 Ok(_) => {}
-                // A daemon that is away is told of by its status.
+                // The status reports a daemon that is away.
                 Err(fault) => {
                     if let Some(not_told) = log.pass("habits", clock::monotonic_ns()) {
                         tracing::debug!(%fault, not_told, "the daemon says nothing of habits");

@@ -1,4 +1,4 @@
-//! A hub: lines of narration of this machine, kept on disk until every robot has confirmed them.
+//! A hub keeps this machine's lines of narration on disk until every robot has confirmed them.
 
 use std::any::Any;
 use std::fs::{self, File};
@@ -28,15 +28,14 @@ use crate::stop::Stop;
 use crate::understood::Understood;
 use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Said};
 
-/// Lines that wait to be kept; the input waits then.
+/// Most lines that wait for the disk. If the queue is full, the input waits.
 const LINES_MAX: usize = 256;
-/// Words of robots that wait to be looked at; more are dropped, and said again.
+/// Most queued reports of robots. More are dropped; robots repeat them.
 const HEARD_MAX: usize = 64;
 const TICK: Duration = Duration::from_millis(20);
-/// How often it is looked for more in a file that is followed.
+/// How often a followed file is checked for new bytes.
 const LOOK: Duration = Duration::from_millis(50);
-/// A file whose place another one has taken is left when it was silent for so long while the other one has something. Who writes to it does so
-/// until it is told of the other one.
+/// A replaced file is left after this much silence, once the new file has content. Its writer may write to it until it learns of the new one.
 const LEAVE: Duration = Duration::from_secs(1);
 
 const NAMESAKE: &str = "another hub narrates in this hub's name; this one was first, and the other one ends: give each hub of the site a name of its own (hub.name)";
@@ -47,13 +46,13 @@ pub enum HubError {
     /// The configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The way to the router.
+    /// The connection to the router.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// What is kept.
+    /// The spool.
     #[error(transparent)]
     Spool(#[from] SpoolError),
-    /// Another hub narrates in this one's name.
+    /// Another hub uses this hub's name.
     #[error(
         "another hub narrates as {0:?} at this site, and was first: give each hub of the site a name of its own (hub.name), or end the other one"
     )]
@@ -63,7 +62,7 @@ pub enum HubError {
     Input {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The system's error.
         source: io::Error,
     },
     /// The thread that reads the input.
@@ -72,13 +71,13 @@ pub enum HubError {
         /// The file.
         path: PathBuf,
     },
-    /// The system gives no thread.
+    /// The system refuses a thread.
     #[error("cannot start a thread: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(io::Error),
 }
 
 impl HubError {
-    /// Whether configuration or command line is at fault, or a file that they name: starting again is of no use then.
+    /// Whether the configuration, the command line or a file in them is at fault. A restart does not help then.
     #[must_use]
     pub fn is_of_configuration(&self) -> bool {
         match self {
@@ -93,23 +92,22 @@ impl HubError {
     }
 }
 
-/// After the last confirmation the hub waits at most so long to hear how the last events were understood.
+/// Longest wait, after the last confirmation, for reports of how the last events were understood.
 const EXPLAINED_NS: u64 = 3_000_000_000;
-/// A robot that was not heard for so long since the start is told of.
+/// If a robot is not heard for this long after the start, the log warns.
 const UNHEARD_NS: u64 = 15_000_000_000;
 
-/// A line that was read, up to this place of the input.
+/// A line, and the input's place behind it.
 type Line = (Vec<u8>, Place);
 
-/// So many bytes before a place say whether a file is still the one that was read.
+/// This many bytes before a place show whether a file is still the same.
 const TAIL_BYTES: usize = 64;
 
-/// The last bytes that were read.
 #[derive(Debug, Default)]
 struct Tail(Vec<u8>);
 
 impl Tail {
-    /// Those before a place of a file.
+    /// The bytes before a place of a file.
     fn before(file: &File, at: u64) -> io::Result<Self> {
         let bytes = at.min(TAIL_BYTES as u64);
         let mut tail = vec![0; bytes as usize];
@@ -132,7 +130,7 @@ impl Tail {
     }
 }
 
-/// A file that grows. Where other bytes stand before those that come next it was written over, and gives nothing more.
+/// A file that grows. If the bytes before the next ones have changed, it was overwritten and gives no more bytes.
 struct Followed {
     file: File,
     at: u64,
@@ -148,7 +146,7 @@ impl Followed {
 impl Read for Followed {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = self.file.read_at(buffer, self.at)?;
-        // Looked at after reading: so nothing can be written over it in between.
+        // Checked after reading, so that no overwrite can come between.
         if read == 0 || self.is_written_over() {
             return Ok(0);
         }
@@ -158,7 +156,6 @@ impl Read for Followed {
     }
 }
 
-/// Whether a file was read up to this place.
 fn is_at(file: &File, place: Place) -> io::Result<bool> {
     if file.metadata()?.ino() != place.file {
         return Ok(false);
@@ -170,7 +167,7 @@ fn is_at(file: &File, place: Place) -> io::Result<bool> {
     }
 }
 
-/// The file that was read up to this place, where it has another name in its folder by now, as logs are rotated.
+/// The file that was read up to this place, if a log rotation renamed it within its folder.
 fn renamed(path: &Path, place: Place) -> Option<File> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let named = fs::read_dir(folder).ok()?.flatten().filter(|entry| entry.ino() == place.file);
@@ -178,8 +175,8 @@ fn renamed(path: &Path, place: Place) -> Option<File> {
     files.find(|file| is_at(file, place).unwrap_or(false))
 }
 
-/// Opens a file that is followed, behind what was read of it; at its end where nobody knows how much that was. One that was renamed since is read
-/// first. Gives where it is.
+/// Opens a followed file at the place that was read, or at its end if that is unknown. A file that was renamed since is read first. Returns the
+/// place.
 fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<Followed>, Place)> {
     let mut file = open_plain(File::options().read(true), path)?;
     let at = match from {
@@ -203,23 +200,20 @@ fn follow(path: &Path, from: Option<Place>) -> io::Result<(BufReader<Followed>, 
     Ok((BufReader::new(Followed { file, at, tail }), place))
 }
 
-/// Where lines come from.
 enum Input {
-    /// A stream that ends.
     Stream(Box<dyn BufRead + Send>),
-    /// A file that is followed.
     Followed(BufReader<Followed>),
 }
 
 impl Input {
-    /// Opens what lines come from, and gives where it is; a file is followed from `from`. It is opened once: whoever writes to a FIFO whose reader
-    /// leaves is killed by that, and its line is lost.
+    /// Opens the input and returns its place; a file is followed from `from`. It is opened once: if a FIFO's reader leaves, its writer is killed and
+    /// its line is lost.
     fn open(path: &Path, from: Option<Place>) -> io::Result<(Self, Place)> {
         if path.as_os_str() == "-" {
             return Ok((Self::Stream(Box::new(BufReader::new(io::stdin()))), Place::default()));
         }
         let kind = fs::metadata(path)?.file_type();
-        // It could be opened, and not be read.
+        // A folder could be opened, but not read.
         if kind.is_dir() {
             return Err(io::ErrorKind::IsADirectory.into());
         }
@@ -227,7 +221,7 @@ impl Input {
             let (file, place) = follow(path, from)?;
             return Ok((Self::Followed(file), place));
         }
-        // With a writer of its own a FIFO is opened before another one comes, and does not end when the last other one leaves.
+        // If the hub itself is a writer, the FIFO opens before another writer comes and does not end when the last one leaves.
         let stream = File::options().read(true).write(kind.is_fifo()).open(path)?;
         Ok((Self::Stream(Box::new(BufReader::new(stream))), Place::default()))
     }
@@ -239,7 +233,6 @@ impl Input {
         }
     }
 
-    /// What was read before the place where it is opened.
     fn tail(&self) -> Tail {
         match self {
             Self::Stream(_) => Tail::default(),
@@ -247,25 +240,24 @@ impl Input {
         }
     }
 
-    /// Where a followed file is another one by now, or has other bytes before those that come next: after how long a silence it is left.
+    /// The silence after which a followed file is left, if it was replaced or overwritten.
     fn left_after(&self, path: &Path, place: Place) -> Option<Duration> {
         let Self::Followed(file) = self else { return None };
-        // While it is being replaced there may be none.
+        // During a replacement the path may not exist.
         let about = fs::metadata(path).ok()?;
         if about.ino() == place.file {
             return file.get_ref().is_written_over().then_some(LOOK);
         }
-        // As long as nobody has written to the new one, its writer has the old one.
+        // While the new file is empty, its writer still has the old one.
         (about.len() > 0 || !about.is_file()).then_some(LEAVE)
     }
 }
 
-/// Reads lines until the input ends. A file that was written over or replaced is read from its start. Of a line that is too long the beginning is
-/// given, and the rest passed over.
+/// Reads lines until the input ends. A file that was overwritten or replaced is read from its start. An overlong line is cut and its rest skipped.
 fn read_lines(path: &Path, opened: (Input, Place), lines: &SyncSender<Line>, stop: &Stop) -> io::Result<()> {
     let (mut input, mut place) = opened;
     let mut tail = input.tail();
-    // At the end of a file a line may have begun, of which nobody knows the beginning.
+    // If a file is read from its end, the first line may be the rest of one.
     let (mut text, mut is_rest, mut is_told) = (Vec::new(), !tail.is_line_end(), false);
     let mut silent_since = None::<Instant>;
     while !stop.requested() {
@@ -290,12 +282,12 @@ fn read_lines(path: &Path, opened: (Input, Place), lines: &SyncSender<Line>, sto
                 return Ok(());
             }
             let left_after = input.left_after(path, place);
-            // What was written to the old one until now is read first.
+            // Bytes that were written to the old file until now are read first.
             silent_since = left_after.map(|_| silent_since.unwrap_or_else(Instant::now));
             if left_after.zip(silent_since).is_some_and(|(silence, since)| since.elapsed() >= silence) {
                 match follow(path, Some(Place::default())) {
                     Ok((file, start)) => {
-                        // Nobody ends the last line of a file that another one has taken the place of.
+                        // The last line of a replaced file gets no line end.
                         let is_left = left_after == Some(LEAVE);
                         if is_left && !text.is_empty() && !is_rest && lines.send((text, place)).is_err() {
                             return Ok(());
@@ -316,11 +308,11 @@ fn read_lines(path: &Path, opened: (Input, Place), lines: &SyncSender<Line>, sto
     Ok(())
 }
 
-/// Runs until asked to stop, or until the input has ended and everything is confirmed. Gives how much of it every robot has.
+/// Runs until asked to stop, or until the input has ended and everything is confirmed. Returns how much of it every robot has.
 ///
 /// # Errors
 ///
-/// [`HubError`]; a router or robot that is away is none.
+/// [`HubError`]. A router or robot that is away is no error.
 pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubError> {
     config.check_hub()?;
     let mut spool = Spool::open(&config.hub.spool, config.hub.keep)?;
@@ -349,24 +341,24 @@ pub fn run(config: &Config, input: &Path, stop: &Stop) -> Result<Outcome, HubErr
         notify(&[NotifyState::Watchdog]);
     }
     notify(&[NotifyState::Stopping]);
-    // One that waits for input ends with the process.
+    // A reader that waits for input ends with the process.
     if ended || reader.is_finished() {
         reader.join().map_err(|_| HubError::Panic { path: input.to_owned() })?.map_err(failed)?;
     }
     Ok(hub.outcome(&spool))
 }
 
-/// What became of the narration.
+/// The result of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Outcome {
     /// The last number.
     pub last: u64,
-    /// Up to this number every robot's daemon has dealt with it.
+    /// Every robot's daemon has processed the numbers up to this one.
     pub confirmed: u64,
-    /// Lines that were no narration.
+    /// Lines that were not narration.
     pub refused: u64,
-    /// Narrations that a robot has not in its scores, of the robot that lost most: they were too many to keep, its daemon dropped them, or the
-    /// disk lost which numbers they had.
+    /// Narrations missing from the scores of the robot that lost most: the hub could not keep them, its daemon dropped them, or the disk lost their
+    /// numbers.
     pub lost: u64,
 }
 
@@ -375,9 +367,9 @@ struct Robot {
     key: String,
     delivery: Delivery,
     rival: Rival,
-    /// If the robot says how its daemon understood events: the number of the last one.
+    /// The number of the last explained event, if the robot reports how its daemon understood events.
     explained: Option<u64>,
-    /// It was told that nothing is heard of it.
+    /// Whether the log has warned that the robot is not heard.
     is_told: bool,
     log: Limiter,
 }
@@ -391,7 +383,7 @@ struct Hub {
     log: Limiter,
     /// When every robot had confirmed the last line.
     done_ns: Option<u64>,
-    /// The disk failed, so nothing more is read for a moment.
+    /// Lines that the disk refused. They are saved before more lines are read.
     unsaved: Vec<Dated>,
 }
 
@@ -405,12 +397,12 @@ impl Hub {
         });
         let (refused, log, unsaved, started_ns) = (0, Limiter::default(), Vec::new(), clock::monotonic_ns());
         let (name, clock, robots) = (config.hub.name.clone(), Hex(clock_id()), robots.collect());
-        // What is too much of what an earlier start kept counts as lost by this one.
+        // If an earlier start kept too many narrations, the excess counts as lost by this one.
         spool.trim();
         Self { name, clock, robots, started_ns, refused, log, done_ns: None, unsaved }
     }
 
-    /// Keeps the lines that have come; whether the input has ended.
+    /// Saves the lines that have come; returns whether the input has ended.
     fn keep(&mut self, lines: &Receiver<Line>, spool: &mut Spool) -> Result<bool, HubError> {
         let mut ended = false;
         if self.unsaved.is_empty() {
@@ -458,7 +450,6 @@ impl Hub {
         Ok(read.map(dated))
     }
 
-    /// Takes what robots say of how far they are.
     fn hear(&mut self, heard: &Receiver<(usize, Vec<u8>)>, spool: &mut Spool) -> Result<(), HubError> {
         for (robot, bytes) in heard.try_iter() {
             let Some(Robot { name, delivery, rival, explained, log, .. }) = self.robots.get_mut(robot) else {
@@ -514,7 +505,7 @@ impl Hub {
         Ok(())
     }
 
-    /// A robot has numbers that this spool has not: its end was lost.
+    /// Skips the numbers that a robot has and this spool lacks: the end of its file was lost.
     fn number_on(&mut self, robot: usize, said: Confirmed, spool: &mut Spool) {
         let numbered = spool.number_on(said.next);
         if let Ok(Some(_)) = numbered {
@@ -550,7 +541,6 @@ impl Hub {
         }
     }
 
-    /// Sends what may be sent, and forgets what every robot has.
     fn send(&mut self, link: &Link, spool: &mut Spool) {
         let last = spool.last();
         for Robot { name: robot, key, delivery, is_told, log, .. } in &mut self.robots {
@@ -622,7 +612,7 @@ impl Hub {
     }
 }
 
-/// Prints how a robot understood the events behind a number, a line of JSON each; gives the number of the last one.
+/// Prints how a robot understood the events after `last`, one line of JSON each; returns the number of the last one.
 fn print_understood(robot: &str, mut last: u64, Understood { understood, .. }: Understood) -> u64 {
     for mut line in understood {
         let number = line.get("sequence").and_then(serde_json::Value::as_u64).unwrap_or(0);
@@ -659,7 +649,6 @@ mod tests {
     use super::*;
     use std::io::Write;
 
-    /// A file that is followed by a thread of its own.
     struct Reading {
         lines: Receiver<Line>,
         stop: Stop,
@@ -695,7 +684,6 @@ mod tests {
         fs::metadata(path).unwrap().ino()
     }
 
-    /// A place behind this text of a file.
     fn behind(file: u64, text: &str) -> Place {
         let mut tail = Tail::default();
         tail.push(text.as_bytes());
@@ -718,17 +706,17 @@ mod tests {
         assert_eq!(reading.heard(), (b"three\n".to_vec(), behind(file, "one\ntwo\nthree\n")));
         fs::write(&path, "new\n").unwrap();
         assert_eq!(reading.heard(), (b"new\n".to_vec(), behind(file, "new\n")));
-        // It is replaced by a longer one.
+        // The file is replaced by a longer one.
         fs::rename(&path, folder.path().join("old")).unwrap();
         fs::write(&path, "another\n").unwrap();
         assert_eq!(reading.heard(), (b"another\n".to_vec(), behind(ino(&path), "another\n")));
-        // The rest of a line that is too long is no line.
+        // The rest of an overlong line is not a line.
         append(&path, &[vec![b'x'; 3 * LINE_BYTES_MAX as usize], b"\nlast\n".to_vec()].concat());
         assert_eq!(reading.heard().0.len() as u64, LINE_BYTES_MAX + 1);
         assert_eq!(reading.text(), "last\n");
     }
 
-    /// Half a sentence may say what nobody said.
+    /// Half a sentence can mean something else.
     #[test]
     fn a_file_that_is_written_over_by_a_longer_one_is_read_from_its_start() {
         let folder = tempfile::tempdir().unwrap();
@@ -736,7 +724,7 @@ mod tests {
         fs::write(&path, "Ada sits down.\nAda gets").unwrap();
         let reading = Reading::start(&path, Some(Place::default()));
         assert_eq!(reading.text(), "Ada sits down.\n");
-        // At once, so that it is never seen to be shorter.
+        // In one write, so that the file never looks shorter.
         let over = b"Ben opens the door of the big wardrobe.\nBen grabs the milk.\n";
         File::options().write(true).open(&path).unwrap().write_all_at(over, 0).unwrap();
         assert_eq!(reading.text(), "Ben opens the door of the big wardrobe.\n");
@@ -763,7 +751,7 @@ mod tests {
         assert_eq!(begins(None), 8);
     }
 
-    /// Where nobody knows how much was read, a line may have begun at the end.
+    /// If the place is unknown, a line may have begun before the end.
     #[test]
     fn the_rest_of_a_line_of_which_nobody_knows_the_beginning_is_no_line() {
         let folder = tempfile::tempdir().unwrap();
@@ -791,7 +779,7 @@ mod tests {
         assert!(tail.0.ends_with(b"xxy\n"));
     }
 
-    /// It has another name when the hub is back, and lines that it had not read.
+    /// The log was rotated while the hub was away, and had unread lines.
     #[test]
     fn a_file_that_was_renamed_is_read_to_its_end_first() {
         let folder = tempfile::tempdir().unwrap();
@@ -804,7 +792,7 @@ mod tests {
         assert_eq!([(); 3].map(|()| reading.text()), ["two\n", "three\n", "four\n"]);
     }
 
-    /// Who writes a log goes on with the old file until it is told of the new one.
+    /// A log's writer uses the old file until it learns of the new one.
     #[test]
     fn what_is_written_to_a_file_after_it_was_renamed_is_read_before_the_new_one() {
         let folder = tempfile::tempdir().unwrap();
@@ -815,7 +803,7 @@ mod tests {
         fs::rename(&path, folder.path().join("lines.1")).unwrap();
         fs::write(&path, "").unwrap();
         for late in ["one\n", "two\n", "three\n"] {
-            // Several looks long.
+            // Longer than several checks.
             thread::sleep(4 * LOOK);
             writer.write_all(late.as_bytes()).unwrap();
             assert_eq!(reading.text(), late);
@@ -825,7 +813,6 @@ mod tests {
         assert_eq!([(); 2].map(|()| reading.text()), ["four\n", "five\n"]);
     }
 
-    /// Nobody ends it any more.
     #[test]
     fn the_last_line_of_a_file_that_was_renamed_needs_no_end() {
         let folder = tempfile::tempdir().unwrap();
@@ -848,7 +835,7 @@ mod tests {
             append(&path, line.as_bytes());
             assert_eq!(reading.text(), line);
         }
-        // It is not at its end, and looks whether to stop when a line has come.
+        // The reader is not at the end of the file: it checks for a stop after a line.
         reading.stop.request();
         append(&path, b"They leave.\n");
     }
@@ -867,7 +854,6 @@ mod tests {
         assert!(refused().contains("no plain file"));
     }
 
-    /// What waits until something can be sent would wait for ever where the input can be none.
     #[test]
     fn a_folder_is_no_input() {
         let folder = tempfile::tempdir().unwrap();
@@ -875,7 +861,7 @@ mod tests {
         assert!(HubError::Input { path: folder.path().to_owned(), source }.is_of_configuration());
     }
 
-    /// They were confirmed, though no robot was ever there.
+    /// Regression: they counted as confirmed, though no robot was ever there.
     #[test]
     fn what_is_kept_no_more_after_a_start_is_lost_and_not_confirmed() {
         let folder = tempfile::tempdir().unwrap();
@@ -888,7 +874,7 @@ mod tests {
                 spool.append((0..300).map(|_| dated()).collect()).unwrap();
             }
             let mut hub = Hub::new(&config, &mut spool);
-            // As when something is sent.
+            // As after a send.
             hub.robots[0].delivery.give_up_before(spool.first());
             spool.confirm(hub.robots[0].delivery.begin()).unwrap();
             hub.outcome(&spool)

@@ -1,9 +1,10 @@
-//! Narration from hubs to the daemon: a port for each narrator, so that the daemon's rates and shares hold for each.
+//! Passes narration from hubs to the daemon. Each narrator has its own port, so that the daemon's rates and quotas hold for each.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, sequence};
+use roomcast_ipc::raw::{NarrationV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, Publisher, Subscriber, clock, sequence};
 use roomcast_ros2::types;
 use zenoh::bytes::ZBytes;
 
@@ -17,16 +18,16 @@ use crate::stop::Stop;
 use crate::understood::Wanted;
 use crate::wire::{self, Arrived, Confirmed, Fault, Hex, Narrated, Numbered, Said};
 
-/// Messages that wait to be looked at; more are dropped, and sent again by their hub.
+/// Most queued messages. More are dropped, and their hub sends them again.
 pub const HEARD_MAX: usize = 256;
 const TICK: Duration = Duration::from_millis(50);
-/// How often a hub hears how far its narration is, at least.
+/// A hub gets a report at least this often.
 const SAY_NS: u64 = 1_000_000_000;
-/// A daemon that was silent for so long is away.
+/// A daemon that is silent for this long is away.
 const SILENCE_NS: u64 = 2_000_000_000;
-/// How many words of ROS 2 reach the daemon a second.
+/// Events per second from ROS 2 that reach the daemon.
 const RATE_PER_S: f64 = 100.0;
-/// After so many repetitions that nobody takes, the log says what may be wrong.
+/// After this many repetitions without an answer, the log says what may be wrong.
 const REPEATS: u32 = 2;
 
 const NOT_TAKEN: &str = "the daemon does not take this narrator's narration: name it in the robot's configuration as \
@@ -34,7 +35,7 @@ const NOT_TAKEN: &str = "the daemon does not take this narrator's narration: nam
 const DROPPED: &str = "the daemon has dropped narration of this narrator: its log and status say whether it was too long for a window or \
     above the rate, which loses nothing of a [[daemon.narrator]] with relayed = true";
 
-/// Bytes of a narrator, as they came.
+/// A narrator's message, as it came.
 #[derive(Debug)]
 pub struct Heard {
     narrator: usize,
@@ -42,31 +43,30 @@ pub struct Heard {
     bytes: Vec<u8>,
 }
 
-/// Where a subscriber puts what it hears.
+/// The end of the queue for subscribers.
 #[derive(Debug, Clone)]
 pub struct Ear(SyncSender<Heard>);
 
 impl Ear {
-    /// Takes a narrator's bytes, unless they are too many or too much waits.
+    /// Queues a narrator's message, unless it is too long or the queue is full.
     pub fn take(&self, narrator: usize, payload: &ZBytes) {
         if payload.len() <= wire::BYTES_MAX {
             let heard = Heard { narrator, now_ns: clock::monotonic_ns(), bytes: payload.to_bytes().into_owned() };
-            // Full: the hub sends it again.
+            // If the queue is full, the hub sends it again.
             let _taken = self.0.try_send(heard);
         }
     }
 }
 
-/// Both ends of what waits to be looked at.
+/// Both ends of the queue.
 #[must_use]
 pub fn ear() -> (Ear, Receiver<Heard>) {
     let (ear, heard) = sync_channel(HEARD_MAX);
     (Ear(ear), heard)
 }
 
-/// Where a narrator's words come from.
 enum From {
-    /// A hub, which hears on this key how far they are.
+    /// A hub, which gets its reports by this key.
     Hub { key: String },
     /// A ROS 2 topic, whose messages are numbered here.
     Ros2 { epoch: u64, next: u64 },
@@ -79,7 +79,7 @@ struct Narrator {
     port: Publisher<NarrationV1>,
     said: Confirmed,
     said_ns: u64,
-    /// Where it asks how the daemon understood events, if its hub hears that; and the number of the last event that it asked for.
+    /// The queue of questions about how the daemon understood events, and the last event in them. `None` if the hub does not want answers.
     understood: Option<(SyncSender<Wanted>, u64)>,
     log: Limiter,
 }
@@ -117,7 +117,7 @@ pub fn run(
         let first = match heard.recv_timeout(TICK) {
             Ok(first) => Some(first),
             Err(RecvTimeoutError::Timeout) => None,
-            // No subscriber is left, which the link makes again.
+            // No subscriber is left until the link declares them again.
             Err(RecvTimeoutError::Disconnected) => {
                 std::thread::sleep(TICK);
                 None
@@ -186,7 +186,7 @@ impl Narrator {
             Ok(message) if self.relay.offer(epoch, sequence, 1, Some(message)) == Offered::Taken => {
                 self.from = From::Ros2 { epoch, next: sequence + 1 };
             }
-            // ROS 2 knows no confirmation that could hold its sender up.
+            // ROS 2 has no confirmation that could slow its sender down.
             Ok(_) => self.refuse("it comes faster than the daemon takes it, and is dropped"),
             Err(fault) => self.refuse(&fault.0),
         }
@@ -202,7 +202,7 @@ impl Narrator {
         };
         let Numbered { epoch, sequence, first } = match numbered {
             Ok(numbered) => numbered,
-            // It has no number, so that nothing is lost by it.
+            // It has no number, so later messages do not wait for it.
             Err(fault) => return self.complain("no number", &fault.0),
         };
         if epoch.0 == 0 || sequence == 0 || first == 0 {
@@ -213,19 +213,19 @@ impl Narrator {
             let (clock, sent_ns) = sent?;
             relay.excess_ns(epoch.0, clock, sent_ns, heard.now_ns)
         };
-        // What is not known yet counts as nothing.
+        // An unknown delay counts as 0.
         let held_up_ns = excess_ns(&mut self.relay).unwrap_or(0);
         let arrived = Arrived { now_ns: heard.now_ns, now_unix_ns: clock::unix_ns(), excess_ns: held_up_ns };
         let (message, fault) = match narrated.and_then(|narrated| narrated.message(&self.name, arrived)) {
             Ok(message) => (Some(message), None),
-            // It has a number, and the ones after it are waited for: it is passed over.
+            // Later messages wait for its number, so it is skipped.
             Err(fault) => (None, Some(fault)),
         };
         let before = self.relay.confirmed().epoch;
         if self.relay.offer(epoch.0, sequence, first, message) != Offered::Taken {
             return;
         }
-        // A start that was new is known now: its clock is followed from its first message on.
+        // A new start is known now: its clock is followed from its first message on.
         let _noted = excess_ns(&mut self.relay);
         if let Some(fault) = fault {
             self.refuse(&fault.0);
@@ -242,7 +242,6 @@ impl Narrator {
         }
     }
 
-    /// Of what is lost by that.
     fn refuse(&mut self, fault: &str) {
         self.complain("refused", fault);
     }
@@ -264,7 +263,7 @@ impl Narrator {
     fn ask_understood(&mut self, confirmed: Confirmed) {
         let Some((wanted, last)) = &mut self.understood else { return };
         if confirmed.epoch != self.said.epoch {
-            // The daemon dealt with the events before the first confirmation of this start under another one.
+            // An earlier start of this bridge handled the events before the first confirmation.
             *last = if self.said.epoch == Hex(0) { confirmed.confirmed } else { 0 };
         }
         let (narrator, epoch, from, to) = (self.name.clone(), confirmed.epoch.0, *last + 1, confirmed.confirmed);
@@ -273,7 +272,7 @@ impl Narrator {
         }
     }
 
-    /// Tells the hub how far its narration is, where that is new or was told long ago.
+    /// Reports to the hub how far its narration is, if that has changed or the last report is old.
     fn say(&mut self, link: Option<&Link>, now_ns: u64) {
         let confirmed = self.relay.confirmed();
         let (Some(link), From::Hub { key }) = (link, &self.from) else { return };
@@ -297,7 +296,6 @@ mod tests {
 
     const S: u64 = 1_000_000_000;
 
-    /// A narrator with a port in a domain of its own.
     struct OneHub {
         narrator: Narrator,
         domain: Domain,
@@ -319,7 +317,7 @@ mod tests {
             Self { narrator: Narrator::new("hub", 1e6, from, port), domain, _folder: folder }
         }
 
-        /// Hears a narration that was sent at so many seconds of its hub's clock, with some of its keys changed; gives what goes to the daemon.
+        /// Hears a narration that its hub sent at `sent_s`, with some keys changed; returns the daemon's message.
         fn hear(&mut self, sequence: u64, (sent_s, now_s): (u64, u64), changed: Value) -> Option<NarrationV1> {
             let mut message = json!({
                 "epoch": Hex(9), "sequence": sequence, "first": 1, "age_ns": 0, "sent_ns": sent_s * S, "clock": Hex(1), "text": "They sit.",
@@ -331,7 +329,7 @@ mod tests {
         }
     }
 
-    /// A hub of a later version has a kind that this one does not know: that narration is lost, and not those behind it.
+    /// A hub of a later version may send an unknown kind: that narration is lost, but not the ones behind it.
     #[test]
     fn a_narration_of_an_unknown_form_is_passed_over_with_its_number() {
         let mut heard = OneHub::new("form");
@@ -354,7 +352,7 @@ mod tests {
             heard.hear(2 + passed_over, (3, 3), json!({})).map(|message| message.sequence),
             Some(2 + passed_over)
         );
-        // Without a number nothing can be passed over.
+        // A message without a number cannot be skipped.
         for changed in [json!({"sequence": "three"}), json!({"epoch": 7}), json!({"first": 0}), json!({"first": null})]
         {
             assert_eq!(heard.hear(3 + passed_over, (4, 4), changed.clone()), None, "{changed}");
@@ -362,7 +360,7 @@ mod tests {
         assert_eq!(heard.narrator.relay.confirmed().next, 3 + passed_over);
     }
 
-    /// How long a hub that narrates seldom is held up is known from its second message on.
+    /// If a hub narrates seldom, its delay is known from the second message on.
     #[test]
     fn the_first_message_of_a_start_says_how_fast_one_can_be() {
         let mut heard = OneHub::new("delay");

@@ -1,25 +1,25 @@
-//! The keys of a site and robot. A robot writes only below its own name, so that one rule of a router's access control says so.
+//! The keys of a site and robot. A robot writes only below its own name, so that one rule of a router's access control covers it.
 
-/// All robots and hubs of a site.
+/// The keys of one robot.
 #[derive(Debug, Clone)]
 pub struct Keys {
     base: String,
 }
 
 impl Keys {
-    /// Those of one robot.
+    /// Creates the keys of a robot.
     #[must_use]
     pub fn new(site: &str, robot: &str) -> Self {
         Self { base: format!("roomcast/{site}/{robot}") }
     }
 
-    /// What the robot tells: `scores`, `forecast`, `persons`, `decision`, `status`, `habits`.
+    /// A topic that the robot publishes: `scores`, `forecast`, `persons`, `decision`, `status`, `habits`.
     #[must_use]
     pub fn told(&self, topic: &str) -> String {
         format!("{}/told/{topic}", self.base)
     }
 
-    /// All that it tells.
+    /// All topics that the robot publishes.
     #[must_use]
     pub fn all_told(&self) -> String {
         format!("{}/told/**", self.base)
@@ -31,7 +31,7 @@ impl Keys {
         format!("{}/narration/{narrator}", self.base)
     }
 
-    /// How far the robot has a narrator's narration.
+    /// The robot's reports of how far it has a narrator's narration.
     #[must_use]
     pub fn confirmed(&self, narrator: &str) -> String {
         format!("{}/confirmed/{narrator}", self.base)
@@ -43,7 +43,7 @@ impl Keys {
         format!("{}/ask/{question}", self.base)
     }
 
-    /// The token that is there as long as the robot's bridge is.
+    /// The token that lives while the robot's bridge runs.
     #[must_use]
     pub fn alive(&self) -> String {
         format!("{}/alive", self.base)

@@ -1,5 +1,5 @@
-//! Roomcast beyond one machine, over zenoh. The robot's own path stays shared memory, and its daemon has no socket: this is a participant
-//! beside it.
+//! Connects Roomcast to other machines over zenoh. The robot itself uses shared memory, and its daemon has no socket: this bridge is a separate
+//! participant.
 //!
 //! ```text
 //! hub: lines -> spool -> [router] -> inward -> daemon            the hub keeps what the daemon has not confirmed

@@ -1,11 +1,11 @@
-//! Of each kind of complaint one in a while, and how many were held back. Kinds are apart, so that the one that comes most often hides no other.
+//! Lets one log message of each kind through per interval and counts the rest. A frequent kind hides no other kind.
 
 use std::collections::BTreeMap;
 
 /// Nanoseconds between two of a kind.
 const QUIET_NS: u64 = 5_000_000_000;
-/// Kinds that are told apart: others may make up as many as they like. Of more, those that were quiet for long are forgotten, and a new one waits
-/// for that.
+/// Most kinds. Other machines can cause any number. If the table is full, kinds that were quiet for long are forgotten; until then a new kind is not
+/// logged.
 const KINDS_MAX: usize = 16;
 
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ impl<K> Default for Limiter<K> {
 }
 
 impl<K: Ord> Limiter<K> {
-    /// Whether to log a message of this kind now, and then how many of it were held back since the last.
+    /// Whether to log a message of this kind now; if so, how many were suppressed since the last.
     pub fn pass(&mut self, kind: K, now_ns: u64) -> Option<u64> {
         if self.kinds.len() >= KINDS_MAX && !self.kinds.contains_key(&kind) {
             self.kinds.retain(|_, held| now_ns < held.next_ns);
@@ -49,7 +49,7 @@ impl<K: Ord> Limiter<K> {
 mod tests {
     use super::*;
 
-    /// What came twice a second took every turn, and the loss beside it was never told.
+    /// Regression: a complaint that came twice a second took every turn and hid a loss.
     #[test]
     fn a_complaint_hides_none_of_another_kind() {
         let mut log = Limiter::default();

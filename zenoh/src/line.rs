@@ -1,4 +1,4 @@
-//! A line of narration, read as every narrator reads it ([`roomcast_core::narration::line`]), as what goes to robots.
+//! Reads a line of narration as every narrator does ([`roomcast_core::narration::line`]), for sending to robots.
 
 use roomcast_core::ids::UnixNs;
 pub use roomcast_core::narration::line::LINE_BYTES_MAX;
@@ -11,15 +11,15 @@ use crate::wire::{Fault, Observation};
 pub struct Age {
     /// How long ago.
     pub age_ns: u64,
-    /// How far ahead its time lies: the clock of the input's machine is fast, and the event counts as observed now.
+    /// How far its time lies in the future: the clock of the input's machine is fast, and the event counts as observed now.
     pub ahead_ns: u64,
 }
 
-/// A line as an observation, and when it was.
+/// A line as an observation, with its age.
 ///
 /// # Errors
 ///
-/// [`Fault`] for what is no narration.
+/// [`Fault`] if the line is not narration.
 pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, Age), Fault> {
     let read = Line::read(text, &Who::Somebody).and_then(|line| line.observed_by(UnixNs(now_unix_ns)));
     let Line { kind, text, person, observed_unix_ns, count } = read.map_err(|error| Fault(error.to_string()))?;
@@ -31,7 +31,7 @@ pub fn line(text: &str, now_unix_ns: u64) -> Result<(Observation, Age), Fault> {
     Ok((observation, age))
 }
 
-/// The same of a line's bytes; none of a blank line.
+/// Reads a line's bytes as [`line()`] does; `None` for a blank line.
 ///
 /// # Errors
 ///
@@ -47,7 +47,7 @@ mod tests {
 
     use super::*;
 
-    /// The table that `roomcast narrate` is tested with, too.
+    /// `roomcast narrate` is tested with the same table.
     #[test]
     fn a_hub_takes_the_lines_that_a_narrator_takes() {
         let table: Vec<Value> = serde_json::from_str(include_str!("../../tests/data/lines.json")).unwrap();

@@ -1,4 +1,4 @@
-//! The way to the router: a client that listens nowhere, comes back by itself, and keeps nothing for who is away.
+//! The connection to the router: a client that does not listen, reconnects by itself, and queues nothing for absent peers.
 
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -15,36 +15,36 @@ use zenoh::{Config, Session, Wait};
 
 use crate::config::Router;
 
-/// A router that cannot be reached is tried again after so long.
+/// How often an unreachable router is tried again.
 const OPEN_AGAIN: Duration = Duration::from_secs(1);
-/// How often the connection is looked at.
+/// How often the connection is checked.
 const LOOK: Duration = Duration::from_millis(200);
-/// A session whose connection does not come back by itself is opened again.
+/// A session whose connection stays lost for this long is opened again.
 const REOPEN: Duration = Duration::from_secs(30);
-/// How long a look at a router's port takes at most, where no session comes about.
+/// Timeout of the check of a router's port after a failure.
 const LOOK_AT_PORT: Duration = Duration::from_secs(1);
-/// The same failure is told of once in so long.
+/// The same failure is logged once in this time.
 const QUIET: Duration = Duration::from_secs(60);
-/// How long a connection may be silent before it counts as cut. Each side says something four times in that.
+/// A connection that is silent for this long counts as cut. Each side sends four times in that period.
 const LEASE_MS: u64 = 5_000;
-/// More bytes of one message are dropped before they are put together, whoever sent them: zenoh's own bound is a gigabyte.
+/// Larger messages from any sender are dropped before they are put together: zenoh's own limit is a gigabyte.
 pub const MESSAGE_BYTES_MAX: usize = 2 << 20;
 
-/// Why there is no link.
+/// Why a link cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The configuration is none that zenoh takes.
+    /// zenoh refuses the configuration.
     #[error("router: {0}")]
     Config(zenoh::Error),
-    /// The system gives no thread.
+    /// The system refuses a thread.
     #[error("cannot start the thread of the link: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(io::Error),
 }
 
-/// What is declared at every session: subscribers, queryables and tokens, which hold as long as they are kept.
+/// Declares subscribers, queryables and tokens on each new session. They hold until they are dropped.
 pub type Declare = Box<dyn Fn(&Session) -> zenoh::Result<Vec<Box<dyn Any + Send>>> + Send>;
 
-/// A session and what was declared on it; dropped in this order.
+/// A session and its declarations, dropped in this order.
 struct Open {
     publishers: BTreeMap<String, Publisher<'static>>,
     _declared: Vec<Box<dyn Any + Send>>,
@@ -66,13 +66,13 @@ impl Shared {
     }
 }
 
-/// The link. Dropped, it leaves.
+/// A connection to a router. It closes when it is dropped.
 pub struct Link {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// zenoh's configuration of a client of one router.
+/// zenoh's configuration for a client of one router.
 ///
 /// # Errors
 ///
@@ -101,7 +101,7 @@ pub fn client(router: &Router) -> Result<Config, LinkError> {
 }
 
 impl Link {
-    /// Connects; a router that is away is waited for. `declare` is called at every new session.
+    /// Connects, and retries while the router is away. `declare` is called at every new session.
     ///
     /// # Errors
     ///
@@ -115,21 +115,19 @@ impl Link {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Whether a router is there.
+    /// Whether a router is connected.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.shared.connected.load(Ordering::Relaxed)
     }
 
-    /// How often a router was reached. What was put or said elsewhere while there was none has come to nobody, so that whoever sees another number
-    /// tells and asks again.
+    /// How often a router was reached. A message that was sent without a router is lost, so callers publish and ask again when this number changes.
     #[must_use]
     pub fn connections(&self) -> u64 {
         self.shared.connections.load(Ordering::Relaxed)
     }
 
-    /// Sends bytes to whoever listens now; whether they went out. What cannot go at once is dropped: nothing waits here for a router that is
-    /// away.
+    /// Sends bytes to the present subscribers; returns whether they went out. A message that cannot go at once is dropped.
     pub fn put(&self, key: &str, bytes: Vec<u8>) -> bool {
         if !self.is_connected() {
             return false;
@@ -138,7 +136,7 @@ impl Link {
         let Some(open) = open.as_mut() else { return false };
         if !open.publishers.contains_key(key) {
             let publisher = open.session.declare_publisher(key.to_owned());
-            // Each message goes out at once: batches would make it wait.
+            // Without batches, which would make a message wait.
             match publisher.congestion_control(CongestionControl::Drop).express(true).wait() {
                 Ok(publisher) => drop(open.publishers.insert(key.to_owned(), publisher)),
                 Err(_) => return false,
@@ -147,7 +145,7 @@ impl Link {
         open.publishers.get(key).is_some_and(|publisher| publisher.put(bytes).wait().is_ok())
     }
 
-    /// The session, where there is one, and its number.
+    /// The open session and its number.
     #[must_use]
     pub fn session(&self) -> Option<(u64, Session)> {
         let number = self.shared.sessions.load(Ordering::Relaxed);
@@ -178,7 +176,7 @@ fn turn(shared: &Shared, config: &Config, router: &str, declare: &Declare) {
                 *shared.open() = Some(open);
                 watch(shared, router);
                 shared.connected.store(false, Ordering::Relaxed);
-                // Taken out first: closing takes a while, and whoever sends must not wait for it.
+                // Taken out first: closing takes a while, and senders must not wait for it.
                 let open = shared.open().take();
                 drop(open);
             }
@@ -197,7 +195,7 @@ fn turn(shared: &Shared, config: &Config, router: &str, declare: &Declare) {
     }
 }
 
-/// Why there is no session, as far as a look at the port tells: zenoh says only that there is none.
+/// Why there is no session, from a check of the port: zenoh gives no reason.
 fn why(router: &str) -> Option<String> {
     let (protocol, address) = router.split_once('/')?;
     let reached = address.to_socket_addrs().and_then(|mut addresses| {
@@ -220,7 +218,6 @@ fn first_words(error: &str) -> String {
     error.split(" at /").next().unwrap_or_default().trim().to_owned()
 }
 
-/// Watches a session until it is to end.
 fn watch(shared: &Shared, router: &str) {
     let mut lost = None::<Instant>;
     while !shared.stop.load(Ordering::Relaxed) {

@@ -12,11 +12,11 @@ use roomcast_zenoh::stop::Stop;
 use roomcast_zenoh::{hub, robot, watch};
 use tracing_subscriber::EnvFilter;
 
-/// What went wrong is in the configuration.
+/// Exit code for a fault in the configuration.
 const CONFIG: u8 = 2;
-/// Something else went wrong.
+/// Exit code for any other fault.
 const FAILURE: u8 = 1;
-/// zenoh tells of every attempt to connect; the link says it once.
+/// zenoh logs every attempt to connect; the link logs a failure once.
 const LOG: &str = "info,zenoh=off";
 
 /// Roomcast beyond one machine, over zenoh: narration from hubs in, scores and decisions out (docs/fleet.md).
@@ -29,7 +29,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// On a robot: hears hubs, and tells what its daemon and planner say.
+    /// On a robot: receives narration from hubs and publishes what its daemon and planner say.
     Robot {
         #[command(flatten)]
         file: File,
@@ -69,7 +69,7 @@ struct File {
 }
 
 fn main() -> ExitCode {
-    // Before anything that takes much of the stack.
+    // This check comes before any code that needs much stack.
     match roomcast_ipc::limits::too_low() {
         Some(fault) => {
             let _told = writeln!(io::stderr(), "roomcast-zenoh: {fault}");
@@ -79,7 +79,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// A frame of its own: with a small stack it is not reached.
+/// A separate frame: with a small stack it is never entered.
 #[inline(never)]
 fn start() -> ExitCode {
     let arguments = Arguments::parse();
@@ -90,14 +90,13 @@ fn start() -> ExitCode {
     match run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err((code, error)) => {
-            // Where standard error is closed nobody is there to be told.
+            // Standard error may be closed.
             let _told = writeln!(io::stderr(), "roomcast-zenoh: {}", chain(error.as_ref()));
             ExitCode::from(code)
         }
     }
 }
 
-/// An error with its causes, in one line.
 fn chain(error: &dyn Error) -> String {
     let causes = std::iter::successors(error.source(), |cause| (*cause).source());
     causes.map(ToString::to_string).fold(error.to_string(), |said, cause| {
@@ -119,7 +118,7 @@ fn load(file: &File) -> Result<(Config, Stop), Failure> {
 
 fn run(command: Command) -> Result<(), Failure> {
     let code = |is_of_configuration| if is_of_configuration { CONFIG } else { FAILURE };
-    // A reader that has enough, as `head`, is no failure.
+    // A reader such as `head` may close the pipe early. That is not a failure.
     let print = |text: &str| match io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         printed => printed.map_err(failure),

@@ -1,69 +1,70 @@
-//! Whether another bridge or hub uses this one's name. Hubs and operators take two bridges of one name for one robot, and lines of a home reach
-//! both. The second one ends. Pure: time comes in as a number.
+//! Detects another bridge or hub with this one's name. Hubs and operators would take two such bridges for one robot, and lines of a home would reach
+//! both. The second one ends. No I/O: the time is an argument.
 
 use serde::Deserialize;
 use zenoh::sample::Sample;
 
 use crate::wire::{self, Hex};
 
-/// A message of a bridge that was killed a moment ago may still come in. A bridge that is heard for longer runs.
+/// A message of a bridge that was just killed may still arrive. A bridge that is heard for longer than this runs.
 const STAYS_NS: u64 = 2_000_000_000;
-/// The log says it once in this time.
+/// The log repeats the warning after this time.
 const QUIET_NS: u64 = 60_000_000_000;
 
-/// Which of two this one is.
+/// The order of two starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// It was there before the other one.
+    /// This one started before the other.
     First,
-    /// The other one was there before.
+    /// The other one started before.
     Second,
 }
 
-/// The start of a bridge that sends something.
+/// The start of a bridge, from one of its messages.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub struct Other {
     teller: Hex,
-    /// Counts its messages.
+    /// The number of the message.
     number: u64,
-    /// How long it has run; an earlier version does not say.
+    /// How long it has run. Earlier versions do not send this.
     up_ns: Option<u64>,
 }
 
 impl Other {
-    /// Whether it has spoken again since: what a router's storage repeats has the same number.
+    /// Whether this is a later message of the same start. A router's storage repeats old ones with the same number.
     #[must_use]
     pub fn speaks_after(&self, before: &Self) -> bool {
         self.teller == before.teller && self.number > before.number
     }
 }
 
-/// The start of a bridge that sends something.
+/// The sender of a message.
 #[must_use]
 pub fn teller(sample: &Sample) -> Option<Other> {
-    // More bytes are read by nobody.
+    // Longer messages are never read.
     let bytes = Some(sample.payload()).filter(|payload| payload.len() <= wire::BYTES_MAX)?.to_bytes();
     wire::read(&bytes).ok()
 }
 
-/// Listens for others of this robot's name.
+/// Listens for other bridges with this robot's name.
 #[derive(Debug)]
 pub struct Namesake {
     own: u64,
     started_ns: u64,
-    /// When another was heard first.
+    /// When another bridge was first heard.
     since_ns: Option<u64>,
     said_ns: Option<u64>,
 }
 
 impl Namesake {
-    /// None heard yet; `own` is the random number of this start.
+    /// Creates a listener. `own` is the random number of this start.
     #[must_use]
     pub fn new(own: u64, started_ns: u64) -> Self {
         Self { own, started_ns, since_ns: None, said_ns: None }
     }
 
-    /// The order of this start and another one that runs now; none for this start itself. An earlier version never ends by itself, so it counts as first.
+    /// The order of this start and another one that runs now; `None` for this start itself. An earlier version never ends by itself, so it counts as
+    /// first.
     #[must_use]
     pub fn judge(&self, other: Other, now_ns: u64) -> Option<Order> {
         let up_ns = now_ns.saturating_sub(self.started_ns);
@@ -71,7 +72,7 @@ impl Namesake {
         (other.teller.0 != self.own).then_some(if is_second { Order::Second } else { Order::First })
     }
 
-    /// Takes a message of this robot's name; gives the order, if another bridge runs and the log has not just said so.
+    /// Handles a message with this robot's name. Returns the order if another bridge runs and the log may say so.
     pub fn hear(&mut self, other: Other, now_ns: u64) -> Option<Order> {
         let order = self.judge(other, now_ns)?;
         let since_ns = *self.since_ns.get_or_insert(now_ns);
@@ -84,17 +85,17 @@ impl Namesake {
     }
 }
 
-/// Listens to a robot for another hub of this hub's name: the robot says which start it has heard last.
+/// Detects another hub with this hub's name: a robot reports the start that it heard last.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Rival {
-    /// The start that the robot had heard when this hub came.
+    /// The start that the robot had heard before this hub came.
     before: Option<u64>,
     is_heard: bool,
 }
 
 impl Rival {
-    /// Takes the start that a robot has heard last, 0 for none; gives the order, if another hub speaks. A start before this one, of a
-    /// hub that has lost its spool for instance, is heard no more once this one is.
+    /// Handles the start that a robot heard last, 0 for none. Returns the order if another hub speaks. An earlier start, for instance of a hub that
+    /// lost its spool, is not reported again once this one is.
     pub fn hear(&mut self, start: u64, own: u64) -> Option<Order> {
         let before = *self.before.get_or_insert(start);
         self.is_heard |= start == own;
@@ -123,7 +124,7 @@ mod tests {
         assert!(at(8, 200..201).is_empty(), "it may be the start before this one");
         assert!(at(7, 201..202).is_empty());
         assert_eq!(at(8, 201..300), [202, 262]);
-        // A third one, or another start of the second.
+        // A third bridge, or another start of the second.
         assert_eq!(at(9, 300..400), [322, 382]);
     }
 
@@ -138,7 +139,7 @@ mod tests {
         ] {
             assert_eq!(namesake.judge(heard, 200 * S), order, "{heard:?}");
         }
-        // Both started at once: the moment that a message takes makes neither the second.
+        // If both start at once, the delay of a message makes neither the second.
         assert_eq!(namesake.judge(other(8, 100), 200 * S + 1), Some(Order::First));
     }
 

@@ -1,14 +1,14 @@
-//! From the robot's services to whoever listens elsewhere, and to whoever asks later.
+//! Publishes the robot's services to other machines, and answers later queries for their last values.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, Node, PersonForecastsV1, RoomScoresV1, StatusResponseV1,
-    Subscriber, clock, decision_flags, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, Message, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags,
 };
+use roomcast_ipc::{Domain, IpcError, Node, Subscriber, clock, sequence};
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
@@ -22,17 +22,17 @@ use crate::stop::Stop;
 use crate::told::{self, Teller, Told};
 
 const TICK: Duration = Duration::from_millis(100);
-/// How often everybody hears that this robot is there and how silent its daemon is.
+/// How often the robot reports that it is there and how silent its daemon is.
 const STATUS: Duration = Duration::from_secs(1);
-/// How often the daemon is asked for its counters, and how long it has to answer.
+/// How often the daemon is asked for its counters, and its timeout.
 const ASK_AGAIN: Duration = Duration::from_secs(10);
 const PATIENCE: Duration = Duration::from_millis(200);
-/// Decisions for others, and for so long none for this robot, are a mistake in a name: of planners that start together each decides within seconds.
+/// If only decisions for other robots come for this long, a name is wrong: planners that start together decide within seconds.
 const STRANGERS_NS: u64 = 30_000_000_000;
-/// A daemon that was silent for so long is not asked.
+/// A daemon that is silent for this long is not asked.
 const SILENCE_NS: u64 = 2_000_000_000;
 
-/// The last value of each topic: for who joins later.
+/// The last value of each topic, for later subscribers.
 #[derive(Debug, Default)]
 pub struct Last {
     told: Mutex<BTreeMap<String, Told>>,
@@ -43,20 +43,20 @@ pub struct Last {
 }
 
 impl Last {
-    /// Nothing told yet.
+    /// Creates an empty store.
     #[must_use]
     pub fn new() -> Arc<Self> {
         let (start, clock, started_ns) = (sequence::random_epoch(), clock_id(), clock::monotonic_ns());
         Arc::new(Self { start, clock, started_ns, ..Self::default() })
     }
 
-    /// The random number of this start, which every message has.
+    /// The random number of this start, which is in every message.
     #[must_use]
     pub fn start(&self) -> u64 {
         self.start
     }
 
-    /// When this start was, by the monotonic clock.
+    /// When this bridge started, by the monotonic clock.
     #[must_use]
     pub fn started_ns(&self) -> u64 {
         self.started_ns
@@ -71,38 +71,38 @@ impl Last {
         Teller { start: self.start(), number, clock: self.clock, started_ns: self.started_ns }
     }
 
-    /// Keeps a topic's value for who asks later; gives its bytes of now.
+    /// Stores a topic's value for later queries; returns its bytes with its age of now.
     pub fn keep(&self, key: &str, told: Told) -> Vec<u8> {
         let bytes = told.bytes(self.teller());
         self.told().insert(key.to_owned(), told);
         bytes
     }
 
-    /// The bytes of now of a value that is kept.
+    /// The stored value's bytes with its age of now.
     #[must_use]
     pub fn again(&self, key: &str) -> Option<Vec<u8>> {
         self.told().get(key).map(|told| told.bytes(self.teller()))
     }
 
-    /// Answers a query with all values that it asks for, each with its age of now.
+    /// Answers a query with all matching values, each with its age of now.
     pub fn answer(&self, query: &Query) {
         for (key, told) in self.told().iter() {
             if let Ok(key) = KeyExpr::try_from(key.clone())
                 && query.key_expr().intersects(&key)
             {
-                // Whoever asked may have left.
+                // The asker may have left.
                 let _answered = query.reply(key, told.bytes(self.teller())).wait();
             }
         }
     }
 }
 
-/// A service whose newest message is told.
+/// A service whose newest message is published.
 struct Topic<M: Message> {
     port: Subscriber<M>,
     key: String,
     message: Box<M>,
-    /// Epoch, sequence and time of what was taken last, and when something was told.
+    /// Epoch, sequence and time of the last message, and when it was last published.
     said: Option<((u64, u64, u64), Instant)>,
 }
 
@@ -111,7 +111,7 @@ impl<M: Message> Topic<M> {
         Self { port, key, message: Box::default(), said: None }
     }
 
-    /// Takes all that waits; whether `message` is now another good one that `wanted` accepts.
+    /// Receives all waiting messages; returns whether `message` is now a new valid one that `wanted` accepts.
     fn take(&mut self, log: &mut Limiter, mut wanted: impl FnMut(&M) -> bool) -> Result<bool, IpcError> {
         let mut found = None;
         while let Some((checked, _)) = self.port.receive_from(&mut self.message)? {
@@ -132,12 +132,12 @@ impl<M: Message> Topic<M> {
     }
 }
 
-/// Whether the planner decides for a robot of another name than this one's. Pure: time comes in as a number.
+/// Detects that the planner decides only for robots with other names. No I/O: the time is an argument.
 #[derive(Debug, Default)]
 struct Strangers {
-    /// Since when planners of this domain decide for others.
+    /// Since when planners of this domain decide for other robots.
     since_ns: Option<u64>,
-    /// One decides for this robot, or it was said that none does.
+    /// A planner decides for this robot, or the warning was logged.
     is_settled: bool,
 }
 
@@ -147,7 +147,7 @@ impl Strangers {
         self.since_ns.get_or_insert(now_ns);
     }
 
-    /// Whether it is to be said now, which is once.
+    /// Whether to log the warning now, which happens once.
     fn are_alone(&mut self, now_ns: u64) -> bool {
         let says = !self.is_settled && self.since_ns.is_some_and(|since| now_ns.saturating_sub(since) >= STRANGERS_NS);
         self.is_settled |= says;
@@ -155,19 +155,18 @@ impl Strangers {
     }
 }
 
-/// What is told where.
 struct Mouth<'a> {
     link: Option<&'a Link>,
     last: &'a Last,
     repeat: Duration,
     connections: u64,
-    /// Everything is told again, whenever it was told: there is a new connection, and what was told without one has reached nobody.
+    /// There is a new connection: everything is published again, because messages without a connection were lost.
     again: bool,
 }
 
 impl Mouth<'_> {
-    /// Takes a topic's newest message: whoever asks gets it from now on. It is told where it follows from new scores or decisions; what the
-    /// service only says again is not.
+    /// Stores a topic's newest message for queries, and publishes it if it follows from new scores or decisions. Repetitions by the service are not
+    /// published.
     fn tell<M: Message>(&self, topic: &mut Topic<M>, name: (u64, u64, u64), told: impl FnOnce(&M) -> Told) {
         let before = topic.said.map(|(said, _)| said);
         if before == Some(name) {
@@ -183,14 +182,13 @@ impl Mouth<'_> {
         }
     }
 
-    /// Looks for a new connection.
     fn look(&mut self) {
         let connections = self.link.map_or(0, Link::connections);
         self.again = connections != self.connections;
         self.connections = connections;
     }
 
-    /// Tells again what has not changed for long: a heartbeat of the service is not needed for that.
+    /// Publishes values again that have not changed for long, even without a heartbeat of the service.
     fn repeat<M: Message>(&self, topic: &mut Topic<M>) {
         let Some((_, at)) = &mut topic.said else { return };
         if self.again || at.elapsed() >= self.repeat {
@@ -212,7 +210,7 @@ impl Mouth<'_> {
     }
 }
 
-/// Runs until asked to stop.
+/// Publishes until asked to stop.
 ///
 /// # Errors
 ///
@@ -227,7 +225,7 @@ pub fn run(
     let node = domain.open("roomcast-zenoh")?;
     let keys = Keys::new(&config.site.name, config.robot.key());
     let tell = &config.tell;
-    // Scores are followed in any case: they say that the daemon lives.
+    // Scores are always followed: they show that the daemon lives.
     let mut scores = Topic::<RoomScoresV1>::new(node.subscriber()?, keys.told("scores"));
     let mut forecast = topic::<ForecastV1>(&node, tell.forecast, keys.told("forecast"))?;
     let mut persons = topic::<PersonForecastsV1>(&node, tell.persons, keys.told("persons"))?;
@@ -240,7 +238,7 @@ pub fn run(
     let (mut asked, mut said, mut status) = (None::<Instant>, None::<Instant>, None::<StatusResponseV1>);
     while !stop.requested() {
         match &decision {
-            // A decision follows its scores by itself, and is not to wait for the next ones.
+            // A decision follows its scores after a while and must not wait for the next scores.
             Some(decision) => roomcast_ipc::wait_for_any(&[&scores.port, &decision.port], TICK)?,
             None => scores.port.wait(TICK)?,
         };
@@ -301,7 +299,6 @@ pub fn run(
     Ok(())
 }
 
-/// A topic, where it is told of.
 fn topic<M: Message>(node: &Node, wanted: bool, key: String) -> Result<Option<Topic<M>>, IpcError> {
     let port = wanted.then(|| node.subscriber()).transpose()?;
     Ok(port.map(|port| Topic::new(port, key)))
@@ -311,7 +308,8 @@ fn topic<M: Message>(node: &Node, wanted: bool, key: String) -> Result<Option<To
 mod tests {
     use std::sync::mpsc::channel;
 
-    use roomcast_ipc::{action, text};
+    use roomcast_ipc::raw::action;
+    use roomcast_ipc::text;
     use zenoh::Session;
 
     use super::*;
@@ -334,7 +332,6 @@ mod tests {
         assert!(told(&[]).is_empty(), "no planner runs");
     }
 
-    /// A router in this process, on a loopback port.
     fn router(port: u16) -> Session {
         let mut config = zenoh::Config::default();
         for (key, value) in [
@@ -348,8 +345,8 @@ mod tests {
         zenoh::open(config).wait().unwrap()
     }
 
-    /// What was decided while the connection was cut was told when it was to be repeated, up to an hour later. Until then the others went by the
-    /// room of before.
+    /// Regression: a decision made while the connection was cut was published only at the next repetition, up to an hour later. Until then the others
+    /// used the previous room.
     #[test]
     fn what_is_decided_while_the_connection_is_cut_is_told_when_it_is_back() {
         let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
@@ -384,7 +381,7 @@ mod tests {
                 let decision =
                     DecisionV1 { robot, epoch: 7, sequence, decided_ns, action: action::GO, to, ..Default::default() };
                 planner.send(&decision).unwrap();
-                // The service's history goes to who joins at a tick.
+                // A tick sends the service's history to new subscribers.
                 planner.tick().unwrap();
             };
             let next = |heard: &std::sync::mpsc::Receiver<String>| loop {

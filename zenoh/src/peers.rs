@@ -1,17 +1,15 @@
-//! What other robots of the site are told, as decisions in this robot's own domain: its planner, with `planner.avoid_robots`, enters no room of theirs.
-//! A robot that is not heard any more has no room: each goes on for itself.
+//! Receives other robots' decisions and repeats them in this robot's domain. With `planner.avoid_robots`, its planner does not enter their rooms. A
+//! robot that has fallen silent has no room.
 //!
-//! Such a decision says that it was decided elsewhere: no driver takes it for an order. And nothing is said of a robot whose planner decides in
-//! this domain. Planners hear that one themselves, and a bridge that hears it over the router alone would let them take its room when the router
-//! is away.
+//! Such a decision has a flag that it was decided elsewhere, so that no driver takes it for an order. If a robot's planner runs in this domain, its
+//! decisions are not repeated. Planners hear that one directly; if only the router carried them, a cut link would free its room.
 
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use roomcast_ipc::{
-    Action, DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
-};
+use roomcast_ipc::raw::{DecisionV1, Message, NAME_BYTES, action, decision_flags};
+use roomcast_ipc::{Action, Domain, IpcError, Sender, clock, sequence, text};
 use serde::Deserialize;
 use zenoh::query::Reply;
 use zenoh::sample::Sample;
@@ -25,38 +23,38 @@ use crate::link::Link;
 use crate::stop::Stop;
 use crate::wire::{self, Fault, Hex};
 
-/// Robots that are followed; more are not heard.
+/// Most robots that are followed. More are ignored.
 pub const PEERS_MAX: usize = 15;
-/// A robot that was silent for so long has left its room: it says something every second.
+/// A robot that is silent for this long has left its room. Robots send every second.
 const LEASE_NS: u64 = 3_500_000_000;
-/// Messages that wait; more are dropped, and follow within seconds.
+/// Most queued messages. More are dropped; new ones follow within seconds.
 const WAITING_MAX: usize = 64;
 const TICK: Duration = Duration::from_millis(100);
-/// What this domain's planners decided before comes within two of their ticks, and is known before anything is heard.
+/// Time in which the domain's history arrives. Planners send it within two ticks, and it is read before any peer's message.
 const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
-/// Robots of this domain that are known; of more, the one with the smallest number gives way.
+/// Most known robots of this domain. If there are more, the one with the smallest number is dropped.
 const HERE_MAX: usize = 64;
 const FULL: &str = "as many other robots are followed as can be: nobody keeps clear of it, nor of others like it";
 const LOST: &str = "other robots are not heard any more: their rooms are free for this one";
 
-/// The topics of a robot that are heard.
+/// The topics that are received from a robot.
 pub const TOPICS: [&str; 2] = ["decision", "status"];
 
-/// A message of a robot: its name in keys, what it is of, and its bytes.
+/// A robot's message: the robot's name in keys, the topic, and the bytes.
 pub struct Heard {
     robot: String,
     topic: String,
     bytes: Vec<u8>,
-    /// When it was received, by this machine's monotonic clock and by its wall clock.
+    /// When it was received, by this machine's monotonic and wall clocks.
     now_ns: u64,
     now_unix_ns: u64,
 }
 
-/// Where a subscriber puts what it hears.
+/// The end of the queue for subscribers.
 #[derive(Clone)]
 pub struct Ear(SyncSender<Heard>);
 
-/// Both ends of what waits to be looked at.
+/// Both ends of the queue.
 #[must_use]
 pub fn ear() -> (Ear, Receiver<Heard>) {
     let (to, heard) = sync_channel(WAITING_MAX);
@@ -64,7 +62,7 @@ pub fn ear() -> (Ear, Receiver<Heard>) {
 }
 
 impl Ear {
-    /// Takes a message of `roomcast/SITE/ROBOT/told/TOPIC`.
+    /// Queues a message of `roomcast/SITE/ROBOT/told/TOPIC`.
     pub fn take(&self, sample: &Sample) {
         let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
         if let [_, _, robot, _, topic] = parts[..]
@@ -77,7 +75,7 @@ impl Ear {
         }
     }
 
-    /// Asks for what was said before. Where that fails the session is at its end, and the next one is asked.
+    /// Queries earlier messages. A failure means that the session ends; the next session is asked again.
     fn ask(&self, session: &Session, site: &str) {
         for topic in TOPICS {
             let ear = self.clone();
@@ -87,7 +85,6 @@ impl Ear {
     }
 }
 
-/// What both messages have.
 #[derive(Deserialize)]
 struct Stamp {
     clock: Hex,
@@ -114,7 +111,7 @@ struct Peer {
     delay: Delay,
     heard_ns: u64,
     last: Option<DecisionV1>,
-    /// Its room was given up for it.
+    /// It fell silent, and its room was given up.
     silent: bool,
 }
 
@@ -124,24 +121,24 @@ struct Here {
     sender: Sender,
 }
 
-/// The other robots, as far as they are heard. Pure: time comes in as a number.
+/// The other robots that are heard. No I/O: the time is an argument.
 pub struct Peers {
     own: u64,
     /// The robots whose planners decide in this domain.
     here: BTreeMap<u64, Here>,
     peers: BTreeMap<String, Peer>,
-    /// It was said that there is no place for another one.
+    /// The log has said that there is no place for another robot.
     is_full: bool,
 }
 
 impl Peers {
-    /// None heard yet; `own` is this robot's name in keys.
+    /// Creates an empty table. `own` is this robot's name in keys.
     #[must_use]
     pub fn new(own: &str) -> Self {
         Self { own: sequence::source_of_name(own), here: BTreeMap::new(), peers: BTreeMap::new(), is_full: false }
     }
 
-    /// Takes a checked decision of this domain, and the port that it came by.
+    /// Records a checked decision of this domain, and its port.
     pub fn see(&mut self, decision: &DecisionV1, sender: Sender) {
         let DecisionV1 { robot, epoch, .. } = *decision;
         if decision.has(decision_flags::ELSEWHERE) {
@@ -151,25 +148,25 @@ impl Peers {
         if self.here.len() > HERE_MAX {
             self.here.pop_first();
         }
-        // It is heard here, so that nobody has to say when it is not heard there any more.
+        // The robot is heard here, so silence over the router must not be reported for it.
         self.peers.retain(|_, peer| peer.number != robot && peer.last.is_none_or(|last| last.epoch != epoch));
     }
 
-    /// Whether a robot of this number decides in this domain, or one whose planner has this start: its name in keys may be another. A planner that
-    /// has ended here may go on elsewhere.
+    /// Whether a robot with this number, or a planner with this start, decides in this domain: the robot may have another name in keys. A planner
+    /// that has ended here may go on elsewhere.
     fn is_here(&self, robot: u64, epoch: Option<u64>) -> bool {
         let is =
             |(number, here): (&u64, &Here)| (*number == robot || Some(here.epoch) == epoch) && here.sender.is_running();
         robot == self.own || self.here.iter().any(is)
     }
 
-    /// Takes a message; gives what the planner is to hear of it.
+    /// Handles a message; returns the decision for the planner, if any.
     ///
     /// # Errors
     ///
-    /// [`Fault`] for what is no message of a robot.
+    /// [`Fault`] if it is not a robot's message.
     pub fn hear(&mut self, heard: &Heard) -> Result<Option<DecisionV1>, Fault> {
-        // The message of a decision has the number alone, and two names can have one.
+        // The decision has only the number, and two names can have the same.
         let number = sequence::source_of_name(&heard.robot);
         if self.is_here(number, None) {
             return Ok(None);
@@ -183,7 +180,7 @@ impl Peers {
             return Ok(None);
         }
         if self.peers.len() >= PEERS_MAX && !self.peers.contains_key(&heard.robot) {
-            // One that has left gives its place.
+            // A robot that has left makes room.
             let Some(left) = self.peers.iter().find(|(_, peer)| peer.silent).map(|(robot, _)| robot.clone()) else {
                 let is_told = std::mem::replace(&mut self.is_full, true);
                 return if is_told { Ok(None) } else { Err(Fault(FULL.to_owned())) };
@@ -193,10 +190,10 @@ impl Peers {
         }
         let new = Peer { number, delay: Delay::default(), heard_ns: 0, last: None, silent: false };
         let peer = self.peers.entry(heard.robot.clone()).or_insert(new);
-        // What is not known yet counts as nothing: a room may be taken for longer than it is.
+        // An unknown delay counts as 0: a room may be avoided for too long.
         let excess_ns = peer.delay.excess_ns(stamp.clock.0, stamp.sent_ns, heard.now_ns).unwrap_or(0);
         if excess_ns >= LEASE_NS {
-            // It lay in a queue for longer than it may be believed.
+            // The message was queued for too long to be valid.
             return Ok(None);
         }
         if let (Some(own), Some(last)) = (&decision, peer.last)
@@ -218,7 +215,7 @@ impl Peers {
         Ok(Some(message))
     }
 
-    /// What the planner is to hear of robots that have fallen silent: they have no room any more.
+    /// Decisions that free the rooms of robots that have fallen silent.
     pub fn fallen_silent(&mut self, now_ns: u64) -> Vec<(String, Option<DecisionV1>)> {
         let silent = |peer: &Peer| !peer.silent && now_ns.saturating_sub(peer.heard_ns) > LEASE_NS;
         let fallen = self.peers.iter_mut().filter(|(_, peer)| silent(peer));
@@ -241,7 +238,7 @@ impl Peers {
         leave.collect()
     }
 
-    /// What holds of all robots that are heard. The service keeps the last message alone, so who joins has to be told of the others.
+    /// The valid decisions of all robots that are heard. The service keeps only the last message, so new subscribers need the others again.
     pub fn standing(&self) -> impl Iterator<Item = DecisionV1> {
         self.peers.values().filter(|peer| !peer.silent).filter_map(|peer| peer.last)
     }
@@ -256,7 +253,7 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
         decided_ns: heard.now_ns.saturating_sub(age_ns),
         decided_unix_ns: heard.now_unix_ns.saturating_sub(age_ns),
         stay_ns: decision.stay_ns,
-        // A later version may have more actions. This robot's planner then keeps clear of the room that the other robot is sent to.
+        // A later version may have more actions. This robot's planner then avoids the other robot's target room.
         action: Action::of_word(&decision.action).unwrap_or(Action::Stay).number(),
         flags: decision.flags | decision_flags::ELSEWHERE,
         probability: decision.probability,
@@ -272,7 +269,7 @@ fn message(heard: &Heard, robot: u64, decision: &Decision, age_ns: u64) -> Resul
     Ok(message)
 }
 
-/// Runs until asked to stop. `ear` is the other end of `heard`, for what was said before.
+/// Runs until asked to stop. `ear` is the other end of `heard`, for queried messages.
 ///
 /// # Errors
 ///
@@ -299,7 +296,7 @@ pub fn run(
             connections = link.connections();
             ear.ask(&session, &config.site.name);
         }
-        // What comes over the router was decided before, and what was decided here is here by then.
+        // Own decisions are read first: a message over the router was decided earlier.
         while let Some((checked, sender)) = here.receive_from(&mut own)? {
             if checked.is_ok() {
                 peers.see(&own, sender);
@@ -324,12 +321,12 @@ pub fn run(
                 decisions.send(&gone)?;
             }
         }
-        // Whoever makes up names makes up as many robots that fall silent.
+        // Made-up names cause any number of silent robots, so the log is limited.
         if !lost.is_empty() && losses.pass(LOST, clock::monotonic_ns()).is_some() {
             tracing::warn!(robots = lost.join(", "), "{LOST}");
             lost.clear();
         }
-        // Whoever has heard them takes them for no news, and who comes as others go has not.
+        // Present subscribers ignore repetitions; new ones need them.
         if decisions.tick()? {
             for decision in peers.standing() {
                 decisions.send(&decision)?;
@@ -372,7 +369,7 @@ mod tests {
         told::decision(&decided(sequence, to)).bytes(Teller { start: 1, number: sequence, clock: 1, started_ns: 0 })
     }
 
-    /// All that another robot's planner says of its decision is known here: a probability of 0 was said that nobody had told.
+    /// Every field of another robot's decision arrives. Regression: an unknown probability arrived as 0.
     #[test]
     fn a_decision_is_in_this_domain_what_it_was_in_its_own() {
         let own = decided(3, "kitchen");
@@ -384,7 +381,7 @@ mod tests {
         assert_eq!(decision, DecisionV1 { robot, robot_name, decided_ns, decided_unix_ns, flags, minor, ..own });
     }
 
-    /// The service keeps one message: a planner that joined knew the room of one robot, and went into another's.
+    /// Regression: the service keeps one message, so a new planner knew one robot's room and entered another's.
     #[test]
     fn who_joins_hears_of_every_robot() {
         let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
@@ -404,11 +401,11 @@ mod tests {
             scope.spawn(move || run(config, domain, None, (ear, &heard_here), stop).unwrap());
             let _ends = stop.at_end();
             let node = domain.open("planner").unwrap();
-            // This one's planner is in this domain.
+            // This robot's planner is in this domain.
             let here = node.publisher().unwrap();
             let robot_5 = sequence::source_of_name("robot-5");
             here.send(&DecisionV1 { robot: robot_5, epoch: 8, ..decided(1, "study") }).unwrap();
-            // The second one comes after all was said.
+            // The second planner joins after all messages were sent.
             for _ in 0..2 {
                 let planner = node.subscriber::<DecisionV1>().unwrap();
                 let mut rooms = std::collections::BTreeSet::new();
@@ -420,7 +417,6 @@ mod tests {
                         }
                     }
                     here.tick().unwrap();
-                    // Robots that are there say so.
                     for robot in ["robot-2", "robot-3", "robot-4"] {
                         let status = told::status(robot, None, None).bytes(Teller {
                             start: 1,
@@ -455,14 +451,14 @@ mod tests {
         let gone = peers.fallen_silent(now_ns + 4 * S).remove(0).1.unwrap();
         assert_eq!((gone.action, gone.to(), gone.sequence), (action::PAUSE, "", 1));
         assert!(peers.fallen_silent(now_ns + 9 * S).is_empty(), "said once");
-        // It comes back with what it was told last.
+        // It comes back with its last decision.
         let status = told::status("robot-2", None, None).bytes(Teller { start: 1, number: 3, clock: 1, started_ns: 0 });
         let back = peers.hear(&heard("robot-2", "status", status, now_ns + 1)).unwrap().unwrap();
         assert_eq!((back.to(), back.action), ("kitchen", action::GO));
     }
 
-    /// Two robots in one domain, each with a bridge: when the router was cut, each bridge said in the other robot's name that it pauses. Its vacuum
-    /// went home, and its room was taken.
+    /// Regression: with two robots in one domain, a cut router made each bridge report a pause for the other robot. Its vacuum went home, and its
+    /// room was taken.
     #[test]
     fn nothing_is_said_of_a_robot_whose_planner_is_in_this_domain() {
         let now_ns = clock::monotonic_ns();
@@ -480,7 +476,7 @@ mod tests {
         for robot in ["robot-2", "key-of-2"] {
             assert_eq!(peers.hear(&heard(robot, "decision", told(2, "hall"), now_ns)).unwrap(), None, "{robot}");
         }
-        // Nor is anything taken of it for which somebody makes up another start.
+        // A message with a made-up start does not count either.
         let made_up = other(told(3, "hall")).into_bytes();
         assert_eq!(peers.hear(&heard("robot-2", "decision", made_up, now_ns)).unwrap(), None);
         // A planner that has ended here may have been started elsewhere.
@@ -490,7 +486,7 @@ mod tests {
         assert!(peers.hear(&heard("robot-2", "decision", told(4, "hall"), now_ns)).unwrap().is_some());
     }
 
-    /// Who joins asks for what was told before: both clocks date it by its age.
+    /// A new bridge queries earlier messages. Both clocks date them by their ages.
     #[test]
     fn a_decision_of_before_is_dated_by_both_clocks() {
         let decided = String::from_utf8(told(1, "hall")).unwrap();
@@ -514,7 +510,7 @@ mod tests {
         let faults: Vec<_> = all.filter_map(Result::err).collect();
         assert!(matches!(&faults[..], [Fault(fault)] if fault == FULL), "{faults:?}");
         assert!(peers.peers.len() <= PEERS_MAX);
-        // Those that have left give their places to others.
+        // Robots that have left make room for others.
         assert_eq!(peers.fallen_silent(60 * S).len(), PEERS_MAX);
         let newcomer = peers.hear(&heard("newcomer", "decision", told(1, "hall"), 60 * S)).unwrap();
         assert_eq!(newcomer.map(|decision| decision.to().to_owned()).as_deref(), Some("hall"));

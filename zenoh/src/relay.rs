@@ -1,47 +1,47 @@
-//! A narrator elsewhere on its way to the daemon: what is taken from it, what is under way, and how far it is confirmed. Pure: time comes
-//! in as a number.
+//! One narrator's narration on its way to the daemon: accepted, sent, confirmed. No I/O: the time is an argument.
 //!
-//! A number is taken once, and after the one before it. Whatever else comes, the narrator sends again from the number that is expected, so
-//! that a link may lose and repeat what it likes. Each start of a narrator has numbers of its own: who speaks in its name, a second hub for
-//! instance, does not hold it up. Of many starts at once some wait until others are confirmed, since the daemon follows so many alone.
+//! A number is accepted once, directly after its predecessor. The narrator resends everything else from the expected number, so a link may lose and
+//! repeat messages. Each start of a narrator has its own numbers: another sender with its name, such as a second hub, does not block it. If many
+//! starts send at once, some wait until others are confirmed, since the daemon follows only a few.
 //!
-//! The daemon says of a start up to which number it has dealt with it, and how many of these it has accepted. What it has not accepted counts as
-//! refused: a sentence that is too long for a window, say. What is above its rate it neither deals with nor takes anything behind it, of a narrator
-//! that it knows as relayed: that is given to it again, and more slowly from then on.
+//! The daemon reports, for each start, the number up to which it has processed narrations, and how many of them it accepted. The others count as
+//! refused, for instance a sentence that is too long for a window. If a relayed narrator exceeds its rate, the daemon stops at that number: the
+//! narrations are sent again, at half the pace.
 
 use std::collections::{BTreeSet, VecDeque};
 
-use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
+use roomcast_ipc::raw::{IncludedV1, Message, NarrationV1, RoomScoresV1};
+use roomcast_ipc::sequence;
 
-// By `super`, so that the daemon's tests can have this file, too.
+// By `super`, so that the daemon's tests can include this file.
 use super::delay::Delay;
 use super::wire::{Confirmed, Hex};
 
-/// Narrations that the daemon has not confirmed: what the service's history holds for a daemon that restarts.
+/// Most narrations that the daemon has not confirmed: the service's history holds as many for a restarted daemon.
 pub const UNDER_WAY_MAX: usize = NarrationV1::SERVICE.history;
-/// Narrations that wait for that.
+/// Most narrations that wait behind those.
 pub const WAITING_MAX: usize = 64;
-/// Starts with narrations under way: as many of one port as the daemon follows. What it follows no more it never confirms.
+/// Most starts with unconfirmed narrations. The daemon follows this many per port and never confirms others.
 pub const STARTS_UNDER_WAY_MAX: usize = 8;
-/// What the daemon has not confirmed for so long is given to it again: it may have been above a limit, or lost with a port.
+/// Unconfirmed narrations are sent again after this time: they may have exceeded a limit, or were lost with a port.
 const AGAIN_NS: u64 = 5_000_000_000;
-/// A pace that was too fast for the daemon is half of it, and after so long without that the double.
+/// A pace that was too fast is halved. After this time without a repetition it doubles.
 const RECOVERS_S: f64 = 60.0;
 /// The slowest pace.
 const SLOWEST_PER_S: f64 = 0.2;
-/// Starts that stay known, so that a delayed message of one is not taken again.
+/// Starts that stay known, so that a delayed message of one is not accepted again.
 const STARTS_MAX: usize = 9;
 
-/// What becomes of a narration that was heard.
+/// The verdict on a narration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Offered {
-    /// It is the next one.
+    /// It is the next one and was accepted.
     Taken,
-    /// It was taken before.
+    /// It was accepted before.
     Again,
-    /// Others have to come before it.
+    /// Others must come before it.
     Early,
-    /// There is no room for it now.
+    /// The queue is full.
     Full,
 }
 
@@ -49,46 +49,46 @@ pub enum Offered {
 #[derive(Debug)]
 struct Start {
     epoch: u64,
-    /// The number expected next.
+    /// The expected number.
     next: u64,
-    /// How many were no narration.
+    /// How many were not narration.
     passed_over: u64,
     tally: Tally,
     delay: Delay,
 }
 
-/// What a daemon said of a start when counting began.
+/// A daemon's report on a start when counting began.
 #[derive(Debug, Clone, Copy)]
 struct Since {
     daemon: u64,
-    /// Up to this number it had dealt with it: what comes again of that is not counted again.
+    /// The daemon had processed the numbers up to this one, so they are not counted again.
     sequence: u64,
     accepted: u64,
 }
 
-/// How many of a start's narrations the daemon has dropped.
+/// Counts a start's narrations that the daemon dropped.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
-    /// What it had said when counting began; none until it says something.
+    /// The report when counting began; `None` before the first report.
     since: Option<Since>,
-    /// Narrations of those behind that which it has dealt with.
+    /// Narrations after that report that the daemon has processed.
     dealt_with: u64,
-    /// Of these, how many it has dropped, as it says now.
+    /// How many of them the daemon dropped, by its last report.
     dropped: u64,
-    /// Those of daemons before it.
+    /// Narrations that earlier daemons dropped.
     before: u64,
 }
 
 impl Tally {
-    /// Takes note of what a daemon says of a start, and of the numbers that it has dealt with by that.
+    /// Handles a daemon's report on a start. `dealt_with` are the newly processed numbers.
     fn take(&mut self, daemon: u64, included: &IncludedV1, dealt_with: &[u64]) {
         match self.since {
             Some(since) if since.daemon == daemon => {
                 self.dealt_with += dealt_with.iter().filter(|sequence| **sequence > since.sequence).count() as u64;
-                // It may name what it drops before what it accepted earlier, so this can become less.
+                // The daemon may report a drop before an earlier acceptance, so the count can decrease.
                 self.dropped = self.dealt_with.saturating_sub(included.accepted.saturating_sub(since.accepted));
             }
-            // One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
+            // A restarted daemon may know less, so all that it processed counts as accepted.
             _ => {
                 let before = self.dropped();
                 let since = Since { daemon, sequence: included.sequence, accepted: included.accepted };
@@ -102,26 +102,25 @@ impl Tally {
     }
 }
 
-/// One narrator.
+/// The relay of one narrator.
 #[derive(Debug)]
 pub struct Relay {
     source: u64,
-    /// Whichever was heard last is the last one.
+    /// The start that was heard last is at the end.
     starts: VecDeque<Start>,
     waiting: VecDeque<NarrationV1>,
     under_way: VecDeque<NarrationV1>,
-    /// What the daemon said last of the starts that it names, and which daemon.
+    /// The daemon, and its last report on each start that it named.
     named: Option<(u64, Vec<IncludedV1>)>,
-    /// Since when what is under way has waited: the first of it was sent, some of it was confirmed, or all was given again. What is sent beside
-    /// it does not put off giving it again.
+    /// When the oldest unconfirmed narration was sent, some were confirmed, or all were sent again. Other sends do not postpone a repetition.
     moved_ns: u64,
-    /// How often in a row all that is under way was sent again.
+    /// Repetitions of all unconfirmed narrations in a row.
     repeats: u32,
     pace: Pace,
 }
 
 impl Relay {
-    /// Nothing heard yet.
+    /// Creates an empty relay.
     #[must_use]
     pub fn new(narrator: &str, rate_per_s: f64) -> Self {
         Self {
@@ -136,7 +135,7 @@ impl Relay {
         }
     }
 
-    /// Whether a narration of this name would be taken now.
+    /// Whether a narration would be accepted now.
     fn judge(&self, epoch: u64, sequence: u64, first: u64) -> Offered {
         let next = self.starts.iter().find(|start| start.epoch == epoch).map(|start| start.next);
         if next.is_some_and(|next| sequence < next) {
@@ -144,7 +143,7 @@ impl Relay {
         } else if sequence != next.map_or(first, |next| next.max(first))
             || next.is_some_and(|next| sequence - next > sequence::JUMP_MAX)
         {
-            // The daemon takes no larger jump either.
+            // The daemon does not accept a larger jump either.
             Offered::Early
         } else if self.waiting.len() >= WAITING_MAX {
             Offered::Full
@@ -153,11 +152,11 @@ impl Relay {
         }
     }
 
-    /// Takes a narration, if it is the next one of its start. `first` is the first number that its narrator can still send; `message` is
-    /// what the daemon gets of it, none where it is no narration.
+    /// Accepts a narration if it is the next one of its start. `first` is the first number that its narrator can still send. `message` goes to the
+    /// daemon; it is `None` if the narration is invalid.
     pub fn offer(&mut self, epoch: u64, sequence: u64, first: u64, message: Option<NarrationV1>) -> Offered {
         let offered = self.judge(epoch, sequence, first);
-        // Whoever is heard is answered.
+        // Every start that is heard gets a report.
         let known = self.starts.iter().position(|start| start.epoch == epoch);
         let mut start = match known.and_then(|place| self.starts.remove(place)) {
             Some(start) => start,
@@ -180,7 +179,7 @@ impl Relay {
         offered
     }
 
-    /// Of a start that was not known: a daemon that does not name it has accepted nothing of it yet.
+    /// The tally of a new start. A daemon that does not name it has accepted none of its narrations yet.
     fn tally(&self, epoch: u64) -> Tally {
         let since = self.named.as_ref().map(|(daemon, named)| {
             let known = named.iter().find(|included| included.epoch == epoch);
@@ -190,7 +189,7 @@ impl Relay {
         Tally { since, ..Tally::default() }
     }
 
-    /// How much longer than the fastest of its start a message took ([`Delay::excess_ns`]); none where that is not known.
+    /// How much longer a message took than the fastest of its start ([`Delay::excess_ns`]); `None` if that is unknown.
     pub fn excess_ns(&mut self, epoch: u64, clock: u64, sent_ns: u64, now_ns: u64) -> Option<u64> {
         let start = self.starts.iter_mut().find(|start| start.epoch == epoch)?;
         start.delay.excess_ns(clock, sent_ns, now_ns)
@@ -210,13 +209,13 @@ impl Relay {
         Some(message)
     }
 
-    /// Whether the daemon would follow another start no more for this one, of which something is under way.
+    /// Whether sending for this start would make the daemon forget another one with unconfirmed narrations.
     fn would_be_forgotten(&self, epoch: u64) -> bool {
         let starts: BTreeSet<u64> = self.under_way.iter().map(|sent| sent.epoch).collect();
         starts.len() >= STARTS_UNDER_WAY_MAX && !starts.contains(&epoch)
     }
 
-    /// What is under way, where the daemon has been silent about it for long; `alive` is whether it says anything at all.
+    /// All unconfirmed narrations, if the daemon has not confirmed any for long. `alive` says whether the daemon is heard.
     pub fn again(&mut self, now_ns: u64, alive: bool) -> Vec<NarrationV1> {
         if self.under_way.is_empty() || !alive || now_ns.saturating_sub(self.moved_ns) < AGAIN_NS {
             return Vec::new();
@@ -227,13 +226,13 @@ impl Relay {
         self.under_way.iter().copied().collect()
     }
 
-    /// How often in a row the daemon has not taken what was sent again.
+    /// Repetitions in a row that the daemon did not accept.
     #[must_use]
     pub fn repeats(&self) -> u32 {
         self.repeats
     }
 
-    /// Takes note of what checked scores contain. Gives how many more narrations the daemon has dropped.
+    /// Handles checked scores. Returns how many more narrations the daemon has dropped.
     pub fn confirm(&mut self, scores: &RoomScoresV1, now_ns: u64) -> u64 {
         let own = scores.included().iter().filter(|included| included.source == self.source);
         let named: Vec<IncludedV1> = own.copied().collect();
@@ -257,7 +256,7 @@ impl Relay {
         dropped
     }
 
-    /// How far the narrator's narration has come.
+    /// The report to the narrator.
     #[must_use]
     pub fn confirmed(&self) -> Confirmed {
         let Some(Start { epoch, next, passed_over, tally, .. }) = self.starts.back() else {
@@ -270,12 +269,12 @@ impl Relay {
     }
 }
 
-/// So many a second over time, and a second's worth at once; fewer where that was too fast for the daemon.
+/// A rate with one second's worth of burst. It slows down if the daemon cannot follow.
 #[derive(Debug)]
 struct Pace {
     most_per_s: f64,
     rate_per_s: f64,
-    /// When that changed last.
+    /// When the rate last changed.
     changed_ns: u64,
     tokens: f64,
     at_ns: u64,
@@ -310,7 +309,7 @@ impl Pace {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::IncludedV1;
+    use roomcast_ipc::raw::IncludedV1;
 
     use super::*;
 
@@ -343,7 +342,7 @@ mod tests {
         assert_eq!(relay.confirmed(), Confirmed { epoch: Hex(9), next: 3, confirmed: 0, refused: 1 });
         relay.confirm(&scores(9, 1), 1);
         assert_eq!(relay.confirmed().confirmed, 2);
-        // What the narrator cannot send any more is not waited for.
+        // Numbers that the narrator cannot send any more are skipped.
         assert_eq!(relay.offer(9, 8, 7, message(9, 8)), Offered::Early);
         assert_eq!(relay.offer(9, 7, 7, message(9, 7)), Offered::Taken);
     }
@@ -357,13 +356,13 @@ mod tests {
         assert_eq!((relay.send(0).unwrap().epoch, relay.send(0).unwrap().epoch), (9, 10), "in the order they came");
         relay.confirm(&scores(10, 1), 1);
         assert_eq!(relay.again(2 * AGAIN_NS, true).len(), 1, "the first start's is still under way");
-        // A second hub of its name, or a stranger, does not hold it up.
+        // A second hub with this name, or an unknown sender, does not block it.
         assert_eq!(relay.offer(u64::MAX, u64::MAX, u64::MAX, message(u64::MAX, u64::MAX)), Offered::Taken);
         assert_eq!(relay.confirmed().epoch, Hex(u64::MAX));
         assert_eq!(relay.offer(9, 3, 2, message(9, 3)), Offered::Early);
         assert_eq!((relay.confirmed().epoch, relay.confirmed().next), (Hex(9), 2), "it is told where it is");
         assert_eq!(relay.offer(9, 2, 2, message(9, 2)), Offered::Taken);
-        // Nor does a jump in its own name.
+        // A jump in its own name does not block it either.
         assert_eq!(relay.offer(9, u64::MAX, u64::MAX, None), Offered::Early);
         assert_eq!(relay.offer(9, 3, 2, message(9, 3)), Offered::Taken);
         for epoch in 100..200 {
@@ -417,22 +416,22 @@ mod tests {
             }
             while relay.send(0).is_some() {}
         };
-        // It lives, and names others.
+        // The daemon is alive and names other starts.
         assert_eq!(relay.confirm(&accepted(1, 8, 5, 5), 1), 0);
         say(&mut relay, 1..=10);
         assert_eq!(relay.confirm(&accepted(1, 9, 4, 4), 1), 0);
-        // Three of the next six it did not take, and says it again.
+        // It dropped three of the next six, and reports that twice.
         assert_eq!(relay.confirm(&accepted(1, 9, 10, 7), 1), 3);
         assert_eq!(relay.confirm(&accepted(1, 9, 10, 7), 1), 0);
         assert_eq!(relay.confirmed(), Confirmed { epoch: Hex(9), next: 11, confirmed: 10, refused: 3 });
-        // What was passed over here never reached it.
+        // Narrations that were skipped here never reached it.
         assert_eq!(relay.offer(9, 11, 1, None), Offered::Taken);
         say(&mut relay, 12..=13);
-        // One that was too long is named before one that was accepted earlier.
+        // An overlong one is reported before one that was accepted earlier.
         assert_eq!(relay.confirm(&accepted(1, 9, 13, 7), 1), 2);
         assert_eq!(relay.confirm(&accepted(1, 9, 13, 8), 1), 0);
         assert_eq!(relay.confirmed().refused, 5);
-        // A daemon that starts again counts in its own way; a bridge that does takes over what the daemon had accepted.
+        // A restarted daemon counts from its own start. A restarted bridge takes over the daemon's count.
         say(&mut relay, 14..=15);
         assert_eq!(relay.confirm(&accepted(2, 9, 15, 13), 1), 0);
         say(&mut relay, 16..=17);
@@ -462,13 +461,13 @@ mod tests {
             assert!(relay.send(now_ns).is_some());
         }
         assert_eq!(relay.pace.rate_per_s, 100.0);
-        // One that is configured slower than that is none the faster.
+        // A slower configured rate stays as it is.
         let mut slow = Pace::new(0.1);
         slow.slow_down(S);
         assert_eq!(slow.rate_per_s, 0.1);
     }
 
-    /// A daemon that has refused one waits for it, so that it must come again while others are sent.
+    /// After a refusal the daemon waits for that number, so it must be repeated while others are sent.
     #[test]
     fn what_waits_is_given_again_while_others_are_sent() {
         const S: u64 = 1_000_000_000;

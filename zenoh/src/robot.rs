@@ -1,4 +1,4 @@
-//! The bridge of a robot: its threads, and what it declares at a router.
+//! The bridge of a robot: its threads, and its declarations at a router.
 
 use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,7 +24,7 @@ use crate::{ask, habits, inward, peers, ros2, understood};
 
 const NAMESAKE: &str = "another bridge uses this robot's name; this one was first, and the other one ends: give each robot of the site a name of \
     its own (robot.key, else robot.name)";
-/// How long other bridges of this robot's name have to answer. One that was killed a moment ago does not.
+/// Time for other bridges of this robot's name to answer. A bridge that was just killed does not answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why a bridge ends.
@@ -33,7 +33,7 @@ pub enum BridgeError {
     /// The configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The way to the router.
+    /// The connection to the router.
     #[error(transparent)]
     Link(#[from] LinkError),
     /// A service of the robot.
@@ -42,7 +42,7 @@ pub enum BridgeError {
     /// ROS 2.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
-    /// Another bridge was here first.
+    /// Another bridge with this name was first.
     #[error(
         "another bridge uses the robot's name {0:?} at this site, and was first: give each robot of the site a name of its own (robot.key, else robot.name), or end the other one"
     )]
@@ -50,13 +50,13 @@ pub enum BridgeError {
     /// A thread.
     #[error("the program has a fault: its thread {0} has ended by a panic, which the log has")]
     Panic(String),
-    /// The system gives no thread.
+    /// The system refuses a thread.
     #[error("cannot start a thread: {0}; {limit}", limit = roomcast_ipc::limits::on_threads())]
     Thread(std::io::Error),
 }
 
 impl BridgeError {
-    /// Whether the configuration is at fault, or a file that it names: starting again is of no use then.
+    /// Whether the configuration or a file in it is at fault. A restart does not help then.
     #[must_use]
     pub fn is_of_configuration(&self) -> bool {
         match self {
@@ -72,7 +72,7 @@ impl BridgeError {
 ///
 /// # Errors
 ///
-/// [`BridgeError`]; a router that is away is none.
+/// [`BridgeError`]. A router that is away is no error.
 pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     config.check_robot()?;
     let domain = config.domain()?;
@@ -80,7 +80,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let (ear, heard) = inward::ear();
     let (asking, asked) = sync_channel(ask::WAITING_MAX);
     let (wanting, wanted) = understood::queue();
-    // A narrator's number is its place; ROS 2's comes behind the hubs'.
+    // A hub's number is its place in the list; ROS 2 comes behind the hubs.
     let ros2_ear = config.ros2.narration.then(|| (config.narrator.len(), ear.clone()));
     let (peer_ear, peers_heard) = peers::ear();
     let site = !config.router.connect.is_empty();
@@ -95,12 +95,12 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     let peer_ear = &peer_ear;
     let ended = thread::scope(|scope| {
         let start = |name: &str| thread::Builder::new().name(name.to_owned());
-        // Those that run already have to end, too.
+        // Threads that run already must end too.
         let failed = |error| {
             stopper.request();
             BridgeError::Thread(error)
         };
-        // Whichever ends ends the others.
+        // If one thread ends, all end.
         let domain = &domain;
         let inward = move || {
             let _ends = stopper.at_end();
@@ -158,7 +158,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
             None => None,
         };
         notify(&[NotifyState::Ready]);
-        // It says that it lives for as long as narration is moved, too.
+        // The watchdog is fed only while narration is forwarded.
         let alive = || {
             if !inward.is_finished() {
                 notify(&[NotifyState::Watchdog]);
@@ -179,7 +179,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), BridgeError> {
     ended
 }
 
-/// Ends this bridge if another one of its name was here first.
+/// Ends this bridge if another one with its name was first.
 #[derive(Debug, Clone)]
 struct Second {
     found: Arc<AtomicBool>,
@@ -193,13 +193,12 @@ impl Second {
     }
 }
 
-/// How a thread ended, once it has.
 fn ended(thread: thread::ScopedJoinHandle<'_, Result<(), IpcError>>) -> Result<(), BridgeError> {
     let name = thread.thread().name().unwrap_or_default().to_owned();
     thread.join().map_err(|_| BridgeError::Panic(name))?.map_err(BridgeError::Ipc)
 }
 
-/// Tells systemd; without it this does nothing.
+/// Notifies systemd, if it runs this program.
 pub(crate) fn notify(state: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(state) {
         tracing::debug!(%error, "systemd cannot be notified");
@@ -218,7 +217,7 @@ fn declare(
     Box::new(move |session: &Session| {
         let keys = Keys::new(&config.site.name, config.robot.key());
         let mut declared: Vec<Box<dyn Any + Send>> = Vec::new();
-        // Before any line reaches it.
+        // This check comes before any line reaches the bridge.
         let namesake = Namesake::new(last.start(), last.started_ns());
         let ask = || -> zenoh::Result<Vec<Other>> {
             let replies = session.get(keys.told("status")).timeout(PATIENCE).wait()?;
@@ -263,7 +262,7 @@ fn declare(
                 declared.push(Box::new(session.declare_subscriber(&key).callback(take).wait()?));
             }
         }
-        // Last: whoever sees it may ask.
+        // The token is last: a peer that sees it may ask at once.
         declared.push(Box::new(session.liveliness().declare_token(keys.alive()).wait()?));
         Ok(declared)
     })

@@ -1,4 +1,4 @@
-//! A clean stop on ctrl-C and on a termination signal; one more, from somebody who has waited, ends at once. As the robot's programs do.
+//! A clean stop on SIGINT or SIGTERM, as in the robot's programs. A second signal ends the process at once.
 
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
@@ -10,33 +10,32 @@ use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
 use signal_hook::low_level::{self, pipe};
 
-/// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
+/// Signals closer together are one request: `timeout` and terminals signal a process and then its group.
 const SAME_REQUEST: Duration = Duration::from_millis(500);
 /// The exit code after a second request.
 const SECOND: i32 = 130;
 
-/// Whether somebody has asked this process to stop.
+/// Whether this process was asked to stop.
 #[derive(Debug, Clone, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// One that SIGINT and SIGTERM set; a further signal half a second later or more ends the process at once.
+    /// Set by SIGINT and SIGTERM. A further signal, half a second later or more, ends the process at once.
     ///
     /// # Errors
     ///
     /// When the system refuses the handlers, or the thread that waits for further signals.
     pub fn on_signals() -> io::Result<Self> {
         let stop = Self::default();
-        // Where a limit on files' sizes is reached the call fails, as on a full disk; without a handler the signal would end the process.
+        // Without a handler, the signal for a reached file size limit would end the process. With one, the write fails as on a full disk.
         flag::register(SIGXFSZ, Arc::default())?;
-        // A byte for each signal.
         let (mut signals, given) = UnixStream::pair()?;
         for signal in [SIGINT, SIGTERM] {
             flag::register(signal, Arc::clone(&stop.0))?;
             pipe::register(signal, given.try_clone()?)?;
         }
         let wait = move || {
-            // Kept, so that there is an end to read from whatever becomes of the handlers.
+            // Kept open, so that reading never hits the end of the stream.
             let _given = given;
             let mut first = None;
             loop {
@@ -62,14 +61,14 @@ impl Stop {
         self.0.load(Ordering::SeqCst)
     }
 
-    /// Asks to stop when it is dropped: whatever a thread ends by, also a panic, the others end with it.
+    /// Requests a stop when it is dropped. If a thread ends in any way, even by a panic, the others end too.
     #[must_use]
     pub fn at_end(&self) -> AtEnd<'_> {
         AtEnd(self)
     }
 }
 
-/// What [`Stop::at_end`] gives.
+/// The guard of [`Stop::at_end`].
 #[derive(Debug)]
 pub struct AtEnd<'a>(&'a Stop);
 

@@ -1,38 +1,37 @@
-//! What leaves the robot, as JSON: the messages of the contract by their fields' names, with ages in place of times.
+//! The robot's published messages as JSON: the contract's messages by their field names, with ages in place of times.
 //!
-//! A time of a monotonic clock means nothing elsewhere. So each message says how old its content is when it is sent, and when that was by
-//! the sender's own clock, which lets a receiver know how much longer than others it was on its way ([`crate::delay`]).
+//! A monotonic time means nothing on another machine. So each message has the age of its content, and the sending time by the sender's own clock,
+//! which lets a receiver compute its delay ([`crate::delay`]).
 
 use std::io::Write;
 
 use roomcast_core::habits::{PART_HOURS, PARTS};
-use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1, clock, decision_flags,
-};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags};
+use roomcast_ipc::{Action, Presence, clock};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::wire::Hex;
 
-/// One message's content, and when it was made.
+/// A message's content, and when it was made.
 #[derive(Debug, Clone)]
 pub struct Told {
-    /// A JSON object without its end: behind it comes what is said of one telling.
+    /// A JSON object without its end. The fields of one sending follow.
     content: Vec<u8>,
     made_ns: u64,
 }
 
-/// More than what is said of one telling takes.
+/// An upper limit for the fields of one sending.
 const TELLING_BYTES: usize = 256;
 
-/// Who tells.
+/// The sender's fields of a message.
 #[derive(Debug, Clone, Copy)]
 pub struct Teller {
-    /// Random per start.
+    /// Random number of the start.
     pub start: u64,
-    /// Counts its messages.
+    /// The message's number.
     pub number: u64,
-    /// Its monotonic clock ([`crate::delay::clock_id`]).
+    /// The sender's monotonic clock ([`crate::delay::clock_id`]).
     pub clock: u64,
     /// When it started, by that clock.
     pub started_ns: u64,
@@ -47,7 +46,7 @@ impl Told {
         Self { content, made_ns }
     }
 
-    /// The message's bytes now.
+    /// The message's bytes, with its age of now.
     #[must_use]
     pub fn bytes(&self, teller: Teller) -> Vec<u8> {
         let now_ns = clock::monotonic_ns();
@@ -56,7 +55,7 @@ impl Told {
         let Teller { start, number, clock, started_ns } = teller;
         let up_ns = now_ns.saturating_sub(started_ns);
         let (unix_ns, age_ns) = (clock::unix_ns(), now_ns.saturating_sub(self.made_ns));
-        // Memory takes all.
+        // Writing to memory does not fail.
         let _written = write!(
             bytes,
             ",\"teller\":\"{start:016x}\",\"number\":{number},\"sent_ns\":{now_ns},\"clock\":\"{clock:016x}\",\
@@ -70,12 +69,12 @@ fn hex(number: u64) -> Value {
     json!(Hex(number))
 }
 
-/// Six digits behind the point are more than is known.
+/// Six decimals are more than the precision.
 fn rounded(probability: f32) -> Value {
     ((f64::from(probability) * 1e6).round() / 1e6).into()
 }
 
-/// A score in nats; null for -inf, which JSON has not.
+/// A score in nats; null for -inf, which JSON lacks.
 fn nats(score: f64) -> Value {
     if score.is_finite() { score.into() } else { Value::Null }
 }
@@ -155,7 +154,7 @@ pub fn persons(message: &PersonForecastsV1) -> Told {
     Told::new(&content, message.computed_ns)
 }
 
-/// A decision's content, written at once: it is waited for.
+/// Serialised without a map of values, since robots wait for decisions.
 #[derive(Serialize)]
 struct Decided<'a> {
     epoch: Hex,
@@ -205,7 +204,7 @@ pub fn habits(visits: &[(String, [f64; PARTS])]) -> Told {
     Told::new(&json!({ "part_hours": PART_HOURS, "rooms": rooms }), clock::monotonic_ns())
 }
 
-/// Whether the daemon lives, and its counters where it has told them.
+/// The robot's status: the daemon's silence, and its counters if it answered.
 #[must_use]
 pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusResponseV1>) -> Told {
     let daemon = status.map(|status| {
@@ -226,7 +225,7 @@ pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusRespon
 mod tests {
     use roomcast_ipc::text;
 
-    use roomcast_ipc::{action, presence};
+    use roomcast_ipc::raw::{action, presence};
 
     use super::*;
 

@@ -12,7 +12,7 @@ use crate::link::Link;
 use crate::stop::Stop;
 use crate::wire::{self, Hex};
 
-/// Requests that wait; a request beyond this number is made again at the next confirmation.
+/// Most queued requests. Further ones are made again at the next confirmation.
 const WAITING_MAX: usize = 16;
 /// Bytes of the lines in one message; the rest of [`wire::BYTES_MAX`] is for its other keys.
 const LINES_BYTES_MAX: usize = wire::BYTES_MAX - 512;

@@ -1,4 +1,4 @@
-//! What an operator sees: every message of every robot of the site as a line of JSON, and which robots come and go.
+//! Prints every message of every robot of the site as a line of JSON, and which robots come and go.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -20,27 +20,27 @@ use crate::link::{Declare, Link, LinkError};
 use crate::stop::Stop;
 use crate::wire::{Fault, Hex};
 
-/// Messages that wait to be printed, and their bytes; more are dropped.
+/// Most queued messages, and their bytes. More are dropped.
 const WAITING_MAX: usize = 1024;
 const WAITING_BYTES_MAX: usize = 16 << 20;
-/// Most bytes of a message.
+/// Largest message in bytes.
 const BYTES_MAX: usize = 1 << 20;
-/// How often it is looked whether to stop, and how long what is being printed may still take then.
+/// How often a stop is checked, and how long printing may take after it.
 const STOP_TICK: Duration = Duration::from_millis(100);
 const STOP_PATIENCE: Duration = Duration::from_secs(1);
-/// Robots whose clocks are followed; of more, all are followed from the start again.
+/// Most clocks that are followed. If there are more, all are followed from the start again.
 const ROBOTS_MAX: usize = 4096;
 
-/// Why nothing can be watched.
+/// Why watching fails.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
     /// The configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The way to the router.
+    /// The connection to the router.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// Nobody reads what is printed.
+    /// Standard output fails.
     #[error("cannot write to standard output: {0}")]
     Print(io::Error),
 }
@@ -51,7 +51,7 @@ enum Heard {
 }
 
 impl Heard {
-    /// What it takes of the memory for what waits.
+    /// Its share of the queue's bytes.
     fn size(&self) -> usize {
         match self {
             Self::Said { key, bytes, .. } => key.len() + bytes.len(),
@@ -60,7 +60,7 @@ impl Heard {
     }
 }
 
-/// Where subscribers put what they hear: no more than fits.
+/// The end of the queue for subscribers.
 #[derive(Clone)]
 struct Ear {
     to: SyncSender<Heard>,
@@ -68,7 +68,7 @@ struct Ear {
 }
 
 impl Ear {
-    /// Takes what `heard` makes, of `size` bytes, if there is room; nothing is copied where there is none.
+    /// Queues a message of `size` bytes if there is room. Otherwise `heard` is not called, so no bytes are copied.
     fn take(&self, size: usize, heard: impl FnOnce() -> Heard) {
         let before = self.waiting.fetch_add(size, Ordering::Relaxed);
         if before + size > WAITING_BYTES_MAX || self.to.try_send(heard()).is_err() {
@@ -81,7 +81,7 @@ impl Ear {
 ///
 /// # Errors
 ///
-/// [`WatchError`]; a router that is away is none.
+/// [`WatchError`]. A router that is away is no error.
 pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     config.check_watch()?;
     let (to, heard) = sync_channel(WAITING_MAX);
@@ -120,7 +120,7 @@ pub fn run(config: &Config, stop: &Stop) -> Result<(), WatchError> {
     Ok(())
 }
 
-/// Prints a line; whether anybody reads on. A reader that has enough, as `head`, is no failure.
+/// Prints a line; returns whether the reader still reads. A reader such as `head` may stop early.
 fn print(out: &mut impl Write, line: &str) -> io::Result<bool> {
     match writeln!(out, "{}", harmless(line)).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
@@ -128,21 +128,20 @@ fn print(out: &mut impl Write, line: &str) -> io::Result<bool> {
     }
 }
 
-/// Who is asked to stop and cannot write, because nobody reads what it prints, ends all the same.
+/// Ends the process after a stop request even if printing is blocked.
 fn end_where_nobody_reads(stop: Stop) {
     let wait = move || {
         while !stop.requested() {
             std::thread::sleep(STOP_TICK);
         }
         std::thread::sleep(STOP_PATIENCE);
-        // Whatever still waits to be printed is for nobody.
         std::process::exit(0);
     };
-    // Without a thread a second signal ends it.
+    // Without this thread, a second signal ends the process.
     let _thread = std::thread::Builder::new().name("stop".to_owned()).spawn(wait);
 }
 
-/// JSON that a terminal obeys in nothing: JSON itself escapes control characters below the space alone. Those above are in strings.
+/// Makes JSON harmless for terminals: JSON escapes control characters below the space, but not the higher ones.
 fn harmless(json: &str) -> Cow<'_, str> {
     if !json.contains(char::is_control) {
         return Cow::Borrowed(json);
@@ -157,7 +156,7 @@ fn harmless(json: &str) -> Cow<'_, str> {
     Cow::Owned(escaped)
 }
 
-/// A robot's message: a JSON object, and of habits nothing but counts that can be.
+/// Reads a robot's message as a JSON object. Habits must be valid.
 fn read(key: &str, bytes: &[u8]) -> Result<Map<String, Value>, Fault> {
     if key.rsplit('/').next() == Some(habits::TOPIC) {
         habits::read(bytes)?;
@@ -168,8 +167,8 @@ fn read(key: &str, bytes: &[u8]) -> Result<Map<String, Value>, Fault> {
     }
 }
 
-/// Adds to a message's age what it was held up for; `held_up_ns` is null while that is not known. Clocks are followed by robots, which write below
-/// their own names alone: whoever says a wrong time harms nobody else.
+/// Adds a message's delay to its age; `held_up_ns` is null while the delay is unknown. Clocks are followed per robot, since a robot writes only below
+/// its own name: a false time harms only its sender.
 fn aged(key: &str, message: &mut Map<String, Value>, delays: &mut BTreeMap<String, Delay>, now_ns: u64) {
     let id = message.get("clock").and_then(|id| serde_json::from_value::<Hex>(id.clone()).ok());
     let number = |key: &str| message.get(key).and_then(Value::as_u64);
@@ -203,7 +202,7 @@ fn declare(site: String, ear: Ear) -> Declare {
         let told = format!("roomcast/{site}/*/told/**");
         let subscriber = session.declare_subscriber(&told).callback(said.clone()).wait()?;
         let of_before = ear.clone();
-        // What was told before: asked for, since nobody keeps it but who told it.
+        // Earlier messages are queried, since only their senders keep them.
         let earlier = move |reply: zenoh::query::Reply| {
             if let Ok(sample) = reply.into_result() {
                 said(sample);
@@ -236,13 +235,13 @@ mod tests {
         assert_eq!(ear.waiting.load(Ordering::Relaxed), WAITING_BYTES_MAX);
         let waits: Vec<usize> = heard.try_iter().map(|heard| heard.size()).collect();
         assert_eq!(waits, [1 << 20; WAITING_BYTES_MAX >> 20]);
-        // So is their number.
+        // Their number is limited too.
         ear.waiting.store(0, Ordering::Relaxed);
         (0..2 * WAITING_MAX).for_each(|_| take(2));
         assert_eq!((heard.try_iter().count(), ear.waiting.load(Ordering::Relaxed)), (WAITING_MAX, 2 * WAITING_MAX));
     }
 
-    /// Robots hear of one another the name of a clock that they may share, and one that lied with it made the others look old.
+    /// Robots may share a clock, and can learn each other's clock ids. Regression: one robot's false times made the others look old.
     #[test]
     fn a_robot_that_lies_about_its_clock_harms_itself_alone() {
         const S: u64 = 1_000_000_000;
@@ -257,7 +256,7 @@ mod tests {
         held_up("robot-9", 1, 1_000_000 * S, 11);
         for second in 12..20 {
             assert_eq!(held_up("robot-1", 1, (90 + second) * S, second), (Some(0), 7));
-            // Clocks without end are of the one that names them, too.
+            // An endless series of clocks belongs to the robot that names them.
             (0..1000).for_each(|clock| _ = held_up("robot-9", clock, u64::MAX, second));
         }
         assert_eq!(held_up("robot-1", 1, 109 * S, 21), (Some(2 * S), 2 * S + 7));

@@ -1,18 +1,19 @@
-//! What narrators elsewhere and robots say to one another: JSON objects. A peer's bytes are believed only as far as they are checked here.
-//! Keys that this version does not know are passed over, and so is a narration with a content that it cannot read: a later one can add some.
+//! The JSON messages between narrators and robots. A peer's bytes are untrusted beyond the checks here. Unknown keys, and narrations with unreadable
+//! content, are skipped: later versions may add some.
 
 use roomcast_core::narration::line::AHEAD_NS;
 pub use roomcast_core::narration::line::{Kind, Who};
-use roomcast_ipc::{Message, NarrationV1, sequence, text};
+use roomcast_ipc::raw::{Message, NarrationV1};
+use roomcast_ipc::{sequence, text};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Most bytes of a peer's message; a narration's text has 1024, and each of them six at most in JSON.
+/// Largest message of a peer in bytes. A narration's text has 1024 bytes, each at most six in JSON.
 pub const BYTES_MAX: usize = 8 << 10;
 
-/// An event of less than this age is new.
+/// A younger event is new.
 const NEW_NS: u64 = 1_000_000_000;
 
-/// A 64-bit number in sixteen hexadecimal digits: JSON's numbers end at 53 bits.
+/// A 64-bit number as sixteen hexadecimal digits: JSON numbers are exact up to 53 bits.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct Hex(pub u64);
 
@@ -31,15 +32,15 @@ impl<'de> Deserialize<'de> for Hex {
     }
 }
 
-/// What was observed.
+/// An observation.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Observation {
     /// The text, in the notation of its kind.
     pub text: String,
-    /// What it is.
+    /// Its kind.
     #[serde(default, skip_serializing_if = "is_sentence")]
     pub kind: Kind,
-    /// Whom it is of; where that is somebody, the daemon makes out who.
+    /// The person. For somebody, the daemon finds out the person.
     #[serde(default, skip_serializing_if = "Who::is_somebody")]
     pub person: Who,
     /// The number of persons that the narrator counted; 0 if it counted none.
@@ -59,17 +60,17 @@ fn is_sentence(kind: &Kind) -> bool {
     *kind == Kind::Sentence
 }
 
-/// Why something is no narration.
+/// Why a message is invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Fault(pub String);
 
 impl Observation {
-    /// The message without its sender and time. What the daemon would refuse is refused here.
+    /// The message without sender and time. It is checked as the daemon does.
     ///
     /// # Errors
     ///
-    /// [`Fault`] with what is wrong.
+    /// [`Fault`] with the reason.
     pub fn message(&self) -> Result<NarrationV1, Fault> {
         let fault = |error: &dyn std::fmt::Display| Fault(error.to_string());
         let content = self.text.trim();
@@ -83,27 +84,27 @@ impl Observation {
 /// A narration on its way to a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Narrated {
-    /// Random per start of the narrator, kept as long as its spool.
+    /// Random per start of the narrator; kept in its spool.
     pub epoch: Hex,
     /// 1, 2, 3, ... within the epoch.
     pub sequence: u64,
     /// The first number that the narrator can still send.
     pub first: u64,
-    /// How long ago it was observed, when it was sent.
+    /// The event's age when it was sent.
     pub age_ns: u64,
-    /// How far ahead its time lay when the narrator got it: the clock of its input is fast.
+    /// How far its time lay in the future when the narrator got it: the clock of its input is fast.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub ahead_ns: u64,
-    /// When it was sent: the sender's monotonic clock.
+    /// When it was sent, by the sender's monotonic clock.
     pub sent_ns: u64,
-    /// Which clock that is.
+    /// The id of that clock.
     pub clock: Hex,
-    /// What was observed.
+    /// The observation.
     #[serde(flatten)]
     pub observation: Observation,
 }
 
-/// Which narration it is, of one whose content this version cannot read: a later one may have a kind that this one does not know.
+/// The number of a narration whose content this version cannot read: a later version may have new kinds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub struct Numbered {
     /// As in [`Narrated`].
@@ -114,11 +115,11 @@ pub struct Numbered {
     pub first: u64,
 }
 
-/// Reads a peer's bytes.
+/// Reads a peer's message.
 ///
 /// # Errors
 ///
-/// [`Fault`] for too many of them, and for what is not the JSON that is expected.
+/// [`Fault`] for too many bytes, and for unexpected JSON.
 pub fn read<'de, T: Deserialize<'de>>(bytes: &'de [u8]) -> Result<T, Fault> {
     if bytes.len() > BYTES_MAX {
         return Err(Fault(format!("{} bytes, at most {BYTES_MAX}", bytes.len())));
@@ -126,32 +127,32 @@ pub fn read<'de, T: Deserialize<'de>>(bytes: &'de [u8]) -> Result<T, Fault> {
     serde_json::from_slice(bytes).map_err(|error| Fault(error.to_string()))
 }
 
-/// Who says something, and how far its way was.
+/// When a message arrived, and its delay.
 #[derive(Debug, Clone, Copy)]
 pub struct Arrived {
-    /// When it was received, by this machine's monotonic clock and by its wall clock.
+    /// The monotonic clock.
     pub now_ns: u64,
     /// The wall clock.
     pub now_unix_ns: u64,
-    /// How long it was held up.
+    /// How long it was delayed.
     pub excess_ns: u64,
 }
 
 impl Narrated {
-    /// The message for the daemon: of the hub's name, and of this machine's clocks.
+    /// The message for the daemon, in the hub's name and by this machine's clocks.
     ///
     /// # Errors
     ///
-    /// [`Fault`] for what the daemon would refuse.
+    /// [`Fault`] if the daemon would refuse it.
     pub fn message(&self, narrator: &str, arrived: Arrived) -> Result<NarrationV1, Fault> {
         let age_ns = self.age_ns.saturating_add(arrived.excess_ns);
-        // The daemon measures by both times how fast that clock is, which it can only of an event that is new.
+        // The daemon compares both times to measure how fast that clock is. This works only for a new event.
         let ahead_ns = if age_ns < NEW_NS { self.ahead_ns.min(AHEAD_NS) } else { 0 };
         let message = NarrationV1 {
             source: sequence::source_of_name(narrator),
             epoch: self.epoch.0,
             sequence: self.sequence,
-            // What was observed before this machine's start has no monotonic time: 0, as the contract has it.
+            // An event before this machine's start has no monotonic time: 0, by the contract.
             observed_ns: arrived.now_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
             observed_unix_ns: arrived.now_unix_ns.saturating_sub(age_ns).saturating_add(ahead_ns),
             source_name: text::encode_cut(narrator),
@@ -162,33 +163,33 @@ impl Narrated {
     }
 }
 
-/// How far a robot has a narrator's narration.
+/// How far a robot has processed a narrator's narration.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Confirmed {
-    /// The narrator's epoch; 0 where nothing was heard yet.
+    /// The narrator's epoch; 0 before the first message.
     pub epoch: Hex,
-    /// The number that is expected next; 0 where nothing was heard yet.
+    /// The expected number; 0 before the first message.
     pub next: u64,
-    /// Up to this number the daemon has dealt with everything.
+    /// The daemon has processed everything up to this number.
     pub confirmed: u64,
-    /// Of these, how many were no narration, or were dropped by the daemon.
+    /// How many of these were not narration, or were dropped by the daemon.
     pub refused: u64,
 }
 
 /// A robot's message to a hub about its narration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Said {
-    /// How far it is.
+    /// The confirmed numbers.
     #[serde(flatten)]
     pub confirmed: Confirmed,
-    /// The hub will hear how the daemon understood each confirmed event.
+    /// Whether the robot will report how the daemon understood each confirmed event.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub explains: bool,
 }
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{ALL_PERSONS, narration_kind};
+    use roomcast_ipc::raw::{ALL_PERSONS, narration_kind};
 
     use super::*;
 
@@ -226,7 +227,7 @@ mod tests {
         assert_eq!(with(r#""text":"[Grab] <mug> (1)","kind":"action""#).unwrap().kind, narration_kind::ACTION);
         assert_eq!(with(r#""text":"away","kind":"presence","person":"Ada""#).unwrap().person_name(), "Ada");
         assert_eq!(with(r#""text":"They sit.","person":7"#).unwrap().person, 7);
-        // Digits are a number, as in lines for the daemon.
+        // Digits name a person by number, as in lines for the daemon.
         let numbered = with(r#""text":"They sit.","person":" 7""#).unwrap();
         assert_eq!((numbered.person, numbered.person_name()), (7, ""));
         for bad in [

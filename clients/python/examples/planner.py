@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from roomcast import Planner
 
-with suppress(KeyboardInterrupt), Planner("calm-planner") as planner:
+with suppress(KeyboardInterrupt), Planner("robot") as planner:
     for forecast in planner.forecasts():
         calmest = min(forecast.rooms, key=lambda room: forecast.occupied(room.id, 60))
         planner.decide(calmest.id, f"occupied in a minute with {forecast.occupied(calmest.id, 60):.0%}")

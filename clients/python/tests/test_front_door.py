@@ -8,7 +8,23 @@ from typing import Any
 import pytest
 
 import samples
-from roomcast import Action, Decisions, Forecast, Forecasts, Narrator, Planner, Presence, ReportKind, Robot, Scores, layouts, ports
+from roomcast import (
+    Action,
+    Decisions,
+    Forecast,
+    Forecasts,
+    Narrator,
+    NotIncludedError,
+    Planner,
+    Presence,
+    ReportKind,
+    Robot,
+    RoomcastError,
+    Scores,
+    layouts,
+    persons,
+    ports,
+)
 
 
 def forecast_of(age_s: float) -> Forecast:
@@ -73,6 +89,26 @@ def test_a_planner_that_follows_forecasts_decides_by_them() -> None:
             assert followed is not None and followed.sequence == forecast.sequence
             with pytest.raises(ValueError, match="bathroom"):
                 planner.decide("cellar", "it is quiet")
+
+
+def test_empty_names_and_rooms_are_refused_with_a_remedy() -> None:
+    with samples.private_domain() as domain:
+        for join in (Narrator, Planner, Robot, Forecasts):
+            with pytest.raises(RoomcastError, match="give a name"):
+                join(" ", domain)
+        with Planner("robot", domain) as planner, pytest.raises(ValueError, match="give the id of a room"):
+            planner.decide("", "a reason")
+        with pytest.raises(TypeError, match="give a Domain"):
+            persons("bob")  # type: ignore[arg-type]
+
+
+def test_an_event_without_a_daemon_is_not_confirmed() -> None:
+    with samples.private_domain() as domain:
+        narrator = Narrator("hall-camera", domain)
+        narrator.did("ada", "opens the fridge")
+        with pytest.raises(NotIncludedError, match="is the daemon running"):
+            narrator.confirmed(timeout_s=0.2)
+        narrator.close()
 
 
 def test_scores_leave_out_heartbeats() -> None:

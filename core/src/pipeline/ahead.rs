@@ -1,4 +1,4 @@
-//! Work that can be done before it is needed.
+//! Prefetching and idle-time work.
 
 use super::{Due, Pipeline};
 use crate::ids::PersonId;
@@ -6,17 +6,17 @@ use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
 use crate::scorer::{LanguageModel, Progress};
 
-/// Prepares answers, and does the work that can wait: [`Pipeline::ahead`].
+/// Prefetches answers and does idle-time work: [`Pipeline::ahead`].
 #[derive(Debug)]
 pub struct Ahead<'a, M>(pub(super) &'a mut Pipeline<M>);
 
 impl<M: LanguageModel> Ahead<'_, M> {
-    /// Has `moved` called after each call of the decoder: a thread that works so long is not taken for one that stands still.
+    /// Registers `moved`, which is called after each call of the decoder, so that a watchdog does not take a long step for a hang.
     pub fn watch(&mut self, moved: Progress) {
         self.0.scorer.watch(moved);
     }
 
-    /// What says which prompts may come next. Kept answers that are stale are dropped.
+    /// The state that determines likely next prompts. Drops stale prefetched answers.
     pub fn outlook(&mut self) -> Outlook {
         let round = self.0.answers.begin(&self.0.histories);
         let of = |(person, history): (PersonId, &History)| {
@@ -27,15 +27,14 @@ impl<M: LanguageModel> Ahead<'_, M> {
         Outlook::new(&self.0.prepared, self.0.histories.iter().map(of).collect(), round)
     }
 
-    /// Keeps an answer for when it is asked for, and gives whether it is of use: not where its person has done something else since, the
-    /// labels are other ones, or there are [`crate::prepared::ANSWERS_MAX`] of theirs. Another person's may go for it.
+    /// Stores a prefetched answer, and returns whether it is useful. It is useless if its person has acted since, the labels have changed, or the
+    /// person already has [`crate::prepared::ANSWERS_MAX`] answers. It may replace another person's answer.
     pub fn keep_answer(&mut self, answer: Answer) -> bool {
         self.0.answers.keep(answer, &self.0.histories)
     }
 
-    /// A small part of the work that can wait until no event does: clears the model's cache of what the next event cannot use, cuts the
-    /// history windows that are full, and reads narration that the model has not read yet, so that no event waits for it. Gives whether there
-    /// is more.
+    /// Does a small step of idle-time work: clears unusable data from the model's cache, cuts full history windows, and decodes narration that the
+    /// model has not read yet, so that no event waits for it. Returns whether there is more to do.
     pub fn tidy(&mut self) -> bool {
         self.0.scorer.tidy();
         let Some(person) = self.0.read else { return false };
@@ -51,7 +50,7 @@ impl<M: LanguageModel> Ahead<'_, M> {
             }
             self.0.prompt.push_str(sentence);
         }
-        // A failure costs the next event time, and shows there if it lasts.
+        // A failure costs only time: the next event decodes the prompt, and reports the error if it persists.
         self.0.is_unread = !self.0.scorer.read_ahead(&self.0.prompt).unwrap_or_else(|error| {
             tracing::debug!(%error, "failed to read narration ahead");
             true

@@ -1,4 +1,4 @@
-//! Which narrations scores include, by source: a narrator learns by it what it need not say again.
+//! The events that scores include, by source, so that a narrator knows which events it need not resend.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,19 +8,19 @@ use crate::ids::{BootNs, EventId};
 use crate::narration::Observation;
 use crate::narration::history::Voice;
 
-/// Most starts of narration sources that scores name; the one heard longest ago makes room for a new one.
+/// Most source starts in [`Scores::included`]; a new one replaces the one heard longest ago.
 pub const SOURCES_MAX: usize = 64;
-/// So many steps of what a source said wait for their scores apart from each other; the newest ones wait together.
+/// Most events per source start that wait for their scores separately; later ones are merged into the newest.
 const TRAIL_MAX: usize = 32;
 
-/// What was heard of one start of a source.
+/// Progress of one start of a source.
 #[derive(Debug)]
 struct Heard {
-    /// The last of what the scores contain, and all before it.
+    /// The newest event that the scores contain, with all before it.
     included: Option<Included>,
-    /// What came after it, oldest first.
+    /// Later events, oldest first.
     trail: VecDeque<Included>,
-    /// The newest scores do not contain all of it.
+    /// The newest scores do not contain all events.
     is_late: bool,
 }
 
@@ -34,29 +34,25 @@ impl Heard {
     }
 }
 
-/// What was heard of all sources.
 #[derive(Debug, Default)]
 pub(super) struct Sources {
     starts: Vec<Heard>,
-    /// Per start up to which sequence a former run has dealt with it, and does not tell of it any more.
+    /// Per (source, epoch): the last sequence that a former run handled. Events up to it are not counted again.
     settled: BTreeMap<(u64, u64), u64>,
-    /// Narrations included so far.
+    /// Number of events included so far.
     turns: u64,
     newest_observed_ns: BootNs,
 }
 
 impl Sources {
-    /// How many narrations were included so far.
     pub(super) const fn turns(&self) -> u64 {
         self.turns
     }
 
-    /// See [`super::Intake::pass_over`].
     pub(super) fn pass_over(&mut self, event: EventId) {
         self.note(event.source, event.epoch, |included| included.sequence = included.sequence.max(event.sequence));
     }
 
-    /// See [`super::Intake::include`].
     pub(super) fn include(&mut self, observation: &Observation, voice: Voice) {
         let settled = self.settled_of(observation.source, observation.epoch);
         let observed_ns = observation.observed_ns;
@@ -64,19 +60,17 @@ impl Sources {
         self.turns += 1;
         let turn = self.turns;
         self.note(observation.source, observation.epoch, |included| {
-            // What was refused after it may be named already.
+            // A later event that was refused may have raised the sequence already.
             included.sequence = included.sequence.max(observation.sequence);
             included.accepted += u64::from(observation.sequence > settled);
             (included.observed_ns, included.voice, included.turn) = (observed_ns, voice.number, turn);
         });
     }
 
-    /// See [`super::Intake::settle`].
     pub(super) fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
         self.settled = settled;
     }
 
-    /// See [`super::Intake::forget_source`].
     pub(super) fn forget(&mut self, source: u64, epoch: u64) {
         self.starts.retain(|heard| !heard.is_of(source, epoch));
     }
@@ -85,7 +79,7 @@ impl Sources {
         self.settled.get(&(source, epoch)).copied().unwrap_or_default()
     }
 
-    /// Takes note of what was heard of one start of a source, known or new, until the scores contain it.
+    /// Records a change to the newest state of a source start, and queues it until the scores contain it.
     fn note(&mut self, source: u64, epoch: u64, change: impl FnOnce(&mut Included)) {
         let accepted = self.settled_of(source, epoch);
         let known = self.starts.iter().position(|heard| heard.is_of(source, epoch));
@@ -109,7 +103,7 @@ impl Sources {
         heard.trail.push_back(newest);
     }
 
-    /// Says what the newest scores include: of each source all before the first narration with which somebody has not been scored.
+    /// Updates `scores.included`: per source start, all events before the first one that a person has not been scored with.
     pub(super) fn tell(&mut self, persons: &[Person], scores: &mut Scores) {
         let Self { starts, turns, .. } = self;
         scores.included.clear();
@@ -122,7 +116,7 @@ impl Sources {
             let news = own.trail.iter().take_while(|next| next.sequence < first).count();
             if let Some(mut included) = own.trail.drain(..news).next_back() {
                 if own.is_late {
-                    // It is news now, however long ago it was heard.
+                    // Narrators must see it as new, even if the event is old.
                     *turns += 1;
                     included.turn = *turns;
                 }

@@ -1,4 +1,4 @@
-//! A look inside a pipeline, for explanations and for the daemon.
+//! Read access to a pipeline, for explanations and for the daemon.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use crate::narration::history::Histories;
 use crate::prepared::Preparer;
 use crate::scorer::{IsStopped, LanguageModel, ModelError, ModelInfo, PreparedLabels, Token, TokenCounter};
 
-/// The parts of a pipeline, to be read: [`Pipeline::inside`].
+/// Read access to a pipeline's parts: [`Pipeline::inside`].
 #[derive(Debug)]
 pub struct Inside<'a, M>(pub(super) &'a Pipeline<M>);
 
@@ -26,12 +26,12 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         self.0.scorer.info()
     }
 
-    /// The labels' tokens and trie.
+    /// The labels with their tokens and trie.
     pub fn prepared(self) -> &'a Arc<PreparedLabels> {
         &self.0.prepared
     }
 
-    /// How this pipeline scores.
+    /// The pipeline's options.
     pub fn options(self) -> &'a PipelineOptions {
         &self.0.options
     }
@@ -52,7 +52,7 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         self.0.persons().find(|scores| scores.person == person)
     }
 
-    /// Whether a person waits for the model: the scores do not contain the newest observation, or there are none yet.
+    /// Whether a person waits for the model: the scores lack the newest observation, or there are none yet.
     #[must_use]
     pub fn waits(self, person: PersonId) -> bool {
         self.0.persons.iter().any(|own| own.id == person && own.waits())
@@ -64,29 +64,28 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         self.0.persons.iter().any(Person::waits)
     }
 
-    /// Whether a person with scores of the map before has none of the map in use.
+    /// Whether a person had scores for the previous map and has none yet for the current one.
     #[must_use]
     pub fn is_owing(self) -> bool {
         self.0.persons.iter().any(|own| own.at_home && own.is_owed)
     }
 
-    /// Counts the tokens of a sentence, on any thread. With the token behind it a sentence has at most as many tokens as `history.tokens` of
-    /// [`Inside::options`].
+    /// Counts the tokens of a sentence, on any thread. A sentence and its separator have at most `history.tokens` of [`Inside::options`].
     pub fn token_counter(self) -> TokenCounter {
         self.0.scorer.model().token_counter()
     }
 
-    /// A token's text, for people.
+    /// The readable text of a token.
     pub fn token_text(self, token: Token) -> String {
         self.0.scorer.model().token_text(token)
     }
 
-    /// Per token of a label ln p(token | prompt and the tokens before it), corrected, in nats, of the last step. `None` if several persons were
-    /// scored, or if the method keeps no such numbers.
+    /// `ln p(token | prompt and the tokens before it)` per token of a label in the last step, corrected, in nats. `None` if several persons were
+    /// scored, or if the method does not keep these values.
     #[must_use]
     pub fn token_log_prob_nats(self, label: usize) -> Option<Vec<f64>> {
         let exact_trie = self.0.options.method == Method::Trie && self.0.options.effort == Effort::Exact;
-        // The model may have read the prompt of a person that is forgotten by now.
+        // The last prompt may belong to a person forgotten since.
         let is_read = |person: &Person| person.at_home && self.0.read == Some(person.id);
         if exact_trie && self.0.persons.len() <= 1 && self.0.persons.iter().all(is_read) {
             self.0.scorer.token_log_prob_nats(&self.0.prepared, label)
@@ -95,8 +94,7 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         }
     }
 
-    /// What the prior added to the sum over a label's tokens, in nats, in the last step; 0 without one, and where several persons were
-    /// scored.
+    /// The prior's contribution to a label's score in the last step, in nats: `ln g_c + ln k`. 0 without a prior, and if several persons were scored.
     #[must_use]
     pub fn prior_nats(self, label: usize) -> f64 {
         match self.0.persons.as_slice() {
@@ -106,18 +104,18 @@ impl<'a, M: LanguageModel> Inside<'a, M> {
         }
     }
 
-    /// The same for one person; 0 for somebody unknown.
+    /// As [`Inside::prior_nats`] for one person; 0 for an unknown person.
     #[must_use]
     pub fn prior_nats_of_person(self, person: PersonId, label: usize) -> f64 {
         let own = self.0.persons.iter().find(|known| known.id == person);
         own.map_or(0.0, |own| self.0.prior_nats_of(own, label))
     }
 
-    /// What scores ahead for this pipeline, on any thread; it stops within a small step of the model where `is_stopped` says so. None where
-    /// nothing can be prepared: without a model, and of answers that are not exact.
+    /// A background scorer for this pipeline, usable on any thread. It stops within one small decoding step after `is_stopped` returns true. `None`
+    /// if prefetching is impossible: the model has no twin, or answers are not exact.
     ///
     /// # Errors
-    /// When the model has no memory for a second cache.
+    /// If the model has no memory for a second cache.
     pub fn preparer(self, is_stopped: IsStopped) -> Result<Option<Preparer<M>>, ModelError> {
         if !self.0.keeps_answers() {
             return Ok(None);

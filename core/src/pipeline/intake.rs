@@ -1,4 +1,4 @@
-//! Observations on their way into the histories.
+//! Entry of observations into the histories.
 
 use std::collections::BTreeMap;
 
@@ -7,19 +7,19 @@ use crate::ids::{EventId, PersonId};
 use crate::narration::Observation;
 use crate::scorer::LanguageModel;
 
-/// Enters observations into the histories, and forgets them: [`Pipeline::intake`].
+/// Adds observations to the histories and removes them: [`Pipeline::intake`].
 #[derive(Debug)]
 pub struct Intake<'a, M>(pub(super) &'a mut Pipeline<M>);
 
 impl<M: LanguageModel> Intake<'_, M> {
-    /// Enters observations into the histories without scoring, each source for itself. It cannot fail, and a failure of the scoring after it loses
-    /// no observation. A person that leaves loses the window, and a person that is gone is forgotten. Returns the number of sentences that were
-    /// left out because each costs more tokens than a window holds.
+    /// Adds observations to the histories without scoring; each source is its own voice. It cannot fail, and a later failure of scoring loses no
+    /// observation. Persons who leave home lose their window; persons reported as gone are forgotten. Returns the number of sentences that were left
+    /// out because each takes more tokens than a window holds.
     pub fn observe(&mut self, observations: impl IntoIterator<Item = Observation>) -> usize {
         self.hear(observations.into_iter().map(|observation| (Voice::of_source(observation.source), observation)))
     }
 
-    /// As [`Intake::observe`], each observation for its voice.
+    /// As [`Intake::observe`], with a voice per observation.
     pub fn hear(&mut self, observations: impl IntoIterator<Item = (Voice, Observation)>) -> usize {
         let mut costly = 0;
         for (voice, observation) in observations {
@@ -35,21 +35,21 @@ impl<M: LanguageModel> Intake<'_, M> {
         costly
     }
 
-    /// Enters an observation into its person's history. It does not count as contained in the scores: see [`Intake::include`].
+    /// Adds an observation to its person's history. Scores do not count it as included: see [`Intake::include`].
     pub fn enter(&mut self, voice: Voice, observation: Observation) {
         let tokens = observation.sentence().map(|text| self.0.scorer.cost_of(text));
         self.0.enter_of(voice, observation, tokens);
     }
 
-    /// Whether a sentence alone costs more tokens than a window holds.
+    /// Whether a sentence alone takes more tokens than a window holds.
     pub fn is_costly(&mut self, observation: &Observation) -> bool {
         let most = self.0.options.history.tokens;
-        // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
+        // An upper bound without the tokeniser: one token per byte, a space before the sentence, and the separator after it.
         observation.sentence().is_some_and(|text| text.len() + 2 > most && self.0.scorer.cost_of(text) > most)
     }
 
-    /// Marks all observations so far as those of a former run, with unknown voices. Of the persons that wait for the model, the person with the
-    /// newest observation comes first.
+    /// Attributes all observations so far to a former run, with unknown voices. Among waiting persons, the one with the newest observation is scored
+    /// first.
     pub fn forget_voices(&mut self) {
         self.0.histories.forget_voices();
         for own in &mut self.0.persons {
@@ -58,8 +58,8 @@ impl<M: LanguageModel> Intake<'_, M> {
         }
     }
 
-    /// Ends a person's window: the last observation is too old for a forecast. Returns whether that changes the person's scores; the next
-    /// step computes them.
+    /// Ends a person's window because the last observation is too old for a forecast. Returns whether the person's scores change; the next step
+    /// computes them.
     pub fn end_window(&mut self, person: PersonId) -> bool {
         let ended = self.0.histories.get_mut(person).is_some_and(|history| history.end() > 0);
         if let Some(own) = self.0.persons.iter_mut().find(|own| ended && own.id == person) {
@@ -68,35 +68,35 @@ impl<M: LanguageModel> Intake<'_, M> {
         ended
     }
 
-    /// Counts an event as dealt with that is in no history, so that its narrator does not wait for it.
+    /// Counts an event as handled without a history entry, so that its narrator does not wait for it.
     pub fn pass_over(&mut self, event: EventId) {
         self.0.heard.pass_over(event);
     }
 
-    /// Counts an observation as contained in the next scores, for any number of persons.
+    /// Counts an observation as included in the next scores, for any number of persons.
     pub fn include(&mut self, observation: &Observation, voice: Voice) {
         self.0.heard.include(observation, voice);
     }
 
-    /// The last sequence of each start of a source that a former run has dealt with. All events up to it count as accepted.
+    /// Sets the last sequence per (source, epoch) that a former run handled. All events up to it count as accepted.
     pub fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
         self.0.heard.settle(settled);
     }
 
-    /// Forgets a start of a source that gave way to another source.
+    /// Forgets a start of a source that was replaced by another source.
     pub fn forget_source(&mut self, source: u64, epoch: u64) {
         self.0.heard.forget(source, epoch);
     }
 
     /// Forgets a person.
     pub fn forget_person(&mut self, person: PersonId) {
-        // Prompts hold the person's actions.
+        // Prefetched prompts contain the person's actions.
         self.0.answers.clear();
         self.0.histories.remove(person);
         self.0.persons.retain(|p| p.id != person);
     }
 
-    /// Removes the observations that `is_it` selects from all histories. The next step scores their persons without them.
+    /// Removes the observations that `is_it` selects from all histories. The next step rescores their persons.
     pub fn forget_told(&mut self, is_it: impl Fn(&Observation) -> bool) {
         let changed = self.0.histories.forget(is_it);
         if !changed.is_empty() {

@@ -1,17 +1,15 @@
 //! One step of the flow: observations in, scores of labels, items and partitions out.
 //!
-//! Every person is scored and grounded by themselves, as if they were alone. The scores of all together say for each partition
-//! that somebody is there next: `1 - prod over persons (1 - p)`, which is `p` for one person.
+//! Every person is scored and grounded independently. The combined score of a partition is the probability that at least one person is there next:
+//! `1 - prod over persons (1 - p)`, which is `p` for one person.
 //!
-//! Whoever is out of the house is in no partition: their probabilities are 0, and the others' scores are as if those others were alone. What
-//! they did before they left does not say what they do when they are back.
+//! A person out of the house is in no partition: their probabilities are 0, and they do not affect the others' scores. After they return,
+//! their earlier events are not used.
 //!
-//! Where many persons' windows have changed, [`Pipeline::score_within`] asks the model about some of them, and the next call about others.
-//! Scores are of whole windows all the same: those of a person who waits are of the window before. No narration counts as included before
-//! every person of whom it tells has been scored with it.
+//! If many persons' windows have changed, each call of [`Pipeline::score_within`] asks the model about some of them. A waiting person keeps the
+//! scores of the previous window. An event counts as included only after every person it is about has been scored with it.
 //!
-//! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all run
-//! this one.
+//! The pipeline owns every buffer and does no I/O; the daemon, `roomcast score`, the experiments and the replay all use it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -46,7 +44,7 @@ pub use inside::Inside;
 pub use intake::Intake;
 pub use scores::{Included, PersonScores, Scores, Timing};
 
-/// A pipeline that cannot be set up, or a step that failed. Histories are complete all the same.
+/// A pipeline that cannot be set up, or a step that failed. Histories stay complete.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PipelineError {
@@ -56,34 +54,34 @@ pub enum PipelineError {
     /// The scores cannot be grounded.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
-    /// The model's context is too small for a history at all.
+    /// The model's context has no room for narration.
     #[error(
         "the context of {context} tokens leaves none for narration: the labels and the binding sequence need {needed}; raise model.context_tokens or use another model"
     )]
     ContextTooSmall {
         /// Tokens of the context.
         context: usize,
-        /// Tokens needed beside the narration.
+        /// Tokens needed for labels and binding sequence.
         needed: usize,
     },
 }
 
-/// How a pipeline scores.
+/// Options of a pipeline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PipelineOptions {
     /// The binding sequence.
     pub binding: BindingSequence,
     /// How prompt and labels are cut into tokens.
     pub tokenisation: Tokenisation,
-    /// How scores are corrected; what it does not say, the model file does.
+    /// How scores are corrected; unset fields follow the model file.
     pub correction: CorrectionChoice,
     /// How labels are scored.
     pub method: Method,
-    /// How far an answer goes, under [`Method::Trie`]; the other methods are always exact.
+    /// How exact an answer is, under [`Method::Trie`]; the other methods are always exact.
     pub effort: Effort,
-    /// The time that a step may take under [`Effort::Deadline`], from its start, in nanoseconds.
+    /// Time limit of a step under [`Effort::Deadline`], from its start, in nanoseconds.
     pub deadline_ns: u64,
-    /// The window of each person.
+    /// Limits of each person's window.
     pub history: HistoryLimits,
 }
 
@@ -101,12 +99,12 @@ impl Default for PipelineOptions {
     }
 }
 
-/// What a changed map asked of the model.
+/// Result of a change of the map.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Prepared {
-    /// Whether it was prepared for the map's labels again.
+    /// Whether the model was prepared again for the map's labels.
     pub again: bool,
-    /// How many of them are new.
+    /// Number of new labels.
     pub new_labels: usize,
 }
 
@@ -117,22 +115,22 @@ pub struct Pipeline<M> {
     prepared: Arc<PreparedLabels>,
     grounding: Grounding,
     options: PipelineOptions,
-    /// Most tokens that a history was given; a map's labels may leave it fewer.
+    /// The configured limit of tokens per history; a map's labels may leave fewer.
     history_tokens: usize,
     histories: Histories,
-    /// In the order of their numbers, so that sums do not depend on who came first.
+    /// Sorted by id, so that sums do not depend on the order of arrival.
     persons: Vec<Person>,
-    /// Stands in before anybody was observed.
+    /// Placeholder before the first person is observed.
     nobody: Person,
     prompt: String,
     /// The person whose prompt was scored last.
     read: Option<PersonId>,
-    /// The model has not read all of their narration: the scores were ready, or the window was cut.
+    /// The model has not decoded all of that person's narration: the answer was prefetched, or the window was cut.
     is_unread: bool,
-    /// How often persons' scores were grounded.
+    /// Number of groundings so far; numbers the persons' scores.
     groundings: u64,
     heard: Sources,
-    /// Tokens that the model was given for each voice whose persons wait, and where the one stood that was served last.
+    /// Tokens decoded per voice with waiting persons, and the count of the voice that was served last.
     given: BTreeMap<u64, u64>,
     given_last: u64,
     answers: PreparedAnswers,
@@ -140,18 +138,18 @@ pub struct Pipeline<M> {
 }
 
 impl<M: LanguageModel> Pipeline<M> {
-    /// A pipeline for a map, with the usual options.
+    /// A pipeline for a map, with default options.
     ///
     /// # Errors
-    /// As [`Pipeline::new`], and when the map cannot be grounded.
+    /// As [`Pipeline::new`], and if the map cannot be grounded.
     pub fn of(map: &SemanticMap, model: M) -> Result<Self, PipelineError> {
         Self::new(model, Grounding::new(map, &GroundingOptions::default())?, PipelineOptions::default())
     }
 
-    /// Cuts the map's labels into tokens, builds their trie and learns the prior, once.
+    /// Cuts the map's labels into tokens, builds their trie and computes the prior's gains, once.
     ///
     /// # Errors
-    /// When a label has no tokens, the model's context leaves no room for narration, or the model fails at a blank one.
+    /// If a label has no tokens, the model's context leaves no room for narration, or the model fails on a blank narration.
     pub fn new(model: M, grounding: Grounding, mut options: PipelineOptions) -> Result<Self, PipelineError> {
         let mut scorer = Scorer::new(model);
         let history_tokens = options.history.tokens;
@@ -184,32 +182,32 @@ impl<M: LanguageModel> Pipeline<M> {
         &self.grounding
     }
 
-    /// Enters observations without scoring, and forgets them.
+    /// Adds observations without scoring, and removes them.
     pub fn intake(&mut self) -> Intake<'_, M> {
         Intake(self)
     }
 
-    /// Prepares answers, and does the work that can wait until no event does.
+    /// Prefetching and idle-time work.
     pub fn ahead(&mut self) -> Ahead<'_, M> {
         Ahead(self)
     }
 
-    /// The parts of the pipeline, to be read.
+    /// Read access to the pipeline's parts.
     pub fn inside(&self) -> Inside<'_, M> {
         Inside(self)
     }
 
-    /// Takes a changed map. The model is prepared again if the map brings a label that the model was not prepared for. It is prepared again, too,
-    /// if labels are gone and scores are corrected, or the labels leave the histories fewer tokens than was asked for. Otherwise the next
-    /// [`Pipeline::score`] sums the known label scores again.
+    /// Switches to a changed map. The labels are prepared again in three cases: the map has a new label; labels are gone and scores are corrected;
+    /// labels are gone and the histories have fewer tokens than configured. Otherwise the next [`Pipeline::score`] only grounds the known label
+    /// scores again.
     ///
-    /// Partial answers ([`PipelineOptions::effort`]) know their labels only as far as the old map asked; they are scored again.
+    /// Partial answers ([`PipelineOptions::effort`]) are scored again, because they are exact only where the old map needed it.
     ///
     /// # Errors
-    /// When the map cannot be grounded, its labels leave no room for narration, or the model fails; the old map stays in use then.
+    /// If the map cannot be grounded, its labels leave no room for narration, or the model fails; the old map stays in use then.
     pub fn change_map(&mut self, map: &SemanticMap, options: &GroundingOptions) -> Result<Prepared, PipelineError> {
         let Regrouped { grounding, new_labels } = self.grounding.regroup(map, options)?;
-        // Corrected scores depend on the labels that there are.
+        // Corrected scores depend on the set of labels.
         let is_corrected = self.prepared.correction() != Correction::default();
         let is_narrow = self.options.history.tokens < self.history_tokens;
         let again = new_labels > 0 || grounding.has_idle_labels() && (is_corrected || is_narrow);
@@ -217,7 +215,7 @@ impl<M: LanguageModel> Pipeline<M> {
         if !again {
             self.grounding = grounding;
         } else {
-            // The list is prepared again, so labels that nothing bears any more can leave it.
+            // A fresh grounding drops labels without an item.
             let grounding = Grounding::new(map, options)?;
             let (labels, tokens) = prepare(&mut self.scorer, &grounding, &self.options, self.history_tokens)?;
             self.options.history.tokens = tokens;
@@ -225,7 +223,7 @@ impl<M: LanguageModel> Pipeline<M> {
             self.prepared = Arc::new(labels);
             self.grounding = grounding;
             self.answers.clear();
-            // Scores of the old list, in the old order.
+            // These scores follow the old list's order.
             self.scores.label_log_prob_nats.clear();
         }
         let exact = self.options.method != Method::Trie || self.options.effort == Effort::Exact;
@@ -233,7 +231,7 @@ impl<M: LanguageModel> Pipeline<M> {
         for person in self.persons.iter_mut().chain([&mut self.nobody]) {
             // It holds the old map's weights.
             person.certified = None;
-            // Of the old map's partitions.
+            // These scores are those of the old map's partitions.
             person.grounded = GroundedScores::default();
             person.due = person.due.max(due);
             person.is_owed = true;
@@ -246,7 +244,7 @@ impl<M: LanguageModel> Pipeline<M> {
         &self.scores
     }
 
-    /// Each person's own scores, as far as the map in use has given them any, in the order of their numbers.
+    /// Each person's scores, sorted by person id. Persons without scores for the current map are left out.
     pub fn persons(&self) -> impl Iterator<Item = PersonScores<'_>> {
         self.persons.iter().filter(|person| person.is_scored()).map(PersonScores::of)
     }
@@ -281,7 +279,7 @@ impl<M: LanguageModel> Pipeline<M> {
         });
         let own = &mut self.persons[place];
         if own.at_home != at_home {
-            // Until the next step says where they are.
+            // Invalid until the next step grounds the person again.
             own.grounded = GroundedScores::default();
         }
         if changed || own.at_home != at_home {
@@ -298,20 +296,20 @@ impl<M: LanguageModel> Pipeline<M> {
         self.persons.retain(|p| self.histories.get(p.id).is_some());
     }
 
-    /// Scores the persons whose history changed since the last step, and grounds the result. Before anything was
-    /// observed, the binding sequence alone is scored.
+    /// Scores the persons whose history changed since the last step, and grounds the result. Before the first observation, the binding sequence alone
+    /// is scored.
     ///
     /// # Errors
-    /// When the model fails. The histories stay, and the next step scores what this one could not.
+    /// If the model fails. The histories stay, and the next step scores the remaining persons.
     pub fn score(&mut self) -> Result<&Scores, PipelineError> {
         self.score_within(u64::MAX)
     }
 
-    /// As [`Pipeline::score`], but once `patience_ns` have passed the model is asked about nobody else: the next call goes on
-    /// ([`Inside::is_behind`]). One is always asked about.
+    /// As [`Pipeline::score`], but stops asking the model after `patience_ns`; the next call continues ([`Inside::is_behind`]). At least one waiting
+    /// person is scored.
     ///
-    /// Whoever tells of many persons delays others' persons by one call at most, which is `patience_ns` and one prompt: of all voices, the one
-    /// comes next for which the model has read least, and of its persons the one who has waited longest.
+    /// The voice for which the model has decoded least comes next, and of its persons the one that has waited longest. So a narrator with many
+    /// persons delays another narrator's person by at most one call: `patience_ns` and one prompt.
     ///
     /// # Errors
     /// As [`Pipeline::score`].
@@ -365,19 +363,19 @@ impl<M: LanguageModel> Pipeline<M> {
         Ok(&self.scores)
     }
 
-    /// How much the model has read for a voice; for one that has not waited so far, as much as for the one that was served last.
+    /// Tokens decoded for a voice. A voice that was not waiting starts at the count of the voice that was served last.
     fn given_of(&self, voice: u64) -> u64 {
         self.given.get(&voice).copied().unwrap_or(self.given_last)
     }
 
-    /// About whom the model is asked next, and for whose voice.
+    /// The next person to score (index), and the voice it is scored for.
     fn next_person(&self) -> Option<(usize, u64)> {
         let waiting = self.persons.iter().enumerate().filter(|(_, own)| own.waits());
         let ways = waiting.flat_map(|(place, own)| own.voices().map(move |voice| (place, voice)));
         ways.min_by_key(|(place, voice)| (self.given_of(*voice), self.persons[*place].waits_from, *place))
     }
 
-    /// Asks the model about one person, in a step that began at `start`.
+    /// Scores one person, in a step that began at `start` (nanoseconds).
     fn ask(&mut self, person: &mut Person, start: u64, timing: &mut Timing) -> Result<(), PipelineError> {
         let now = self.scorer.model().clock();
         let writing = now();
@@ -420,23 +418,23 @@ impl<M: LanguageModel> Pipeline<M> {
         Ok(())
     }
 
-    /// Whether answers can be prepared: exact ones by the trie.
+    /// Prefetching needs exact answers by the trie.
     fn keeps_answers(&self) -> bool {
         self.options.method == Method::Trie && self.options.effort == Effort::Exact
     }
 
-    /// Observes, then scores.
+    /// Adds observations, then scores.
     ///
     /// # Errors
-    /// As [`Pipeline::score`]; the observations are in the histories all the same.
+    /// As [`Pipeline::score`]; the histories contain the observations even then.
     pub fn step(&mut self, observations: impl IntoIterator<Item = Observation>) -> Result<&Scores, PipelineError> {
         self.intake().observe(observations);
         self.score()
     }
 }
 
-/// The map's labels ready to be scored, and how many tokens narration may have: at most `history_tokens`, and what the labels and the binding
-/// sequence leave of the model's context. The model takes memory for these alone.
+/// Prepares the map's labels and returns them with the token limit of narration: `history_tokens`, or less if the labels and the binding sequence
+/// leave less of the model's context. Allocates only that much of the model's memory.
 fn prepare<M: LanguageModel>(
     scorer: &mut Scorer<M>,
     grounding: &Grounding,

@@ -1,4 +1,4 @@
-//! One person's part of a pipeline: their scores, and what these lack.
+//! One person's part of a pipeline: their scores, and the work that is still due.
 
 use super::PipelineOptions;
 use crate::grounding::{GroundedScores, Grounding, GroundingError};
@@ -8,27 +8,25 @@ use crate::prompt::write_prompt;
 use crate::scorer::certified::{Bounds, Certified, Effort};
 use crate::scorer::{LabelScores, Tokenisation};
 
-/// What a person's scores lack.
+/// Work due before a person's scores are current.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Due {
     Nothing,
-    /// The map's sums.
+    /// The model's label scores are current; the sums per partition are not.
     Grounding,
-    /// The model's word.
+    /// The model must be asked.
     Scoring,
 }
 
-/// What a person's scores do not contain yet, of one start of a source: from this narration on.
+/// The first event of a source start that a person's scores do not contain yet.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unscored {
     pub(super) source: u64,
     pub(super) epoch: u64,
     pub(super) sequence: u64,
-    /// The number of the voice that it was heard as.
     pub(super) voice: u64,
 }
 
-/// One person: who they are, their scores, and the narration that the scores rest on.
 #[derive(Debug)]
 pub(super) struct Person {
     pub(super) id: PersonId,
@@ -37,18 +35,18 @@ pub(super) struct Person {
     pub(super) grounded: GroundedScores,
     pub(super) lower_log_score_nats: Vec<f64>,
     pub(super) upper_log_score_nats: Vec<f64>,
-    /// Kept only where partial answers are asked for.
+    /// Set only for partial answers.
     pub(super) certified: Option<Certified>,
     pub(super) due: Due,
-    /// The turns of the first and the newest narration that wait for the scores.
+    /// Turns of the first and the newest event that wait for the scores.
     pub(super) waits_from: u64,
     pub(super) waits_until: u64,
     pub(super) unscored: Vec<Unscored>,
-    /// They had scores of the map before, and have none of the map in use yet.
+    /// The person had scores for the previous map and has none yet for the current one.
     pub(super) is_owed: bool,
-    /// Of the scores, among those of all persons.
+    /// Number of the scores, unique among all persons.
     pub(super) number: u64,
-    /// What the model read for these scores, and where in it each sentence ends: the history may have been cut since.
+    /// The prompt behind the scores, and the end of each sentence in it in bytes. The history may have been cut since.
     pub(super) prompt: String,
     pub(super) sentence_ends: Vec<usize>,
     pub(super) window: usize,
@@ -76,23 +74,23 @@ impl Person {
         }
     }
 
-    /// The model has to be asked about them.
+    /// Whether the model must be asked.
     pub(super) fn waits(&self) -> bool {
         self.at_home && self.due == Due::Scoring
     }
 
-    /// They have scores of the map in use.
+    /// Whether there are scores for the current map.
     pub(super) fn is_scored(&self) -> bool {
         !self.grounded.partition_probability.is_empty()
     }
 
-    /// For whom the model would be asked about them: for those who told of them, and for nobody where time alone has changed their scores.
+    /// The voices of the unscored events. [`Voice::EARLIER`] if the scores changed by time alone.
     pub(super) fn voices(&self) -> impl Iterator<Item = u64> {
         let of_none = self.unscored.is_empty().then_some(Voice::EARLIER.number);
         self.unscored.iter().map(|own| own.voice).chain(of_none)
     }
 
-    /// The model has to be asked about them from this turn on.
+    /// Marks the person for scoring; `turn` is the turn of the newest event.
     pub(super) fn wait_from(&mut self, turn: u64) {
         if self.due != Due::Scoring {
             self.waits_from = turn;
@@ -100,7 +98,6 @@ impl Person {
         (self.due, self.waits_until) = (Due::Scoring, turn);
     }
 
-    /// Writes the prompt for what is known of the person.
     pub(super) fn write_prompt(&mut self, history: Option<&History>, options: &PipelineOptions) {
         let trailing_space = options.tokenisation == Tokenisation::Paper;
         let sentences = || history.into_iter().flat_map(History::sentences);
@@ -117,7 +114,7 @@ impl Person {
         }
     }
 
-    /// The bounds of an answer that stopped before it was exact.
+    /// The bounds of a partial answer.
     pub(super) fn partial(&self) -> Option<&Bounds> {
         self.certified.as_ref().map(|certified| &certified.bounds).filter(|bounds| bounds.reached != Effort::Exact)
     }
@@ -126,7 +123,6 @@ impl Person {
         self.partial().map_or(Effort::Exact, |bounds| bounds.reached)
     }
 
-    /// Sums the labels' scores per partition.
     pub(super) fn ground(&mut self, grounding: &Grounding) -> Result<(), GroundingError> {
         if self.at_home {
             grounding.ground(&self.scores.log_prob_nats, &mut self.grounded)?;
@@ -155,7 +151,7 @@ impl Person {
         Ok(())
     }
 
-    /// Between what the probability of a partition lies: its least score against the most of all others, and its most against their least.
+    /// Bounds of a partition's probability: its lower bound against the others' upper bounds, and the reverse.
     pub(super) fn probability_bounds(&self, partition: usize) -> (f64, f64) {
         let Some(Bounds { lower, upper, .. }) = self.partial() else {
             let exact = self.grounded.partition_probability[partition];
@@ -165,7 +161,7 @@ impl Person {
         let others = |side: &[f64]| -> f64 {
             side.iter().enumerate().filter(|(other, _)| *other != partition).map(|(_, score)| score).sum()
         };
-        // Where no partition has a score, all are as likely.
+        // If no partition has a score, all are equally likely.
         let share = |own: f64, others: f64| if own + others > 0.0 { own / (own + others) } else { even };
         (share(lower[partition], others(upper)), share(upper[partition], others(lower)))
     }

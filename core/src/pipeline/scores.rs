@@ -1,4 +1,4 @@
-//! What a step gives: scores of all persons together, and of each.
+//! Results of a step: scores of all persons together, and of each.
 
 use super::person::{Due, Person};
 use crate::grounding::GroundedScores;
@@ -6,98 +6,98 @@ use crate::ids::{BootNs, PersonId};
 use crate::scorer::DecodeStats;
 use crate::scorer::certified::Effort;
 
-/// The last narration of one start of a source that scores include.
+/// The last event of one start of a source that scores include.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Included {
-    /// The source.
+    /// The event's source.
     pub source: u64,
-    /// Its epoch.
+    /// Epoch of the source.
     pub epoch: u64,
-    /// Its sequence number in that epoch.
+    /// Sequence number in that epoch.
     pub sequence: u64,
-    /// When it was observed, monotonic nanoseconds.
+    /// When the event was observed, monotonic nanoseconds.
     pub observed_ns: BootNs,
-    /// How many narrations of this epoch went into the histories.
+    /// Number of events of this epoch in the histories.
     pub accepted: u64,
-    /// The number of the voice that it was heard as ([`crate::narration::history::Voice`]).
+    /// Number of the event's voice ([`crate::narration::history::Voice`]).
     pub voice: u64,
-    /// Grows with every narration of any source.
+    /// Increases with every event of any source.
     pub turn: u64,
 }
 
 /// Where a step's time went, in nanoseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Timing {
-    /// Writing the prompt and cutting it into tokens.
+    /// Writing and tokenising the prompt.
     #[serde(rename = "tokenise")]
     pub tokenise_ns: u64,
-    /// Decoder calls that held the prompt; the trie's nodes ride in the same call.
+    /// Decoder calls with the prompt; nodes of the trie are in the same call.
     #[serde(rename = "prefix")]
     pub prefix_ns: u64,
-    /// The softmax and the walk over the trie.
+    /// The softmax and the pass over the trie.
     #[serde(rename = "trie")]
     pub trie_ns: u64,
-    /// Items and partitions.
+    /// Grounding in items and partitions.
     #[serde(rename = "ground")]
     pub ground_ns: u64,
-    /// All of the step.
+    /// The whole step.
     #[serde(rename = "total")]
     pub total_ns: u64,
 }
 
-/// The scores after a step, of all persons together.
+/// The combined scores of all persons after a step.
 #[derive(Debug, Clone, Default)]
 pub struct Scores {
-    /// Per label `ln s_c` in nats, corrected: of one person. Of several, the mean over persons of their label's share of their label
-    /// mass, times the mean label mass: everybody counts the same.
+    /// Per label: `ln s_c` in nats, corrected, if there is one person. For several, the logarithm of each label's share of its person's label mass,
+    /// averaged over persons, times the mean label mass. Every person has the same weight.
     pub label_log_prob_nats: Vec<f64>,
-    /// Per partition: of one person. Of several, the probability that somebody is there next, its logarithm as the score, and the mean
-    /// label mass.
+    /// Per partition: the person's scores, if there is one person. For several, the probability that at least one person is there next, its logarithm
+    /// as the score, and the mean label mass.
     pub grounded: GroundedScores,
-    /// Per start of a source, the last narration that these scores include.
+    /// Per start of a source, the last event that these scores include.
     pub included: Vec<Included>,
-    /// When the newest of it was observed, monotonic nanoseconds; 0 before the first.
+    /// When the newest included event was observed, monotonic nanoseconds; 0 before the first.
     pub newest_observed_ns: BootNs,
-    /// How the scores were reached; of several persons, what the intervals of all together show.
+    /// How exact the scores are. For several persons, as far as the combined bounds show.
     pub reached: Effort,
-    /// Per partition a certified lower bound of the score in nats; the score itself when exact.
+    /// Certified lower bound of the score per partition in nats; equal to the score if exact.
     pub lower_log_score_nats: Vec<f64>,
-    /// Per partition a certified upper bound of the score in nats; the score itself when exact.
+    /// Certified upper bound of the score per partition in nats; equal to the score if exact.
     pub upper_log_score_nats: Vec<f64>,
     /// Tokens of the prompts scored in this step.
     pub prompt_tokens: usize,
-    /// How many prompts the model was asked about in this step.
+    /// Prompts scored in this step.
     pub asked: usize,
-    /// How many were answered before they were asked ([`super::Ahead::keep_answer`]).
+    /// Prompts answered by prefetched answers ([`super::Ahead::keep_answer`]).
     pub prepared: usize,
-    /// What was decoded in this step.
+    /// Cost of decoding in this step.
     pub stats: DecodeStats,
-    /// Where the time of this step went.
+    /// Timing of this step.
     pub timing: Timing,
 }
 
-/// One person's scores: those that they would have alone.
+/// One person's scores, independent of other persons.
 #[derive(Debug, Clone, Copy)]
 pub struct PersonScores<'a> {
-    /// Who.
+    /// The person.
     pub person: PersonId,
-    /// In the house. Otherwise they are in no partition.
+    /// Whether the person is in the house. If not, they are in no partition.
     pub at_home: bool,
-    /// Narrations that the scores were computed from; the history may have been cut since.
+    /// Number of events behind the scores; the history may have been cut since.
     pub window: usize,
-    /// Nothing that they rest on has changed since: they are of what the person did last.
+    /// The scores include everything known of the person.
     pub is_current: bool,
-    /// The number of these scores, which no other ones have; 0 before the first.
+    /// A unique number of these scores; 0 before the first.
     pub number: u64,
-    /// Per label `ln s_c` in nats, corrected.
+    /// `ln s_c` per label in nats, corrected.
     pub label_log_prob_nats: &'a [f64],
-    /// Per partition.
+    /// Scores per partition.
     pub grounded: &'a GroundedScores,
-    /// How the scores were reached.
+    /// How exact the scores are.
     pub reached: Effort,
-    /// Per partition a certified lower bound of `ln S_j` in nats; the score itself when exact.
+    /// Certified lower bound of `ln S_j` per partition in nats; equal to the score if exact.
     pub lower_log_score_nats: &'a [f64],
-    /// Per partition a certified upper bound of `ln S_j` in nats; the score itself when exact.
+    /// Certified upper bound of `ln S_j` per partition in nats; equal to the score if exact.
     pub upper_log_score_nats: &'a [f64],
 }
 
@@ -118,7 +118,7 @@ impl<'a> PersonScores<'a> {
     }
 }
 
-/// The scores of all persons together who are in the house and have scores; without anybody there, no partition is likely.
+/// Combines the scores of all persons at home. If all are out, no partition is likely.
 pub(super) fn together(persons: &[Person], scores: &mut Scores) {
     let scored = || persons.iter().filter(|person| person.is_scored());
     let at_home = || scored().filter(|person| person.at_home);
@@ -145,7 +145,7 @@ pub(super) fn together(persons: &[Person], scores: &mut Scores) {
     scores.label_log_prob_nats.extend((0..first.scores.log_prob_nats.len()).map(label));
 
     let partitions = first.grounded.partition_probability.len();
-    // 1 - prod(1 - p), exact for small p too.
+    // `1 - prod(1 - p)`, accurate for small p too.
     let anybody = |of: &dyn Fn(&Person) -> f64| -at_home().map(|person| (-of(person)).ln_1p()).sum::<f64>().exp_m1();
     scores.grounded.set(label_mass, (0..partitions).map(|j| anybody(&|p| p.grounded.partition_probability[j])));
     let score = &scores.grounded.partition_log_score_nats;
@@ -156,13 +156,13 @@ pub(super) fn together(persons: &[Person], scores: &mut Scores) {
         return;
     }
     for (partition, &score) in score.iter().enumerate() {
-        // Rounding must not put the score itself outside.
+        // Rounding must not exclude the score itself.
         let lower = anybody(&|person| person.probability_bounds(partition).0).ln();
         scores.lower_log_score_nats[partition] = lower.min(score);
         let upper = anybody(&|person| person.probability_bounds(partition).1).ln();
         scores.upper_log_score_nats[partition] = upper.max(score);
     }
-    // What is certain of each person is not of all together: only the intervals tell.
+    // A certificate of each person's order does not order the combined scores: only their bounds do.
     let (lower, upper) = (&scores.lower_log_score_nats, &scores.upper_log_score_nats);
     let all = 0..partitions;
     let ahead = |first: usize, second: usize| lower[first] > upper[second];

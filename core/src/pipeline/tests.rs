@@ -30,7 +30,7 @@ fn pipeline_of<M: LanguageModel>(
     Pipeline::new(model, grounding, options).unwrap()
 }
 
-/// A fake whose rows depend on all of the prompt, where the table's depend on its last tokens.
+/// A fake with rows that depend on the whole prompt; the table's depend on its last tokens only.
 struct WholePrompt(TableModel);
 
 impl LanguageModel for WholePrompt {
@@ -64,7 +64,7 @@ impl LanguageModel for WholePrompt {
     }
 }
 
-/// A fake that gives other rows than it is asked for: it says which.
+/// A fake that visits other rows than it is asked for, by its function.
 struct Careless(TableModel, fn(usize) -> Option<usize>);
 
 impl LanguageModel for Careless {
@@ -98,7 +98,7 @@ impl LanguageModel for Careless {
     }
 }
 
-/// A fake that writes down how much memory it was last asked to take.
+/// A fake that records the last reservation in tokens.
 struct Reserving(TableModel, Arc<AtomicUsize>);
 
 impl LanguageModel for Reserving {
@@ -150,10 +150,10 @@ fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
     assert!(needed > trees && needed <= trees + 1 + BindingSequence::default().text().len() + 1, "{needed}, {trees}");
     drop(of(300));
     assert_eq!(beside(&large), needed, "the window grows the context by as much");
-    // Without a bound on the window, the model's own.
+    // An unbounded window is limited by the model's context.
     drop(of(usize::MAX));
     assert_eq!(asked.load(Ordering::Relaxed), model().info().context_tokens);
-    // A map with more labels takes more.
+    // A map with more labels needs more.
     let mut pipeline = of(100);
     let before = asked.load(Ordering::Relaxed);
     let things = [("washing machine", 1.0), ("washing basket", 1.2), ("washing line", 1.4)];
@@ -170,7 +170,7 @@ fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
     assert!(asked.load(Ordering::Relaxed) > before);
 }
 
-/// Whoever brings a model is told of it, in place of scores that are wrong, or none for ever.
+/// A faulty model causes an error, instead of wrong scores or no scores for ever.
 #[test]
 fn a_model_that_forgets_a_row_is_refused() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -187,7 +187,7 @@ fn a_model_that_forgets_a_row_is_refused() {
     }
 }
 
-/// Somebody who tells of many persons, also of one of another's, delays the other by one prompt at most.
+/// A narrator with many persons, among them another narrator's, delays that narrator by one prompt at most.
 #[test]
 fn who_tells_of_many_persons_delays_nobody_elses() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -212,7 +212,7 @@ fn who_tells_of_many_persons_delays_nobody_elses() {
         assert_eq!(claim(5).map(|claim| claim.sequence), Some(own));
         assert!(claim(9).is_some_and(|claim| claim.sequence < invented));
     }
-    // No flood ends the others' turns: who was told of is scored, and confirmed.
+    // All persons are scored and confirmed in the end.
     while pipeline.inside().is_behind() {
         pipeline.score_within(1).unwrap();
     }
@@ -223,7 +223,7 @@ fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
     pipeline.inside().preparer(Arc::new(|| false)).unwrap().unwrap()
 }
 
-/// The answer to what a person may do next, if they may.
+/// Prefetches the answer to a person's possible next event, if there is an outlook for the person.
 fn guessed<M: LanguageModel>(
     pipeline: &mut Pipeline<M>,
     preparer: &mut Preparer<M>,
@@ -240,7 +240,7 @@ fn observation(sequence: u64, person: PersonId) -> Observation {
     Observation { person, ..Observation::of(sequence, sentence) }
 }
 
-/// A pipeline whose map lost an item scores as one that never had it: what is gone competes with nothing.
+/// After an item was removed from the map, a pipeline scores like a fresh one: removed labels do not compete.
 #[test]
 fn a_changed_map_is_scored_as_a_fresh_one() {
     let before = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -263,8 +263,7 @@ fn a_changed_map_is_scored_as_a_fresh_one() {
 }
 
 proptest! {
-    /// Whatever was prepared, also before something else came between, and whether it is what comes: the scores are those of a pipeline
-    /// that prepares nothing.
+    /// Prefetching never changes scores, whether or not the guess comes true or other events come first.
     #[test]
     fn prepared_scores_are_those_computed_afterwards(
         acts in proptest::collection::vec((0_u32..3, 0_u64..4, 0_u32..4, 0_u64..4, 0_u8..9, any::<bool>()), 1..40)
@@ -325,7 +324,7 @@ proptest! {
     }
 }
 
-/// Whose prompt was read last is not always whose scores there are.
+/// The last prompt may belong to a forgotten person.
 #[test]
 fn tokens_of_somebody_who_is_forgotten_explain_nobody_else() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -353,7 +352,7 @@ fn what_was_guessed_is_answered_without_the_model() {
     let scores = ahead.step([said.clone()]).unwrap();
     assert_eq!((scores.asked, scores.prepared, scores.stats.calls), (1, 1, 0));
     assert!(!ahead.ahead().keep_answer(stale), "they have done something since");
-    // Forgetting leaves nothing of it, nor of what is on its way.
+    // Forgetting a person drops stored answers, and answers that arrive later.
     let answer = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
     assert!(ahead.ahead().keep_answer(answer));
     let late = guessed(&mut ahead, &mut aside, PersonId(0), &guess).unwrap();
@@ -379,7 +378,7 @@ fn only_exact_answers_are_prepared_and_so_many() {
     }
 }
 
-/// A map of many labels leaves the histories fewer tokens; a smaller one gives them back.
+/// A map of many labels leaves the histories fewer tokens; a smaller map restores them.
 #[test]
 fn a_smaller_map_gives_the_history_its_tokens_back() {
     let small = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -393,12 +392,12 @@ fn a_smaller_map_gives_the_history_its_tokens_back() {
     let before = pipeline.inside().options().history.tokens;
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
     assert!(pipeline.inside().options().history.tokens < before);
-    // Without a correction, idle labels change no score. They take tokens all the same.
+    // Without a correction, idle labels change no score, but they still take tokens.
     assert!(pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again);
     assert_eq!(pipeline.inside().options().history.tokens, before);
     assert!(!pipeline.change_map(&small, &GroundingOptions::default()).unwrap().again, "no label is idle");
     pipeline.change_map(&large, &GroundingOptions::default()).unwrap();
-    // A label that the large list does not know, so that the list is prepared again.
+    // A label outside the large list, so that the list is prepared again.
     let other = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}, {"change": "remove-item", "id": "wall-1"}]"#;
     let other = small.changed(crate::semantic_map::delta::parse_changes(other).unwrap()).unwrap();
     pipeline.change_map(&other, &GroundingOptions::default()).unwrap();
@@ -406,7 +405,7 @@ fn a_smaller_map_gives_the_history_its_tokens_back() {
     assert!(after.abs_diff(before) < 20, "{before} tokens before, {after} after");
 }
 
-/// The bounds of two persons together hold under a prior, whose scale each person has for themselves.
+/// The bounds of two persons together hold under a prior with a scale per person.
 #[test]
 fn partial_answers_of_several_persons_are_true() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -432,7 +431,7 @@ fn partial_answers_of_several_persons_are_true() {
     }
 }
 
-/// Who leaves less mass on the map is seen all the same, and their forecaster gets their own scores.
+/// A person with less mass on the map still counts, and each person has their own scores.
 #[test]
 fn persons_do_not_hide_each_other() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -456,7 +455,7 @@ fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {
     Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
 }
 
-/// Who is out of the house is in no room and hides nobody; what they did before does not say what they do when they are back.
+/// Absent persons are in no room and do not affect others. Their earlier events do not count after they return.
 #[test]
 fn who_is_away_is_in_no_room() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -471,14 +470,14 @@ fn who_is_away_is_in_no_room() {
     alone.step([observation(2, PersonId(1))]).unwrap();
     assert_eq!(both.scores().label_log_prob_nats, alone.scores().label_log_prob_nats);
     assert_eq!(both.scores().grounded.partition_probability, alone.scores().grounded.partition_probability);
-    // Nobody is home: no room is likely.
+    // If all persons are out, no room is likely.
     both.step([presence(4, PersonId(1), "away")]).unwrap();
     let nobody = both.scores();
     assert_eq!(nobody.grounded.partition_probability, [0.0; 2]);
     assert_eq!(nobody.grounded.partition_log_score_nats, [f64::NEG_INFINITY; 2]);
     assert!(nobody.grounded.label_mass == 0.0 && nobody.included.len() == 1 && nobody.included[0].sequence == 4);
     assert!(both.inside().token_log_prob_nats(0).is_none());
-    // Back: as nobody whom anything is known of.
+    // After the return, the person is like a new one.
     both.step([presence(5, PersonId(0), "present in the kitchen")]).unwrap();
     let unknown = fresh().score().unwrap().grounded.partition_probability.clone();
     assert_eq!(both.scores().grounded.partition_probability, unknown);
@@ -486,7 +485,7 @@ fn who_is_away_is_in_no_room() {
     assert_eq!(both.persons().map(|own| own.person).collect::<Vec<_>>(), [PersonId(0)]);
 }
 
-/// Silence ends a window as a late observation does, and the person is scored once more.
+/// A long silence ends a window, and the person is scored once more.
 #[test]
 fn what_lies_hours_back_leaves_the_prompt() {
     let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
@@ -507,7 +506,6 @@ fn what_lies_hours_back_leaves_the_prompt() {
     assert_eq!(silent.scores().stats.calls, 0, "and once");
 }
 
-/// Scores of one person: labels, probabilities, scores and both bounds.
 fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
     let GroundedScores { partition_log_score_nats, partition_probability, label_mass, .. } = scores.grounded;
     let all = [
@@ -522,8 +520,8 @@ fn values(scores: PersonScores) -> (Vec<u64>, Effort) {
 }
 
 proptest! {
-    /// What one narrator says, of whomever it invents too, changes nothing for persons that it does not speak of. Of the probability that
-    /// anybody enters a room it moves what these leave of it, and no more: it can never make a room look free of them.
+    /// A narrator, with any invented persons, does not change the scores of persons it does not report. It cannot lower the probability that at least
+    /// one person enters a room below the value that the other persons give.
     #[test]
     fn a_narrator_moves_no_room_below_what_the_others_give_it(
         honest in prop::collection::vec(0u32..3, 1..12),
@@ -558,8 +556,8 @@ proptest! {
         }
     }
 
-    /// However few persons a step scores, what it says is included is in the scores of everybody; after the last one the scores are those of
-    /// a step without a bound.
+    /// However few persons a step scores, the events counted as included are in every person's scores. After the last step the scores equal those of
+    /// an unbounded step.
     #[test]
     fn what_is_included_is_scored(
         said in prop::collection::vec((0u32..5, 0u64..3, 0usize..9, 0u64..4, any::<bool>()), 1..80),
@@ -568,7 +566,7 @@ proptest! {
         let mut bounded = pipeline_of(TableModel::slow(7), &map, Effort::Exact, CORRECTED);
         let mut free = pipeline(&map, Effort::Exact, CORRECTED);
         bounded.score().unwrap();
-        // Per narration its source, its number there, its person, and whether they were scored with it.
+        // Per event: source, sequence, person, and whether the person was scored with it.
         let mut told: Vec<(u64, u64, PersonId, bool)> = Vec::new();
         for (number, &(person, source, what, steps, restarts)) in (1..).zip(&said) {
             let spoken = match what {
@@ -579,7 +577,7 @@ proptest! {
             let next = Observation { source, ..spoken };
             free.intake().observe([next.clone()]);
             bounded.intake().observe([next]);
-            // Who is out waits for nothing, and what changes nothing does not either.
+            // Absent persons do not wait, nor do persons with unchanged scores.
             told.push((source, number, PersonId(person), !bounded.inside().waits(PersonId(person))));
             if restarts {
                 bounded.intake().forget_voices();
@@ -616,7 +614,7 @@ proptest! {
         }
     }
 
-    /// A person's scores are those that they have alone, to the bit; one person's are those of all together.
+    /// A person's scores equal, to the bit, those of a pipeline with that person alone. One person's scores equal the combined scores.
     #[test]
     fn a_persons_scores_are_those_of_that_person_alone(
         steps in prop::collection::vec((0u64..4000, prop::collection::vec((0u32..4, 0usize..12), 0..4)), 1..8),
@@ -644,7 +642,6 @@ proptest! {
                 };
                 Observation { observed_ns: BootNs(at_s * 1_000_000_000), ..said }
             }).collect();
-            // Silence ends a window.
             if *pause_s % 5 == 0 {
                 together.intake().end_window(PersonId(2));
                 if let Some(own) = alone.get_mut(&PersonId(2)) {

@@ -3,58 +3,54 @@ use rand::Rng;
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, UncoveredFirst, check, partition_id};
 use crate::text::count;
 
-/// Most partitions that the dynamic program holds: 2^12 sets of rooms per slot. More are planned by the heuristic of [`plan`].
+/// Limit of the dynamic program: 2^12 sets of rooms per slot. Beyond it, [`plan`] uses its heuristic.
 pub const DP_PARTITIONS_MAX: usize = 12;
 
-/// Default price of each room that is left undone, in seconds of disturbance: a room is left undone only where covering it would
-/// mean sharing it for most of a minute. Chosen on the experiments' grid and on held-out activities, where it disturbs less than
-/// informed avoidance and fails no more often than chance (docs/experiments.md).
+/// Default price per room left undone, in seconds of disturbance. The robot skips a room only if covering it would mean sharing it for most of a
+/// minute. Chosen on the experiments' grid and on held-out activities, where it disturbs less than informed avoidance and fails no more often than
+/// chance (docs/experiments.md).
 pub const WEIGHT_DEFAULT_S: f64 = 42.0;
 
-/// The default price is no less than this share of the time that people are expected to be about in one slot: where the
-/// robot works for a quarter of an hour in each room, a minute is no price.
+/// The default price is at least this share of the people's expected time in one slot. If the robot works for a quarter of an hour per room, a minute
+/// is too low a price.
 pub const WEIGHT_DEFAULT_SLOTS: f64 = 0.4;
 
-/// Nor less than this share of the stay: a room that is empty with 70 % or more is done rather than left to the next round.
+/// The default price is at least this share of a stay: a room that is empty with 70 % or more is done now.
 pub const WEIGHT_DEFAULT_STAY: f64 = 0.3;
 
-/// A difference of less than this share of a slot counts as none: where the chance to meet the person rounds to 0 %, the robot
-/// works at no cost.
+/// Cost differences below this share of a slot count as zero: the chance to meet a person then rounds to 0 %.
 pub(crate) const FREE_SHARE: f64 = 0.005;
 
-/// A room in which somebody is during a slot with at most this probability counts as empty: no forecast of a home with people in it says 0 of
-/// any room, and time makes it less certain.
+/// A room counts as empty if it is occupied during a slot with at most this probability. A forecast of an occupied home never says 0, and becomes
+/// less certain with time.
 const EMPTY_SHARE: f64 = 0.05;
 
-/// What later slots are said to cost counts with this share against seconds of the stay in hand: a room that is dearer now is done first
-/// only where that saves later at least twice of what it costs more now.
+/// Weight of the cost of later slots against the cost of the current stay, while there are more slots than rooms to do. A room with a higher cost now
+/// is done first only if that saves at least twice the difference later.
 ///
-/// The stay in hand is begun with what is known now. Later slots are planned again with what is known then, and far ones repeat one
-/// forecast, that of where people are in the long run. Of a room that somebody is in for half of the time, a plan made today says half of a
-/// stay at any later slot. With one slot more than rooms to do there are two chances for it, both to be seen before they are taken: the
-/// room costs as much only if somebody is there both times, 1/2 of 1/2. So with a slot to spare the half of it is lost at most, and without
-/// one nothing is discounted. This is reasoned, not fitted to any run.
+/// The current stay uses current knowledge. Later slots are planned again with later knowledge, and the forecasts of far slots all equal the long-run
+/// occupancy. For a room occupied half of the time, a plan made today charges half a stay at any later slot. With one spare slot there are two
+/// chances for the room, and the robot sees both before it takes one: the room costs as much only if it is occupied both times, 1/2 of 1/2. So with a
+/// spare slot at most half of the saving is lost, and without one nothing is discounted. This is reasoned, not fitted to any run.
 pub(crate) const LATER_SHARE: f64 = 0.5;
 
 /// Differences of less than this many seconds are rounding.
 const TIE_S: f64 = 1e-6;
 
-/// Greatest price, in seconds: beyond it the costs beside it would be lost to rounding. No timeline is that long.
+/// Greatest price, in seconds: above it, costs would be lost to rounding. No timeline is that long.
 const WEIGHT_MAX_S: f64 = 1e9;
 
-/// The project's own policy: plans the rooms of all slots left against the forecast, takes the first, and plans again at
-/// every decision.
+/// The project's own policy: plans the rooms of all remaining slots against the forecast, takes the first, and plans again at every decision.
 ///
-/// The plan minimises the expected time shared with the person plus `weight_s` for each room that stays undone. Work is never
-/// put off for a gain of less than half a percent of a slot, nor, with the default weight, while a room to do counts as empty
-/// (5 %). Without a forecast or a horizon it does as [`UncoveredFirst`].
+/// The plan minimises the expected time shared with the person plus `weight_s` per room left undone. Work is never postponed for a gain below half a
+/// percent of a slot, nor, with the default weight, while a room to do counts as empty (5 %). Without a forecast or a horizon it acts like
+/// [`UncoveredFirst`].
 ///
-/// **Which room first.** While more slots than rooms to do are left, there is time to wait for news of each room, so the first room is not the
-/// one of the cheapest plan but the one with the least seconds in it now plus half of the seconds that the rest of its plan costs: the
-/// emptiest room now, unless another one that is dearer now saves at least twice of that later. Somebody who sleeps in a room tonight
-/// that is empty now is a saving of a whole stay, and counts; that a room is said to be taken with 52 % tomorrow
-/// and with 49 % now is none. Where every slot left is needed, the cheapest plan is followed. A weight that is given, and a
-/// clairvoyant, have the plan itself weighed.
+/// **Which room first.** While there are more slots than rooms to do, the robot can wait for better forecasts. The first room then minimises its own
+/// seconds now plus half of the seconds of the rest of the plan. So the robot takes the emptiest room now, unless another room saves at least twice
+/// the difference later. A room that is empty now and a bedroom tonight saves a whole stay, which counts; a room with 52 % tomorrow and 49 % now
+/// saves nothing. If every slot is needed, the robot follows the cheapest plan. With a given weight and for a clairvoyant robot, later slots are not
+/// discounted.
 #[derive(Debug, Clone, Copy)]
 pub struct CoverageAware {
     weight_s: Option<f64>,
@@ -62,21 +58,21 @@ pub struct CoverageAware {
 }
 
 impl CoverageAware {
-    /// `weight_s`: how many seconds of disturbance a room left undone is worth. 0 only avoids the person; infinite always
-    /// covers when it can; `None` (or no number) is the greatest of [`WEIGHT_DEFAULT_S`], [`WEIGHT_DEFAULT_SLOTS`] and [`WEIGHT_DEFAULT_STAY`].
+    /// `weight_s` is the price per room left undone, in seconds of disturbance. 0 only avoids the person; infinity always covers if possible; `None`
+    /// or NaN is the greatest of [`WEIGHT_DEFAULT_S`], [`WEIGHT_DEFAULT_SLOTS`] and [`WEIGHT_DEFAULT_STAY`].
     #[must_use]
     pub fn new(weight_s: Option<f64>) -> Self {
         let weight_s = weight_s.filter(|weight_s| !weight_s.is_nan()).map(|weight_s| weight_s.max(0.0));
         Self { weight_s, free_share: FREE_SHARE }
     }
 
-    /// For a robot that knows the future: it covers when it can, and no gain is too small to wait for.
+    /// For a robot that knows the future: it covers if possible, and waits for any gain, however small.
     #[must_use]
     pub fn clairvoyant() -> Self {
         Self { weight_s: Some(WEIGHT_MAX_S), free_share: 0.0 }
     }
 
-    /// Up to how many seconds of a stay shared a room counts as empty. Whoever gives a weight has it weighed.
+    /// A room counts as empty up to this cost of a stay, in seconds. 0 with a given weight: then costs alone decide.
     fn empty_s(self, state: &RobotState<'_>) -> f64 {
         if self.weight_s.is_none() { EMPTY_SHARE * state.room_time_s } else { 0.0 }
     }
@@ -97,7 +93,7 @@ impl Policy for CoverageAware {
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError> {
         check(state, scores)?;
         let weight_s = self.weight_s(state);
-        // The plan knows only the rooms that are open.
+        // The plan contains only open rooms.
         let open: Vec<usize> = state.open(scores.len()).collect();
         let slots = state.expected_shared_s.chunks(scores.len());
         let shared_s: Vec<f64> = slots.flat_map(|slot| open.iter().map(|p| slot[*p])).collect();
@@ -110,7 +106,7 @@ impl Policy for CoverageAware {
             return UncoveredFirst.choose(state, scores, rng);
         };
         let first = plan.partitions.first().copied().ok_or(PolicyError::NoPartitions)?;
-        // Keep the generator in step with the policies that draw.
+        // Draws once, so that paired runs with random policies stay paired.
         let _: f64 = rand::RngExt::random(rng);
         let to_do = covered.iter().filter(|done| !**done).count();
         let stays = plan.partitions.len();
@@ -120,7 +116,7 @@ impl Policy for CoverageAware {
             (false, true) => "waits in a room that is done",
             (false, false) => "works here",
         };
-        // A room that is closed is no part of the plan, and still to do.
+        // A closed room is not in the plan, but still to do.
         let is_all = to_do == state.covered.iter().filter(|done| !**done).count();
         let does = match (plan.works, plan.undone) {
             (0, _) => "no room".to_owned(),
@@ -151,45 +147,45 @@ impl Policy for CoverageAware {
     }
 }
 
-/// A room for every slot left.
+/// A room for every remaining slot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Partition per slot.
     pub partitions: Vec<usize>,
     /// Time shared with the person over all slots, as forecast, in seconds.
     pub shared_s: f64,
-    /// The part of it in the stays in which it does a room; in the others the robot waits.
+    /// The part of `shared_s` in stays in which the robot works. In the other stays it waits.
     pub work_s: f64,
-    /// How many partitions it does.
+    /// Number of partitions that the plan does.
     pub works: usize,
-    /// How many partitions are still to do at the end.
+    /// Number of partitions left to do at the end.
     pub undone: usize,
 }
 
-/// The plan of least `shared_s` plus `weight_s` for each room that it leaves undone. Where a plan that does a room in the first slot
-/// costs at most `tie_s` more, it is taken.
+/// The plan with the least `shared_s` plus `weight_s` per room left undone. A plan that does a room in the first slot is preferred if it costs at
+/// most `tie_s` more.
 ///
-/// `shared_s` holds slots times partitions (`covered.len()`), slot by slot. Exact up to [`DP_PARTITIONS_MAX`] partitions
-/// still to do, by dynamic programming over (slot, set of rooms still to do), where a step either goes to one of the rooms
-/// to do or to the cheapest room of the slot. Beyond it, a heuristic: the room to do whose best free slot costs the most
-/// over staying in the slot's cheapest room is placed first. `None` when there is no slot or no partition.
+/// `shared_s` has slots x partitions (`covered.len()`) entries, slot by slot, in seconds. Exact up to [`DP_PARTITIONS_MAX`] partitions to do, by
+/// dynamic programming over (slot, set of rooms to do): a step goes to one of the rooms to do or to the cheapest room of the slot. Beyond it, a
+/// heuristic: the room with the greatest cost of its best free slot, compared with the slot's cheapest room, is placed first. `None` if there is no
+/// slot or no partition.
 #[must_use]
 pub fn plan(shared_s: &[f64], covered: &[bool], weight_s: f64, tie_s: f64) -> Option<Plan> {
     plan_free(shared_s, covered, &vec![weight_s; covered.len()], Free { tie_s, empty_s: 0.0, later_share: 1.0 })
 }
 
-/// What work in the first slot counts as free.
+/// When work in the first slot counts as free.
 #[derive(Debug, Clone, Copy)]
 struct Free {
-    /// Where the plan costs at most so much more.
+    /// If the plan costs at most this much more, in seconds.
     tie_s: f64,
-    /// Where it costs at most so much itself, and the robot would wait.
+    /// If the robot would wait otherwise, and the work itself costs at most this much, in seconds.
     empty_s: f64,
-    /// What counts of what is saved by it later ([`LATER_SHARE`]), where slots are to spare.
+    /// The weight of later slots ([`LATER_SHARE`]) if there are spare slots.
     later_share: f64,
 }
 
-/// As [`plan`], where a room to do that counts as empty in the first slot is done rather than waited for.
+/// As [`plan`], but does a room that counts as empty in the first slot instead of waiting for it.
 fn plan_free(shared_s: &[f64], covered: &[bool], weights_s: &[f64], free: Free) -> Option<Plan> {
     let partitions = covered.len();
     let slots = shared_s.len().checked_div(partitions)?;
@@ -216,21 +212,20 @@ fn plan_free(shared_s: &[f64], covered: &[bool], weights_s: &[f64], free: Free) 
     };
     let rooms = if to_do.len() <= DP_PARTITIONS_MAX { task.dynamic_program() } else { task.by_regret() };
     let total = rooms.iter().enumerate().map(|(slot, p)| task.cost(slot, *p)).sum();
-    // A room is done in the first of the stays in it.
+    // A room is done in the first of its stays.
     let stays = to_do.iter().filter_map(|p| Some((rooms.iter().position(|room| room == p)?, *p)));
     let (works, work_s) = stays.fold((0, 0.0), |(works, s), (slot, p)| (works + 1, s + task.cost(slot, p)));
     let undone = to_do.len() - works;
     Some(Plan { partitions: rooms, shared_s: total, work_s, works, undone })
 }
 
-/// What a plan is made for.
 struct Task<'a> {
     shared_s: &'a [f64],
     partitions: usize,
-    /// The partition of least cost, per slot.
+    /// The partition of least cost per slot.
     cheapest: &'a [usize],
     to_do: &'a [usize],
-    /// The price of each partition that is left undone.
+    /// Price per partition left undone, in seconds.
     weights_s: &'a [f64],
     tie_s: f64,
     empty_s: f64,
@@ -242,12 +237,11 @@ impl Task<'_> {
         self.shared_s[slot * self.partitions + partition]
     }
 
-    /// What a room costs over the slot's cheapest.
+    /// The cost of a room minus the cost of the slot's cheapest room.
     fn extra(&self, slot: usize, partition: usize) -> f64 {
         self.cost(slot, partition) - self.cost(slot, self.cheapest[slot])
     }
 
-    /// Whether a room counts as empty in the first slot.
     fn is_empty(&self, partition: usize) -> bool {
         self.empty_s > 0.0 && self.cost(0, partition) <= self.empty_s
     }
@@ -255,7 +249,7 @@ impl Task<'_> {
     fn dynamic_program(&self) -> Vec<usize> {
         let slots = self.cheapest.len();
         let sets = 1usize << self.to_do.len();
-        // Value of the best continuation per set of rooms still to do, after the slot in hand; backwards from the end.
+        // Value of the best continuation per set of rooms to do, computed backwards from the last slot.
         let price_s = |set: usize| {
             let left = self.to_do.iter().enumerate().filter(|(bit, _)| set & (1 << bit) != 0);
             left.map(|(_, p)| self.weights_s[*p]).sum()
@@ -272,7 +266,7 @@ impl Task<'_> {
             after = before;
         }
         let mut set = sets - 1;
-        // Forecasts change, work done stays done: what costs next to nothing is done now, and of equal plans the cheapest now.
+        // Forecasts change, but finished work stays finished. So work that is nearly free is done now, and of equal plans the cheapest now wins.
         let (least, choice) = self.best(0, set, &after, self.tie_s);
         let is_worth_it = self.works(0, set, &after).any(|(value, _)| value <= least + TIE_S);
         let weighed = |(value, partition): (f64, usize)| {
@@ -297,13 +291,13 @@ impl Task<'_> {
             .collect()
     }
 
-    /// The rooms of a set, and what each costs in a slot with all that follows.
+    /// The rooms of a set, with their cost in a slot plus the cost of the best continuation.
     fn works<'b>(&'b self, slot: usize, set: usize, after: &'b [f64]) -> impl Iterator<Item = (f64, usize)> + 'b {
         let of_set = self.to_do.iter().enumerate().filter(move |(bit, _)| set & (1 << bit) != 0);
         of_set.map(move |(bit, partition)| (self.cost(slot, *partition) + after[set & !(1 << bit)], *partition))
     }
 
-    /// Least value and its room; the best work where it costs at most `tie_s` more.
+    /// Least value and its room. Work is preferred if it costs at most `tie_s` more.
     fn best(&self, slot: usize, set: usize, after: &[f64], tie_s: f64) -> (f64, usize) {
         let idle = (self.cost(slot, self.cheapest[slot]) + after[set], self.cheapest[slot]);
         let work = self.works(slot, set, after).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -322,7 +316,7 @@ impl Task<'_> {
             (extra <= self.weights_s[p]).then_some((extra, slot, p))
         };
         let mut left: Vec<_> = self.to_do.iter().filter_map(|p| best(*p, &free)).collect();
-        // Of more rooms than slots those stay undone where that saves most.
+        // If there are more rooms than slots, the rooms with the least gain stay undone.
         let gain_s = |(extra_s, _, p): &(f64, usize, usize)| self.weights_s[*p] - extra_s;
         left.sort_by(|a, b| gain_s(b).total_cmp(&gain_s(a)).then(a.0.total_cmp(&b.0)));
         left.truncate(slots);
@@ -334,7 +328,7 @@ impl Task<'_> {
             let more = |p: usize| self.extra(0, p) - slot_of[p].map_or(self.weights_s[p], |slot| self.extra(slot, p));
             let as_good = self.to_do.iter().copied().filter(|p| more(*p) <= self.tie_s || self.is_empty(*p));
             if let Some(now) = as_good.min_by(|a, b| self.cost(0, *a).total_cmp(&self.cost(0, *b))) {
-                // It may have had a later slot.
+                // The room may have had a later slot.
                 if let Some(slot) = slot_of[now].replace(0) {
                     free[slot] = true;
                 }
@@ -349,8 +343,8 @@ impl Task<'_> {
         rooms
     }
 
-    /// Does another room than `first` in the first slot where that costs least with what later slots cost discounted: `first` then takes
-    /// that room's slot, or one that is free, or stays undone.
+    /// Replaces `first` in the first slot if another room costs less with later slots discounted. `first` then takes the other room's slot or a free
+    /// one, or stays undone.
     fn swap_first(&self, first: usize, slot_of: &mut [Option<usize>], free: &[bool]) {
         let now_s = |p: usize| self.extra(0, p);
         let later_s = |p: usize, slot: Option<usize>| slot.map_or(self.weights_s[p], |slot| self.extra(slot, p));
@@ -358,7 +352,7 @@ impl Task<'_> {
             let slots = (0..free.len()).filter(|slot| free[*slot] || slot_of[p] == Some(*slot));
             let slot = slots.min_by(|a, b| self.extra(*a, first).total_cmp(&self.extra(*b, first)));
             let slot = slot.filter(|slot| self.extra(*slot, first) <= self.weights_s[first]);
-            // Against the plan as it is, in which the first room is in the first slot.
+            // Compared with the current plan, which has `first` in the first slot.
             let more_s = later_s(first, slot) - later_s(p, slot_of[p]);
             (now_s(p) - now_s(first) + self.later_share * more_s, p, slot)
         };
@@ -377,7 +371,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
 
-    /// The definition itself: every sequence of rooms, from the slots given on.
+    /// Reference by definition: tries every sequence of rooms.
     fn brute_force(shared_s: &[f64], covered: &[bool], weight_s: f64) -> f64 {
         let partitions = covered.len();
         let slots = shared_s.len() / partitions;
@@ -416,7 +410,7 @@ mod tests {
         })
     }
 
-    /// With one slot for two rooms that are as likely taken, the dearer one is done; where neither is worth its price, none is.
+    /// With one slot for two equally occupied rooms, the room with the higher price is done. If neither is worth its price, neither is done.
     #[test]
     fn of_rooms_that_are_alike_the_overdue_one_is_done() {
         let shared_s = [20.0, 20.0, 5.0];
@@ -432,7 +426,7 @@ mod tests {
             choice.partition.0
         };
         assert_eq!([chosen(&[1.0, 3.0, 1.0], &shared_s), chosen(&[3.0, 1.0, 1.0], &shared_s)], [1, 0]);
-        // At the usual price of 42 s the robot waits; a room that is overdue is worth the meeting.
+        // At the usual price of 42 s the robot waits. An overdue room is worth meeting the person.
         let busy_s = [60.0, 60.0, 5.0];
         assert_eq!([chosen(&[], &busy_s), chosen(&[1.0, 2.0, 1.0], &busy_s)], [2, 1]);
     }
@@ -446,8 +440,8 @@ mod tests {
             prop_assert!((value(&plan, weight_s) - brute_force(&shared_s, &covered, weight_s)).abs() < 1e-4);
         }
 
-        /// Work that costs nothing now is never put off for a room that is done, whatever the forecast says of later. It gives way
-        /// only to the work of another room, and only where the whole plan gains by that.
+        /// Free work is never postponed for a finished room, whatever the later forecast. It is postponed only for work in another room, and only if
+        /// the whole plan gains.
         #[test]
         fn work_that_is_free_now_is_done_now(
             (mut covered, mut shared_s) in home(1..5, 1..6), free in any::<prop::sample::Index>(),
@@ -484,8 +478,8 @@ mod tests {
             prop_assert!(!covered[chosen], "{chosen} is done");
         }
 
-        /// A plan whose first room is the emptier one costs no more over the least than the least plan's first room is dearer now; without a
-        /// slot to spare it is the least.
+        /// If the plan starts with the emptier room, its extra cost over the cheapest plan is at most the cost saved now. Without a spare slot it is
+        /// the cheapest plan.
         #[test]
         fn the_emptier_room_costs_no_more_than_it_spares_now(
             (covered, shared_s) in home(1..5, 1..6), weight_s in 0.0..30.0f64,
@@ -520,12 +514,12 @@ mod tests {
     #[test]
     fn of_equal_plans_the_one_that_works_now_wins() {
         assert_eq!(plan(&[1.0; 6], &[true, false], 100.0, 0.0).unwrap().partitions[0], 1);
-        // A little is gained by waiting: a chance to meet the person that rounds to 0 %.
+        // Waiting gains little: a chance to meet the person that rounds to 0 %.
         let later = [0.0, 2.0, 0.0, 0.0, 0.0, 0.0];
         let dear = Some(WEIGHT_DEFAULT_S);
         assert_eq!(choose(&[true, false], &later, 600.0, dear).partition.0, 1);
         assert_eq!(choose(&[true, false], &later, 60.0, dear).partition.0, 0);
-        // By default a room that is likely empty is done now: 3 % of a minute, not 6 %.
+        // By default a room that is probably empty is done now: at 3 % of a minute, not at 6 %.
         assert_eq!(choose(&[true, false], &later, 60.0, None).partition.0, 1);
         assert_eq!(choose(&[true, false], &later, 33.0, None).partition.0, 0);
         let large: Vec<f64> = (0..20 * 30).map(|index| if index == 19 { 2.0 } else { 0.0 }).collect();
@@ -533,31 +527,31 @@ mod tests {
         assert_eq!([60.0, 33.0].map(|stay_s| choose(&covered, &large, stay_s, None).partition.0), [19, 0]);
     }
 
-    /// Slots to spare: what a forecast says of now, then for so many slots the same of later. In shares of a stay.
+    /// A forecast with spare slots: `now` for the first slot, then `later` for `slots` slots. Values are shares of a stay.
     fn flat(now: &[f64], later: &[f64], slots: usize, stay_s: f64) -> Vec<f64> {
         let rest = std::iter::repeat_n(later, slots - 1).flatten();
         now.iter().chain(rest).map(|share| share * stay_s).collect()
     }
 
-    /// As a household found it: the bedroom with 51 % now, since the nights were spent there and it will be no emptier, and the living room beside
-    /// somebody who watches television.
+    /// A case from a real household: the bedroom has 51 % now because of the nights and will not become emptier; the living room has a person who
+    /// watches television.
     #[test]
     fn of_the_rooms_to_do_the_emptiest_comes_first() {
-        // Kitchen, bathroom, hallway, bedroom, office, living room: in the morning, with P ten minutes on.
+        // Kitchen, bathroom, hallway, bedroom, office, living room: in the morning, forecast for ten minutes ahead.
         let now = [0.45, 0.40, 0.10, 0.51, 0.10, 0.19];
         for bedroom in [0.52, 0.55, 0.65, 0.75, 0.96] {
             let shared_s = flat(&now, &[0.15, 0.13, 0.10, bedroom, 0.10, 0.19], 96, 600.0);
             let chosen = choose(&[false; 6], &shared_s, 600.0, None);
             assert!([2, 4].contains(&chosen.partition.0), "bedroom {bedroom}: {chosen:?}");
         }
-        // The living room where Ben is, and five empty ones.
+        // The living room with Ben, and five empty rooms.
         let now = [0.05, 0.07, 0.03, 0.09, 0.11, 0.41];
         for living in [0.42, 0.45, 0.6, 1.0] {
             let later = [0.05, 0.07, 0.03, 0.09, 0.11, living];
             let shared_s = flat(&now, &later, 144, 100.0);
             let chosen = choose(&[false; 6], &shared_s, 100.0, None);
             assert_eq!(chosen.partition.0, 2, "living room {living}: {chosen:?}");
-            // Of more rooms than the dynamic program holds too. More people are about there, and a room left undone is dearer.
+            // The same with more rooms than the dynamic program allows. More people are present, so the price is higher.
             let more = |rooms: &[f64]| [rooms, &[0.12; 10]].concat();
             let shared_s = flat(&more(&now), &more(&later), 144, 100.0);
             let chosen = choose(&[false; 16], &shared_s, 100.0, None);
@@ -570,14 +564,14 @@ mod tests {
         let first = |now: &[f64], later: &[f64], slots: usize| {
             choose(&[false; 2], &flat(now, later, slots, 100.0), 100.0, None).partition.0
         };
-        // Somebody goes to bed: 5 % now, 90 % for the night.
+        // A person goes to bed: 5 % now, 90 % for the night.
         assert_eq!(first(&[0.05, 0.03], &[0.90, 0.03], 40), 0);
-        // Two slots for two rooms: the plan itself. With one to spare there will be news of the room first.
+        // Two slots for two rooms: no discount. With a spare slot there will be a newer forecast first.
         assert_eq!(first(&[0.50, 0.10], &[0.70, 0.10], 2), 0);
         assert_eq!(first(&[0.50, 0.10], &[0.70, 0.10], 3), 1);
     }
 
-    /// A robot that waits in a room is docked: what people do there is no disturbance of this plan.
+    /// While the robot waits, it is docked: persons in its room are not disturbed by this plan.
     #[test]
     fn only_the_seconds_of_its_work_are_said() {
         let alike = vec![100.0; 144 * 6];
@@ -595,7 +589,7 @@ mod tests {
 
     #[test]
     fn a_room_that_is_too_dear_keeps_no_other_from_being_done() {
-        // Somebody sleeps in room 0; the other rooms are unlikely, not impossible.
+        // A person sleeps in room 0; the other rooms are improbable, not impossible.
         let slots: Vec<f64> = [[570.0, 8.0, 10.0, 12.0]; 6].concat();
         let plan = plan(&slots, &[false, true, false, false], 240.0, 6.0).unwrap();
         assert_eq!((plan.undone, plan.partitions[0]), (1, 2));
@@ -613,7 +607,7 @@ mod tests {
             "{}",
             few.reason
         );
-        // Of three rooms two have time, and the better one of the others is too dear.
+        // Two of three rooms fit into the time, and the better of the other two is too expensive.
         let both = choose(&[false; 3], &[0.0, 500.0, 500.0, 0.0, 500.0, 500.0], 600.0, None);
         let left = "; there is no time for 1 room; 1 room would take more than 400 s beside people";
         assert!(both.reason.ends_with(left), "{}", both.reason);
@@ -628,7 +622,7 @@ mod tests {
 
     #[test]
     fn a_closed_room_is_planned_around_and_keeps_its_people_in_the_price() {
-        // Somebody is in room 0. Room 1 costs 120 s: less than the 240 s that the time of one person is worth.
+        // A person is in room 0. Room 1 costs 120 s: less than the price of 240 s.
         let (covered, closed, shared_s) = ([false, false, true], [true, false, false], [480.0, 120.0, 0.0]);
         let state = RobotState {
             covered: &covered,

@@ -2,7 +2,7 @@ use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, least, partition_id, uniform};
 
-/// The paper's greedy avoidance: the room with the least score, ties by chance. It may return to rooms that are done.
+/// The paper's greedy avoidance: the room with the least score, ties by chance. It may return to finished rooms.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct GreedyAvoidance;
 

@@ -2,8 +2,8 @@ use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, partition_id, uniform};
 
-/// The paper's informed avoidance: uniform over all rooms but the one with the greatest score. Of several greatest, the
-/// one left out is drawn by chance; a single room is kept.
+/// The paper's informed avoidance: uniform over all rooms except the one with the greatest score. Among several greatest, the excluded one is drawn
+/// by chance; a single room is kept.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct InformedAvoidance;
 

@@ -1,6 +1,6 @@
-//! Policies: where a robot that is free goes next, given the rooms' scores. Pure, and random only through the generator given.
+//! Policies: the next room of a free robot, given the rooms' scores. Policies are pure; randomness comes only from the given generator.
 //!
-//! One file per policy. Rooms are partitions of the grounding, by index; "room" and "partition" are one here.
+//! One file per policy. A room is a partition of the grounding, by index.
 
 use std::fmt;
 use std::str::FromStr;
@@ -23,60 +23,60 @@ pub use informed_avoidance::InformedAvoidance;
 pub use naive::Naive;
 pub use uncovered_first::UncoveredFirst;
 
-/// What a policy may know of the robot when it is free to choose.
+/// The state of a robot that is about to choose.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct RobotState<'a> {
-    /// Per partition: its work there is done.
+    /// Per partition: the robot's work there is finished.
     pub covered: &'a [bool],
-    /// Per partition: it is not to be gone to now, as one that somebody has just come into. Empty where all may be.
+    /// Per partition: the robot must not go there now, for example because a person has just entered. Empty if all are open.
     pub closed: &'a [bool],
-    /// T_r: the length of a slot, in which it does one partition, in seconds.
+    /// T_r: the length of a slot in seconds. The robot does one partition per slot.
     pub room_time_s: f64,
-    /// How long robot and person are expected to share each partition in each of the slots left, in seconds: slots times
-    /// partitions, slot by slot. Empty without a forecast or a horizon.
+    /// Expected time that robot and person share each partition in each remaining slot, in seconds: slots x partitions, slot by slot. Empty without a
+    /// forecast or a horizon.
     pub expected_shared_s: &'a [f64],
-    /// Per partition: how many times as dear it is as usual to leave it undone. Empty where all are alike.
+    /// Per partition: factor on the price of leaving it undone. Empty if all are equal.
     pub weights: &'a [f64],
 }
 
-/// A decision and why it was taken.
+/// A decision with its reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Choice {
-    /// Where to go.
+    /// The partition to go to.
     pub partition: PartitionId,
-    /// For people and logs; names no room, since the policy knows only their numbers.
+    /// The reason in words. It names no room, because the policy knows only indices.
     pub reason: String,
 }
 
-/// Why no decision can be taken.
+/// A failure to decide.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
-    /// There is no partition to go to, or all are closed.
+    /// There is no partition, or all are closed.
     #[error("there is no partition to choose from: the scene needs at least one room that is not closed to the robot")]
     NoPartitions,
-    /// Inputs are of different sizes.
+    /// Inputs have different sizes.
     #[error(
         "{what} has {found} entries where {expected} were expected: scores and robot state must come from the same map"
     )]
     Shape {
-        /// Which input.
+        /// The input.
         what: &'static str,
-        /// Its entries.
+        /// Its number of entries.
         found: usize,
-        /// The number expected.
+        /// The expected number of entries.
         expected: usize,
     },
-    /// A score is no number.
+    /// A score is NaN.
     #[error("the score of partition {partition} is no number: the scores cannot be compared")]
     NotANumber {
-        /// Which partition.
+        /// Index of the partition.
         partition: usize,
     },
-    /// No policy of this name.
+    /// There is no policy of this name.
     #[error("unknown policy `{name}`: known are {}", PolicyName::ALL.map(PolicyName::as_str).join(", "))]
     Unknown {
-        /// As given.
+        /// The given name.
         name: String,
     },
 }
@@ -88,7 +88,7 @@ impl RobotState<'_> {
         !self.closed.get(partition).copied().unwrap_or(false)
     }
 
-    /// The partitions that it may go to, of so many.
+    /// Open partitions among the first `partitions`.
     fn open(&self, partitions: usize) -> impl Iterator<Item = usize> + Clone {
         (0..partitions).filter(|partition| self.is_open(*partition))
     }
@@ -96,14 +96,14 @@ impl RobotState<'_> {
 
 /// Chooses the next partition.
 pub trait Policy: fmt::Debug + Send {
-    /// Its name on the command line.
+    /// The policy's name on the command line.
     fn name(&self) -> PolicyName;
 
-    /// Chooses among `scores.len()` partitions; a greater score is a likelier presence of the person (S_j of Equation 3 or
-    /// its normalised probability: only the order matters to the paper's policies). It chooses none that is closed.
+    /// Chooses an open partition among `scores.len()`. A greater score is a likelier presence of the person (S_j of Equation 3 or its normalised
+    /// probability: the paper's policies use only the order).
     ///
     /// # Errors
-    /// [`PolicyError`] when there is nothing to choose from or the inputs do not fit together.
+    /// [`PolicyError`] if there is no partition to choose from, or the inputs do not fit together.
     fn choose(&mut self, state: &RobotState<'_>, scores: &[f64], rng: &mut dyn Rng) -> Result<Choice, PolicyError>;
 }
 
@@ -124,7 +124,7 @@ pub enum PolicyName {
 }
 
 impl PolicyName {
-    /// All of them, the paper's first.
+    /// All policies, the paper's first.
     pub const ALL: [Self; 5] =
         [Self::Naive, Self::InformedAvoidance, Self::GreedyAvoidance, Self::UncoveredFirst, Self::CoverageAware];
 
@@ -140,7 +140,7 @@ impl PolicyName {
         }
     }
 
-    /// The policy; coverage-aware with its default weight.
+    /// Creates the policy; coverage-aware gets its default weight.
     #[must_use]
     pub fn policy(self) -> Box<dyn Policy> {
         match self {
@@ -170,7 +170,7 @@ impl FromStr for PolicyName {
     }
 }
 
-/// Checks what every policy relies on: some partitions that are open, comparable scores, one `covered` entry each.
+/// Checks the inputs: at least one open partition, scores that are numbers, equal sizes.
 fn check(state: &RobotState<'_>, scores: &[f64]) -> Result<(), PolicyError> {
     if state.open(scores.len()).next().is_none() {
         return Err(PolicyError::NoPartitions);
@@ -199,15 +199,14 @@ fn partition_id(index: usize) -> PartitionId {
     PartitionId(u32::try_from(index).unwrap_or(u32::MAX))
 }
 
-/// Uniform over the given partitions. The generator advances by one draw whatever their number, so that paired runs stay paired.
+/// Uniform over the given partitions. Always draws once, so that paired runs stay paired.
 fn uniform(partitions: &[usize], rng: &mut dyn Rng) -> Option<usize> {
     let draw: f64 = rng.random();
-    // A draw below 1 times the length may round up to the length itself.
+    // The product may round up to the length itself.
     let index = ((draw * partitions.len() as f64) as usize).min(partitions.len().saturating_sub(1));
     partitions.get(index).copied()
 }
 
-/// Those of `candidates` whose score equals the least.
 fn least(candidates: impl Iterator<Item = usize> + Clone, scores: &[f64]) -> Vec<usize> {
     let best = candidates.clone().map(|p| scores[p]).fold(f64::INFINITY, f64::min);
     candidates.filter(|p| scores[*p] == best).collect()

@@ -2,7 +2,7 @@ use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, partition_id, uniform};
 
-/// The paper's baseline: uniform over all rooms, the present one included, whatever the scores.
+/// The paper's baseline: uniform over all rooms, the present one included. It ignores the scores.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Naive;
 

@@ -2,7 +2,7 @@ use rand::Rng;
 
 use super::{Choice, Policy, PolicyError, PolicyName, RobotState, check, least, partition_id, uniform};
 
-/// The least score among the rooms still to do; among all rooms once everything is done. Ties by chance.
+/// The least score among the rooms still to do; among all rooms if everything is done. Ties by chance.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct UncoveredFirst;
 

@@ -1,24 +1,23 @@
-//! Bounds on partition scores from a part of the trie, and the question of when a part is enough.
+//! Bounds on partition scores from a part of the trie.
 //!
-//! Let `q(n)` be the probability of the path from the prompt to trie node `n`, and `w(c, r)` the share of label `c`'s items
-//! in partition `r`. A label that ends at `n` scores exactly `q(n)`, known once `n`'s parent is decoded.
+//! Let `q(n)` be the probability of the path from the prompt to trie node `n`, and `w(c, r)` the share of label `c`'s items in partition `r`. A label
+//! that ends at `n` scores exactly `q(n)`, which is known once `n`'s parent is decoded.
 //!
 //! **Theorem.** Let `own(m, r)` be the sum of `w(c, r)` over the labels that end at `m`, and
-//! `B(n, r) = max over children m of n of own(m, r) + B(m, r)`, 0 for a leaf. Then the labels strictly below `n` add at most
-//! `q(n) B(n, r)` to the score of `r`, and at least 0.
+//! `B(n, r) = max over children m of n of own(m, r) + B(m, r)`, 0 for a leaf. Then the labels strictly below `n` add at most `q(n) B(n, r)` to the
+//! score of `r`, and at least 0.
 //!
-//! *Proof.* By induction from the leaves. The children `m` of `n` have conditional probabilities `p_m >= 0` with
-//! `sum p_m <= 1`. What lies below `n` adds `sum_m q(n) p_m own(m, r)` plus what lies below the children, at most
-//! `sum_m q(n) p_m B(m, r)`; together at most `q(n) sum_m p_m (own(m, r) + B(m, r)) <= q(n) B(n, r)`. ∎
+//! *Proof.* By induction from the leaves. The children `m` of `n` have conditional probabilities `p_m >= 0` with `sum p_m <= 1`. The labels below `n`
+//! add `sum_m q(n) p_m own(m, r)` plus the contribution of the labels below the children, at most `sum_m q(n) p_m B(m, r)`; together at most
+//! `q(n) sum_m p_m (own(m, r) + B(m, r)) <= q(n) B(n, r)`. ∎
 //!
-//! Under [`Continuation::Labels`] only the `p_m` are others. They sum to exactly 1 then, which makes the differences below tighter
-//! still. A prior multiplies label `c`'s score by its gain, which goes into `w(c, r)`, and all scores by one scale `k`, the labels'
-//! sum without the gains over that with them: both sums are bounded as two more partitions are, and so `k` is. No order of one person's
-//! partitions depends on it.
+//! Under [`Continuation::Labels`] the `p_m` sum to exactly 1, which makes the differences below tighter still. A prior multiplies label `c`'s score
+//! by its gain, which is part of `w(c, r)`, and all scores by one scale `k`: the labels' sum without gains over their sum with gains. Both sums are
+//! bounded like two more partitions, and so is `k`. The order of one person's partitions does not depend on `k`.
 //!
-//! Chains of labels ("coffee", "coffee maker") are covered: `own` adds up along a path. The same argument on
-//! `w(c, a) - w(c, b)`, with 0 among the choices because mass may go to no label at all, bounds the *difference* of two
-//! partitions' scores far more tightly than their two intervals do; a ranking is certified by these differences.
+//! Chains of labels ("coffee", "coffee maker") are covered: `own` adds up along a path. The same argument on `w(c, a) - w(c, b)`, with 0 among the
+//! choices because mass may go to no label at all, bounds the *difference* of two partitions' scores far more tightly than their two intervals do; a
+//! ranking is certified by these differences.
 //!
 //! So with `F` the undecoded nodes whose parents are decoded, `S_r` lies between `L_r`, the sum over decided labels, and
 //! `L_r + sum over F of q(n) B(n, r)`.
@@ -29,35 +28,20 @@ use super::PreparedLabels;
 use super::correction::Continuation;
 use crate::label_trie::{LabelTrie, PROMPT};
 
-/// How far an answer goes.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Effort {
-    /// Every label is scored exactly.
-    #[default]
-    Exact,
-    /// Until the order of the partitions can no longer change.
-    Ranking,
-    /// Until the most likely partition is certain.
-    Top,
-    /// As far as the time allows.
-    Deadline,
+crate::choices! {
+    /// How far an answer goes.
+    #[derive(Default, Hash)]
+    pub enum Effort {
+        /// Every label is scored exactly.
+        #[default]
+        Exact,
+        /// Until the order of the partitions can no longer change.
+        Ranking,
+        /// Until the most likely partition is certain.
+        Top,
+        /// As far as the time allows.
+        Deadline,
+    }
 }
 
 /// Most entries of the table of pairwise bounds; above it, intervals decide, which takes more decoding.
@@ -67,18 +51,18 @@ const PAIR_ENTRIES_MAX: usize = 4 << 20;
 #[derive(Debug, Clone)]
 pub struct BoundTable {
     partitions: usize,
-    /// The partitions, and the sums over all labels without and with their gains.
+    /// The partitions, then the sum over all labels without gains, then the sum with gains.
     columns: usize,
-    /// Least and greatest gain of a label; none without a prior.
+    /// Least and greatest gain of a label. `None` without a prior.
     gains: Option<(f64, f64)>,
-    /// Whether the labels below a node share out exactly its probability.
+    /// If true, the labels below a node sum to exactly its probability.
     complete: bool,
-    /// Per trie node and column.
+    /// Nodes x columns.
     own: Vec<f64>,
-    /// Per trie node and column: `B(n, r)`.
+    /// Nodes x columns: `B(n, r)`.
     below: Vec<f64>,
-    /// Per inner node and ordered pair `(a, b)`: most that the labels below can add to `S_a - S_b`, over `q(n)`. Empty when
-    /// there are too many partitions.
+    /// Per inner node and ordered pair `(a, b)`: the most that the labels below can add to `S_a - S_b`, over `q(n)`. Empty if there are too many
+    /// partitions.
     pairs: Vec<f64>,
 }
 
@@ -102,7 +86,7 @@ impl BoundTable {
         }
         let mut below = vec![0.0_f64; nodes.len() * columns];
         let with_pairs = trie.inner().len() * partitions * partitions <= PAIR_ENTRIES_MAX;
-        // Mass may go to no label at all, unless the labels share it out.
+        // Mass may go to no label at all, unless the labels share all of it.
         let nothing = match prepared.correction().continuation {
             Continuation::Free => 0.0,
             Continuation::Labels => f64::NEG_INFINITY,
@@ -152,17 +136,15 @@ impl BoundTable {
         self.partitions
     }
 
-    /// `own(n, r)` for all columns.
     fn own(&self, node: usize) -> &[f64] {
         &self.own[node * self.columns..][..self.columns]
     }
 
-    /// `B(n, r)` for all columns.
     fn below(&self, node: usize) -> &[f64] {
         &self.below[node * self.columns..][..self.columns]
     }
 
-    /// Most that one unit of mass at an inner node can add to `S_a - S_b`.
+    /// The most that one unit of mass at an inner node can add to `S_a - S_b`.
     fn pair(&self, inner: usize, node: usize, a: usize, b: usize) -> f64 {
         if self.pairs.is_empty() {
             self.below(node)[a]
@@ -175,31 +157,31 @@ impl BoundTable {
 /// Certified bounds on the partition scores of one event, and the working memory for them.
 #[derive(Debug, Clone, Default)]
 pub struct Bounds {
-    /// Per partition `L_r`, as a probability.
+    /// `L_r` per partition, as a probability.
     pub lower: Vec<f64>,
-    /// Per partition the upper bound, as a probability.
+    /// Upper bound per partition, as a probability.
     pub upper: Vec<f64>,
-    /// Which of the four questions these bounds answer: [`Effort::Exact`] also when another was asked.
+    /// The question that these bounds answer. It can be [`Effort::Exact`] even if less was asked for.
     pub reached: Effort,
-    /// Per column the sum over decided labels, before the scale.
+    /// Per column: the sum over decided labels, before the scale.
     decided: Vec<f64>,
-    /// Per column the most that the undecided add, before the scale.
+    /// Per column: the most that the undecided labels add, before the scale.
     undecided: Vec<f64>,
-    /// Per column an estimate between the two, by which partitions are ranked.
+    /// Per column: an estimate within the bounds, which ranks the partitions.
     estimate: Vec<f64>,
     order: Vec<usize>,
-    /// Undecoded inner nodes whose parent is decoded: place among the inner nodes.
+    /// Undecoded inner nodes whose parent is decoded, as indices into the trie's inner nodes.
     frontier: Vec<u32>,
     impact: Vec<f64>,
-    /// Least distance between neighbours in the ranking, by the estimates.
+    /// Smallest difference of estimates between neighbours in the ranking.
     margin: f64,
 }
 
 impl Bounds {
-    /// Recomputes the bounds from `q` per node and which inner nodes are decoded; nothing is allocated once warm.
+    /// Recomputes the bounds from `q` (per node) and `decoded` (per inner node). Allocates nothing once warm.
     ///
-    /// `q` holds exact values where the parent is decoded, and estimates below: any sub-distribution over the children,
-    /// for which the theorem holds as well, so that the estimates lie within the bounds.
+    /// `q` is exact if the parent is decoded. Below, it is an estimate: any sub-distribution over the children. The theorem holds for these too, so
+    /// the estimates lie within the bounds.
     pub fn update(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], decoded: &[bool]) {
         let partitions = table.partitions;
         for values in [&mut self.decided, &mut self.undecided, &mut self.estimate] {
@@ -246,21 +228,22 @@ impl Bounds {
             .fold(f64::INFINITY, f64::min);
     }
 
-    /// Between what `k` lies: the quotients of the two sums' bounds, and those of a mean of one over the gains.
+    /// The bounds of `k`: the quotients of the two sums' bounds, intersected with 1 over the greatest and the least gain, because `1 / k` is a mean
+    /// of the gains.
     fn scale(&self, table: &BoundTable) -> (f64, f64) {
         let Some((least_gain, greatest_gain)) = table.gains else { return (1.0, 1.0) };
         let least = |column: usize| self.decided[column];
         let most = |column: usize| self.decided[column] + self.undecided[column];
         let (plain, gained) = (table.partitions, table.partitions + 1);
         let (least_sum, greatest_sum) = (if table.complete { most(plain) } else { least(plain) }, most(plain));
-        // The sum that is shared out is at most 1, which the mean of the gains knows nothing of.
+        // The plain sum is capped at 1 in `k`. The bound by the gains ignores the cap, so it holds only if the sum is at most 1.
         let by_gains = if greatest_sum <= 1.0 { 1.0 / greatest_gain } else { 0.0 };
         let least_scale = (least_sum.min(1.0) / most(gained)).max(by_gains);
         let greatest_scale = (greatest_sum.min(1.0) / least(gained)).min(1.0 / least_gain);
         (least_scale, greatest_scale)
     }
 
-    /// Whether the bounds answer the question, and which one they answer.
+    /// Sets `reached`, and returns whether the bounds answer the question.
     pub(crate) fn certify(&mut self, trie: &LabelTrie, table: &BoundTable, q: &[f64], effort: Effort) -> bool {
         if self.frontier.is_empty() {
             self.reached = Effort::Exact;
@@ -290,8 +273,7 @@ impl Bounds {
         }
     }
 
-    /// Marks in `wanted` (per inner node) the frontier nodes whose decoding can settle the question: the weightiest, until
-    /// what is left could not.
+    /// Marks in `wanted` (per inner node) the frontier nodes to decode for the question: the heaviest, until the rest could not change the answer.
     pub(crate) fn want(
         &mut self,
         trie: &LabelTrie,
@@ -324,7 +306,7 @@ impl Bounds {
             left -= self.impact[heaviest];
             self.impact[heaviest] = -1.0;
         }
-        // A tie, or bounds that the pairs see and the spread does not: the weightiest always goes.
+        // A tie, or bounds that the spread misses and the pairs do not: at least one node is always wanted.
         if let Some(&first) = self.frontier.first()
             && !self.frontier.iter().any(|&inner| wanted[inner as usize])
         {
@@ -332,13 +314,13 @@ impl Bounds {
         }
     }
 
-    /// Marks in `wanted` (per inner node) what is worth decoding at the next event together with its prompt: the nodes that
-    /// weighed most at this one, until the rest could not change the answer. A wrong guess costs tokens, never correctness.
+    /// Marks in `wanted` (per inner node) the nodes to decode together with the next event's prompt: the nodes that weighed most at this event, until
+    /// the rest could not change the answer. A wrong guess costs tokens, never correctness.
     pub(crate) fn speculate(&self, trie: &LabelTrie, table: &BoundTable, q: &[f64], wanted: &mut [bool]) {
         // q(n) and the spread both shrink on the way down, so a threshold always keeps a node's ancestors with it.
         let inner = trie.inner();
         let mut threshold = 0.25 * self.margin.max(0.0) / inner.len().max(1) as f64;
-        // What is negligible is so as a score, not before the scale.
+        // The floor of 1e-9 applies to scores, which include the scale; `q` does not include it.
         let per_score = self.estimate[table.partitions + 1] / self.estimate[table.partitions];
         threshold = threshold.max(1e-9 * if per_score.is_finite() { per_score } else { 1.0 });
         for (place, &node) in inner.iter().enumerate() {
@@ -347,35 +329,34 @@ impl Bounds {
     }
 }
 
-/// Most that one unit of mass at a node can move any partition.
+/// The most that one unit of mass at a node can add to any partition.
 fn spread(table: &BoundTable, node: usize) -> f64 {
     table.below(node)[..table.partitions].iter().copied().fold(0.0, f64::max)
 }
 
-/// What one person's certified scoring keeps from event to event.
+/// State of one person's certified scoring, reused from event to event.
 #[derive(Debug, Clone)]
 pub struct Certified {
     table: BoundTable,
     /// Bounds of the last event.
     pub bounds: Bounds,
-    /// Per node `p(token | path to its parent)`: of this event where the parent is decoded, else of an earlier one, at
-    /// first uniform. What is stale only shapes estimates and guesses.
+    /// Per node `p(token | path to its parent)`: from this event if the parent is decoded, else from an earlier one, at first uniform. Stale values
+    /// only shape estimates and guesses.
     pub(super) conditional: Vec<f64>,
-    /// Per node the product along its path.
+    /// Per node: the product of `conditional` along its path.
     pub(super) q: Vec<f64>,
-    /// Per inner node, whether it was decoded for this event.
     pub(super) decoded: Vec<bool>,
-    /// Per inner node, whether it is to be decoded in the next call.
+    /// Inner nodes to decode in the next call.
     pub(super) wanted: Vec<bool>,
-    /// Per node of the tree sent to the decoder, its place among the inner nodes.
+    /// Per node of `tree`: its index among the trie's inner nodes.
     pub(super) sent: Vec<u32>,
-    /// Per inner node its index in the tree being sent, or [`PROMPT`].
+    /// Per inner node: its index in `tree`, or [`PROMPT`].
     pub(super) place: Vec<u32>,
     pub(super) tree: crate::label_trie::TokenTree,
 }
 
 impl Certified {
-    /// For prepared labels, grounded by `weights` (labels by partitions).
+    /// State for prepared labels; `weights` is labels x partitions.
     #[must_use]
     pub fn new(prepared: &PreparedLabels, weights: &DMatrix<f64>) -> Self {
         let trie = prepared.trie();
@@ -392,7 +373,7 @@ impl Certified {
             conditional: nodes.iter().map(|n| 1.0 / f64::from(siblings[slot(n.parent)])).collect(),
             q: vec![0.0; nodes.len()],
             decoded: vec![false; inner],
-            // The first event guesses that everything matters.
+            // At the first event every node may matter.
             wanted: vec![true; inner],
             sent: Vec::with_capacity(inner),
             place: vec![PROMPT; inner],
@@ -400,7 +381,7 @@ impl Certified {
         }
     }
 
-    /// Puts the wanted nodes and the paths to them into the tree to send, in preorder.
+    /// Fills `tree` with the wanted nodes and their ancestors, in preorder.
     pub(super) fn plan(&mut self, trie: &LabelTrie) {
         for place in (0..self.wanted.len()).rev() {
             let parent = trie.nodes()[trie.inner()[place] as usize].parent;
@@ -425,7 +406,7 @@ impl Certified {
         self.tree.finish();
     }
 
-    /// Recomputes `q` and the bounds after a call, and says whether the question is answered.
+    /// Recomputes `q` and the bounds after a call, and returns whether the question is answered.
     pub(super) fn settle(&mut self, trie: &LabelTrie, effort: Effort) -> bool {
         for (index, node) in trie.nodes().iter().enumerate() {
             let above = if node.parent == PROMPT { 1.0 } else { self.q[node.parent as usize] };
@@ -435,11 +416,11 @@ impl Certified {
         self.bounds.certify(trie, &self.table, &self.q, effort)
     }
 
-    /// Chooses what the next call of this event decodes.
+    /// Selects the nodes that the next call of this event decodes.
     pub(super) fn want_more(&mut self, trie: &LabelTrie, effort: Effort) {
         self.wanted.fill(false);
         self.bounds.want(trie, &self.table, &self.q, effort, &mut self.wanted);
-        // What hangs below a wanted node is decoded with it when it would be wanted next.
+        // A heavy child of a wanted node is decoded in the same call: it would be wanted next.
         for place in 0..self.wanted.len() {
             let node = trie.inner()[place] as usize;
             let parent = trie.nodes()[node].parent;
@@ -452,7 +433,7 @@ impl Certified {
         }
     }
 
-    /// Chooses what the first call of the next event decodes beside the prompt.
+    /// Selects the nodes that the first call of the next event decodes with the prompt.
     pub(super) fn guess(&mut self, trie: &LabelTrie, effort: Effort) {
         if effort == Effort::Exact {
             self.wanted.fill(true);
@@ -479,8 +460,8 @@ mod tests {
     }
 
     proptest! {
-        /// The theorem: after every event and at any effort the exact scores lie within the bounds, the estimates too, and
-        /// a certified order is the true one.
+        /// The theorem: after every event and at any effort, the exact scores and the estimates lie within the bounds, and a certified order is the
+        /// true one.
         #[test]
         fn exact_scores_lie_within_the_bounds(
             seed: u64,
@@ -495,7 +476,7 @@ mod tests {
         ) {
             let mut labels: Vec<String> = labels.into_iter().collect();
             if twice {
-                // Nothing tells these two apart.
+                // Two labels with the same text always tie.
                 labels[1] = labels[0].clone();
             }
             let mut weights = DMatrix::from_fn(labels.len(), partitions, |c, r| shares[c * 4 + r].powi(3));

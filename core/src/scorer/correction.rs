@@ -1,25 +1,23 @@
-//! What is done to Equation 1 so that its numbers say which object comes next, and not which words are common.
+//! Corrections of Equation 1, so that scores reflect the next object instead of the frequency of words.
 //!
-//! A language model spreads its probability over all texts, of which a map's labels are a few. Two things follow that have nothing
-//! to do with what the person is about to do, and each has its correction:
+//! A language model spreads its probability over all texts, and a map's labels are only a few of them. This has two side effects, each with its
+//! correction:
 //!
-//! **Unusual words cost.** A word that is not in the vocabulary is several tokens ("def" "ib" "rill" "ator"), and each that the model
-//! finds surprising takes from its score, though nothing else in the map begins as it does. [`Continuation::Labels`] lets a
-//! label's tokens after the first compete only with what other labels of the map go on with, `p(t | n) / sum over children t' of
-//! n of p(t' | n)`; where a label ends although another goes on ("coffee", "coffee maker"), it gets what the others leave. A node's
-//! children then add up to exactly the node's probability, and what follows behind the last token that another label shares
-//! is certain and not decoded. What the first token costs remains, and a label gets all of what begins as it does, other words
-//! included.
+//! **Unusual words cost.** A word that is not in the vocabulary is several tokens ("def" "ib" "rill" "ator"). Each token that surprises the model
+//! lowers the score, even if no other label of the map begins this way. [`Continuation::Labels`] lets a label's tokens after the first compete only
+//! with the continuations of the map's labels: `p(t | n) / sum over children t' of n of p(t' | n)`. If a label ends at a node with children
+//! ("coffee", "coffee maker"), the label gets the probability that its continuations leave. A node's children then add up to exactly the node's
+//! probability. Tokens after the last one shared with another label are certain and not decoded. The cost of the first token remains. A label also
+//! gets the probability of every text that begins like it, words outside the map included.
 //!
-//! **Common words win.** What people go to often scores high whatever was narrated. A *prior weight* `a` divides a label's score by
-//! its score under a blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it
-//! is; 1 is the pointwise mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale
-//! `k = min(1, sum s_c) / sum s_c g_c` gives the labels the same sum as before. (A sum can exceed 1 where labels that
-//! begin others are scored by Equation 1 as it stands, and where labels have the same tokens.) `s_c(blank)` counts as at least e^-20
-//! of the largest, so that no word gains without bound for never being said.
+//! **Common words win.** Frequently used objects score high after any narration. A *prior weight* `a` divides a label's score by its score under a
+//! blank narration, to the power of `a`: `s'_c = k s_c g_c` with the gain `g_c = s_c(blank)^-a`. 0 leaves Equation 1 as it is; 1 is the pointwise
+//! mutual information of Holtzman et al., "Surface Form Competition" (2021). The scale `k = min(1, sum s_c) / sum s_c g_c` gives the labels the same
+//! sum as before. (A sum can exceed 1 under plain Equation 1 if one label begins another, and if labels have the same tokens.) `s_c(blank)` counts as
+//! at least e^-20 of the largest, so that a very rare word does not gain without bound.
 //!
-//! Neither is in the paper, and both are off unless the configuration asks for them or the model file recommends them
-//! (GGUF keys `roomcast.continuation` and `roomcast.prior`), as the embedded one does.
+//! Neither is in the paper. Both are off unless the configuration or the model file asks for them (GGUF keys `roomcast.continuation` and
+//! `roomcast.prior`). The embedded model's file does.
 
 use std::str::FromStr;
 
@@ -31,56 +29,41 @@ pub(crate) const CONTINUATION_KEY: &str = "roomcast.continuation";
 /// GGUF key of the recommended prior weight, a number from 0 to 1.
 pub(crate) const PRIOR_KEY: &str = "roomcast.prior";
 
-/// What a label's tokens after the first compete with.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Continuation {
-    /// Every token of the vocabulary: Equation 1.
-    #[default]
-    Free,
-    /// What other labels of the map go on with.
-    Labels,
+crate::choices! {
+    /// The competitors of a label's tokens after the first.
+    #[derive(Default, Hash)]
+    pub enum Continuation {
+        /// Every token of the vocabulary: Equation 1.
+        #[default]
+        Free,
+        /// Continuations of the map's other labels.
+        Labels,
+    }
 }
 
 impl Continuation {
-    /// The tokens that share out the probability of `node`, where they are not all of the vocabulary. The first tokens behind a
-    /// prompt always compete with all.
+    /// The tokens that share the probability of `node`; `None` for the whole vocabulary. The first tokens after a prompt always compete with the
+    /// whole vocabulary.
     pub(super) fn rivals(self, trie: &LabelTrie, node: Option<usize>) -> Option<impl Iterator<Item = Token> + Clone> {
         let node = node.filter(|_| self == Self::Labels)?;
         Some(trie.children(Some(node)).map(|child| trie.nodes()[child].token))
     }
 }
 
-/// How label scores are corrected. The default is Equation 1 as it stands.
+/// How label scores are corrected. The default is plain Equation 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Correction {
-    /// What a label's tokens after the first compete with.
+    /// The competitors of a label's tokens after the first.
     pub continuation: Continuation,
     /// The prior weight `a`, one of [`PRIOR_WEIGHTS`].
     #[serde(deserialize_with = "checked_weight")]
     pub prior: f64,
 }
 
-/// What a prior weight may be.
+/// Range of the prior weight.
 pub const PRIOR_WEIGHTS: std::ops::RangeInclusive<f64> = 0.0..=1.0;
 
-/// Recordings may come from anywhere.
+/// A recording is untrusted, so its weight is checked.
 fn checked_weight<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     let weight: f64 = serde::Deserialize::deserialize(deserializer)?;
     match PRIOR_WEIGHTS.contains(&weight) {
@@ -103,10 +86,10 @@ impl std::fmt::Display for Correction {
 }
 
 impl Correction {
-    /// What a model file recommends: `value` gives the text of a metadata key.
+    /// The correction that a model file recommends; `value` gives the text of a metadata key.
     ///
     /// # Errors
-    /// What is wrong with a value that is there.
+    /// If a value is invalid.
     pub fn recommended(value: impl Fn(&str) -> Option<String>) -> Result<Self, String> {
         let start = |text: &str| text.chars().take(40).collect::<String>();
         let continuation = match value(CONTINUATION_KEY) {
@@ -122,10 +105,10 @@ impl Correction {
     }
 }
 
-/// Reads a prior weight.
+/// Parses a prior weight.
 ///
 /// # Errors
-/// When it is not a number from 0 to 1.
+/// If it is not a number from 0 to 1.
 pub fn prior_weight(text: &str) -> Result<f64, String> {
     match f64::from_str(text) {
         Ok(weight) if PRIOR_WEIGHTS.contains(&weight) => Ok(weight),
@@ -133,17 +116,17 @@ pub fn prior_weight(text: &str) -> Result<f64, String> {
     }
 }
 
-/// What a user says of the correction; what is not said is as the model file recommends.
+/// A user's choice of correction. Fields left out follow the model file.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CorrectionChoice {
-    /// What a label's tokens after the first compete with; as the model file recommends when left out.
+    /// The competitors of a label's tokens after the first; as the model file recommends if left out.
     pub continuation: Option<Continuation>,
-    /// Weight from 0 to 1 with which scores are divided by those of a blank narration; as the model file recommends when left out.
+    /// Weight from 0 to 1 of the division by the scores of a blank narration; as the model file recommends if left out.
     pub prior: Option<f64>,
 }
 
 impl CorrectionChoice {
-    /// Equation 1 whatever the model file recommends.
+    /// Plain Equation 1, whatever the model file recommends.
     pub const EQUATION_1: Self = Self { continuation: Some(Continuation::Free), prior: Some(0.0) };
 
     /// This correction, whatever the model file recommends.
@@ -152,7 +135,7 @@ impl CorrectionChoice {
         Self { continuation: Some(continuation), prior: Some(prior) }
     }
 
-    /// The choice, with what a model recommends where nothing was said.
+    /// This choice, with the model's recommendation for fields left out.
     #[must_use]
     pub fn or(self, recommended: Correction) -> Correction {
         Correction {
@@ -162,10 +145,10 @@ impl CorrectionChoice {
     }
 }
 
-/// How far below the largest a score under a blank narration counts, in nats.
+/// Scores under a blank narration count as at most this far below the largest, in nats.
 const DEEPEST_NATS: f64 = 20.0;
 
-/// Per label `ln g_c` in nats, for its ln score under a blank narration, times a constant that makes the greatest gain 1.
+/// `ln g_c` per label in nats, from `ln s_c(blank)`. A common constant makes the greatest 0.
 pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
     let largest = blank_log_prob_nats.iter().copied().fold(f64::MIN, f64::max);
     let raised = || blank_log_prob_nats.iter().map(|&blank| blank.max(largest - DEEPEST_NATS));
@@ -173,12 +156,12 @@ pub(super) fn gains(blank_log_prob_nats: &[f64], prior: f64) -> Vec<f64> {
     raised().map(|blank| prior * (least - blank)).collect()
 }
 
-/// Adds the gains to the scores, in nats, and gives `ln k`, which is added too.
+/// Adds the gains and `ln k` to the scores, in nats, and returns `ln k`.
 pub(super) fn rescale(log_prob_nats: &mut [f64], gain_nats: &[f64]) -> f64 {
     let before = log_sum_exp(log_prob_nats.iter().copied()).min(0.0);
     log_prob_nats.iter_mut().zip(gain_nats).for_each(|(score, gain)| *score += gain);
     let scale_nats = before - log_sum_exp(log_prob_nats.iter().copied());
-    // Scores that are all nothing stay so.
+    // If every score is zero, they stay zero.
     let scale_nats = if scale_nats.is_finite() { scale_nats } else { 0.0 };
     log_prob_nats.iter_mut().for_each(|score| *score += scale_nats);
     scale_nats
@@ -210,7 +193,7 @@ mod tests {
         assert!(scores[0] > -1.4 && scores[1] > -1.4 && scores[3] < -9.0, "{scores:?}");
     }
 
-    /// "coffee" and "coffee maker" as Equation 1 scores them may sum to more than 1.
+    /// Under plain Equation 1 "coffee" and "coffee maker" may sum to more than 1.
     #[test]
     fn no_score_comes_to_more_than_one() {
         let mut scores = [0.70_f64.ln(), 0.63_f64.ln()];

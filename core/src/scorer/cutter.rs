@@ -1,40 +1,38 @@
 //! Cuts a prompt into tokens, each sentence once.
 //!
-//! From event to event a prompt gains one sentence and keeps the others, and its binding sequence is always the same. Where a model's
-//! vocabulary allows it ([`LanguageModel::sentences_apart`]), the prompt is cut sentence by sentence: what it begins with as the prompt
-//! before did is taken from there, and the other sentences cut lately are remembered. For other models the whole prompt is cut every time.
+//! A prompt gains one sentence per event and keeps the rest; its binding sequence is constant. If sentences are tokenised independently
+//! ([`LanguageModel::sentences_apart`]), the cutter reuses the tokens of the sentences that the previous prompt began with, and caches other recent
+//! sentences. Otherwise it cuts the whole prompt every time.
 
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 
 use super::{LanguageModel, ModelError, TextStart, Token};
 use crate::narration::SENTENCE_BYTES_MAX;
 
-/// Sentences that are remembered: the default windows of a dozen persons. The oldest makes room for a new one.
+/// Cached sentences: enough for the default windows of a dozen persons. A new sentence replaces the oldest.
 pub const REMEMBERED: usize = 256;
 
-/// The sentences cut lately, with their tokens. Memory is used again: a warm cutter allocates only for a sentence longer than the one whose
-/// place it takes.
+/// Recent sentences with their tokens. Once warm, the cutter allocates only if a sentence is longer than the one it replaces.
 #[derive(Debug, Default)]
 pub struct Cutter {
-    /// Of the sentences, in the same places, to find them fast.
+    /// Hash per entry of `sentences`, for fast lookup.
     hashes: Vec<u64>,
     sentences: Vec<(String, Vec<Token>)>,
-    /// The place that the next sentence takes.
+    /// Index that the next new sentence takes.
     next: usize,
     before: Prompt,
 }
 
-/// A prompt that was cut.
 #[derive(Debug, Default)]
 struct Prompt {
     text: String,
     tokens: Vec<Token>,
-    /// Where another sentence follows: bytes of the text, tokens.
+    /// Ends of all sentences but the last: (bytes of the text, tokens).
     ends: Vec<(usize, usize)>,
 }
 
 impl Prompt {
-    /// Keeps the sentences that `text` begins with too, and more follows: their bytes, their tokens.
+    /// Keeps the leading sentences that `text` shares, except its last one. Returns their length in bytes and in tokens.
     fn keep(&mut self, text: &str) -> (usize, usize) {
         let same = self.text.as_bytes().iter().zip(text.as_bytes()).take_while(|(a, b)| a == b).count();
         let kept = self.ends.partition_point(|&(bytes, _)| bytes <= same && bytes < text.len());
@@ -44,15 +42,15 @@ impl Prompt {
 }
 
 impl Cutter {
-    /// How many tokens the last prompt has before its last sentence, the binding sequence; none where that is not known.
+    /// Tokens of the last prompt before its last sentence, which is the binding sequence. `None` if it has one sentence, or was not cut by sentences.
     pub(crate) fn narration_tokens(&self) -> Option<usize> {
         self.before.ends.last().map(|&(_, tokens)| tokens)
     }
 
-    /// Gives the tokens of a prompt into `out`: exactly those that [`LanguageModel::tokenise`] gives.
+    /// Writes the tokens of a prompt to `out`: exactly those of [`LanguageModel::tokenise`].
     ///
     /// # Errors
-    /// When the tokeniser fails.
+    /// If the tokeniser fails.
     pub fn cut_prompt<M: LanguageModel>(
         &mut self,
         model: &M,
@@ -63,12 +61,12 @@ impl Cutter {
         if !model.sentences_apart() {
             return model.tokenise(text, TextStart::Sequence, out);
         }
-        // Taken: nothing is known of a prompt that fails half way.
+        // Taken, so that a prompt that fails half way leaves no state.
         let mut before = std::mem::take(&mut self.before);
         let (begin, tokens) = before.keep(text);
         out.extend_from_slice(&before.tokens[..tokens]);
         if begin == 0 {
-            // The start token, where the model wants one.
+            // The start token, if the model wants one.
             model.tokenise("", TextStart::Sequence, out)?;
         }
         self.cut_from(begin, model, text, out, |end| before.ends.push(end))?;
@@ -80,10 +78,10 @@ impl Cutter {
         Ok(())
     }
 
-    /// Gives the tokens of a piece of narration within a prompt into `out`.
+    /// Writes the tokens of narration within a prompt to `out`.
     ///
     /// # Errors
-    /// When the tokeniser fails.
+    /// If the tokeniser fails.
     pub fn cut_narration<M: LanguageModel>(
         &mut self,
         model: &M,
@@ -97,7 +95,7 @@ impl Cutter {
         self.cut_from(0, model, text, out, |_| ())
     }
 
-    /// Appends the tokens of what follows the first `begin` bytes; says where another sentence follows, in bytes and tokens.
+    /// Appends the tokens of the text from byte `begin`. Calls `ended` at every sentence boundary with the position in bytes and in tokens.
     fn cut_from<M: LanguageModel>(
         &mut self,
         mut begin: usize,
@@ -106,7 +104,7 @@ impl Cutter {
         out: &mut Vec<Token>,
         mut ended: impl FnMut((usize, usize)),
     ) -> Result<(), ModelError> {
-        // A lone space at the very end stays with what is before it: by itself it would be no text at all.
+        // A lone space at the very end stays with the previous sentence: alone it would be an empty text.
         while let Some(next) = next_sentence(&text[begin..]).map(|next| begin + next).filter(|next| *next < text.len())
         {
             self.cut_sentence(model, &text[begin..next - 1], out)?;
@@ -131,7 +129,7 @@ impl Cutter {
         let before = out.len();
         model.tokenise(sentence, TextStart::Within, out)?;
         if sentence.len() > SENTENCE_BYTES_MAX {
-            // No narrator's: not worth its memory.
+            // Longer than any narrator's sentence: not worth the memory.
             return Ok(());
         }
         if self.sentences.len() < REMEMBERED {
@@ -150,7 +148,7 @@ impl Cutter {
     }
 }
 
-/// Where in `text` the second sentence begins, behind a space.
+/// Byte position of the second sentence, after the space.
 fn next_sentence(text: &str) -> Option<usize> {
     text.as_bytes().windows(2).position(|pair| matches!(pair, [b'.' | b'!' | b'?', b' '])).map(|end| end + 2)
 }

@@ -1,10 +1,10 @@
 //! Scores of labels as continuations of a prompt (the paper's Equation 1).
 //!
-//! `s_c,i = prod_j p(c_i^j | N_h + B + c_i^(1..j-1))`, over all tokens `j` of label `i`, in nats as a sum of logarithms; corrected where
-//! that was asked for ([`correction`]).
+//! `s_c,i = prod_j p(c_i^j | N_h + B + c_i^(1..j-1))`, over all tokens `j` of label `i`, in nats as a sum of logarithms; corrected on request
+//! ([`correction`]).
 //!
-//! [`Scorer`] holds the algorithm, [`LanguageModel`] what it needs of a model. The crate `roomcast-llama` has the real one;
-//! [`table::TableModel`] is a deterministic one whose next-token table is known by construction, for tests.
+//! [`Scorer`] holds the algorithm, [`LanguageModel`] is its interface to a model. The crate `roomcast-llama` has the real model;
+//! [`table::TableModel`] is a deterministic one with a known next-token table, for tests.
 
 use std::sync::Arc;
 
@@ -21,10 +21,10 @@ pub mod cutter;
 pub mod softmax;
 pub mod table;
 
-/// What a language model says of itself.
+/// Description of a language model.
 #[derive(Debug, Clone, Default, PartialEq, serde::Serialize)]
 pub struct ModelInfo {
-    /// Its own name, or the file's.
+    /// The model's name, or the file's.
     pub name: String,
     /// Architecture as llama.cpp names it ("llama").
     pub architecture: String,
@@ -36,22 +36,22 @@ pub struct ModelInfo {
     pub size_bytes: u64,
     /// Size of the vocabulary.
     pub vocabulary: usize,
-    /// Positions that prompt and label together may take.
+    /// Tokens that prompt and label together may take.
     pub context_tokens: usize,
-    /// Whether a prefix can be shared between continuations; not so with recurrent and hybrid models.
+    /// Whether continuations can share a prefix. Recurrent and hybrid models cannot.
     pub shares_prefix: bool,
     /// The correction of scores that the model file recommends.
     pub correction: Correction,
-    /// SHA-256 of the model file; zeros when there is none.
+    /// SHA-256 of the model file; zeros if there is none.
     #[serde(serialize_with = "hex::serialize")]
     pub fingerprint: [u8; 32],
 }
 
-/// A model that failed.
+/// A failure of the model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ModelError {
-    /// The file is no sound model; names it, and says what to do.
+    /// The file is not a valid model. The message names the file and the remedy.
     #[error(transparent)]
     File(Box<dyn std::error::Error + Send + Sync>),
     /// The file cannot be loaded.
@@ -59,10 +59,10 @@ pub enum ModelError {
     Load {
         /// The file.
         path: String,
-        /// What the loader said.
+        /// The loader's message.
         reason: String,
     },
-    /// The file is sound, and there is no room to work with it.
+    /// The file is valid, but there is not enough memory for its context.
     #[error(
         "the model {model} gets no memory for a context of {context_tokens} tokens ({reason}): raise the limit on memory \
          (MemoryMax=, ulimit -v), or lower model.context_tokens, or choose a smaller model.cache"
@@ -70,9 +70,9 @@ pub enum ModelError {
     Context {
         /// The model's name.
         model: String,
-        /// How many tokens it was to hold.
+        /// Tokens of the requested context.
         context_tokens: u32,
-        /// What the loader said.
+        /// The loader's message.
         reason: String,
     },
     /// Text that cannot be tokenised.
@@ -80,7 +80,7 @@ pub enum ModelError {
     Tokenise {
         /// The text, shortened.
         text: String,
-        /// What the tokeniser said.
+        /// The tokeniser's message.
         reason: String,
     },
     /// Prompt and labels do not fit in the context.
@@ -90,12 +90,12 @@ pub enum ModelError {
     TooLong {
         /// Tokens of the prompt.
         prompt: usize,
-        /// Tokens of the tree behind it.
+        /// Tokens of the tree after the prompt.
         tree: usize,
         /// Size of the context.
         context: usize,
     },
-    /// The prompt has no token at all.
+    /// The prompt has no tokens.
     #[error("the prompt is empty and the model has no start token: give narration or a binding sequence")]
     EmptyPrompt,
     /// The decoder failed.
@@ -103,58 +103,57 @@ pub enum ModelError {
     Decode {
         /// Tokens in the failing call.
         tokens: usize,
-        /// What the decoder said.
+        /// The decoder's message.
         reason: String,
     },
-    /// It was told to stop.
+    /// The caller asked the model to stop.
     #[error("scoring was broken off")]
     Stopped,
-    /// The model gave a value that is not a number.
+    /// The model gave a logit that is not finite.
     #[error("the model gave logits that are not finite after {at}: the file is damaged or its quantisation is broken")]
     NotFinite {
-        /// Where.
+        /// The prompt, or the trie node.
         at: String,
     },
-    /// The model did not visit the rows that it was asked for.
+    /// The model did not visit exactly the rows that were asked for.
     #[error(
         "the model gave {given} of {asked} rows of logits: LanguageModel::decode visits each row that it is asked for, and no other"
     )]
     Rows {
-        /// How many of them came.
+        /// Rows visited.
         given: usize,
-        /// How many were asked for.
+        /// Rows asked for.
         asked: usize,
     },
 }
 
-/// How a text stands in a sequence.
+/// Position of a text in a sequence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextStart {
-    /// At the beginning: the model's start token is put before it where the model wants one.
+    /// At the beginning: the tokeniser prepends the model's start token, if it has one.
     Sequence,
-    /// Somewhere within.
+    /// After other text.
     Within,
 }
 
-/// Nanoseconds that never go back, from any beginning.
+/// Monotonic time in nanoseconds, with an arbitrary origin.
 pub type Clock = fn() -> u64;
 
-/// How many tokens a text costs, for threads that do not have the model.
+/// Counts the tokens of a text on threads that do not have the model.
 pub type TokenCounter = Arc<dyn Fn(&str) -> usize + Send + Sync>;
 
-/// Whether work for which nobody waits is to stop.
+/// Returns true if background work must stop.
 pub type IsStopped = Arc<dyn Fn() -> bool + Send + Sync>;
 
-/// Whom work tells that it goes on.
+/// Called by the model to report progress.
 pub type Progress = Arc<dyn Fn() + Send + Sync>;
 
-/// What the scoring algorithm needs of a model: its description, tokens of a text, the text of a token, and logits. Everything else has a default.
+/// The scoring algorithm's interface to a model: description, tokens, text of a token, and logits. Everything else has a default.
 pub trait LanguageModel {
-    /// What the model says of itself.
+    /// The model's description.
     fn info(&self) -> &ModelInfo;
 
-    /// The clock that steps are timed by, and end by under [`Effort::Deadline`]: this crate has none of its own. By the one given here
-    /// nothing takes any time.
+    /// The clock for step times and for [`Effort::Deadline`]; this crate has no clock of its own. The default stands still.
     fn clock(&self) -> Clock {
         || 0
     }
@@ -162,44 +161,43 @@ pub trait LanguageModel {
     /// Appends the tokens of `text` to `out`. Control tokens written in the text are taken as text.
     ///
     /// # Errors
-    /// When the tokeniser fails.
+    /// If the tokeniser fails.
     fn tokenise(&self, text: &str, start: TextStart, out: &mut Vec<Token>) -> Result<(), ModelError>;
 
-    /// Whether a text is always cut into the tokens of its sentences, cut [`TextStart::Within`] one by one: a sentence ends with a full
-    /// stop, an exclamation or a question mark before a space, and the space is not part of the next one.
+    /// Returns true if the tokens of a text are always the concatenation of its sentences' tokens, each cut with [`TextStart::Within`]. A sentence
+    /// ends with a full stop, an exclamation or a question mark before a space; the space is not part of the next one.
     fn sentences_apart(&self) -> bool {
         false
     }
 
-    /// Counts the tokens of a sentence within a prompt, on any thread. The one given here counts bytes, of which no tokeniser makes more
-    /// tokens.
+    /// Counts the tokens of a sentence within a prompt, on any thread. The default counts bytes, an upper bound for any tokeniser.
     fn token_counter(&self) -> TokenCounter {
         Arc::new(str::len)
     }
 
-    /// The text of a token, for people.
+    /// The readable text of a token.
     fn token_text(&self, token: Token) -> String;
 
-    /// Takes memory for prompts and trees of so many tokens together, and frees the rest. A longer prompt takes more when it comes, up to
-    /// the model's limit. The kept prefix may be forgotten.
+    /// Allocates memory for `positions` tokens of prompt and tree together, and frees the rest. A longer prompt allocates more on demand, up to the
+    /// model's limit. The kept prefix may be lost.
     ///
     /// # Errors
-    /// When there is no memory for it.
+    /// If there is not enough memory.
     fn reserve(&mut self, _positions: usize) -> Result<(), ModelError> {
         Ok(())
     }
 
-    /// Forgets the kept prefix: the next call decodes the whole prompt. A model that keeps no prefix has nothing to forget.
+    /// Drops the kept prefix: the next call decodes the whole prompt. Does nothing if the model keeps no prefix.
     fn forget(&mut self) {}
 
-    /// Decodes `prompt` (what it shares with the last call's prompt is kept, not decoded again), then `tree` behind it,
-    /// and gives each row of logits to `visit`: row 0 follows the prompt (only when `want_prompt_row`), row `i + 1` follows tree node `i`.
+    /// Decodes `prompt` (the prefix shared with the last call's prompt is reused), then `tree` after it, and passes each row of logits to `visit`:
+    /// row 0 follows the prompt (only if `want_prompt_row`), row `i + 1` follows tree node `i`.
     ///
-    /// Every node is visited, or the scorer refuses the call ([`ModelError::Rows`]). One may be visited more than once with the same values up
-    /// to rounding, when the tree has more paths than the model has sequences.
+    /// Every node must be visited, or the scorer refuses the call ([`ModelError::Rows`]). A node may be visited more than once with the same values
+    /// up to rounding, if the tree has more paths than the model has sequences.
     ///
     /// # Errors
-    /// When prompt and tree do not fit, or the decoder fails; the kept prefix is forgotten then.
+    /// If prompt and tree do not fit, or the decoder fails; the kept prefix is dropped then.
     fn decode(
         &mut self,
         prompt: &[Token],
@@ -208,8 +206,8 @@ pub trait LanguageModel {
         visit: &mut dyn FnMut(usize, &[f32]),
     ) -> Result<DecodeStats, ModelError>;
 
-    /// Reads a part of `prompt` that is small enough for an event to wait for, as a later [`LanguageModel::decode`] keeps it, and gives whether
-    /// all of it is read. The one given here reads all at once.
+    /// Decodes a part of `prompt` short enough not to delay an event, for reuse by a later [`LanguageModel::decode`]. Returns whether the whole
+    /// prompt is decoded. The default decodes everything at once.
     ///
     /// # Errors
     /// As [`LanguageModel::decode`].
@@ -218,11 +216,11 @@ pub trait LanguageModel {
         Ok(true)
     }
 
-    /// The same model a second time, for a thread of its own beside this one's: it gives the same scores up to rounding, and ends with
-    /// [`ModelError::Stopped`] soon after `is_stopped` says so. None where scoring costs nothing that could be done before.
+    /// A second instance of the model for a background thread. It gives the same scores up to rounding, and fails with [`ModelError::Stopped`] soon
+    /// after `is_stopped` returns true. `None` if prefetching would save no time.
     ///
     /// # Errors
-    /// When there is no memory for it.
+    /// If there is not enough memory.
     fn twin(&self, _is_stopped: IsStopped) -> Result<Option<Self>, ModelError>
     where
         Self: Sized,
@@ -230,24 +228,23 @@ pub trait LanguageModel {
         Ok(None)
     }
 
-    /// Has `moved` called after each call of the decoder. By the one given here nothing takes so long that anybody waits for it.
+    /// Registers `moved`, which is called after each call of the decoder. The default ignores it.
     fn watch(&mut self, _moved: Progress) {}
 
-    /// Drops what the last call left behind beyond the first `keep` tokens of its prompt, all that the next prompt will have of them;
-    /// called while idle.
+    /// Drops the last call's data after the first `keep` tokens of its prompt: the next prompt shares only these tokens. Called while idle.
     fn tidy(&mut self, _keep: usize) {}
 }
 
-/// What a call of [`LanguageModel::decode`] cost.
+/// Cost of a call of [`LanguageModel::decode`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DecodeStats {
     /// Calls of the decoder: each reads all weights once.
     pub calls: u32,
-    /// Prompt tokens decoded, those kept from the last call not counted.
+    /// Prompt tokens decoded, without those reused from the last call.
     pub prompt_tokens_decoded: u32,
     /// Tree tokens decoded, repeats included.
     pub tree_tokens_decoded: u32,
-    /// Nanoseconds within the decoder's calls: what is left of a step's time is ours.
+    /// Nanoseconds within the decoder's calls.
     pub decoder_ns: u64,
 }
 
@@ -260,71 +257,41 @@ impl std::ops::AddAssign for DecodeStats {
     }
 }
 
-/// How labels are scored. All methods give the same scores up to rounding; they are kept side by side as the proof.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// Each label by itself, the whole prompt every time.
-    Independent,
-    /// The prompt once, one sequence per label.
-    SharedPrefix,
-    /// The prompt once, then the labels' token trie.
-    #[default]
-    Trie,
+crate::choices! {
+    /// How labels are scored. All methods give the same scores up to rounding; the slower ones verify the trie.
+    #[derive(Default, Hash)]
+    pub enum Method {
+        /// Each label by itself, the whole prompt every time.
+        Independent,
+        /// The prompt once, one sequence per label.
+        SharedPrefix,
+        /// The prompt once, then the labels' token trie.
+        #[default]
+        Trie,
+    }
 }
 
 impl Method {
-    /// Whether this method can end where the effort says: the others score every label, however long it takes.
+    /// Whether this method supports `effort`: the other methods always score every label.
     #[must_use]
     pub fn allows(self, effort: Effort) -> bool {
         self == Self::Trie || effort == Effort::Exact
     }
 }
 
-/// How prompt and label are cut into tokens.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    Default,
-    PartialEq,
-    Eq,
-    Hash,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-    serde::Serialize,
-    serde::Deserialize,
-)]
-#[strum(serialize_all = "kebab-case")]
-#[serde(rename_all = "kebab-case")]
-pub enum Tokenisation {
-    /// Together, so that a label is cut as the model saw it in text (`" mug"`).
-    #[default]
-    Joint,
-    /// Each part by itself, the binding sequence with its trailing space.
-    Paper,
+crate::choices! {
+    /// How prompt and label are cut into tokens.
+    #[derive(Default, Hash)]
+    pub enum Tokenisation {
+        /// Together, so that a label is cut as the model saw it in text (`" mug"`).
+        #[default]
+        Joint,
+        /// Each part by itself, the binding sequence with its trailing space.
+        Paper,
+    }
 }
 
-/// A failed scoring.
+/// A failure of scoring.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScoreError {
@@ -334,36 +301,35 @@ pub enum ScoreError {
     /// A label without words.
     #[error("label {index} ({label:?}) has no tokens: give it words, or remove it from the map")]
     EmptyLabel {
-        /// Its index.
+        /// Index of the label.
         index: usize,
-        /// Its text.
+        /// Text of the label.
         label: String,
     },
-    /// No label at all.
+    /// There is no label.
     #[error("there is no label to score: the map has no items, and room names are switched off")]
     NoLabels,
 }
 
-/// The labels of a map, cut into tokens behind one binding sequence: built once, used for every event.
+/// The labels of a map, cut into tokens after one binding sequence: built once, used for every event.
 #[derive(Debug, Clone)]
 pub struct PreparedLabels {
     labels: Vec<String>,
     tokens: Vec<Vec<Token>>,
-    /// Of all tokens, or under [`Continuation::Labels`] of those that tell the labels apart.
+    /// All tokens, or under [`Continuation::Labels`] only those that distinguish the labels.
     trie: LabelTrie,
-    /// Inner nodes of the trie, for [`Method::Trie`].
     inner_tree: TokenTree,
     /// One chain per label, for [`Method::SharedPrefix`].
     chains: LabelTrie,
     chain_tree: TokenTree,
-    /// Per node of the chains its node in the trie.
+    /// Per node of `chains`: its node in `trie`.
     chain_nodes: Vec<usize>,
-    /// Tokens at the end of the prompt that labels replace, because a merge crosses the boundary; nearly always 0.
+    /// Tokens at the end of the prompt that the labels' tokens replace because a merge crosses the boundary; nearly always 0.
     replaced: usize,
     binding: BindingSequence,
     tokenisation: Tokenisation,
     correction: Correction,
-    /// Per label `ln g_c` of the prior, in nats.
+    /// `ln g_c` per label, in nats.
     gain_nats: Vec<f64>,
 }
 
@@ -386,13 +352,13 @@ impl PreparedLabels {
         &self.trie
     }
 
-    /// Tokens of the longest label.
+    /// Length of the longest label in tokens.
     #[must_use]
     pub(crate) fn longest_label(&self) -> usize {
         self.tokens.iter().map(Vec::len).max().unwrap_or(0)
     }
 
-    /// The binding sequence that the labels stand behind.
+    /// The binding sequence before the labels.
     #[must_use]
     pub fn binding(&self) -> &BindingSequence {
         &self.binding
@@ -410,7 +376,7 @@ impl PreparedLabels {
         self.correction
     }
 
-    /// Per label `ln g_c` of the prior, in nats, the greatest 0; zeros without one.
+    /// `ln g_c` per label in nats, the greatest 0; all 0 without a prior.
     #[must_use]
     pub(crate) fn gain_nats(&self) -> &[f64] {
         &self.gain_nats
@@ -427,21 +393,21 @@ impl PreparedLabels {
 /// The scores of one prompt.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelScores {
-    /// Per label `ln s_c` in nats: Equation 1, corrected.
+    /// `ln s_c` per label in nats: Equation 1, corrected.
     pub log_prob_nats: Vec<f64>,
     /// Tokens of the prompt.
     pub prompt_tokens: usize,
-    /// `ln k` of the prior in nats: with a label's gain, what was added to the sum over its tokens.
+    /// `ln k` of the prior in nats. It and the label's gain were added to the sum over the label's tokens.
     pub scale_nats: f64,
-    /// What was decoded.
+    /// Cost of decoding.
     pub stats: DecodeStats,
-    /// Nanoseconds spent cutting the prompt into tokens.
+    /// Nanoseconds spent on tokenising the prompt.
     pub tokenise_ns: u64,
     /// Nanoseconds in decoder calls that held the prompt.
     pub prefix_ns: u64,
-    /// Nanoseconds in what came after them: the rest of the trie, and the walk over it.
+    /// Nanoseconds after those calls: the rest of the trie, and the pass over it.
     pub trie_ns: u64,
-    /// The method that was used: [`Method::Independent`] where the model cannot share a prefix.
+    /// The method used: [`Method::Independent`] if the model cannot share a prefix.
     pub method: Method,
 }
 
@@ -449,20 +415,20 @@ pub struct LabelScores {
 #[derive(Debug)]
 pub struct Scorer<M> {
     model: M,
-    /// A row of logits without a node's children, where a label ends at the node.
+    /// Scratch: a row of logits without a node's children, for labels that end at the node.
     without_children: Vec<f32>,
     rows: Rows,
-    /// The last prompt's tokens, without those that labels replace.
+    /// The last prompt's tokens, without the replaced ones.
     prompt: Vec<Token>,
-    /// How many of the last prompt's tokens the next one will begin with, as far as is known: all but the binding sequence.
+    /// Tokens of the last prompt that the next one probably shares: all but the binding sequence.
     kept_tokens: usize,
     cutter: Cutter,
-    /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`, of the last [`Scorer::score`] by [`Method::Trie`].
+    /// Per trie node `ln p(token | path to its parent)`, then `ln q(n)`, from the last [`Scorer::score`] by [`Method::Trie`].
     node_log_prob_nats: Vec<f64>,
 }
 
 impl<M: LanguageModel> Scorer<M> {
-    /// A scorer over a model.
+    /// A scorer that uses `model`.
     pub fn new(model: M) -> Self {
         Self {
             model,
@@ -475,7 +441,7 @@ impl<M: LanguageModel> Scorer<M> {
         }
     }
 
-    /// What the model says of itself.
+    /// The model's description.
     pub fn info(&self) -> &ModelInfo {
         self.model.info()
     }
@@ -485,39 +451,39 @@ impl<M: LanguageModel> Scorer<M> {
         &self.model
     }
 
-    /// Has `moved` called after each call of the decoder.
+    /// Registers `moved`, which the model calls after each call of the decoder.
     pub fn watch(&mut self, moved: Progress) {
         self.model.watch(moved);
     }
 
-    /// Takes memory for prompts and labels of so many tokens together ([`LanguageModel::reserve`]).
+    /// Allocates memory for `positions` tokens of prompt and labels together ([`LanguageModel::reserve`]).
     ///
     /// # Errors
-    /// When there is no memory for it.
+    /// If there is not enough memory.
     pub fn reserve(&mut self, positions: usize) -> Result<(), ScoreError> {
         Ok(self.model.reserve(positions)?)
     }
 
-    /// Forgets the kept prefix, as a fresh scorer would start.
+    /// Drops the kept prefix.
     pub fn forget(&mut self) {
         self.model.forget();
     }
 
-    /// Work that can wait until no event does.
+    /// Housekeeping for idle time.
     pub fn tidy(&mut self) {
         self.model.tidy(self.kept_tokens);
     }
 
-    /// Cuts labels into tokens behind a binding sequence, and builds their trie.
+    /// Cuts labels into tokens after a binding sequence, and builds their trie.
     ///
-    /// Under [`Tokenisation::Joint`] a label's tokens are what binding sequence and label have together beyond the
-    /// binding sequence by itself. Where a merge crosses the boundary for any label, the crossing tokens of the binding
-    /// sequence are scored with every label, so that all remain comparable.
+    /// Under [`Tokenisation::Joint`] a label's tokens are the tokens of binding sequence and label together, minus those of the binding sequence
+    /// alone. If a merge crosses the boundary for any label, the crossing tokens of the binding sequence are scored with every label, so that all
+    /// scores remain comparable.
     ///
-    /// Every label gains alike: [`Scorer::prepare`] also learns the prior.
+    /// All gains are 0: [`Scorer::prepare`] also computes the prior's gains.
     ///
     /// # Errors
-    /// When there is no label, a label has no tokens, or the tokeniser fails.
+    /// If there is no label, a label has no tokens, or the tokeniser fails.
     pub fn cut<L: AsRef<str>>(
         &self,
         labels: &[L],
@@ -590,10 +556,10 @@ impl<M: LanguageModel> Scorer<M> {
         })
     }
 
-    /// Learns the labels' gains from a blank narration, where there is a prior; the kept prefix is lost then.
+    /// Computes the labels' gains from a blank narration if there is a prior. The kept prefix is lost then.
     ///
     /// # Errors
-    /// When the model fails.
+    /// If the model fails.
     pub(crate) fn learn_prior(&mut self, prepared: &mut PreparedLabels) -> Result<(), ScoreError> {
         let Correction { prior, .. } = prepared.correction;
         if prior > 0.0 {
@@ -608,10 +574,10 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// [`Scorer::cut`], then the prior of the labels: all that is done once for a map, a binding sequence and a model.
+    /// [`Scorer::cut`] plus the gains of the prior; done once per map, binding sequence and model.
     ///
     /// # Errors
-    /// As those two.
+    /// As [`Scorer::cut`], and if the model fails.
     pub fn prepare<L: AsRef<str>>(
         &mut self,
         labels: &[L],
@@ -624,13 +590,13 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(prepared)
     }
 
-    /// Scores every label behind `prompt`, the text that [`crate::prompt::write_prompt`] wrote for the same binding
-    /// sequence (with its trailing space under [`Tokenisation::Paper`]).
+    /// Scores every label after `prompt`, written by [`crate::prompt::write_prompt`] with the same binding sequence (with its trailing space under
+    /// [`Tokenisation::Paper`]).
     ///
-    /// A model that cannot share a prefix is scored by [`Method::Independent`], and `out` says so.
+    /// If the model cannot share a prefix, [`Method::Independent`] is used; `out.method` records it.
     ///
     /// # Errors
-    /// When the prompt does not fit or the model fails; `out` is not to be used then.
+    /// If the prompt does not fit or the model fails. `out` is invalid then.
     pub fn score(
         &mut self,
         prepared: &PreparedLabels,
@@ -657,24 +623,24 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Exchanges what [`Scorer::token_log_prob_nats`] explains of the last score for that of another scorer.
+    /// Swaps the data behind [`Scorer::token_log_prob_nats`] with that from another scorer.
     pub(crate) fn exchange_nodes(&mut self, nodes: &mut Vec<f64>) {
         std::mem::swap(&mut self.node_log_prob_nats, nodes);
     }
 
-    /// What a sentence costs in a window.
+    /// Tokens that a sentence takes in a window, its separator included.
     pub(crate) fn cost_of(&mut self, sentence: &str) -> usize {
         match self.sentence_tokens(sentence) {
             Ok(tokens) => tokens + 1,
-            // A safe bound; scoring will name the failure.
+            // An upper bound; scoring will report the error.
             Err(_) => sentence.len(),
         }
     }
 
-    /// How many tokens `sentence` has within a prompt. It is cut once: the prompt that it becomes part of finds its tokens.
+    /// Tokens of `sentence` within a prompt. They are cached for the prompt that will contain it.
     ///
     /// # Errors
-    /// When the tokeniser fails.
+    /// If the tokeniser fails.
     pub fn sentence_tokens(&mut self, sentence: &str) -> Result<usize, ScoreError> {
         self.cutter.cut_narration(&self.model, sentence, &mut self.prompt)?;
         Ok(self.prompt.len())
@@ -684,7 +650,7 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(self.cutter.cut_prompt(&self.model, prompt, &mut self.prompt)?)
     }
 
-    /// Cuts the prompt into tokens and clears `out`.
+    /// Cuts the prompt into tokens and resets `out`.
     fn begin(
         &mut self,
         prepared: &PreparedLabels,
@@ -708,8 +674,8 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Per token of a label ln p(token | prompt and the tokens before it), in nats, of the last [`Scorer::score`]; the last one's with
-    /// that of the label's ending there, where another goes on. None unless that was by [`Method::Trie`], which alone keeps them.
+    /// `ln p(token | prompt and the tokens before it)` per token of a label, in nats, from the last [`Scorer::score`]. If another label continues
+    /// this one, the last value includes the probability that the label ends here. `None` if the last score was not by [`Method::Trie`].
     #[must_use]
     pub fn token_log_prob_nats(&self, prepared: &PreparedLabels, label: usize) -> Option<Vec<f64>> {
         let nodes = prepared.trie.nodes();
@@ -744,12 +710,12 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Scores behind `prompt` as far as the question needs, by [`Method::Trie`]: the prompt and a guess at the nodes that
-    /// matter go in one call, the rest follows only while `state.bounds` do not answer `effort`'s question, and, under
-    /// [`Effort::Deadline`], while the next call would end before `deadline` (as the last ones suggest).
+    /// Scores labels after `prompt` until `state.bounds` answer `effort`'s question, by [`Method::Trie`]. The first call decodes the prompt and a
+    /// guess at the important nodes. Further calls follow while the question is open and, under [`Effort::Deadline`], while the next call is expected
+    /// to end before `deadline_ns`, judged by the last call's duration.
     ///
-    /// `out.log_prob_nats` is exact for decided labels, but for the scale of a prior, which is common to all, and an estimate within the
-    /// bounds for the others. A model that cannot share a prefix is scored exactly.
+    /// For decided labels `out.log_prob_nats` is exact except for the prior's scale, which is common to all labels. For the others it is an estimate
+    /// within the bounds. A model that cannot share a prefix is scored exactly.
     ///
     /// # Errors
     /// As [`Scorer::score`].
@@ -835,10 +801,11 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(())
     }
 
-    /// Reads a small part of a prompt ahead, so that the next one that begins with it decodes only the rest. Gives whether all of it is read.
+    /// Decodes a small part of `prompt` in advance, so that the next prompt that begins with it decodes only the rest. Returns whether all of it is
+    /// decoded.
     ///
     /// # Errors
-    /// When it does not fit or the model fails.
+    /// If the prompt does not fit or the model fails.
     pub(crate) fn read_ahead(&mut self, prompt: &str) -> Result<bool, ScoreError> {
         self.cut_prompt(prompt)?;
         self.kept_tokens = self.prompt.len();
@@ -848,8 +815,8 @@ impl<M: LanguageModel> Scorer<M> {
         Ok(self.model.read(&self.prompt)?)
     }
 
-    /// Scores the labels of one trie behind `self.prompt`, and appends them to `out`. `places` gives the place of the trie's nodes in
-    /// that of `prepared`; without it, they are the same.
+    /// Scores the labels of `trie` after `self.prompt`, and appends the scores to `out`. `places` maps nodes of `trie` to nodes of `prepared.trie`;
+    /// `None` if the two tries are the same.
     fn score_trie(
         &mut self,
         prepared: &PreparedLabels,
@@ -888,7 +855,7 @@ impl<M: LanguageModel> Scorer<M> {
             return Err(error.into());
         }
         let decoded = now();
-        // Parents stand before their children, so one pass turns conditional probabilities into q(n).
+        // Parents precede their children, so one pass turns conditional probabilities into q(n).
         for index in 0..nodes.len() {
             if nodes[index].parent != PROMPT {
                 log_prob[index] += log_prob[nodes[index].parent as usize];
@@ -903,13 +870,13 @@ impl<M: LanguageModel> Scorer<M> {
     }
 }
 
-/// Which rows of logits a call of [`LanguageModel::decode`] was asked for, and which came: whoever brings a model may forget one.
+/// The rows of logits that a call of [`LanguageModel::decode`] must visit, and those that it visited. A model of another author may miss one.
 #[derive(Debug, Default)]
 struct Rows {
     /// Row 0 follows the prompt.
     came: Vec<bool>,
     given: usize,
-    /// One came that nobody asked for.
+    /// A row came that was not asked for.
     is_beyond: bool,
 }
 
@@ -921,7 +888,7 @@ impl Rows {
         (self.given, self.is_beyond) = (usize::from(!with_prompt), false);
     }
 
-    /// Takes note of a row; whether it was asked for.
+    /// Records a row, and returns whether it was asked for.
     fn take(&mut self, row: usize) -> bool {
         let Some(came) = self.came.get_mut(row) else {
             self.is_beyond = true;
@@ -931,7 +898,7 @@ impl Rows {
         true
     }
 
-    /// Whether all came and none beside them, and none of them was bad.
+    /// Fails unless exactly the rows asked for came and all are finite.
     fn check(&self, bad_row: Option<usize>) -> Result<(), ModelError> {
         let asked = self.came.len();
         match bad_row {
@@ -942,10 +909,12 @@ impl Rows {
     }
 }
 
-/// Gives `ln p(child | path)` of every child of `parent` (the trie's roots for `None`) from the row of logits that follows
-/// it. With `rivals`, the node's children in the trie of all labels, only they share the probability out, and, where a label ends at
-/// the node, all that is none of them: `without_children` holds the row without them then. False when what was needed of the row is not
-/// finite; minus infinity is a probability of zero.
+/// Calls `give` with `ln p(child | path)` for every child of `parent` (the trie's roots for `None`), from the row of logits after `parent`.
+///
+/// `rivals` are the node's children in the trie of all labels. With them, only the children share the probability; if a label ends at the node, it
+/// competes too, with the probability of all other tokens (`without_children` is scratch for this).
+///
+/// Returns false if a value that was needed is not finite. Minus infinity counts as a probability of zero.
 fn read_row(
     trie: &LabelTrie,
     parent: Option<usize>,
@@ -969,7 +938,7 @@ fn read_row(
                 end = softmax::log_sum_exp(without_children);
                 softmax::log_sum_exp_of([shared, end].into_iter())
             } else if shared == f64::NEG_INFINITY {
-                // No label is possible here: none is likelier than another.
+                // No label is possible here: the children are equally likely.
                 impossible = Some(-(children.count() as f64).ln());
                 0.0
             } else {
@@ -990,7 +959,7 @@ fn row_name(row: usize) -> String {
     if row == 0 { "the prompt".to_owned() } else { format!("trie node {}", row - 1) }
 }
 
-/// Length of what two token sequences begin with in common.
+/// Length of the common prefix of two token sequences.
 #[must_use]
 pub fn common_prefix(a: &[Token], b: &[Token]) -> usize {
     a.iter().zip(b).take_while(|(a, b)| a == b).count()

@@ -1,15 +1,14 @@
-//! The logarithm of a softmax's denominator, over one row of logits or a few values.
+//! The logarithm of a softmax's denominator, over one row of logits or over a few values.
 
 /// Values per block: small enough to stay in the first-level cache between the maximum and the sum.
 const BLOCK: usize = 1024;
-/// Lanes that are summed side by side, so that the compiler can use the widest vector registers.
+/// Independent partial sums, so that the compiler can use the widest vector registers.
 const LANES: usize = 16;
 
 /// `ln(sum(exp(row)))` in nats, in one pass over memory.
 ///
-/// Within a block the maximum is taken first, then the exponentials are summed; a larger maximum rescales what was
-/// summed before. Gives minus infinity for an empty row or one of minus infinities, and NaN or plus infinity when the
-/// row holds such a value; callers refuse those.
+/// Each block's maximum is taken first, then its exponentials are summed; a larger maximum rescales the previous sum. Returns minus infinity for an
+/// empty row or a row of minus infinities. Returns NaN or plus infinity if the row holds such a value; callers refuse those.
 #[must_use]
 pub fn log_sum_exp(row: &[f32]) -> f64 {
     let mut highest = f32::NEG_INFINITY;
@@ -32,7 +31,7 @@ pub fn log_sum_exp(row: &[f32]) -> f64 {
     f64::from(highest) + sum.ln()
 }
 
-/// `ln(sum(exp(values)))` of a few values in nats, in double precision; minus infinity for none, NaN when one is.
+/// `ln(sum(exp(values)))` of a few values in nats, in double precision. Minus infinity for no values, NaN if any value is NaN.
 #[must_use]
 pub(crate) fn log_sum_exp_of(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let largest = values.clone().fold(f64::NEG_INFINITY, f64::max);
@@ -42,7 +41,7 @@ pub(crate) fn log_sum_exp_of(values: impl Iterator<Item = f64> + Clone) -> f64 {
     largest + values.map(|value| (value - largest).exp()).sum::<f64>().ln()
 }
 
-/// The largest value that is a number; those that are not show in the sum.
+/// The largest value, NaN ignored; a NaN shows in the sum.
 fn max(block: &[f32]) -> f32 {
     let mut lanes = [f32::NEG_INFINITY; LANES];
     let (chunks, rest) = block.as_chunks::<LANES>();
@@ -67,12 +66,12 @@ fn sum_exp(block: &[f32], max: f32) -> f32 {
 
 /// `exp(x)` for `x <= 0`, without a branch, to about one unit in the last place of an f32.
 ///
-/// `x = n ln 2 + r` with `|r| <= ln 2 / 2`; the Taylor polynomial of degree 7 on `r` leaves less than 1e-8; `2^n` is put together
-/// from its exponent bits. Below -87 the result is that at -87, which is 1.6e-38.
+/// `x = n ln 2 + r` with `|r| <= ln 2 / 2`; the Taylor polynomial of degree 7 on `r` leaves less than 1e-8; `2^n` is put together from its exponent
+/// bits. Below -87 the result equals exp(-87), 1.6e-38.
 #[inline(always)]
 fn exp_not_positive(x: f32) -> f32 {
     let x = if x < -87.0 { -87.0 } else { x };
-    // Adding and taking away 1.5 * 2^23 rounds to the nearest integer.
+    // Adding and subtracting 1.5 * 2^23 rounds to the nearest integer.
     const ROUND: f32 = 12_582_912.0;
     let shifted = x * std::f32::consts::LOG2_E + ROUND;
     let n = shifted - ROUND;
@@ -86,8 +85,7 @@ fn exp_not_positive(x: f32) -> f32 {
     p = p * r + 0.5;
     p = p * r + 1.0;
     p = p * r + 1.0;
-    // The low bits of the shifted value are n, which lies in -126..=0: as an exponent it is biased by 127. Nothing here may carry a
-    // check, which would keep the compiler from using vectors.
+    // The low bits of `shifted` are n, in -126..=0; as an exponent it is biased by 127. An overflow check here would prevent vectorisation.
     p * f32::from_bits((shifted.to_bits() << 23).wrapping_add(127 << 23))
 }
 
@@ -119,7 +117,7 @@ mod tests {
         assert!((log_sum_exp(&[0.0; 64]) - 64f64.ln()).abs() < 1e-6);
     }
 
-    /// Flat rows have the most terms that count, and so the largest sums of rounding.
+    /// Flat rows have the most terms that count, and so the largest rounding errors.
     #[test]
     fn flat_rows_are_as_exact() {
         for size in [1, 15, 17, 1023, 1025, 50_001] {

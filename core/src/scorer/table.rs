@@ -1,7 +1,7 @@
-//! A deterministic language model whose next-token probabilities follow from a seed: for tests and benches.
+//! A deterministic language model for tests and benches. A seed determines its next-token probabilities.
 //!
-//! Its tokens are bytes, or words from a list. The logits after a sequence depend on its last [`TableModel::MEMORY`]
-//! tokens by a fixed hash, so that any score can be recomputed by hand.
+//! Its tokens are bytes. The logits after a sequence depend on its last [`TableModel::MEMORY`] tokens by a fixed hash, so that any score can be
+//! recomputed by hand.
 
 use super::correction::Correction;
 use std::cell::Cell;
@@ -13,7 +13,7 @@ thread_local! {
     static NOW_NS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The model. See the module's documentation.
+/// The deterministic model of this module.
 #[derive(Debug, Clone)]
 pub struct TableModel {
     info: ModelInfo,
@@ -25,11 +25,11 @@ pub struct TableModel {
 }
 
 impl TableModel {
-    /// What a prompt takes a slow one, in nanoseconds of its clock.
+    /// Duration of a prompt for a slow model, in nanoseconds of its clock.
     pub const PROMPT_NS: u64 = 400_000_000;
-    /// Tokens that the next one depends on.
+    /// Number of previous tokens that the next one depends on.
     pub const MEMORY: usize = 8;
-    /// Bytes, and the start token.
+    /// 256 bytes and the start token.
     pub(crate) const VOCABULARY: usize = 257;
     const START: Token = Token(256);
 
@@ -61,13 +61,14 @@ impl TableModel {
         }
     }
 
-    /// The same, but each prompt takes it [`Self::PROMPT_NS`] by its own clock, which stands still otherwise and is one for all of a thread.
+    /// As [`Self::new`], but each prompt takes [`Self::PROMPT_NS`] by the model's clock. The clock is shared within a thread and otherwise stands
+    /// still.
     #[must_use]
     pub fn slow(seed: u64) -> Self {
         Self { is_slow: true, ..Self::new(seed) }
     }
 
-    /// The logits after `sequence`, one per token: a fixed function of seed and the last [`Self::MEMORY`] tokens.
+    /// Writes the logits after `sequence`, one per token: a fixed function of the seed and the last [`Self::MEMORY`] tokens.
     fn fill(&self, sequence: &[Token], row: &mut [f32]) {
         let recent = &sequence[sequence.len().saturating_sub(Self::MEMORY)..];
         let mut state = self.seed ^ 0x9e37_79b9_7f4a_7c15;
@@ -189,7 +190,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Equation 1 by all three methods, against the product taken by hand from the table.
+        /// Equation 1 by all three methods, against the product computed by hand from the table.
         #[test]
         fn every_method_gives_equation_1(
             seed: u64,
@@ -213,8 +214,8 @@ mod tests {
         }
     }
 
-    /// ln s of `labels[of]` under [`Continuation::Labels`], by the words of its documentation, over the labels' bytes. Every label begins
-    /// with the space after the prompt.
+    /// `ln s` of `labels[of]` under [`Continuation::Labels`], computed by its definition over the labels' bytes. Every label begins with the space
+    /// after the prompt.
     fn among_labels_by_hand(model: &TableModel, prompt: &str, labels: &[String], of: usize) -> f64 {
         let mut sequence = Vec::new();
         model.tokenise(prompt, TextStart::Sequence, &mut sequence).unwrap();
@@ -227,7 +228,7 @@ mod tests {
                 labels.iter().filter_map(|label| label.strip_prefix(said)?.bytes().next()).collect();
             let others: f64 = next.iter().map(|&byte| f64::from(logits[usize::from(byte)]).exp()).sum();
             let Some(&byte) = labels[of].as_bytes().get(at) else {
-                // The label's end gets what the others leave.
+                // The label's end gets the probability that the others leave.
                 return if next.is_empty() { sum } else { sum + (1.0 - others / all).ln() };
             };
             let free = at == 0 || labels.iter().any(|label| label == said);
@@ -238,7 +239,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Both corrections by all three methods, against what their documentation says.
+        /// Both corrections by all three methods, against their definitions.
         #[test]
         fn every_method_corrects_alike(
             seed: u64,
@@ -262,7 +263,7 @@ mod tests {
             let floor = blank.iter().copied().fold(f64::MIN, f64::max) - 20.0;
             let gain = |blank: f64| -prior * blank.max(floor);
             let gained: Vec<f64> = narrated.iter().zip(&blank).map(|(score, &blank)| score + gain(blank)).collect();
-            // Sharing out loses nothing: behind the first byte the labels' scores sum to its probability.
+            // No probability is lost: after the first byte the labels' scores sum to its probability.
             let first = sum(&narrated);
             let mut head = Vec::new();
             model.tokenise(&prompt, TextStart::Sequence, &mut head).unwrap();
@@ -289,7 +290,7 @@ mod tests {
         }
     }
 
-    /// What a label's end gets is no difference of two nearly equal numbers.
+    /// The probability of a label's end is not computed as a difference of two nearly equal numbers.
     #[test]
     fn a_very_unlikely_end_is_as_exact() {
         let trie = crate::label_trie::LabelTrie::distinct_prefixes(&[vec![Token(1)], vec![Token(1), Token(2)]]);
@@ -301,14 +302,14 @@ mod tests {
         assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
         let others = (TableModel::VOCABULARY as f64 - 1.0).ln();
         assert!((given[0] - (others - 30.0)).abs() < 1e-5 && given[1].abs() < 1e-9, "{given:?}");
-        // Where no label is possible, nothing is damaged.
+        // A row in which no label is possible is valid.
         let trie =
             crate::label_trie::LabelTrie::distinct_prefixes(&[vec![Token(1), Token(2)], vec![Token(1), Token(3)]]);
         logits[2..4].fill(f32::NEG_INFINITY);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
         assert!(super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, log| given.push(log)));
         assert_eq!(given[2..], [-2_f64.ln(); 2]);
-        // Where the file is, it shows.
+        // A row with NaN is not.
         logits[2..4].fill(f32::NAN);
         let rivals = Continuation::Labels.rivals(&trie, Some(0));
         assert!(!super::super::read_row(&trie, Some(0), rivals, &logits, &mut row, |_, _| ()));

@@ -1,7 +1,7 @@
-//! Changes to a map while it is in use: items come, move and go, rooms are added and removed.
+//! Changes to a map in use: items are added, moved and removed, rooms are added and removed.
 //!
-//! A change is data (one JSON object per change), applying it a pure function from map to map. Whoever holds a prepared
-//! model asks [`crate::grounding::Grounding::regroup`] whether the new map needs it at all.
+//! A change is data (one JSON object per change); applying it is a pure function from map to map. [`crate::grounding::Grounding::regroup`] decides
+//! whether a prepared model must be prepared again for the new map.
 
 use std::collections::HashMap;
 
@@ -23,31 +23,31 @@ pub enum MapChange {
         /// The entry.
         item: NewItem,
     },
-    /// An item stands elsewhere now.
+    /// Moves an item.
     MoveItem {
-        /// Which item.
+        /// Id of the item.
         id: String,
-        /// Where it is now.
+        /// The new position, in metres.
         position_m: [f64; 3],
-        /// Its extent there.
+        /// The new extent.
         r#box: Box3,
     },
-    /// An item is gone.
+    /// Removes an item.
     RemoveItem {
-        /// Which item.
+        /// Id of the item.
         id: String,
     },
-    /// A new room with the doors that lead there: entries of the scene file's `rooms` and `doors`.
+    /// Adds a room with its doors: entries of the scene file's `rooms` and `doors`.
     AddRoom {
-        /// The room's entry.
+        /// Entry of the room.
         room: NewRoom,
-        /// The doors' entries.
+        /// Entries of the doors.
         #[serde(default)]
         doors: Vec<NewDoor>,
     },
-    /// A room is none any more: its items, doors, parts and own aliases go with it.
+    /// Removes a room with its items, doors, parts and aliases.
     RemoveRoom {
-        /// Which room.
+        /// Id of the room.
         id: String,
     },
 }
@@ -71,41 +71,41 @@ pub struct NewDoor(DoorEntry);
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DeltaError {
-    /// Not a list of changes.
+    /// The text is not a list of changes.
     #[error(
         "{}{message}; expected a JSON list of changes such as {{\"change\": \"remove-item\", \"id\": \"mug-1\"}}",
         place(.element)
     )]
     Json {
-        /// Path to the element, as `[3].item.box`; `.` for the whole text.
+        /// Path to the element, such as `[3].item.box`; `.` for the whole text.
         element: String,
-        /// What the parser says.
+        /// The parser's message.
         message: String,
     },
-    /// The item that should move or go is not there.
+    /// There is no item with this id.
     #[error("changes[{index}]: there is no item {:?}; name one that `roomcast scene show --json` lists", excerpt(.id))]
     NoSuchItem {
-        /// Which change.
+        /// Index of the change.
         index: usize,
-        /// The id that it names.
+        /// The given id.
         id: String,
     },
-    /// The room that should go is not there.
+    /// There is no room with this id.
     #[error("changes[{index}]: there is no room with the id {:?}; the ids are {}", excerpt(.id), excerpt(&.there.join(", ")))]
     NoSuchRoom {
-        /// Which change.
+        /// Index of the change.
         index: usize,
-        /// The id that it names.
+        /// The given id.
         id: String,
-        /// The ids of the rooms.
+        /// Ids of the existing rooms.
         there: Vec<String>,
     },
-    /// The map that came out breaks a rule of scenes.
+    /// The resulting map breaks a rule of scenes.
     #[error("the changed map is malformed")]
     Scene(#[from] SceneError),
 }
 
-/// Reads a JSON list of changes.
+/// Parses a JSON list of changes.
 ///
 /// # Errors
 /// [`DeltaError::Json`].
@@ -119,13 +119,13 @@ pub fn parse_changes(json: &str) -> Result<Vec<MapChange>, DeltaError> {
 }
 
 impl SemanticMap {
-    /// The map after the changes, applied in order, all or none. Takes time in proportion to the map and the changes.
+    /// Applies all changes in order, or none. The time is proportional to the map and the changes.
     ///
     /// # Errors
-    /// When a change names an item or a room that is not there, or the result breaks a rule of scenes.
+    /// If a change names an unknown item or room, or the result breaks a rule of scenes.
     pub fn changed(&self, changes: Vec<MapChange>) -> Result<Self, DeltaError> {
         let mut file = self.to_file();
-        // A change may bring a footprint; what is written names the version that the new map needs.
+        // A change may add a footprint; writing selects the version that the new map needs.
         file.version = VERSION;
         let mut items = Items::new(std::mem::take(&mut file.items));
         for (index, change) in changes.into_iter().enumerate() {
@@ -142,7 +142,7 @@ impl SemanticMap {
                 }
                 MapChange::AddRoom { room: NewRoom(room), doors } => {
                     if !doors.is_empty() && file.doors.is_empty() {
-                        // A first given door does not close those that were found.
+                        // An explicit door must not remove the found ones.
                         file.doors = self.door_entries();
                     }
                     file.rooms.push(room);
@@ -154,7 +154,7 @@ impl SemanticMap {
                         return Err(DeltaError::NoSuchRoom { index, id, there });
                     }
                     file.items = items.into_list();
-                    // The items of a room are known on a checked map alone.
+                    // Only a checked map knows the items of a room.
                     file = Self::check(file)?.without_room(&id);
                     items = Items::new(std::mem::take(&mut file.items));
                 }
@@ -164,13 +164,13 @@ impl SemanticMap {
         Ok(Self::check(file)?)
     }
 
-    /// The map's file without a room, its items, doors, parts and own aliases.
+    /// The map's file without a room, its items, doors, parts and aliases.
     fn without_room(&self, id: &str) -> SceneFile {
         let mut file = self.to_file();
         file.version = VERSION;
         let Some(gone) = self.rooms.iter().position(|room| room.id == id) else { return file };
         let room_of = |item: &Item| {
-            // As in grounding, the last of equal shares counts.
+            // As in grounding, the last of equal overlaps counts.
             const SAME: f64 = 1e-9;
             let mut most: Option<(usize, f64)> = None;
             for (room, own) in self.rooms.iter().enumerate() {
@@ -199,7 +199,6 @@ impl SemanticMap {
     }
 }
 
-/// Items by id while they change.
 struct Items {
     list: Vec<Option<ItemEntry>>,
     place_of: HashMap<String, usize>,
@@ -212,7 +211,7 @@ impl Items {
     }
 
     fn add(&mut self, item: ItemEntry) {
-        // A second use of an id stays in the list, where the check names it.
+        // A duplicate id stays in the list, so that the check reports it.
         self.place_of.insert(item.id.clone(), self.list.len());
         self.list.push(Some(item));
     }
@@ -312,7 +311,7 @@ mod tests {
         assert!(count > 0);
         assert_eq!((after.rooms.len(), after.items.len()), (before.rooms.len() - 1, before.items.len() - count));
         assert!(after.find_room("living room").is_none() && after.doors.is_empty());
-        // Added in the same list, a room can go, too, and a room can be made again in another shape.
+        // A room added in the same list can be removed, and a room can be replaced by one of another shape.
         let list = |changes: &[&str]| {
             changes.iter().map(|list| list[1..list.len() - 1].to_owned()).collect::<Vec<_>>().join(",")
         };
@@ -375,7 +374,6 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever changed, the regrouped scores are those of the new map grounded from nothing.
         #[test]
         fn regrouping_agrees_with_grounding_afresh(moves in prop::collection::vec((0..9usize, 0.0..9.0f64, 0.0..3.0f64), 0..12), gone in 0..9usize) {
             let before = map();

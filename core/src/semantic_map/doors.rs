@@ -1,28 +1,28 @@
-//! Doors of a map that gives none: where rooms touch.
+//! Doors for a map without doors: between rooms that touch.
 
 use super::footprint::{Bands, Space};
 use super::{Door, MAX_TEXT_BYTES, Room, RoomId};
 
-/// How far apart two rooms may lie and touch, in metres: outlines are measured.
+/// Largest gap between rooms that touch, in metres: outlines are measured, not exact.
 const TOUCH_M: f64 = 0.1;
-/// The least stretch that a person can walk through, in metres.
+/// Least width of a passage, in metres.
 const LEAST_M: f64 = 0.5;
-/// How densely outlines are looked at, in metres; and the most points of a room's.
+/// Distance of the points that sample an outline, in metres; and the most points per room.
 const STEP_M: f64 = 0.05;
 const MOST_POINTS: f64 = 4_000.0;
-/// Most edges that are looked at for the doors of a map, over all points. Outlines that would take more are looked at less densely.
+/// Most tests of points against edges for the doors of a map. Larger outlines are sampled less densely.
 const MOST_LOOKS: usize = 1 << 25;
-/// Where a door is, above the higher of both floors, in metres.
+/// Height of a door's position above the higher of both floors, in metres.
 const HANDLE_M: f64 = 1.0;
 
-/// A door in the middle of the longest stretch along which two rooms touch, for every two rooms that do.
+/// A door for every two rooms that touch, in the middle of the longest common stretch.
 pub(super) fn found(rooms: &[Room]) -> Vec<Door> {
     let seen = seen(rooms, MOST_LOOKS);
     let mut doors = Vec::new();
     for (here, room) in rooms.iter().enumerate() {
         for (there, other) in rooms.iter().enumerate().skip(here + 1) {
             let found = seen[here].passage(&seen[there]);
-            // A nook in the middle of a room touches no wall of it.
+            // The outline of a nook inside a room touches the room, but not the reverse.
             let found = found.or_else(|| seen[there].passage(&seen[here]));
             let Some([x, y, z]) = found else { continue };
             let id = format!("{}--{}", room.id, other.id);
@@ -34,17 +34,17 @@ pub(super) fn found(rooms: &[Room]) -> Vec<Door> {
     doors
 }
 
-/// A room that is looked at for doors.
+/// A room with its sampled outline.
 struct Seen<'a> {
     space: &'a Space,
-    /// Its edges, where it is no box.
+    /// The edges of a footprint; `None` for a box.
     bands: Option<Bands>,
     rings: Vec<Vec<[f64; 2]>>,
-    /// Points along each ring, with the distance from one to the next.
+    /// Per ring: distance between the points in metres, and the points.
     points: Vec<(f64, Vec<[f64; 2]>)>,
 }
 
-/// The rooms, with points as dense as the most looks allow: at least one per ring.
+/// Samples the rooms as densely as `most` tests allow, with at least one point per ring.
 fn seen(rooms: &[Room], most: usize) -> Vec<Seen<'_>> {
     let mut seen: Vec<Seen> = Vec::with_capacity(rooms.len());
     for Room { space, .. } in rooms {
@@ -63,13 +63,12 @@ fn seen(rooms: &[Room], most: usize) -> Vec<Seen<'_>> {
     }
 }
 
-/// How many edges are looked at, at most.
+/// Number of point-edge tests.
 fn looks(seen: &[Seen]) -> usize {
     let others = |here: usize| seen.iter().enumerate().filter(move |(there, _)| *there != here).map(|(_, room)| room);
     seen.iter().enumerate().flat_map(|(here, room)| others(here).map(|other| room.looks(other))).sum()
 }
 
-/// Length of an edge in metres.
 fn length_m((a, b): (&[f64; 2], &[f64; 2])) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
 }
@@ -78,10 +77,9 @@ fn edges(ring: &[[f64; 2]]) -> impl Iterator<Item = (&[f64; 2], &[f64; 2])> {
     ring.iter().zip(ring.iter().cycle().skip(1))
 }
 
-/// Points along a ring.
 fn along(ring: &[[f64; 2]], step_m: f64) -> Vec<[f64; 2]> {
     let mut points = Vec::new();
-    // How far along the edge the next point lies.
+    // Position of the next point along the edge.
     let mut next_m = 0.0;
     for (a, b) in edges(ring) {
         let edge_m = length_m((a, b));
@@ -102,7 +100,7 @@ impl Seen<'_> {
         self.points = self.rings.iter().map(|ring| (step_m, along(ring, step_m))).collect();
     }
 
-    /// The height at which one walks between the rooms; none where they cannot touch.
+    /// Height of a door between the rooms, in metres. `None` if the rooms cannot touch.
     fn handle_m(&self, other: &Self) -> Option<f64> {
         let (own, far) = (&self.space.bounds, &other.space.bounds);
         let floor_m = own.min_m[2].max(far.min_m[2]);
@@ -115,12 +113,12 @@ impl Seen<'_> {
         Some(floor_m + HANDLE_M.min(0.5 * (ceiling_m - floor_m)))
     }
 
-    /// Whether the box around it touches a point.
+    /// Whether the room's bounding box touches a point.
     fn is_around(&self, [x, y]: [f64; 2], z: f64) -> bool {
         self.space.bounds.distance_m(&[x, y, z]) <= TOUCH_M
     }
 
-    /// How many edges of the other room are looked at for the points of this one.
+    /// Number of tests of this room's points against the other room's edges.
     fn looks(&self, other: &Self) -> usize {
         let (Some(z), Some(bands)) = (self.handle_m(other), &other.bands) else { return 0 };
         let points = self.points.iter().flat_map(|(_, points)| points);
@@ -136,7 +134,7 @@ impl Seen<'_> {
         let mut best: (f64, Option<[f64; 2]>) = (0.0, None);
         for (step_m, points) in &self.points {
             let touches: Vec<bool> = points.iter().map(near).collect();
-            // From a point that does not touch, so that no stretch is cut in two by the list's end.
+            // Start at a point that does not touch, so that the end of the list does not split a stretch.
             let first = touches.iter().position(|touches| !touches).unwrap_or(0);
             let count = points.len();
             let mut run = 0;
@@ -154,7 +152,7 @@ impl Seen<'_> {
                 run = 0;
             }
         }
-        // The ends of a stretch reach around the other room's corners.
+        // A stretch reaches around the other room's corners by `TOUCH_M` at each end.
         best.1.filter(|_| best.0 - 2.0 * TOUCH_M >= LEAST_M).map(|[x, y]| [x, y, z])
     }
 }
@@ -190,7 +188,7 @@ mod tests {
         assert_eq!(SemanticMap::from_json(&map.to_json()).unwrap(), map);
     }
 
-    /// A square of so many metres with triangular holes, shifted by so much.
+    /// A square with triangular holes, shifted by `shift_m` per index.
     fn holed(index: usize, side_m: f64, holes: usize, shift_m: f64) -> serde_json::Value {
         let square = [[0.0, 0.0], [side_m, 0.0], [side_m, side_m], [0.0, side_m]];
         let across = (holes as f64).sqrt().ceil();
@@ -206,7 +204,7 @@ mod tests {
         json!({"id": format!("room-{index}"), "label": "room", "footprint": rings})
     }
 
-    /// Teeth from west to east or from south to north, each over the whole room, shifted by so much.
+    /// Teeth from west to east or from south to north, each across the whole room, shifted by `shift_m` per index.
     fn comb(index: usize, side_m: f64, teeth: usize, shift_m: f64, down: bool) -> serde_json::Value {
         let pitch_m = side_m / teeth as f64;
         let tooth = |tooth: usize| {
@@ -219,7 +217,7 @@ mod tests {
         json!({"id": format!("room-{index}"), "label": "room", "footprint": [ring]})
     }
 
-    /// Row "a map whose outlines lie along one another" of the attacks: whatever a map within the limits has, so many edges are looked at.
+    /// Row "a map whose outlines lie along one another" of the attacks: the number of tests is bounded for every map within the limits.
     #[test]
     fn what_is_looked_at_for_doors_is_bounded() {
         let many = |count: usize, room: &dyn Fn(usize) -> serde_json::Value| (0..count).map(room).collect::<Vec<_>>();
@@ -245,12 +243,11 @@ mod tests {
         assert!(dense > MOST_LOOKS, "these rooms need the bound: {dense}");
     }
 
-    /// A building of many rooms is looked at as densely as one of two.
     #[test]
     fn rooms_of_a_large_building_are_looked_at_densely() {
         let room = |index: usize| {
             let [west, south] = [(index % 8) as f64 * 6.0, (index / 8) as f64 * 5.0];
-            // Walls of 39 bends on each side.
+            // Walls with 39 bends on each side.
             let bend = |at: usize| [0.15 * at as f64, 0.03 * (at % 2) as f64];
             let sides = (0..39).map(bend).chain((0..39).rev().map(|at| [bend(at)[0], 4.99 - bend(at)[1]]));
             let ring: Vec<_> = sides.map(|[x, y]| [west + x, south + y]).collect();

@@ -1,55 +1,52 @@
-//! Rooms that are no boxes: a footprint, its checks, and how much of a box lies in the prism over it.
+//! Footprints of rooms that are not boxes: checks, and the overlap of the prism over a footprint with a box.
 //!
-//! The area that a ring shares with a rectangle is a sum over the ring's edges (Green's theorem), exact for concave rings too. So it
-//! takes time in proportion to the corners and needs neither memory nor a general clipper of polygons.
+//! The common area of a ring and a rectangle is a sum over the ring's edges (Green's theorem), exact for concave rings too. So the time is
+//! proportional to the corners, and neither memory nor general polygon clipping is needed.
 
 use super::Box3;
 
-/// Most corners of all footprints of a map together, and so of one.
+/// Most corners of all footprints of a map together.
 pub const MAX_CORNERS: usize = 10_000;
-/// What to do about more.
+/// The remedy for too many corners.
 pub(super) const FEWER_CORNERS: &str = "simplify the outlines: a corner per bend of a wall is enough";
 
-/// Share of a rectangle below which an overlap is taken for rounding.
+/// A smaller share of a rectangle is a rounding error.
 const NOTHING: f64 = 1e-9;
-/// How near to an edge a point lies on it, in metres.
+/// A point this near to an edge is on the edge, in metres.
 const ON_EDGE_M: f64 = 1e-9;
 
-/// An outline and the holes in it, in metres. Its rings are simple, do not meet, and are not closed by a repeated corner; the outline
-/// turns to the left, holes to the right.
+/// An outline with holes, in metres. The rings are simple, do not meet, and do not repeat their first corner. The outline runs counterclockwise,
+/// holes clockwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Footprint {
     rings: Vec<Vec<[f64; 2]>>,
     corners: usize,
 }
 
-/// From one corner to the next.
 type Edge = ([f64; 2], [f64; 2]);
 
-/// What is wrong with rings, and the remedy.
+/// A problem with rings, and its remedy.
 pub(super) type Fault = (String, &'static str);
 
 fn minus(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0] - b[0], a[1] - b[1]]
 }
 
-/// Twice the area of the triangle, positive where it turns to the left.
+/// Twice the area of the triangle, positive if it is counterclockwise.
 fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     let ([ux, uy], [vx, vy]) = (minus(b, a), minus(c, a));
     ux * vy - uy * vx
 }
 
-/// The ring's edges.
 fn edges(ring: &[[f64; 2]]) -> impl Iterator<Item = Edge> + Clone {
     ring.iter().copied().zip(ring.iter().copied().cycle().skip(1))
 }
 
-/// Area in square metres, positive where the ring turns to the left.
+/// Area in square metres, positive if the ring is counterclockwise.
 fn signed_area_m2(ring: &[[f64; 2]]) -> f64 {
     ring.windows(2).map(|pair| turn(ring[0], pair[0], pair[1])).sum::<f64>() / 2.0
 }
 
-/// Distance in metres from the point to the edge.
 fn edge_distance_m(point: [f64; 2], (a, b): Edge) -> f64 {
     let ([ux, uy], [px, py]) = (minus(b, a), minus(point, a));
     let length = ux * ux + uy * uy;
@@ -68,7 +65,7 @@ fn edges_meet((a, b): Edge, (c, d): Edge) -> bool {
     straddles(turn(a, b, c), turn(a, b, d)) && straddles(turn(c, d, a), turn(c, d, b))
 }
 
-/// Whether the edge lies to the east of the point.
+/// Whether a ray from the point to the east crosses the edge.
 fn is_east((a, b): Edge, point: [f64; 2]) -> bool {
     (a[1] > point[1]) != (b[1] > point[1]) && point[0] < a[0] + (b[0] - a[0]) * (point[1] - a[1]) / (b[1] - a[1])
 }
@@ -78,8 +75,8 @@ fn ring_contains(ring: &[[f64; 2]], point: [f64; 2]) -> bool {
     edges(ring).filter(|edge| is_east(*edge, point)).count() % 2 == 1
 }
 
-/// What an edge adds to the area of its ring within the rectangle from the origin to `size`: the integral of y, kept within the
-/// rectangle, over the x within it, from right to left.
+/// The contribution of an edge to the area of its ring within the rectangle from the origin to `size`, in square metres: the integral of y, clamped
+/// to the rectangle, over the x in it, from right to left.
 fn strip_m2(a: [f64; 2], b: [f64; 2], size: [f64; 2]) -> f64 {
     let [left, right] = [a[0], b[0]].map(|x| x.clamp(0.0, size[0]));
     if left == right {
@@ -103,12 +100,12 @@ fn no_area(index: usize) -> Fault {
 }
 
 impl Footprint {
-    /// Checks rings, the outline first. A ring may repeat its first corner at its end.
+    /// Checks rings and normalises them; the outline comes first. A ring may repeat its first corner at its end.
     pub(super) fn new(rings: &[Vec<[f64; 2]>]) -> Result<Self, Fault> {
         if rings.is_empty() {
             return Err(("has no ring".to_owned(), "give the outline as a list of [x, y]"));
         }
-        // First of all: checks take time in proportion to the square of it.
+        // Checked first, because later checks take quadratic time.
         if rings.iter().map(Vec::len).sum::<usize>() > MAX_CORNERS {
             return Err((format!("has more than {MAX_CORNERS} corners"), FEWER_CORNERS));
         }
@@ -138,7 +135,7 @@ impl Footprint {
         let corners = checked.iter().map(Vec::len).sum();
         let footprint = Self { rings: checked, corners };
         footprint.check_edges()?;
-        // One whose halves have equal areas and cross is named by the crossing.
+        // Checked after the crossings: a figure of eight with equal halves has no area either, and the crossing is the better message.
         if let Some(index) = footprint.rings.iter().position(|ring| signed_area_m2(ring) == 0.0) {
             return Err(no_area(index));
         }
@@ -146,7 +143,7 @@ impl Footprint {
         Ok(footprint)
     }
 
-    /// The same with every corner moved alike.
+    /// Applies `moved` to every corner.
     pub(super) fn mapped(&self, moved: impl Fn([f64; 2]) -> [f64; 2]) -> Self {
         Self {
             rings: self.rings.iter().map(|ring| ring.iter().map(|corner| moved(*corner)).collect()).collect(),
@@ -154,7 +151,7 @@ impl Footprint {
         }
     }
 
-    /// No two edges meet but neighbours at their corner.
+    /// Edges may meet only at the common corner of neighbours.
     fn check_edges(&self) -> Result<(), Fault> {
         let mut all: Vec<(usize, usize, Edge)> = (self.rings.iter().enumerate())
             .flat_map(|(ring, corners)| edges(corners).enumerate().map(move |(index, edge)| (ring, index, edge)))
@@ -167,7 +164,7 @@ impl Footprint {
                 let wrong = if ring != other_ring {
                     edges_meet(edge, other)
                 } else if edge.1 == other.0 || other.1 == edge.0 {
-                    // Neighbours share their corner; one that runs back over the other is no outline.
+                    // Neighbours share a corner. An edge must not run back over its neighbour.
                     let ((a, b), (_, c)) = if edge.1 == other.0 { (edge, other) } else { (other, edge) };
                     let ([ux, uy], [vx, vy]) = (minus(b, a), minus(c, b));
                     let neighbours =
@@ -193,7 +190,7 @@ impl Footprint {
         Ok(())
     }
 
-    /// Holes lie in the outline and in no other hole. Rings that do not meet need a look at one corner only.
+    /// Holes must lie within the outline and in no other hole. Since rings do not meet, one corner per ring decides.
     fn check_holes(&self) -> Result<(), Fault> {
         let (outline, holes) = (&self.rings[0], &self.rings[1..]);
         for (index, hole) in holes.iter().enumerate() {
@@ -216,23 +213,22 @@ impl Footprint {
         &self.rings
     }
 
-    /// Corners of all rings, and so edges.
+    /// Number of corners of all rings, equal to the number of edges.
     pub(crate) fn corners(&self) -> usize {
         self.corners
     }
 
-    /// Edges of all rings.
     pub(super) fn edges(&self) -> impl Iterator<Item = Edge> {
         self.rings.iter().flat_map(|ring| edges(ring))
     }
 
-    /// Area in square metres, holes taken off.
+    /// Area in square metres, without the holes.
     #[must_use]
     pub fn area_m2(&self) -> f64 {
         self.rings.iter().map(|ring| signed_area_m2(ring)).sum()
     }
 
-    /// The least and the greatest corner of the rectangle around it.
+    /// South-west and north-east corner of the bounding rectangle.
     pub(super) fn around(&self) -> [[f64; 2]; 2] {
         let corners = || self.rings[0].iter();
         let least = std::array::from_fn(|axis| corners().map(|corner| corner[axis]).fold(f64::INFINITY, f64::min));
@@ -240,7 +236,7 @@ impl Footprint {
         [least, most]
     }
 
-    /// The area in square metres that lies in the rectangle.
+    /// Area within the rectangle, in square metres.
     fn area_within_m2(&self, min: [f64; 2], max: [f64; 2]) -> f64 {
         let size = minus(max, min);
         let area_m2: f64 = self.edges().map(|(a, b)| strip_m2(minus(a, min), minus(b, min), size)).sum();
@@ -248,7 +244,7 @@ impl Footprint {
         if area_m2 > NOTHING * most_m2 { area_m2.min(most_m2) } else { 0.0 }
     }
 
-    /// Whether the point lies in it, its edges included.
+    /// Whether the point is inside or on an edge.
     fn contains(&self, point: [f64; 2]) -> bool {
         let within = |ring: &Vec<[f64; 2]>| ring_contains(ring, point);
         (within(&self.rings[0]) && !self.rings[1..].iter().any(within))
@@ -263,14 +259,13 @@ impl Footprint {
         self.edges().map(|edge| edge_distance_m(point, edge)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether the two share a point.
     fn meets(&self, other: &Self) -> bool {
         self.contains(other.rings[0][0])
             || other.contains(self.rings[0][0])
             || self.edges().any(|own| other.edges().any(|edge| edges_meet(own, edge)))
     }
 
-    /// Where its edges cross this y, from west to east: between each two of them is a stretch of it.
+    /// The x of the edges that cross this y, in ascending order; every two of them bound a stretch inside.
     fn crossings(&self, y: f64) -> Vec<f64> {
         let mut crossings: Vec<f64> = (self.edges())
             .filter(|(a, b)| (a[1] > y) != (b[1] > y))
@@ -280,7 +275,7 @@ impl Footprint {
         crossings
     }
 
-    /// The middle of the widest stretch from west to east at this y.
+    /// The middle of the widest stretch inside at this y.
     fn widest(&self, y: f64) -> Option<f64> {
         let crossings = self.crossings(y);
         let widest = crossings.chunks_exact(2).max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])))?;
@@ -288,18 +283,18 @@ impl Footprint {
     }
 }
 
-/// A footprint's edges by the bands from south to north in which they lie, to ask of many points whether they are near.
+/// A footprint's edges in bands from south to north, for fast queries of many points.
 pub(super) struct Bands {
     edges: Vec<Edge>,
     reach_m: f64,
     south_m: f64,
     band_m: f64,
-    /// Per band the edges of which a point is within reach.
+    /// Per band: the edges within reach of its points.
     bands: Vec<Vec<u32>>,
 }
 
 impl Bands {
-    /// Bands to ask whether a point is within reach of the footprint.
+    /// Bands for points within `reach_m` of the footprint, in metres.
     pub(super) fn new(footprint: &Footprint, reach_m: f64) -> Self {
         const EDGES_PER_BAND: usize = 8;
         const MOST: usize = 64;
@@ -308,7 +303,7 @@ impl Bands {
         let count = (edges.len() / EDGES_PER_BAND).clamp(1, MOST);
         let band_m = (north_m - south_m) / count as f64;
         let mut bands = Self { edges, reach_m, south_m, band_m, bands: vec![Vec::new(); count] };
-        // Rounding leaves no edge out.
+        // A margin, so that rounding does not lose an edge.
         let reach_m = reach_m + ON_EDGE_M;
         for (place, &(a, b)) in (0u32..).zip(&bands.edges) {
             let (from, to) = (bands.band(a[1].min(b[1]) - reach_m), bands.band(a[1].max(b[1]) + reach_m));
@@ -318,42 +313,41 @@ impl Bands {
     }
 
     fn band(&self, y: f64) -> usize {
-        // What lies beyond belongs to the first or the last one.
+        // Points outside belong to the first or the last band.
         (((y - self.south_m) / self.band_m) as usize).min(self.bands.len() - 1)
     }
 
-    /// How many edges are looked at for a point.
+    /// Number of edges tested for a point.
     pub(super) fn looks(&self, point: [f64; 2]) -> usize {
         self.bands[self.band(point[1])].len()
     }
 
-    /// Whether the point lies in the footprint, or within reach of it.
+    /// Whether the point is in the footprint or within reach of it.
     pub(super) fn near(&self, point: [f64; 2]) -> bool {
         let edges = || self.bands[self.band(point[1])].iter().map(|place| self.edges[*place as usize]);
-        // Rings do not meet, so that a point in a hole has an even number of edges to its east.
+        // Rings do not meet, so a point in a hole has an even number of edges to its east.
         edges().filter(|edge| is_east(*edge, point)).count() % 2 == 1
             || edges().any(|edge| edge_distance_m(point, edge) <= self.reach_m)
     }
 }
 
-/// What a room, a part or a group takes up: a box or, with a footprint, the prism over it.
+/// The space of a room, a part or a group: a box or, with a footprint, the prism over it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Space {
-    /// The box, or the box around the prism.
+    /// The box, or the bounding box of the prism.
     pub bounds: Box3,
-    /// The outline; none where the box is all of it.
+    /// The outline; `None` for a box.
     pub footprint: Option<Footprint>,
 }
 
 impl Space {
-    /// Length of the box, or of the one around the prism, along each axis.
+    /// Size of `bounds` along each axis, in metres.
     #[must_use]
     pub fn size_m(&self) -> [f64; 3] {
         self.bounds.size_m()
     }
 
-    /// The middle of the box. Where that lies outside the footprint, a point within: the middle of the widest stretch from west to
-    /// east through it.
+    /// The middle of `bounds`. If it is outside the footprint, the middle of the widest stretch of the footprint from west to east through it.
     #[must_use]
     pub fn centre_m(&self) -> [f64; 3] {
         let [x, y, z] = self.bounds.centre_m();
@@ -361,7 +355,7 @@ impl Space {
         [within.and_then(|footprint| footprint.widest(y)).unwrap_or(x), y, z]
     }
 
-    /// V_o of the paper: the volume in cubic metres that it shares with the box; zero where they only touch.
+    /// V_o of the paper: the common volume with a box in cubic metres; zero if they only touch.
     #[must_use]
     #[inline]
     pub(crate) fn overlap_m3(&self, other: &Box3) -> f64 {
@@ -374,19 +368,19 @@ impl Space {
         boxes_m3
     }
 
-    /// How many edges [`Space::overlap_m3`] looks at.
+    /// Number of edges that [`Space::overlap_m3`] tests.
     pub(crate) fn edges_met(&self, other: &Box3) -> usize {
         let meets = |_: &&Footprint| self.bounds.overlap_m3(other) > 0.0;
         self.footprint.as_ref().filter(meets).map_or(0, Footprint::corners)
     }
 
-    /// How many edges [`Space::contains`] looks at.
+    /// Number of edges that [`Space::contains`] tests.
     pub(crate) fn edges_at(&self, point_m: &[f64; 3]) -> usize {
         let holds = |_: &&Footprint| self.bounds.contains(point_m);
         self.footprint.as_ref().filter(holds).map_or(0, Footprint::corners)
     }
 
-    /// The same of a prism. Apart, so that boxes stay as quick as they are without.
+    /// Separate, so that boxes without footprint stay fast.
     #[inline(never)]
     fn prism_overlap_m3(&self, footprint: &Footprint, other: &Box3) -> f64 {
         let height_m = self.bounds.max_m[2].min(other.max_m[2]) - self.bounds.min_m[2].max(other.min_m[2]);
@@ -394,14 +388,14 @@ impl Space {
         height_m * footprint.area_within_m2(level(other.min_m), level(other.max_m))
     }
 
-    /// Whether the point lies in it, its faces included.
+    /// Whether the point is inside or on a face.
     #[must_use]
     pub fn contains(&self, point_m: &[f64; 3]) -> bool {
         let [x, y, _] = *point_m;
         self.bounds.contains(point_m) && self.footprint.as_ref().is_none_or(|footprint| footprint.contains([x, y]))
     }
 
-    /// Distance in metres from the point; zero inside.
+    /// Distance in metres to the point; zero inside.
     #[must_use]
     pub fn distance_m(&self, point_m: &[f64; 3]) -> f64 {
         let Some(footprint) = &self.footprint else { return self.bounds.distance_m(point_m) };
@@ -410,7 +404,7 @@ impl Space {
         footprint.distance_m([x, y]).hypot(above_m)
     }
 
-    /// The volume in cubic metres that two of them share. That of two prisms is added up over stripes of one of them.
+    /// The common volume in cubic metres. For two prisms it is a sum over stripes of one of them.
     #[must_use]
     pub fn shared_m3(&self, other: &Self) -> f64 {
         const STRIPES: u32 = 64;
@@ -444,7 +438,7 @@ impl Space {
         }
     }
 
-    /// Whether they share more than a face.
+    /// Whether the two share more than a face.
     pub(super) fn meets(&self, other: &Self) -> bool {
         if self.bounds.overlap_m3(&other.bounds) <= 0.0 {
             return false;
@@ -456,7 +450,7 @@ impl Space {
         }
     }
 
-    /// Its outlines on the floor: the footprint's rings, or the corners of the box.
+    /// The outlines on the floor: the footprint's rings, or the corners of the box.
     #[must_use]
     pub fn rings(&self) -> Vec<Vec<[f64; 2]>> {
         let Some(footprint) = &self.footprint else {
@@ -488,7 +482,7 @@ pub(crate) mod tests {
         Space { bounds, footprint: Some(footprint) }
     }
 
-    /// A star around a point, of any concave shape, with up to two holes: rings of random corners by angle never meet themselves.
+    /// A star around a point, of any concave shape, with up to two holes: rings with random corners sorted by angle never cross themselves.
     pub(crate) fn any_rings() -> impl Strategy<Value = Vec<Vec<[f64; 2]>>> {
         let radii = |least: f64, most: f64| prop::collection::vec(least..most, 3..14);
         let ring = |centre: [f64; 2], radii: Vec<f64>| -> Vec<[f64; 2]> {
@@ -508,7 +502,7 @@ pub(crate) mod tests {
             .prop_map(move |(centre, outline, holes, backwards)| {
                 let mut rings = vec![ring(centre, outline)];
                 for (index, hole) in holes.into_iter().enumerate() {
-                    // A triangle of radius 2 has an inner circle of radius 1: holes keep within it and apart.
+                    // A triangle of radius 2 has an inner circle of radius 1: the holes stay within it and apart.
                     let side = if index == 0 { -0.4 } else { 0.4 };
                     rings.push(ring([centre[0] + side, centre[1]], hole));
                 }
@@ -519,7 +513,7 @@ pub(crate) mod tests {
             })
     }
 
-    /// The share of a grid's points of the rectangle that lie in the rings, by counting crossings.
+    /// The area of the rings in the rectangle, in square metres, by sampling a grid.
     pub(crate) fn sampled_m2(rings: &[Vec<[f64; 2]>], min: [f64; 2], max: [f64; 2]) -> f64 {
         const STEPS: usize = 160;
         let at = |axis: usize, step: usize| min[axis] + (max[axis] - min[axis]) * (step as f64 + 0.5) / STEPS as f64;
@@ -538,7 +532,6 @@ pub(crate) mod tests {
         hits as f64 / (STEPS * STEPS) as f64 * (max[0] - min[0]) * (max[1] - min[1])
     }
 
-    /// What is beyond the limit is refused before its edges are looked at.
     #[test]
     fn a_footprint_of_too_many_corners_is_refused_at_once() {
         let zigzag = |count: usize| -> Vec<[f64; 2]> {
@@ -609,7 +602,6 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        /// The area in a rectangle is what counting points of a grid gives, to the grid's fineness.
         #[test]
         fn areas_agree_with_sampling(rings in any_rings(), min in prop::array::uniform2(-9.0..5.0f64), size in prop::array::uniform2(0.2..9.0f64)) {
             let room = space(&rings);
@@ -621,7 +613,7 @@ pub(crate) mod tests {
             prop_assert!((room.overlap_m3(&thing) - area_m2).abs() <= 1e-9);
         }
 
-        /// Bands leave no edge out: near is what lies within reach.
+        /// Bands lose no edge: `near` agrees with the distance.
         #[test]
         fn bands_agree_with_distances(rings in any_rings(), points in prop::collection::vec(prop::array::uniform2(-9.0..9.0f64), 1..60), reach_m in 0.0..2.0f64) {
             let footprint = Footprint::new(&rings).unwrap();
@@ -633,7 +625,6 @@ pub(crate) mod tests {
             }
         }
 
-        /// Pieces of a divided rectangle add up to it.
         #[test]
         fn areas_add_up(rings in any_rings(), min in prop::array::uniform2(-9.0..5.0f64), size in prop::array::uniform2(0.2..9.0f64), cut in 0.1..0.9f64) {
             let footprint = Footprint::new(&rings).unwrap();
@@ -656,7 +647,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// Of two prisms as of boxes, whichever is asked.
+    /// The common volume of two prisms is symmetric and agrees with boxes.
     #[test]
     fn the_volume_that_two_spaces_share_is_that_of_their_outlines() {
         let prism = |corners: &[[f64; 2]]| {

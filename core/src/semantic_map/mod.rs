@@ -43,13 +43,13 @@ pub struct Box3 {
 }
 
 impl Box3 {
-    /// Length along each axis.
+    /// Length along each axis, in metres.
     #[must_use]
     pub fn size_m(&self) -> [f64; 3] {
         std::array::from_fn(|axis| self.max_m[axis] - self.min_m[axis])
     }
 
-    /// The middle of the box.
+    /// The middle of the box, in metres.
     #[must_use]
     pub fn centre_m(&self) -> [f64; 3] {
         std::array::from_fn(|axis| 0.5 * (self.min_m[axis] + self.max_m[axis]))
@@ -61,7 +61,7 @@ impl Box3 {
         self.size_m().iter().product()
     }
 
-    /// V_o of the paper: the volume in cubic metres that both boxes share; zero where they only touch.
+    /// V_o of the paper: the common volume of both boxes in cubic metres; zero if they only touch.
     #[must_use]
     pub(crate) fn overlap_m3(&self, other: &Self) -> f64 {
         let mut volume_m3 = 1.0;
@@ -75,7 +75,7 @@ impl Box3 {
         volume_m3
     }
 
-    /// Whether the point lies in the box, its faces included.
+    /// Whether the point is in the box or on a face.
     #[must_use]
     pub fn contains(&self, point_m: &[f64; 3]) -> bool {
         (0..3).all(|axis| self.min_m[axis] <= point_m[axis] && point_m[axis] <= self.max_m[axis])
@@ -89,27 +89,27 @@ impl Box3 {
     }
 }
 
-/// One of several words for one item, as a captioner gave them.
+/// One of several labels for an item, from a captioner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Caption {
-    /// The words.
+    /// The caption as a label.
     pub label: LabelId,
-    /// How much of the item this caption speaks for; the weights of an item sum to one.
+    /// Share of the item; an item's weights sum to one.
     pub weight: f64,
 }
 
-/// One thing in the map.
+/// A thing in the map.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Item {
     /// Unique name within the map.
     pub id: String,
     /// Its label.
     pub label: LabelId,
-    /// Soft labels; empty for an item that is surely what its label says.
+    /// Soft labels; empty for an item with a certain label.
     pub captions: Vec<Caption>,
-    /// Where it is.
+    /// The item's position, in metres.
     pub position_m: [f64; 3],
-    /// Its extent.
+    /// The item's box.
     pub bounds: Box3,
 }
 
@@ -120,7 +120,7 @@ pub struct Room {
     pub id: String,
     /// Its words for a language model ("living room").
     pub label: String,
-    /// Its extent.
+    /// The room's extent.
     pub space: Space,
 }
 
@@ -131,22 +131,22 @@ pub struct Part {
     pub id: String,
     /// Its words.
     pub label: String,
-    /// The room it lies in.
+    /// The room that contains it.
     pub room: RoomId,
-    /// Its extent.
+    /// The part's extent.
     pub space: Space,
 }
 
-/// Several rooms taken as one partition.
+/// Several rooms that form one partition.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Group {
     /// Unique name within the map.
     pub id: String,
     /// Its words.
     pub label: String,
-    /// Its rooms; groups are disjoint.
+    /// The rooms of the group; groups are disjoint.
     pub rooms: Vec<RoomId>,
-    /// Its own extent; without one, that of its rooms.
+    /// The group's own extent; `None` for the extent of its rooms.
     pub space: Option<Space>,
 }
 
@@ -155,9 +155,9 @@ pub struct Group {
 pub struct Door {
     /// Unique name within the map.
     pub id: String,
-    /// The rooms it joins.
+    /// The two rooms.
     pub rooms: [RoomId; 2],
-    /// Where it is.
+    /// The door's position, in metres.
     pub position_m: [f64; 3],
 }
 
@@ -166,29 +166,18 @@ pub struct Door {
 /// It comes from [`SemanticMap::load`] or [`SemanticMap::from_json`]; the format is documented in `scenes/README.md`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SemanticMap {
-    /// The map's name.
     pub(crate) name: String,
-    /// What it shows, for people.
     pub(crate) description: String,
-    /// How it was made, for people.
     pub(crate) source: String,
-    /// Rooms, in file order.
     pub(crate) rooms: Vec<Room>,
-    /// Parts of rooms, in file order.
     pub(crate) parts: Vec<Part>,
-    /// Groups of rooms, in file order.
     pub(crate) groups: Vec<Group>,
-    /// Doors, in file order; where the file gives none, those found where rooms touch.
     pub(crate) doors: Vec<Door>,
-    /// The doors were found and are not written.
+    /// The doors were found and are not written to the file.
     pub(crate) doors_found: bool,
-    /// Distinct item labels, captions included, sorted.
     pub(crate) labels: Vec<String>,
-    /// Items, in file order.
     pub(crate) items: Vec<Item>,
-    /// Label to other words that mean the same, to bind activity programs.
     pub(crate) aliases: BTreeMap<String, Vec<String>>,
-    /// SHA-256 of [`SemanticMap::to_json`]: which map a score belongs to.
     pub(crate) fingerprint: [u8; 32],
 }
 
@@ -199,13 +188,13 @@ impl SemanticMap {
         &self.name
     }
 
-    /// What it shows, for people.
+    /// Description of the home, for people.
     #[must_use]
     pub fn description(&self) -> &str {
         &self.description
     }
 
-    /// How it was made, for people.
+    /// Origin of the map, for people.
     #[must_use]
     pub fn source(&self) -> &str {
         &self.source
@@ -229,13 +218,13 @@ impl SemanticMap {
         &self.groups
     }
 
-    /// Doors, in file order; where the file gives none, those found where rooms touch.
+    /// Doors, in file order. If the file has none, a door for every two rooms that touch.
     #[must_use]
     pub fn doors(&self) -> &[Door] {
         &self.doors
     }
 
-    /// Whether the file gives no doors, so that they were found where rooms touch.
+    /// Whether the file has no doors, so that they were derived from touching rooms.
     #[must_use]
     pub fn doors_found(&self) -> bool {
         self.doors_found
@@ -253,20 +242,20 @@ impl SemanticMap {
         &self.items
     }
 
-    /// Label to other words that mean the same, to bind activity programs.
+    /// Other words for a label or a room, for binding activity programs.
     #[must_use]
     pub fn aliases(&self) -> &BTreeMap<String, Vec<String>> {
         &self.aliases
     }
 
-    /// SHA-256 of [`SemanticMap::to_json`]: which map a score belongs to.
+    /// SHA-256 of [`SemanticMap::to_json`]: identifies the map of a score.
     #[must_use]
     pub fn fingerprint(&self) -> [u8; 32] {
         self.fingerprint
     }
 
-    /// The label that a name means: the name's words themselves, else a label of which they are an alias in the map, else
-    /// the first of their aliases in the built-in table that is a label. Names may be written as programs write them ("coffe_maker").
+    /// The label for a name: the name's words themselves, else a label with this alias in the map, else the first of its aliases in the built-in
+    /// table that is a label. Names may have a program's spelling ("coffe_maker").
     #[must_use]
     pub fn find_label(&self, name: &str) -> Option<LabelId> {
         self.find(name, |words| {
@@ -275,9 +264,9 @@ impl SemanticMap {
         })
     }
 
-    /// The first room whose id or words the name means; looked up as [`SemanticMap::find_label`] does, an alias also as one of a single room by
-    /// its id. Then by the id in plain words ("wz 2" is `wz_2`). Last by the kind in another language ("Küche" is a kitchen), where there is one
-    /// room of that kind: a name that says more than the kind ("Küche oben") is not taken for it.
+    /// The first room whose id or label matches a name, looked up as by [`SemanticMap::find_label`]; an alias may also belong to one room's id. Then
+    /// a room with this id in plain words ("wz 2" is `wz_2`). Last the only room of a kind by its name in another language ("Küche" is a kitchen); a
+    /// longer name ("Küche oben") does not match the kind.
     #[must_use]
     pub fn find_room(&self, name: &str) -> Option<RoomId> {
         let place = |is_meant: &dyn Fn(&Room) -> bool| {
@@ -295,7 +284,7 @@ impl SemanticMap {
             .or_else(|| only(Names::built_in().room_itself(name)?))
     }
 
-    /// As [`SemanticMap::find_room`]; none where the name is the words of several rooms, and the id of none.
+    /// As [`SemanticMap::find_room`]. `None` if the name is the label of several rooms and not the id or alias of the found one.
     #[must_use]
     pub fn find_one_room(&self, name: &str) -> Option<RoomId> {
         let found = self.find_room(name)?;
@@ -307,7 +296,7 @@ impl SemanticMap {
         (is_its_id || is_its_alias() || is_one()).then_some(found)
     }
 
-    /// A name of a room for people: its label if no other room has it, else an alias of the room, else its id.
+    /// Display name of a room: its label if it is unique, else an alias of the room, else its id.
     #[must_use]
     pub fn room_name(&self, room: usize) -> &str {
         let own = &self.rooms[room];
@@ -316,7 +305,7 @@ impl SemanticMap {
         if is_only { &own.label } else { alias().unwrap_or(&own.id) }
     }
 
-    /// A room for people who may write it into a file: its id, or its name if the id is one of Home Assistant's before 2022, 32 digits.
+    /// Name of a room for use in files: its id, or its display name if the id consists of 32 digits, as in Home Assistant before 2022.
     #[must_use]
     pub fn room_key(&self, room: usize) -> &str {
         const DIGITS: usize = 32;
@@ -339,7 +328,7 @@ impl SemanticMap {
             .or_else(|| Names::built_in().aliases(&words).find_map(&known))
     }
 
-    /// The items that bear the label, by their own label or by a caption, in file order.
+    /// The items with this label or caption, in file order.
     pub fn items_of(&self, label: LabelId) -> impl Iterator<Item = ItemId> {
         (0u32..).zip(&self.items).filter_map(move |(index, item)| {
             let bears = item.label == label || item.captions.iter().any(|caption| caption.label == label);
@@ -347,7 +336,7 @@ impl SemanticMap {
         })
     }
 
-    /// The rooms that hold the point, in file order: none outside, several where rooms overlap.
+    /// The rooms that contain the point, in file order. There are several if rooms overlap.
     pub fn rooms_at(&self, position_m: [f64; 3]) -> impl Iterator<Item = RoomId> {
         (0u32..)
             .zip(&self.rooms)
@@ -355,7 +344,7 @@ impl SemanticMap {
             .map(|(index, _)| RoomId(index))
     }
 
-    /// The rooms that one door joins to `room`, in the doors' order.
+    /// The rooms next to `room` through one door, in the doors' order.
     pub fn neighbours(&self, room: RoomId) -> impl Iterator<Item = RoomId> {
         self.doors.iter().filter_map(move |door| match door.rooms {
             [here, there] | [there, here] if here == room => Some(there),
@@ -363,7 +352,7 @@ impl SemanticMap {
         })
     }
 
-    /// The rooms on a shortest way through doors, both ends included; none when no way exists.
+    /// The rooms on a shortest way through doors, both ends included. `None` if there is no way.
     #[must_use]
     pub fn path(&self, from: RoomId, to: RoomId) -> Option<Vec<RoomId>> {
         let mut reached_from = BTreeMap::from([(from, from)]);
@@ -425,7 +414,7 @@ mod tests {
         }
     }
 
-    /// A topic's level stands in a rule with spaces for underscores.
+    /// Topic levels are compared in plain words, with spaces for underscores.
     #[test]
     fn every_room_is_found_by_its_id_in_plain_words() {
         let mut map = map();

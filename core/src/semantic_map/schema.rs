@@ -13,41 +13,41 @@ use sha2::{Digest, Sha256};
 use super::footprint::{FEWER_CORNERS, Footprint, MAX_CORNERS, Space};
 use super::{Box3, Caption, Door, Group, Item, LabelId, Part, Room, RoomId, SemanticMap, doors};
 
-/// Largest scene file that is read, in bytes.
+/// Largest scene file in bytes.
 pub const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Most items in a map.
 pub const MAX_ITEMS: usize = 100_000;
-/// Most rooms in a map; of parts, groups and doors there may be ten times as many.
+/// Most rooms in a map; parts, groups and doors may be ten times as many.
 pub const MAX_ROOMS: usize = 64;
 /// Longest id, label, name or alias, in bytes of UTF-8.
 pub const MAX_TEXT_BYTES: usize = 128;
 
 pub(super) const FORMAT: &str = "roomcast-scene";
-/// The newest version. A map without footprints is written as version 1, so that its fingerprint stays.
+/// The newest version. A map without footprints is written as version 1, so that its fingerprint does not change.
 pub(super) const VERSION: u32 = 2;
-/// Height of a footprint without one, in metres.
+/// Default height of a footprint, in metres.
 pub(super) const ROOM_HEIGHT_M: f64 = 2.5;
-/// How far a box may differ from its footprint, in metres: numbers are rounded.
+/// Largest difference between a box and its footprint, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
 pub(super) const MAX_PROSE_BYTES: usize = 4_096;
 pub(super) const MAX_CAPTIONS: usize = 64;
 pub(super) const MAX_ALIASES: usize = 1_000;
-/// How far from the origin a map reaches, in metres along each axis.
+/// Greatest coordinate of a map along each axis, in metres.
 pub(super) const FARTHEST_M: f64 = 10_000.0;
 
-/// Faults that are told at once.
+/// Most faults in one report.
 const FAULTS_MAX: usize = 20;
 
-/// Why a scene cannot be used.
+/// A scene that cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// The error lies in this file.
+    /// An error with its file.
     #[error("scene {}", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error.
         source: Box<SceneError>,
     },
     /// The file cannot be read.
@@ -56,23 +56,23 @@ pub enum SceneError {
     /// The file is larger than [`MAX_FILE_BYTES`].
     #[error("is larger than {} MiB; split the building into several maps", MAX_FILE_BYTES >> 20)]
     FileTooLarge,
-    /// Not JSON, or not of the scene format: a missing or unknown key, a wrong type.
+    /// Not JSON, or not the scene format: a missing or unknown key, or a wrong type.
     #[error(
         "{}{message}; see scenes/README.md for the format; `roomcast scene import` turns maps of other formats into scenes",
         place(.element)
     )]
     Json {
-        /// Path to the element, as `items[3].box`; `.` for the whole file.
+        /// Path to the element, such as `items[3].box`; `.` for the whole file.
         element: String,
-        /// What the parser says, with line and column.
+        /// The parser's message, with line and column.
         message: String,
     },
-    /// The text ends before the scene does.
+    /// The text ends too early.
     #[error("ends too early, in line {line}{}: the file is empty or was cut off; get it again, whole", within(.element))]
     CutOff {
         /// The last line, from 1.
         line: usize,
-        /// Path to the element that is not whole; `.` for the whole file.
+        /// Path to the incomplete element; `.` for the whole file.
         element: String,
     },
     /// Another format or another version.
@@ -86,19 +86,19 @@ pub enum SceneError {
         /// The file's `version`.
         version: u32,
     },
-    /// More than one of the faults here; of many the first 20.
+    /// Several of the other faults; at most the first 20.
     #[error("{}{} things are wrong:{}", if .0.len() < FAULTS_MAX { "" } else { "at least " }, .0.len(), listed(.0))]
     Several(Vec<SceneError>),
     /// One element breaks a rule.
     #[error("{element}, `{field}`: {problem}; {remedy}")]
     Element {
-        /// Kind, index and id, as `items[3] ("mug-1")`.
+        /// Kind, index and id, such as `items[3] ("mug-1")`.
         element: String,
-        /// The key in question.
+        /// The key with the problem.
         field: &'static str,
-        /// What is wrong.
+        /// The problem.
         problem: String,
-        /// What to do.
+        /// The remedy.
         remedy: &'static str,
     },
 }
@@ -107,12 +107,11 @@ fn listed(faults: &[SceneError]) -> String {
     faults.iter().map(|fault| format!("\n- {fault}")).collect()
 }
 
-/// What is wrong with a scene, as far as it was looked at.
 #[derive(Default)]
 struct Faults(Vec<SceneError>);
 
 impl Faults {
-    /// What comes of the entries that are well. Behind [`FAULTS_MAX`] faults no more are looked at.
+    /// Converts the valid entries. Stops after [`FAULTS_MAX`] faults.
     fn each<T, U>(
         &mut self,
         entries: impl IntoIterator<Item = T>,
@@ -181,12 +180,10 @@ pub(super) struct RoomEntry {
 pub(super) type Rings = Vec<Vec<[f64; 2]>>;
 
 impl RoomEntry {
-    /// A room that is a box.
     pub(super) fn boxed(id: String, label: String, bounds: Box3) -> Self {
         Self { id, label, r#box: Some(bounds), footprint: None, floor: None, height: None }
     }
 
-    /// A room with an outline.
     pub(super) fn outlined(id: String, label: String, footprint: Rings, floor_m: f64, height_m: f64) -> Self {
         let (floor, height) = (Some(floor_m), Some(height_m));
         Self { id, label, r#box: None, footprint: Some(footprint), floor, height }
@@ -225,7 +222,7 @@ pub(super) struct GroupEntry {
     pub(super) height: Option<f64>,
 }
 
-/// What an entry says of the space that it takes up.
+/// The keys of an entry that describe its space.
 struct Extent<'a> {
     bounds: Option<Box3>,
     footprint: Option<&'a Rings>,
@@ -233,22 +230,21 @@ struct Extent<'a> {
     height: Option<f64>,
 }
 
-/// Counts and checks what footprints may cost.
+/// Limits the cost of footprints.
 struct Corners {
     version: u32,
     left: CornersLeft,
 }
 
-/// How many corners a map's footprints may still have.
+/// Corners that a map's footprints may still have.
 pub(super) struct CornersLeft(usize);
 
 impl CornersLeft {
-    /// Of a map without footprints.
     pub(super) fn new() -> Self {
         Self(MAX_CORNERS)
     }
 
-    /// Takes those of the rings of an element, before anything else is done with them.
+    /// Counts the corners of an element's rings; call it before any other work on them.
     pub(super) fn take(&mut self, list: &'static str, index: usize, id: &str, rings: &Rings) -> Result<(), SceneError> {
         let count: usize = rings.iter().map(Vec::len).sum();
         self.0 = self.0.checked_sub(count).ok_or_else(|| {
@@ -285,12 +281,12 @@ pub(super) struct CaptionEntry {
     pub(super) weight: f64,
 }
 
-/// The beginning of a message about an element of a JSON file; empty where it is about the whole file.
+/// The prefix of a message about an element of a JSON file; empty for the whole file.
 pub(super) fn place(element: &str) -> String {
     if element == "." { String::new() } else { format!("{element}: ") }
 }
 
-/// The element at which a parser stopped. Of a text that is no JSON it does not know the last step.
+/// The element at which a parser stopped. If the text is not JSON, the last step is unknown.
 pub(super) fn element_of(path: &serde_path_to_error::Path) -> String {
     let known = path.iter().take_while(|segment| !matches!(segment, serde_path_to_error::Segment::Unknown));
     let mut element = String::new();
@@ -302,12 +298,11 @@ pub(super) fn element_of(path: &serde_path_to_error::Path) -> String {
     if element.is_empty() { ".".to_owned() } else { excerpt(&element).into_owned() }
 }
 
-/// Where a text ends, for a message.
+/// The end of a message about a text that ends too early.
 fn within(element: &str) -> String {
     if element == "." { String::new() } else { format!(", within {element}") }
 }
 
-/// Where an element stands, for errors.
 #[derive(Clone, Copy)]
 struct Place<'a> {
     list: &'static str,
@@ -337,7 +332,7 @@ impl Place<'_> {
     }
 
     fn point(self, field: &'static str, point_m: &[f64; 3]) -> Result<(), SceneError> {
-        // Written so that NaN fails, too.
+        // This form also refuses NaN.
         if point_m.iter().all(|metres| metres.abs() <= FARTHEST_M) {
             return Ok(());
         }
@@ -361,7 +356,7 @@ impl Place<'_> {
         ))
     }
 
-    /// The box of an entry, or its footprint between its floor and its ceiling. `around` is what it lies in, as far as that is known.
+    /// The box of an entry, or its footprint between floor and ceiling. `around` is the enclosing space, if known.
     fn space(self, extent: &Extent, around: Option<Box3>, corners: &mut Corners) -> Result<Space, SceneError> {
         if let Some(bounds) = &extent.bounds {
             self.bounds(bounds)?;
@@ -472,12 +467,12 @@ pub(super) fn check_count(list: &'static str, count: usize, most: usize) -> Resu
     })
 }
 
-/// Checks an element's id alone, for whoever works with ids before the map is checked.
+/// Checks an element's id alone, for callers that use ids before the whole map is checked.
 pub(super) fn check_id(list: &'static str, index: usize, id: &str) -> Result<(), SceneError> {
     Place { list, index, id }.id()
 }
 
-/// Ids of one kind of element, to resolve references; refuses a second use of an id.
+/// Ids of one kind of element, to resolve references; refuses duplicates.
 struct Ids<'a>(HashMap<&'a str, usize>);
 
 impl<'a> Ids<'a> {
@@ -502,7 +497,7 @@ impl SemanticMap {
     /// Reads and checks a scene file.
     ///
     /// # Errors
-    /// When the file cannot be read, or as [`SemanticMap::from_json`]; the error names the file.
+    /// If the file cannot be read, or as [`SemanticMap::from_json`]; the error names the file.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, SceneError> {
         let path = path.as_ref();
         read_limited(path)
@@ -510,11 +505,11 @@ impl SemanticMap {
             .map_err(|error| SceneError::InFile { path: path.to_owned(), source: Box::new(error) })
     }
 
-    /// Reads and checks a scene from its JSON text.
+    /// Parses and checks a scene.
     ///
     /// # Errors
-    /// Names each element that is malformed, beyond a limit, doubled, or refers to something that is not there. What lies in rooms or joins them
-    /// is looked at where all rooms are well.
+    /// Names each element that is malformed, exceeds a limit, is duplicated, or refers to an unknown element. Contents and doors of rooms are checked
+    /// only if all rooms are valid.
     pub fn from_json(text: &str) -> Result<Self, SceneError> {
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(SceneError::FileTooLarge);
@@ -532,7 +527,7 @@ impl SemanticMap {
         Self::check(file)
     }
 
-    /// The scene as JSON text, one element per line; [`SemanticMap::from_json`] reads it back as the same map.
+    /// The scene as JSON text, one element per line; [`SemanticMap::from_json`] reads it back as an equal map.
     #[must_use]
     pub fn to_json(&self) -> String {
         #[expect(clippy::expect_used, reason = "the file's types hold nothing that JSON cannot say: keys are strings")]
@@ -570,7 +565,7 @@ impl SemanticMap {
         ];
         faults.each(texts, |(field, checked, remedy)| checked.map_err(|problem| scene.error(field, problem, remedy)));
 
-        // Rooms, parts and groups can all be partitions, so they share one space of ids.
+        // Rooms, parts and groups can all be partitions, so they share one namespace of ids.
         let mut partition_ids = Ids::new();
         let mut room_ids = Ids::new();
         let mut corners = Corners { version: file.version, left: CornersLeft::new() };
@@ -610,7 +605,7 @@ impl SemanticMap {
         Ok(map)
     }
 
-    /// The doors as a file has them, found ones too.
+    /// The doors as entries of a file, found doors included.
     pub(super) fn door_entries(&self) -> Vec<DoorEntry> {
         let room = |RoomId(index): RoomId| self.rooms[index as usize].id.clone();
         (self.doors.iter())
@@ -676,13 +671,13 @@ impl SemanticMap {
     }
 }
 
-/// Reads a text file of at most [`MAX_FILE_BYTES`] and one more, so that what reads the text sees that it is too long.
+/// Reads a text file up to one byte over [`MAX_FILE_BYTES`], so that the caller can detect the excess.
 ///
 /// # Errors
-/// When the file cannot be read, or is no UTF-8 text; the error does not name the file.
+/// If the file cannot be read or is not UTF-8. The error does not name the file.
 pub fn read_limited(path: &Path) -> Result<String, SceneError> {
     let mut text = String::new();
-    // A limit on what is read, not on what the directory says: a device or a pipe has no size.
+    // The limit applies while reading, because a device or a pipe has no size.
     File::open(path)?.take(MAX_FILE_BYTES + 1).read_to_string(&mut text)?;
     Ok(text)
 }
@@ -845,7 +840,7 @@ fn check_items(entries: &[ItemEntry], faults: &mut Faults) -> (Vec<String>, Vec<
     let items = (entries.iter())
         .map(|entry| {
             let total: f64 = entry.captions.iter().map(|caption| caption.weight).sum();
-            // Shares stay as they are: reading a map that was written does not change it.
+            // Normalised shares stay unchanged, so that writing and reading give an equal map.
             let total = if (total - 1.0).abs() < 1e-9 { 1.0 } else { total };
             let caption =
                 |entry: &CaptionEntry| Caption { label: label_id(&entry.label), weight: entry.weight / total };
@@ -876,12 +871,12 @@ fn check_captions(place: Place, entry: &ItemEntry) -> Result<(), SceneError> {
     let total: f64 = captions.iter().map(|caption| caption.weight).sum();
     for (index, caption) in captions.iter().enumerate() {
         place.label(&caption.label)?;
-        // Between these bounds neither a sum nor a share leaves the range of f64; NaN fails, too.
+        // Within these bounds no sum or share overflows or underflows; NaN fails, too.
         if !(1e-9..=1e9).contains(&caption.weight) {
             let problem = format!("the weight {} is not between 1e-9 and 1e9", caption.weight);
             return Err(place.error("captions", problem, "give a positive weight or remove the caption"));
         }
-        // Shares are what is written back.
+        // Files contain the shares, so they must be large enough to be read back.
         if caption.weight / total.max(1.0) < SHARE_MIN {
             let problem = format!("the weight {} is less than {SHARE_MIN} of all", caption.weight);
             return Err(place.error("captions", problem, "remove the caption"));
@@ -916,7 +911,7 @@ mod tests {
         text
     }
 
-    /// The message for the two rooms with the value at `pointer` replaced (or added).
+    /// The message for a scene of two rooms with the value at `pointer` replaced or added.
     fn refused(pointer: &str, value: Value) -> String {
         let mut scene: Value = serde_json::from_str(TWO_ROOMS).unwrap();
         let (parent, key) = pointer.rsplit_once('/').unwrap();
@@ -928,7 +923,6 @@ mod tests {
         message(&SemanticMap::from_json(&scene.to_string()).unwrap_err())
     }
 
-    /// Whoever gives another file by mistake, or a damaged one, reads an error and not the file.
     #[test]
     fn an_error_does_not_repeat_the_scene() {
         let long = || "k".repeat(1 << 20);
@@ -1116,10 +1110,10 @@ mod tests {
         let all = said(&scene);
         assert!(all.starts_with("6 things are wrong:\n- scene[0] (\"\"), `name`: is empty"), "{all}");
         assert_eq!(lists(&all), ["scene", "parts", "doors", "aliases", "items", "items"]);
-        // What lies in a room that is not well is not blamed for that.
+        // Contents of an invalid room are not reported.
         scene["rooms"][0]["label"] = json!("Kitchen");
         assert_eq!(lists(&said(&scene)), ["scene", "rooms", "aliases", "items", "items"]);
-        // Not all of very many.
+        // A long list of faults is cut.
         let item = scene["items"][0].clone();
         scene["items"].as_array_mut().unwrap().extend(std::iter::repeat_n(item, 100));
         let many = said(&scene);
@@ -1137,7 +1131,7 @@ mod tests {
         }
     }
 
-    /// Editors on Windows write it.
+    /// Editors on Windows write a byte order mark.
     #[test]
     fn a_byte_order_mark_is_no_part_of_a_map() {
         let marked = SemanticMap::from_json(&format!("\u{feff}{TWO_ROOMS}")).unwrap();

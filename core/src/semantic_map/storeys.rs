@@ -1,36 +1,36 @@
-//! The storeys of a map, and how they lie beside each other on a plan from above: one over the other, they would hide each other.
+//! The storeys of a map, and their layout next to each other on a plan from above.
 
 use super::{Box3, Item, SemanticMap, Space};
 
-/// Floors that differ by more in height are of different storeys, in metres; a step into a sunken living room is none.
+/// Least height between the floors of two storeys, in metres. A step into a sunken living room is lower.
 pub(crate) const STOREY_M: f64 = 1.5;
-/// How far storeys are apart on a plan, as a share of the largest one's length, and at least, in metres: a line of text has room.
+/// Gap between storeys on a plan, as a share of the largest one's length; and the least gap in metres, enough for a line of text.
 const APART: f64 = 0.08;
 const APART_MIN_M: f64 = 1.0;
 
 /// A storey on a plan.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Storey {
-    /// The height of its lowest floor, in metres.
+    /// Height of its lowest floor, in metres.
     pub floor_m: f64,
-    /// What its rooms take up on the plan: west and south end, in metres.
+    /// West and south end of its rooms on the plan, in metres.
     pub min_m: [f64; 2],
-    /// East and north end.
+    /// East and north end, in metres.
     pub max_m: [f64; 2],
-    /// How far it is moved from its place on the map.
+    /// Offset from the map to the plan, in metres.
     shift_m: [f64; 2],
 }
 
 impl Storey {
-    /// What a plan of several storeys calls it: the map has no names for them.
+    /// Name for plans: the map has no names for storeys.
     #[must_use]
     pub fn name(&self) -> String {
         format!("floor at {} m", (self.floor_m * 100.0).round() / 100.0 + 0.0)
     }
 }
 
-/// All storeys of a map, laid out side by side, or one above the other where that is nearer to a square; the lowest is first, in the west or in the
-/// south. A map of one storey stays where it is.
+/// All storeys of a map, laid out from west to east or from south to north, by the shape closer to a square. The lowest comes first. A map of one
+/// storey is not moved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Storeys {
     storeys: Vec<Storey>,
@@ -62,7 +62,7 @@ impl Storeys {
         let size_m = |storey: &Storey, axis: usize| storey.max_m[axis] - storey.min_m[axis];
         let sum_m = |axis: usize| self.storeys.iter().map(|storey| size_m(storey, axis)).sum::<f64>();
         let most_m = |axis: usize| self.storeys.iter().map(|storey| size_m(storey, axis)).fold(0.0, f64::max);
-        // The side of a square around all of them.
+        // Compare the sides of the enclosing squares.
         let along = usize::from(sum_m(1).max(most_m(0)) < sum_m(0).max(most_m(1)));
         let apart_m = (APART * most_m(0).max(most_m(1))).max(APART_MIN_M);
         for next in 1..self.storeys.len() {
@@ -80,7 +80,7 @@ impl Storeys {
         &self.storeys
     }
 
-    /// The storey that something at this height is on: the highest one whose floor is not above it.
+    /// The storey at a height in metres: the highest with a floor at or below it.
     #[must_use]
     pub fn at(&self, height_m: f64) -> usize {
         self.storeys.iter().rposition(|storey| storey.floor_m <= height_m).unwrap_or(0)
@@ -92,21 +92,21 @@ impl Storeys {
         self.at(space.bounds.min_m[2])
     }
 
-    /// The storey of a thing: that of its room where it is in one. A rug may lie a little in the floor.
+    /// The storey of an item's room, or by the item's height outside all rooms. A rug may be slightly below the floor.
     #[must_use]
     pub fn of_item(&self, map: &SemanticMap, item: &Item) -> usize {
         let room = map.rooms_at(item.position_m).next().map(|room| &map.rooms()[room.0 as usize].space);
         room.map_or_else(|| self.at(item.position_m[2]), |space| self.of_space(space))
     }
 
-    /// Where a place on a storey is on the plan.
+    /// The plan position of a map position on a storey, in metres.
     #[must_use]
     pub fn moved(&self, storey: usize, [east_m, north_m]: [f64; 2]) -> [f64; 2] {
         let [right_m, up_m] = self.storeys.get(storey).map_or([0.0; 2], |storey| storey.shift_m);
         [east_m + right_m, north_m + up_m]
     }
 
-    /// The space as it lies on the plan.
+    /// The space at its position on the plan.
     #[must_use]
     pub fn moved_space(&self, space: &Space) -> Space {
         let storey = self.of_space(space);
@@ -114,7 +114,7 @@ impl Storeys {
         Space { bounds: self.moved_box(storey, &space.bounds), footprint }
     }
 
-    /// A box on a storey as it lies on the plan.
+    /// A box on a storey, at its position on the plan.
     #[must_use]
     pub fn moved_box(&self, storey: usize, bounds: &Box3) -> Box3 {
         let corner = |[east_m, north_m, height_m]: [f64; 3]| {
@@ -129,7 +129,7 @@ impl Storeys {
 mod tests {
     use super::*;
 
-    /// A map of boxes: west and south end, floor, and size on the floor.
+    /// A map of boxes: west and south end with floor height, and size on the floor.
     fn map(rooms: &[([f64; 3], [f64; 2])]) -> SemanticMap {
         let room = |(index, (min_m, size_m)): (usize, &([f64; 3], [f64; 2]))| {
             let max_m = [min_m[0] + size_m[0], min_m[1] + size_m[1], min_m[2] + 2.5];
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn one_storey_stays_where_it_is() {
-        // A sunken living room is no storey of its own, nor is the hall half a storey up.
+        // A sunken living room is not a storey, nor is a hall half a storey up.
         let map = map(&[([0.0, 0.0, 0.0], [4.0, 4.0]), ([4.0, 0.0, -0.4], [4.0, 4.0]), ([8.0, 0.0, 1.0], [4.0, 4.0])]);
         let (storeys, spaces) = places(&map);
         assert_eq!(storeys.all().len(), 1);
@@ -173,7 +173,7 @@ mod tests {
                     "none is moved across"
                 );
             }
-            // From the cellar to the top, apart from each other.
+            // From the cellar to the top, without overlap.
             for (lower, upper) in [(2, 1), (1, 0)] {
                 let apart_m = spaces[upper].bounds.min_m[along] - spaces[lower].bounds.max_m[along];
                 assert!(apart_m >= 0.96, "{apart_m}");

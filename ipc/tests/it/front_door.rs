@@ -79,9 +79,13 @@ fn a_narrator_without_a_daemon_learns_that_no_process_received_the_event() {
     assert_eq!(said.receivers(), 0);
     let error = said.confirmed(Duration::from_millis(50)).unwrap_err();
     assert!(matches!(error, Error::NotIncluded { under_way: 1, sent: 1, .. }), "{error}");
+    assert!(format!("{error:?}").contains("does the daemon run in this domain?"), "main() shows the remedy");
     assert!(matches!(camera.did("nobody", "sits"), Err(Error::Argument(_))));
     assert!(matches!(camera.did(Who::Somebody, " . "), Err(Error::Argument(_))));
     assert!(matches!(camera.empty(""), Err(Error::Argument(_))));
+    let mut planner = private.domain.planner("robot").unwrap();
+    assert!(matches!(planner.decide("", "a reason"), Err(Error::Argument(_))));
+    assert!(matches!(private.domain.robot(" "), Err(Error::Argument(_))));
 }
 
 #[test]

@@ -145,9 +145,10 @@ fn forget<M: LanguageModel>(
     // Whose an observation in a window is was found.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
+    // The journal comes last: it rewrites the database, so that no free page has their name.
+    let in_file = board.persons_mut().file_mut().remove(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = *in_journal.as_ref().unwrap_or(&1);
-    let in_file = board.persons_mut().file_mut().remove(person);
     let in_habits = write_habits(board, keeper, until);
     let error = in_journal.err().or(in_file.err()).or(in_habits.err());
     (error.map(|error| not_yet_kept(&error)), records)

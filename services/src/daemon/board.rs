@@ -3,9 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
-use roomcast_ipc::{
-    ForecastV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ROOMS, MessageError, NAME_BYTES, PersonForecastsV1, PersonScoresV1,
-    RoomScoresV1, RoomV1, reached, score_flags,
+use roomcast_ipc::MessageError;
+use roomcast_ipc::raw::{
+    ForecastV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ROOMS, NAME_BYTES, PersonForecastsV1, PersonScoresV1, RoomScoresV1,
+    RoomV1, reached, score_flags,
 };
 
 use super::ahead::Now;

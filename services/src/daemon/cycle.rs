@@ -4,7 +4,7 @@
 
 use std::collections::VecDeque;
 
-use roomcast_ipc::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
+use roomcast_ipc::raw::{IncludedV1, MAX_SOURCES, RoomScoresV1, score_flags};
 
 use super::{Board, Entry, Intake, Recovered};
 use roomcast_core::ids::{BootNs, EventId, UnixNs};
@@ -80,10 +80,10 @@ impl<M: LanguageModel> Cycle<M> {
     /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice. Gives how
     /// many were left out, because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
-        recovered.taken().for_each(|observation| intake.restore(observation));
+        recovered.taken().for_each(|event| intake.restore(event));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
-        self.board.settle(recovered.settled());
-        self.board.restore(recovered.join(), now_ns, now_unix_ns)
+        self.board.settle(recovered.settled.clone());
+        self.board.restore(recovered, now_ns, now_unix_ns)
     }
 
     /// Takes note of a narration that was refused: scores say that it was dealt with, so that its narrator does not wait for it. They do not before

@@ -11,10 +11,11 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use roomcast_ipc::raw::{Message, NarrationV1, narration_kind};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
-use roomcast_ipc::{Message, MessageError, NarrationV1, Sender, narration_kind};
+use roomcast_ipc::{MessageError, Sender};
 
-use roomcast_core::ids::{BootNs, PersonId, UnixNs};
+use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Voice, check_name};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::scorer::TokenCounter;
@@ -218,15 +219,15 @@ impl Intake {
         self
     }
 
-    /// Takes note of an observation that a former run of the daemon took, so that it is not taken twice; they come in their order, and
-    /// of too many sources those count that were heard last.
-    pub fn restore(&mut self, observation: &Observation) {
-        let name = (observation.source, observation.epoch);
+    /// Takes note of an observation that a former run of the daemon took, by its source, epoch and sequence, so that it is not taken twice; they
+    /// come in their order, and of too many sources those count that were heard last.
+    pub fn restore(&mut self, event: EventId) {
+        let name = event.start();
         self.make_room_for_source(name);
         self.turns += 1;
-        let (trust, turn) = (self.trust(observation.source), self.turns);
+        let (trust, turn) = (self.trust(event.source), self.turns);
         let source = self.source(name, trust, turn);
-        source.follower.take(observation.epoch, observation.sequence);
+        source.follower.take(event.epoch, event.sequence);
         source.turn = turn;
     }
 
@@ -267,7 +268,7 @@ impl Intake {
         self.narrators.get(&source).is_some_and(|known| known.relayed)
     }
 
-    /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
+    /// Judges what a port gave: a message that has passed [`roomcast_ipc::raw::Message::check`], or why it has not.
     pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, sender: Sender, now_ns: BootNs) -> Taken {
         match received {
             Ok(message) => self.take(message, sender, now_ns),
@@ -279,7 +280,7 @@ impl Intake {
         }
     }
 
-    /// Judges a message that has passed [`roomcast_ipc::Message::check`].
+    /// Judges a message that has passed [`roomcast_ipc::raw::Message::check`].
     pub fn take(&mut self, message: &NarrationV1, sender: Sender, now_ns: BootNs) -> Taken {
         let taken = self.judge(message, sender, now_ns);
         let counters = &mut self.counters;
@@ -547,7 +548,7 @@ mod wire {
 #[cfg(test)]
 mod tests {
     use crate::config::May;
-    use roomcast_ipc::{IncludedV1, RoomScoresV1, narration_kind};
+    use roomcast_ipc::raw::{IncludedV1, RoomScoresV1, narration_kind};
 
     use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
     use super::*;
@@ -786,7 +787,7 @@ mod tests {
         let (first, said) = binds(intake.take(&message(7, 1, 1, "They sit."), PORT, BootNs(1)));
         assert!(first && !binds(intake.take(&message(7, 1, 2, "They sit."), PORT, BootNs(2))).0, "it is told once");
         let mut restarted = Intake::new(IntakeLimits::default());
-        restarted.restore(&said);
+        restarted.restore(said.id());
         restarted.restore_port((7, 1), PORT);
         restarted.restore_port((8, 1), PORT);
         assert_eq!(restarted.sources(), 1);
@@ -797,7 +798,7 @@ mod tests {
         assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
         // A journal from before says nothing of ports: then it is told at once.
         let mut older = Intake::new(IntakeLimits::default());
-        older.restore(&said);
+        older.restore(said.id());
         assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, BootNs(3)), Taken::Duplicate);
         assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
     }
@@ -827,9 +828,9 @@ mod tests {
         assert!(intake.former.len() <= FORMER_SOURCES_MAX);
         // And after a restart, in whose journal the invented ones come last.
         let mut restarted = Intake::new(IntakeLimits::default());
-        restarted.restore(&said);
+        restarted.restore(said.id());
         for source in 1000..1100 {
-            restarted.restore(&Observation { source, ..said.clone() });
+            restarted.restore(EventId { source, ..said.id() });
         }
         restarted.restore_port((7, 1), PORT);
         assert_eq!(restarted.take(&message(7, 1, 6, "They hide."), OTHER, BootNs(3)), Taken::Forged);
@@ -920,7 +921,7 @@ mod tests {
                 assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, BootNs(0)), Taken::Forged);
                 // So does one after a restart of the daemon, to which the journal has said whose it was.
                 let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
-                next.restore(&first);
+                next.restore(first.id());
                 next.restore_port((hall, 1), PORT);
                 next.note_alive([third]);
                 accepted(next.take(&message(hall, 1, 2, "B."), third, BootNs(0)));
@@ -958,7 +959,7 @@ mod tests {
         let (said, ..) = accepted(Intake::default().take(&message(1, 1, 1, "A."), PORT, BootNs(0)));
         let mut restarted = Intake::new(IntakeLimits::default());
         for source in 1..=100 {
-            restarted.restore(&Observation { source, ..said.clone() });
+            restarted.restore(EventId { source, ..said.id() });
         }
         assert_eq!(restarted.sources(), SOURCES_MAX);
         assert_eq!(restarted.take(&message(100, 1, 1, "A."), PORT, BootNs(8)), Taken::Duplicate);
@@ -990,7 +991,7 @@ mod tests {
         // What nobody living holds, the named keep longest.
         let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), BootNs(0)));
         for source in 0..100 {
-            intake.restore(&Observation { source: 50 + source, ..said.clone() });
+            intake.restore(EventId { source: 50 + source, ..said.id() });
         }
         assert_eq!(intake.take(&message(hall, 1, 99, "A."), PORT, BootNs(0)), Taken::Duplicate);
     }

@@ -1,16 +1,9 @@
-//! The narration history on disk, so that it outlives the daemon: an append-only file of records, each with a checksum, in two
-//! halves of bounded size. A writer thread owns the file; nothing on the way from event to scores waits for the disk.
+//! The state database in `roomcast.db`, which outlives the daemon. One thread writes to it; the way from event to scores never waits for the disk.
 //!
-//! Observations are kept as they came. What the daemon made of one that names nobody, and what the model said after it, is kept beside it, so
-//! that a restarted daemon believes the same. What was said before the map changed is not read by the map of now: `RCJA` says what it came to.
+//! Observations are kept as they came. The daemon's attribution and the model's expectation are kept with them, so that a restarted daemon believes
+//! the same. Events from before a change of the map are not read with the new map: a belief keeps their result.
 //!
-//! When the older half goes, the last record of every source that it alone knew is carried over: what the source said then is
-//! history no more, but what it says again is still known. So is whose port each source is. The last observations of every person are
-//! carried over as history, so that nobody who says much makes the daemon forget where others are: up to twelve of each, as far as a quarter of
-//! a half holds them.
-//!
-//! A record is handed to the system as soon as it is written, so a daemon that is killed loses nothing; what the machine loses with
-//! its power is at most the last [`JournalOptions::sync_ms`].
+//! A commit outlives the daemon at once; a power loss takes at most the last [`JournalOptions::sync_ms`]. The tables are in `journal/schema.sql`.
 
 use std::fs;
 use std::io;
@@ -20,27 +13,34 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{SendTimeoutError, Sender, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, bounded};
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::Observation;
+pub use roomcast_database::DatabaseError as JournalError;
+use roomcast_database::rusqlite::{Error, OpenFlags};
+use roomcast_database::{Connection, Database, Schema};
 use roomcast_ipc::Sender as Port;
 
-use self::disk::Folder;
-pub use self::disk::{Disk, Half};
 use self::forget::IsTheirs;
-pub use self::record::{Believed, Expectation, Move, Moved, Outcome, encode, encode_outcome, encode_port};
-pub(super) use self::record::{encode_believed, encode_forgotten, encode_moved};
-pub use self::recovered::{Recovered, read_records};
+pub(super) use self::old::persons as old_persons;
+pub use self::old::records as old_records;
+pub use self::record::{Believed, Expectation, KeptPerson, Move, Moved, Outcome, Record};
+pub use self::recovered::Recovered;
+use self::writer::SyncDue;
 pub use self::writer::Writer;
 use crate::state_file;
 
-mod disk;
 mod forget;
-mod last_words;
+mod old;
 mod record;
 mod recovered;
+mod store;
 mod writer;
 
+/// The database in the state directory.
+pub const FILE: &str = "roomcast.db";
+/// Its tables; the number marks Roomcast's files.
+pub const SCHEMA: Schema = Schema { application: 0x524d_4353, migrations: &[include_str!("journal/schema.sql")] };
 /// Records that may wait for the disk before the sender does.
 const QUEUE: usize = 65_536;
 
@@ -49,40 +49,10 @@ const QUEUE: usize = 65_536;
 pub struct JournalOptions {
     /// The state directory.
     pub directory: PathBuf,
-    /// Most bytes on disk, both halves together.
+    /// Most bytes of events, about.
     pub bytes_max: u64,
     /// Milliseconds between two syncs to the disk.
     pub sync_ms: u64,
-}
-
-/// A journal that cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum JournalError {
-    /// A file operation failed.
-    #[error("journal {}: cannot {operation} it: {source}; check owner, mode and space of the state directory", path.display())]
-    File {
-        /// The file or directory.
-        path: PathBuf,
-        /// "make", "open", "read", ...
-        operation: &'static str,
-        /// The system's word.
-        source: io::Error,
-    },
-    /// Another user could have put it there, or may write to it.
-    #[error("journal {}: {source}", path.display())]
-    Refused {
-        /// The file.
-        path: PathBuf,
-        /// The reason and the remedy.
-        source: io::Error,
-    },
-    /// Another daemon has it.
-    #[error("journal {}: another daemon is using it; stop that one, or set daemon.state to another directory", path.display())]
-    Locked {
-        /// The file.
-        path: PathBuf,
-    },
 }
 
 #[derive(Debug, Default)]
@@ -91,30 +61,32 @@ struct Progress {
     grew: Condvar,
     bytes: AtomicU64,
     failures: AtomicU64,
-    /// The last sync has failed, so a restarted daemon may not find what was said.
+    /// The last sync has failed, so a restarted daemon may lack events.
     is_unsynced: AtomicBool,
 }
 
-/// What the writer is to do.
+/// Work for the writer.
 enum Work {
     /// Append a record.
-    Append(Vec<u8>),
-    /// Take out what a person did, and say whether that went well.
+    Append(Record),
+    /// Replace the persons with a name that the home gave, and answer.
+    Persons { persons: Vec<KeptPerson>, done: Sender<io::Result<()>> },
+    /// Take a person out, and answer.
     Forget { person: PersonId, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
 }
 
-/// The way to the writer, for every thread that has something to write.
+/// The way to the writer, for all threads.
 #[derive(Debug)]
 struct Sink {
-    /// None once the journal is being closed.
+    /// `None` after the end of the journal.
     work: Option<Sender<Work>>,
     /// How many records were handed over.
     appended: u64,
 }
 
 impl Sink {
-    /// Waits where the queue is full. Whoever holds the sink waits with it, so that records have the numbers of their order.
-    fn send(&mut self, record: Vec<u8>) -> u64 {
+    /// Waits if the queue is full. The holder of the sink waits with it, so that records have the numbers of their order.
+    fn send(&mut self, record: Record) -> u64 {
         if let Some(work) = &self.work
             && work.send(Work::Append(record)).is_ok()
         {
@@ -128,59 +100,50 @@ impl Sink {
 #[derive(Debug)]
 pub struct Journal {
     sink: Arc<Mutex<Sink>>,
-    boot_id: [u8; 16],
     progress: Arc<Progress>,
     writer: Option<JoinHandle<()>>,
 }
 
 impl Journal {
-    /// Opens (or begins) the journal and reads what it holds.
+    /// Opens or begins the database and reads it.
     ///
     /// # Errors
     ///
-    /// [`JournalError`]; damaged records are no error.
+    /// [`JournalError`]; damage is no error.
     pub fn open(options: &JournalOptions) -> Result<(Self, Recovered), JournalError> {
         let directory = &options.directory;
+        let path = directory.join(FILE);
         let failed = |operation| {
-            let path = directory.clone();
+            let path = path.clone();
             move |source| JournalError::File { path, operation, source }
         };
-        state_file::make_folder(directory).map_err(failed("make"))?;
-        let folder = Folder::open(directory, options.bytes_max).map_err(|(path, operation, source)| {
-            match (operation, source.kind()) {
-                ("lock", io::ErrorKind::WouldBlock) => JournalError::Locked { path },
-                (disk::USE, _) => JournalError::Refused { path, source },
-                _ => JournalError::File { path, operation, source },
-            }
-        })?;
-        let boot_id = boot_id();
+        state_file::make_folder(directory).map_err(failed("make the folder of"))?;
+        let opened = Database::open(&path, SCHEMA)?;
+        let (mut writer, recovered) = Writer::open(opened, Some(directory.clone()), options.bytes_max, &boot_id())
+            .map_err(|source| JournalError::Sqlite { path: path.clone(), source })?;
         let sync_every = Duration::from_millis(options.sync_ms.max(1));
-        let (writer, recovered) =
-            Writer::open(folder, (options.bytes_max / 2).max(4096), &boot_id).map_err(failed("read"))?;
-        let mut writer = Writer { sync_every, ..writer };
         let progress = Arc::clone(&writer.progress);
-
         let (work, queue) = bounded(QUEUE);
         let writer = std::thread::Builder::new()
             .name("journal".to_owned())
-            .spawn(move || writer.run(&queue))
+            .spawn(move || run(&mut writer, &queue, sync_every))
             .map_err(failed("start the writer of"))?;
         let sink = Arc::new(Mutex::new(Sink { work: Some(work), appended: 0 }));
-        Ok((Self { sink, boot_id, progress, writer: Some(writer) }, recovered))
+        Ok((Self { sink, progress, writer: Some(writer) }, recovered))
     }
 
     /// Hands an observation to the writer; returns its number, for [`JournalHandle::wait_for`].
     pub fn append(&mut self, observation: &Observation) -> u64 {
-        let record = encode(observation, &self.boot_id);
+        let record = Record::Event { observation: observation.clone(), is_of_this_boot: true };
         self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(record)
     }
 
     /// Hands to the writer which port speaks for a start of a source, by its number and epoch.
-    pub fn bind(&mut self, name: (u64, u64), port: Port) {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_port(name, port));
+    pub fn bind(&mut self, start: (u64, u64), port: Port) {
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Port { start, port });
     }
 
-    /// What other threads may ask of the journal.
+    /// The handle for other threads.
     #[must_use]
     pub fn handle(&self) -> JournalHandle {
         JournalHandle { sink: Arc::clone(&self.sink), progress: Arc::clone(&self.progress) }
@@ -205,42 +168,54 @@ pub struct JournalHandle {
 }
 
 impl JournalHandle {
-    /// Hands to the writer what became of an observation; returns its number, for [`JournalHandle::wait_for`].
+    /// Hands to the writer the outcome of an observation; returns its number, for [`JournalHandle::wait_for`].
     pub fn append(&self, outcome: &Outcome<'_>) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_outcome(outcome))
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(outcome.into())
     }
 
-    /// Hands to the writer whom an observation moved; returns its number, for [`JournalHandle::wait_for`].
+    /// Hands to the writer the persons that an observation moved; returns its number, for [`JournalHandle::wait_for`].
     pub(super) fn keep_moved(&self, moved: &Moved) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_moved(moved))
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Moved(moved.clone()))
     }
 
-    /// Hands to the writer where somebody was believed to be when the map was changed; returns its number, for [`JournalHandle::wait_for`].
+    /// Hands to the writer the belief about a person when the map changed; returns its number, for [`JournalHandle::wait_for`].
     pub(super) fn keep_belief(&self, believed: &Believed) -> u64 {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_believed(believed))
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(believed.into())
     }
 
-    /// Hands to the writer that a visitor is gone, which was told: a restart does not tell it again.
+    /// Hands to the writer that a visitor is gone: a restart does not report it again.
     pub(super) fn see_off(&self, person: PersonId) {
-        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(encode_forgotten(person, false));
+        self.sink.lock().unwrap_or_else(PoisonError::into_inner).send(Record::Gone(person));
     }
 
-    /// Takes out of the journal what a person did, before and after a restart of the machine: the observations of which `is_theirs` says so,
-    /// which is told whose those are found to be that named nobody. Gives how many they are. Waits for it `until` then.
+    /// Takes a person's observations out of the database: `is_theirs` decides, and gets the person that the daemon found. Gives their
+    /// number. Waits for it `until` then.
     ///
     /// # Errors
     ///
-    /// When the disk refuses, or takes longer; the journal is whole all the same, and may hold all or part of it.
+    /// When the disk refuses, or takes longer; the database is whole all the same, and may hold all or none of it.
     pub fn forget(
         &self,
         person: PersonId,
         is_theirs: impl Fn(&Observation, Option<PersonId>) -> bool + Send + 'static,
         until: Instant,
     ) -> io::Result<usize> {
+        let is_theirs = Box::new(is_theirs);
+        self.ask(|done| Work::Forget { person, is_theirs, done }, until)
+    }
+
+    /// Replaces the persons with a name that the home gave. They are on the disk when this returns.
+    ///
+    /// # Errors
+    /// When the disk refuses, or takes longer than until then.
+    pub(super) fn replace_persons(&self, persons: Vec<KeptPerson>, until: Instant) -> io::Result<()> {
+        self.ask(|done| Work::Persons { persons, done }, until)
+    }
+
+    fn ask<T>(&self, work: impl FnOnce(Sender<io::Result<T>>) -> Work, until: Instant) -> io::Result<T> {
         let (done, answer) = bounded(1);
-        let work = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
-        let forget = Work::Forget { person, is_theirs: Box::new(is_theirs), done };
-        match work.map(|work| work.send_deadline(forget, until)) {
+        let queue = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
+        match queue.map(|queue| queue.send_deadline(work(done), until)) {
             Some(Ok(())) => {
                 answer.recv_deadline(until).unwrap_or_else(|_| Err(io::Error::from(io::ErrorKind::TimedOut)))
             }
@@ -251,7 +226,7 @@ impl JournalHandle {
 
     /// Waits until the record of that number has been handed to the system, at most `patience`; returns whether it has.
     ///
-    /// Writing runs beside scoring and is over long before, so this hardly ever waits.
+    /// A commit runs in parallel with scoring and ends long before it, so this hardly ever waits.
     #[must_use]
     pub fn wait_for(&self, number: u64, patience: Duration) -> bool {
         let written = self.progress.written.lock().unwrap_or_else(PoisonError::into_inner);
@@ -260,19 +235,19 @@ impl JournalHandle {
         *written >= number
     }
 
-    /// Records that have been handed to the system (or that it refused: nobody is to wait for a full disk).
+    /// Records that have been handed to the system (or that it refused: no narrator waits for a full disk).
     #[must_use]
     pub fn written(&self) -> u64 {
         *self.progress.written.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Bytes on disk, both halves together.
+    /// Bytes on disk, of file and log.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.progress.bytes.load(Ordering::Relaxed)
     }
 
-    /// Whether the last sync went well: the disk has what was written, and the files have their names.
+    /// Whether the last sync went well: the disk has all commits, and the file has its name.
     pub(super) fn is_kept(&self) -> bool {
         !self.progress.is_unsynced.load(Ordering::Relaxed)
     }
@@ -282,6 +257,81 @@ impl JournalHandle {
     pub fn failures(&self) -> u64 {
         self.progress.failures.load(Ordering::Relaxed)
     }
+}
+
+/// The writer's thread.
+fn run(writer: &mut Writer, queue: &Receiver<Work>, sync_every: Duration) {
+    let mut due = SyncDue::new(sync_every, Instant::now());
+    loop {
+        let now = Instant::now();
+        // Without work there is no time.
+        let until = due.at().or_else(|| writer.is_behind().then_some(now + sync_every));
+        let received = match until {
+            Some(until) => queue.recv_deadline(until),
+            None => queue.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        };
+        match received {
+            Ok(work) => {
+                do_work(writer, work, queue);
+                due.wrote(Instant::now());
+            }
+            Err(RecvTimeoutError::Timeout) if writer.is_behind() => {
+                let written = writer.write([]);
+                if written.is_ok() {
+                    due.wrote(Instant::now());
+                }
+                writer.note(written);
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        if due.at().is_some_and(|at| Instant::now() >= at) {
+            let done = writer.sync();
+            due.synced(done.is_ok(), Instant::now());
+            writer.note(done);
+        }
+    }
+    let written = writer.write([]);
+    writer.note(written);
+    let done = writer.sync().or_else(|_| writer.sync());
+    writer.note(done);
+}
+
+/// Does some work, and what waits behind it.
+fn do_work(writer: &mut Writer, first: Work, queue: &Receiver<Work>) {
+    let mut batch = Vec::new();
+    // What waits already goes out in one transaction.
+    for work in std::iter::once(first).chain(queue.try_iter().take(1023)) {
+        match work {
+            Work::Append(record) => batch.push(record),
+            Work::Persons { persons, done } => {
+                append(writer, std::mem::take(&mut batch));
+                let _told = done.send(writer.write_persons(&persons).map_err(io_error));
+            }
+            Work::Forget { person, is_theirs, done } => {
+                append(writer, std::mem::take(&mut batch));
+                let forgotten = writer.forget(person, &*is_theirs).map_err(io_error);
+                // The asker may have lost patience.
+                let _told = done.send(forgotten);
+            }
+        }
+    }
+    append(writer, batch);
+}
+
+/// Writes records; their number counts also when that fails: no narrator waits for a full disk.
+fn append(writer: &mut Writer, batch: Vec<Record>) {
+    let records = batch.len() as u64;
+    if records > 0 {
+        let written = writer.write(batch);
+        writer.note(written);
+        *writer.progress.written.lock().unwrap_or_else(PoisonError::into_inner) += records;
+        writer.progress.grew.notify_all();
+    }
+}
+
+fn io_error(error: Error) -> io::Error {
+    io::Error::other(error)
 }
 
 /// Monotonic times of another boot say nothing about this one.
@@ -295,5 +345,18 @@ fn boot_id() -> [u8; 16] {
     id
 }
 
+/// The content of the database in a state directory, also while a daemon uses it.
+///
+/// # Errors
+/// When there is none, or it cannot be read.
+pub fn look(directory: &std::path::Path) -> Result<Recovered, Error> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let mut connection = Connection::open_with_flags(directory.join(FILE), flags)?;
+    connection.busy_timeout(Duration::from_secs(5))?;
+    store::recover(&connection.transaction()?)
+}
+
+#[cfg(test)]
+pub(super) mod notes;
 #[cfg(test)]
 mod tests;

@@ -20,7 +20,8 @@ use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Node, StatusResponseV1, limits, sequence, text};
+use roomcast_ipc::raw::{NarrationV1, StatusResponseV1};
+use roomcast_ipc::{Domain, IpcError, Node, limits, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::awake::Awake;
@@ -39,6 +40,7 @@ use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
+use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
 use scoring::{Ports, Scoring, Tools};
@@ -73,14 +75,14 @@ pub use habits::{HomeHabits, Memory, NoZone, Zone};
 pub use habits_file::{HabitsFile, decode_memory, encode_memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
-pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, Recovered};
+pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
     NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UnderstoodLine, UnderstoodPerson, Whereabouts,
     WhyLine,
 };
 pub use persons::{NotRenamed, Persons, flag_words};
-pub use persons_file::{KeptPerson, PersonsFile};
+pub use persons_file::PersonsFile;
 pub use understood::{By, UNDERSTOOD_MAX};
 
 /// How often the main thread looks after the others.
@@ -179,18 +181,17 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (desk, aside) = aside::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
-    let Loaded { board, ahead, kept_map, keeper, token_counter } = load(config, model, aside.is_stopped())?;
+    let opened = journal_options(&config.daemon).map(|options| Journal::open(&options)).transpose()?;
+    let (journal, mut recovered) =
+        opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
+    let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
+    let Loaded { board, ahead, kept_map, keeper, token_counter } = load(config, names, model, aside.is_stopped())?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
         .with_narrators(&config.daemon.narrator)
         .with_cost(SentenceCost::new(token_counter, Arc::clone(&sentence_tokens_max)));
-    let (journal, restored) = match journal_options(&config.daemon) {
-        Some(options) => {
-            restore(&options, &mut cycle, &mut intake).map(|(journal, restored)| (Some(journal), restored))?
-        }
-        None => (None, 0),
-    };
+    let restored = if journal.is_some() { restore(recovered, &mut cycle, &mut intake) } else { 0 };
     let tally = first_tally(cycle.board(), restored);
     let (counters, progress) = (Counters::default(), Progress::default());
     let tools = Tools {
@@ -241,15 +242,14 @@ struct Loaded<M> {
 /// Reads map, model, persons and habits.
 fn load<M: LanguageModel + Send + 'static>(
     config: &Config,
+    names: PersonsFile,
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
     if let Some(directory) = &state {
-        for file in [persons_file::FILE, map_change::FILE] {
-            // A directory that cannot be written is told of where something is to be written.
-            let _removed = crate::state_file::remove_unfinished(&directory.join(file));
-        }
+        // A directory that cannot be written is told of where something is to be written.
+        let _removed = crate::state_file::remove_unfinished(&directory.join(map_change::FILE));
     }
     for odd in config.persons.odd_names([]) {
         tracing::warn!("persons.residents: {odd}");
@@ -259,7 +259,6 @@ fn load<M: LanguageModel + Send + 'static>(
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
     let token_counter = pipeline.inside().token_counter();
-    let names = state.as_ref().map(|directory| PersonsFile::load(directory)).unwrap_or_default();
     // Who only names narrators elsewhere does not say that those here are strangers.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
     let named = config.daemon.narrator.iter().filter(|_| guards);
@@ -330,28 +329,31 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
     }
 }
 
-/// Opens the journal, and enters what a former run of the daemon wrote. Gives how many observations that were.
-fn restore<M: LanguageModel>(
-    options: &JournalOptions,
-    cycle: &mut Cycle<M>,
-    intake: &mut Intake,
-) -> Result<(Journal, u64), DaemonError> {
-    let (journal, recovered) = Journal::open(options)?;
-    let (restored, damaged_bytes) = (recovered.observations.len() as u64, recovered.damaged_bytes);
+/// Enters the observations of a former run of the daemon. Gives their number.
+fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake: &mut Intake) -> u64 {
+    let (restored, damaged) = (recovered.observations.len() as u64, recovered.damaged);
+    let set_aside = recovered.set_aside.clone();
     let costly = cycle.restore(recovered, intake, clock::monotonic_ns(), clock::unix_ns());
     if costly > 0 {
         let most = cycle.board().sentence_tokens_max();
         tracing::warn!(
             costly,
-            "the journal has sentences of more than the {most} tokens that a window holds; they are left out: raise model.context_tokens and history.tokens to have them"
+            "the state database has sentences of more than the {most} tokens that a window holds; they are left out: raise model.context_tokens and history.tokens to have them"
         );
     }
-    let directory = options.directory.display();
-    tracing::info!(restored, damaged_bytes, %directory, "journal read");
-    if damaged_bytes > 0 {
-        tracing::warn!(damaged_bytes, %directory, "parts of the journal are damaged or of another version: what they hold is not known any more");
+    tracing::info!(restored, damaged, "state database read");
+    if let Some(SetAside { path, reason, rows }) = set_aside {
+        tracing::error!(
+            reason,
+            rows,
+            path = %path.display(),
+            "the state database is damaged and was set aside: a new one begins with the rows that could be read, and other events are lost"
+        );
     }
-    Ok((journal, restored))
+    if damaged > 0 {
+        tracing::warn!(damaged, "events of the state database are damaged, and were left out");
+    }
+    restored
 }
 
 /// Threads that are started, and what the one is called whose end ends the others.

@@ -5,12 +5,14 @@ use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
+use roomcast_ipc::Sender;
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1};
 use roomcast_llama::LlamaModel;
 
-use super::{Cycle, Entry, Intake, Journal, JournalError, Loaded, SentenceCost, Taken, Zone, journal_options, load};
+use super::{
+    Cycle, Entry, Intake, Journal, Loaded, PersonsFile, SentenceCost, Taken, Zone, journal, journal_options, load,
+};
 use crate::config::Config;
-use crate::eventually::eventually;
 use crate::fleet_day::{self, Outcome, ROBOTS, Track};
 use crate::household::{self, House, Robot, live};
 use crate::narrator::{Account, Who, line_item};
@@ -29,16 +31,13 @@ struct Daemon {
 
 impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
-        let Loaded { board, token_counter, .. } = load(config, setup::configured_model, Arc::new(|| true)).unwrap();
+        let (journal, mut recovered) = Journal::open(&journal_options(&config.daemon).unwrap()).unwrap();
+        let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
+        let Loaded { board, token_counter, .. } =
+            load(config, names, setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));
-        let options = journal_options(&config.daemon).unwrap();
-        // A process that another test starts inherits the lock of an open journal, for a moment.
-        let (journal, recovered) = eventually("the journal is free", || match Journal::open(&options) {
-            Err(JournalError::Locked { .. }) => None,
-            opened => Some(opened.unwrap()),
-        });
         cycle.restore(recovered, &mut intake, now_ns, now_unix_ns);
         let (scores, forecast, persons) = Default::default();
         Self { cycle, intake, journal, scores, forecast, persons }
@@ -52,7 +51,7 @@ impl Daemon {
         self.cycle.enter(Entry::new(observation, now_ns), record);
     }
 
-    /// Scores, and writes its messages when they are due, in the order of the scoring thread. Returns whether they were due.
+    /// Scores, and writes its messages where they are due, in the order of the scoring thread; gives whether they were due.
     fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
         let handle = self.journal.handle();
         while self.cycle.step_due(now_ns) {
@@ -203,8 +202,9 @@ fn each_person_is_found_over_a_day_a_night_and_two_restarts() {
     let narrators = ["sensors", "camera"].map(|name| (name, Account::new(name, 1)));
     let mut house = Played { brain, narrators, now_ns: BEGIN_NS };
     live(&mut house, household::END_MIN);
-    let rotated = house.brain.folder.path().join("state/narration.journal.old");
-    assert!(rotated.exists(), "the journal was never rotated");
+    house.brain.daemon = None;
+    let recovered = journal::look(&house.brain.folder.path().join("state")).unwrap();
+    assert!(!recovered.settled.is_empty(), "no events went: {}", recovered.observations.len());
 }
 
 /// One day of two robots, which hear the decisions of each other or do not.

@@ -5,10 +5,11 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use roomcast_ipc::{
-    AnswerPort, DecisionV1, ForecastV1, IpcError, ItemScoresPublisher, Node, PersonForecastsV1, PersonScoresV1,
-    Publisher, RobotReportV1, RoomScoresV1, StatusResponseV1, StatusServer, Subscriber, question, score_flags,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1, StatusResponseV1,
+    score_flags,
 };
+use roomcast_ipc::{AnswerPort, IpcError, ItemScoresPublisher, Node, Publisher, StatusServer, Subscriber, question};
 use sd_notify::NotifyState;
 
 use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, write_habits};

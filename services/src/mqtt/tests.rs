@@ -1,4 +1,4 @@
-//! Rules, what is remembered, and real brokers.
+//! Rules, memory of messages, and real brokers.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -137,7 +137,7 @@ fn a_rehearsal_tells_which_rule_says_what() {
     );
     let text = told("else\u{1b}[2J", "\u{7}", false);
     assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
-    // What turns the direction of a line, or makes it long, does neither.
+    // A character that changes the direction of a line, or a long text, is made harmless.
     let text = told("z/kitchen", &format!("{{\"state\": \"\u{202e}\u{9b}{}\"}}", "x".repeat(200)), false);
     assert!(text.starts_with("z/kitchen  {\"state\": \"\\u202e\\u009bxxx") && text.contains("xxx..."), "{text:?}");
     assert!(!text.contains(['\u{202e}', '\u{9b}']), "{text:?}");
@@ -170,7 +170,16 @@ fn what_an_unread_payload_lacks_is_known() {
     }
 }
 
-/// A retained message that is taken away comes as an empty one: it says of nobody that they are away.
+#[test]
+fn unavailable_devices_have_none_of_the_states_that_unless_leaves() {
+    let rules = "[[rule]]\ntopic = \"count\"\nunless = [\"0\"]\npresence = \"present\"\nroom = \"hall\"";
+    let mut listener = Listener::new(Rules::parse(rules).unwrap());
+    for (payload, lines) in [("unavailable", 0), ("Unknown", 0), ("offline", 0), ("2", 1), ("None", 0)] {
+        assert_eq!(listener.hear(b"count", payload.as_bytes(), false, Instant::now()).len(), lines, "{payload}");
+    }
+}
+
+/// The removal of a retained message arrives as an empty message. It does not mean that a person is away.
 #[test]
 fn an_empty_payload_says_nothing() {
     let rules = "[[rule]]\ntopic = \"person\"\nunless = [\"home\", \"unknown\"]\npresence = \"away\"\nperson = \"ada\"";
@@ -180,7 +189,7 @@ fn an_empty_payload_says_nothing() {
     }
 }
 
-/// Of a payload of JSON a rule names the values; all of it is no words of a sentence.
+/// A rule names values of a JSON payload. The whole payload is not part of a sentence.
 #[test]
 fn an_object_in_braces_is_not_said() {
     let rules = "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"plug\"\n\
@@ -295,7 +304,7 @@ fn retained_messages_give_the_state_of_sensors_after_a_start() {
     let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
     let said = hear(&mut listener, "ha/binary_sensor/hall/state", "on", true).unwrap();
     assert!(said.contains(r#""on":true"#), "{said}");
-    // At the next connection they come again.
+    // At the next connection the messages come again.
     listener.first_connection = false;
     assert_eq!(hear(&mut listener, "ha/binary_sensor/hall/state", "on", true), None);
     assert!(hear(&mut listener, "ha/binary_sensor/hall/state", "off", true).unwrap().contains(r#""on":false"#));
@@ -367,7 +376,7 @@ fn missing_rules_are_told_with_the_whole_path() {
     assert!(told.contains(&whole.display().to_string()), "{told}");
 }
 
-/// What programs and devices of smart homes send, in their own shapes.
+/// Messages of programs and devices of smart homes, in their original form.
 #[test]
 fn devices_of_many_makers_are_understood() {
     let rules = r#"
@@ -465,7 +474,7 @@ fn devices_of_many_makers_are_understood() {
             r#"{"person":"ada","presence":"away"}"#,
         ),
         ("homeassistant/person/ada/state", "home", r#"{"person":"Ada","presence":"present"}"#),
-        // Another zone than home is out of the house, and what Home Assistant does not know is nothing.
+        // A zone other than home is out of the house; an unknown value is not an event.
         ("homeassistant/person/ada/state", "unavailable", ""),
         ("homeassistant/person/ada/state", "home", ""),
         ("homeassistant/person/ada/state", "Work", r#"{"person":"Ada","presence":"away"}"#),
@@ -496,7 +505,7 @@ fn a_device_that_was_not_heard_for_a_while_has_done_nothing() {
     );
 }
 
-/// Cameras and plugs send numbers of many shapes, and some programs send JSON texts.
+/// Cameras and plugs send numbers in many forms, and some programs send JSON strings.
 #[test]
 fn values_compare_as_what_they_are() {
     let rules = "[[rule]]\ntopic = \"camera/+\"\nunless = [\"0\", \"geschlossen\"]\npresence = \"present\"\nroom = \"{1}\"\n\
@@ -558,7 +567,7 @@ fn silence_after_the_front_door_says_that_they_are_away() {
     assert!(door(&mut listener, "closed", 0));
     assert_eq!(listener.hear(b"motion", b"on", false, at(300)).len(), 1);
     assert_eq!(listener.due(at(10_000)), Vec::<String>::new(), "somebody moved");
-    // Opening it says nothing, so it breaks no silence; closing it begins the silence again.
+    // Opening it gives no line, so it breaks no silence; closing it begins the silence again.
     assert!(!door(&mut listener, "open", 20_000) && door(&mut listener, "closed", 20_100));
     assert!(!door(&mut listener, "open", 20_200) && door(&mut listener, "closed", 20_300));
     assert!(!door(&mut listener, "closed", 20_400), "a value that repeats says nothing new");
@@ -567,12 +576,12 @@ fn silence_after_the_front_door_says_that_they_are_away() {
     assert_eq!(listener.due(at(20_900)), [r#"{"person":"ada","presence":"away"}"#]);
     assert_eq!(listener.due(at(21_200)), [r#"{"person":"ben","presence":"away"}"#]);
     assert_eq!(listener.due(at(99_999)), Vec::<String>::new());
-    // Time without a connection is no silence.
+    // Time without a connection is not silence.
     assert!(!door(&mut listener, "open", 100_000) && door(&mut listener, "closed", 100_000));
     listener.listen_from(at(100_599));
     assert_eq!(listener.due(at(101_198)), Vec::<String>::new());
     assert_eq!(listener.due(at(101_199)).len(), 1);
-    // What is retained from before this process is no event.
+    // A retained message from before this process is not an event.
     listener.first_connection = true;
     assert!(listener.hear(b"door", b"open", true, at(200_000)).is_empty());
     assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_empty());
@@ -590,14 +599,14 @@ fn filters_fit_as_mqtt_has_it() {
 }
 
 proptest::proptest! {
-    /// A filter that another one covers hears nothing that the other does not: it need not be subscribed to.
+    /// A topic of a covered filter also matches the covering filter, so the covered one needs no subscription.
     #[test]
     fn what_a_filter_covers_it_hears(
         wide in "[ab+$](/[ab+]){0,2}(/#)?|#",
         narrow in "[ab+$](/[ab+]){0,2}(/#)?|#",
         topics in proptest::collection::vec("[ab$](/[ab]){0,3}", 1..40),
     ) {
-        // Of a topic of the broker's own a wildcard at the beginning stands for none.
+        // A wildcard at the beginning does not match the broker's own topics.
         let fits = |filter: &str, topic: &str| {
             matches(filter, topic).is_some() && !(topic.starts_with('$') && filter.starts_with(['+', '#']))
         };
@@ -665,7 +674,7 @@ fn retained_and_repeated_messages_say_nothing_new() {
     assert!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true).unwrap().contains("the oven is on"));
     assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, false), None);
     listener.first_connection = false;
-    // Retained again after a reconnection: changed while away, so it is an event; the same, so it is not.
+    // Retained again after a reconnection: a changed value is an event, the same value is not.
     assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true), None);
     assert!(hear(&mut listener, oven, r#"{"state": {"power": "off"}}"#, true).unwrap().contains("the oven is off"));
     assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, ..Heard::default() });
@@ -712,14 +721,13 @@ fn addresses_and_their_faults() {
     }
 }
 
-/// A PEM file, and its path.
 fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     std::fs::write(&path, text).unwrap();
     path
 }
 
-/// An authority that signs a certificate for this machine; gives the authority's certificate, and the other with its key.
+/// An authority that signs a certificate for this machine. Returns the authority's certificate, and the other with its key.
 fn certificates() -> (String, String, String) {
     use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
     let mut params = CertificateParams::new(Vec::new()).unwrap();
@@ -731,13 +739,13 @@ fn certificates() -> (String, String, String) {
     (authority.as_ref().pem(), own.pem(), key.serialize_pem())
 }
 
-/// How a connection that must not come about ends: with what the client says of its first attempt.
+/// The client's error at its first attempt to connect.
 fn refusal(broker: &Broker) -> String {
     let (_client, mut connection) = Client::new(broker.options().unwrap(), 10);
     connection.recv().unwrap().unwrap_err().to_string()
 }
 
-/// TLS with certificates of an own authority, and credentials from a file.
+/// TLS with a private authority, and credentials from a file.
 #[test]
 fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
     let port = free_port();
@@ -791,7 +799,7 @@ fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
     assert_eq!(listening.join().unwrap().unwrap().said, 1);
 }
 
-/// Two clients of one name at a real broker: whoever loses its place is told what it may be.
+/// Two clients of one name at a real broker: the client that loses its place gets a hint at the cause.
 #[tokio::test]
 async fn a_client_whose_place_is_taken_says_so() {
     let port = free_port();
@@ -829,17 +837,17 @@ fn nothing_is_lost_over_a_restart_of_the_broker() {
     let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
     let listening = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
     let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
-    // What is retained comes first: the subscription stands.
+    // The retained message comes first, so the subscription is active.
     assert!(lines.next().unwrap().contains("the oven is on"));
     let steps = |range: std::ops::Range<u32>| range.map(|n| ("home/step", n.to_string(), false)).collect::<Vec<_>>();
-    // So many that it is known to count its identifiers.
+    // These are enough to recognise that the broker counts its identifiers.
     broker.publish(&steps(1000..1100));
     for n in 1000..1100 {
         assert!(lines.next().unwrap().contains(&format!("They do step {n}.")));
     }
     broker.publish(&steps(0..50));
     let broker = broker.restart();
-    // The listener may not be back yet: its session is.
+    // The listener may not be back yet, but its session is.
     broker.publish(&steps(50..100));
     for n in 0..100 {
         let line = lines.next().unwrap();
@@ -850,17 +858,15 @@ fn nothing_is_lost_over_a_restart_of_the_broker() {
     assert_eq!((heard.said, heard.unfit), (201, 0));
 }
 
-/// Held by tests that look at the memory of this process: one must not see what the other's messages take.
+/// The lock of tests that measure the memory of this process, so that one does not see the other's.
 static MEMORY: Mutex<()> = Mutex::new(());
 
-/// Memory that this process has, in bytes.
 fn resident() -> u64 {
     let text = std::fs::read_to_string("/proc/self/status").unwrap();
     let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
     kilobytes.unwrap().parse::<u64>().unwrap() << 10
 }
 
-/// A listener in a thread of its own, and what it says.
 struct Listening {
     thread: std::thread::JoinHandle<Result<Heard, MqttError>>,
     lines: std::io::Lines<BufReader<std::io::PipeReader>>,
@@ -887,7 +893,7 @@ impl Listening {
         self.lines.next().map(Result::unwrap)
     }
 
-    /// Stops it as a signal does; what it still says, and its counts.
+    /// Stops it as a signal does. Returns its last lines, and its counts.
     fn end(self) -> (Vec<String>, Heard) {
         self.stop.request();
         let rest = self.lines.map(Result::unwrap).collect();
@@ -895,12 +901,12 @@ impl Listening {
     }
 }
 
-/// What a stand-in for a broker greets with.
+/// The greeting of a stand-in for a broker.
 const CONNACK: [u8; 5] = [0x20, 3, 0, 0, 0];
 
 const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
 
-/// A rehearsal beside the narrator of the same name: it tells what would be said, and the narrator's session keeps every message.
+/// A rehearsal at the same time as the narrator of the same name: it reports the lines, and the narrator's session keeps every message.
 #[test]
 fn a_rehearsal_takes_nothing_from_the_narrator() {
     let port = free_port();
@@ -951,7 +957,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     };
     let seed = std::env::var("ROOMCAST_MQTT_SEED").map_or(22, |text| text.parse().unwrap());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    // Its session stands when what is said after it has come.
+    // Its session exists when a later message has arrived.
     broker.publish(&[("home/start", "first".into(), true)]);
     let start = "[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {value}.\"\nretained = true";
     let mut first = Listening::start(port, &format!("{STEPS}\n{start}"));
@@ -969,7 +975,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
         let backlog: Vec<_> = (published..published + BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
         broker.publish(&backlog);
         published += BACKLOG;
-        // One is asked to stop in the middle of the backlog, and the next one goes on; now and then the broker restarts, too.
+        // One narrator is stopped in the middle of the backlog, and the next one continues; now and then the broker restarts, too.
         if restart % 3 == 2 {
             broker = broker.restart();
         }
@@ -988,7 +994,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
             if middle.is_some_and(|middle| now >= middle) {
                 middle = None;
                 broker = broker.restart();
-                // It is behind all that the broker sends again: whoever has said it has acknowledged that.
+                // This message follows everything that the broker sends again: a narrator that has processed it has acknowledged the rest.
                 broker.publish(&[("home/step", published.to_string(), false)]);
                 published += 1;
             }
@@ -1000,7 +1006,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     assert!(largest < 64 << 20, "{largest} bytes more");
 }
 
-/// Hears lines as a daemon takes them that is slower than the broker.
+/// Reads lines as a daemon that is slower than the broker.
 struct Slow(Arc<Mutex<Vec<u8>>>);
 
 impl Write for Slow {
@@ -1015,7 +1021,7 @@ impl Write for Slow {
     }
 }
 
-/// mosquitto 2.0.11 sends its whole queue at once, however few messages it was told to send ahead.
+/// mosquitto 2.0.11 sends its whole queue at once, regardless of the receive maximum.
 #[test]
 fn who_is_killed_in_a_backlog_says_few_messages_twice() {
     const BACKLOG: u64 = 2_000;
@@ -1030,7 +1036,7 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
         let (out, stop) = (Arc::new(Mutex::new(Vec::new())), Stop::new());
         let connection = Connection::new(to.options().unwrap(), Rules::parse(STEPS).unwrap(), Slow(Arc::clone(&out)));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
-        // It is gone from one moment to the next, without a farewell.
+        // It ends without a farewell.
         let killed = runtime.block_on(async { tokio::time::timeout(most, connection.listen(&stop)).await.is_err() });
         assert!(killed);
         let said = String::from_utf8(std::mem::take(&mut *out.lock().unwrap())).unwrap();
@@ -1046,7 +1052,7 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
         next = first + steps.len() as u64;
         next
     };
-    // The session, and then what waits for it.
+    // First the session, and then its backlog.
     live(Duration::from_millis(300));
     let backlog: Vec<_> = (0..BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
     broker.publish(&backlog);
@@ -1069,7 +1075,7 @@ fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
     broker.publish(&[("home/step", "first".into(), true)]);
     let mut listening = Listening::start(port, &format!("{STEPS}\nretained = true\n{door}"));
     assert!(listening.next().unwrap().contains("step first"));
-    // A step that follows breaks the silence of the first closing, and nothing that of the second.
+    // A later step breaks the silence of the first closing, but not the silence of the second.
     broker.publish(&[("home/door", "closed".into(), false), ("home/step", "next".into(), false)]);
     assert!(listening.next().unwrap().contains("step next"));
     broker.publish(&[("home/door", "open".into(), false), ("home/door", "closed".into(), false)]);
@@ -1096,7 +1102,7 @@ fn oversized_messages_are_refused_by_name_and_passed_over() {
     let before = resident();
     let of = |bytes: usize| "x".repeat(bytes);
     for round in 0..6 {
-        // What the broker passes over itself, what is refused here, and what is narration after all.
+        // The broker drops the message of 17 MB itself, three are dropped here, and one is narration.
         broker.publish(&[("home/camera", of(10 << 20), false), ("home/camera", of(17 << 20), false)]);
         broker.publish(&[("home/camera", of(PAYLOAD_BYTES_MAX + 1), false)]);
         broker.publish(&[("home/camera", of(PACKET_BYTES_MAX as usize - 64), false)]);
@@ -1109,7 +1115,7 @@ fn oversized_messages_are_refused_by_name_and_passed_over() {
     assert!(more < 128 << 20, "{more} bytes more");
 }
 
-/// More messages of 1.2 MB than the broker may send ahead: mosquitto 2.0.11 delivers nothing any more if it has to drop so many.
+/// More messages of 1.2 MB than the broker may send ahead: mosquitto 2.0.11 delivers no more messages if it has to drop so many.
 fn images(topic: &'static str, count: usize) -> Vec<(&'static str, String, bool)> {
     vec![(topic, "x".repeat(1_200_000), false); count]
 }
@@ -1134,7 +1140,7 @@ fn many_images_do_not_silence_the_narrator() {
     assert!(listening.next().unwrap().contains("step 1."));
     assert!(published.elapsed() < Duration::from_secs(10), "{:?}", published.elapsed());
     assert_eq!(listening.end().1.oversized, 64);
-    // Retained images come again with each subscription.
+    // Each subscription delivers retained images again.
     let retained: Vec<String> = (0..40).map(|camera| format!("home/camera/{camera}")).collect();
     let image = "x".repeat(1_200_000);
     broker.publish(&retained.iter().map(|topic| (topic.as_str(), image.clone(), true)).collect::<Vec<_>>());
@@ -1165,7 +1171,7 @@ fn a_connection_over_which_the_broker_delivers_nothing_is_renewed() {
     assert_eq!(listening.end().1.oversized, 0, "the broker has dropped them");
 }
 
-/// Row "a refused subscription" of the attacks. mosquitto's own list of rights grants every subscription, so the broker is a stand-in.
+/// Row "a refused subscription" of the attacks. mosquitto's own access list grants every subscription, so the broker is a stand-in.
 #[test]
 fn a_refused_subscription_is_an_error_with_its_name() {
     const NOT_AUTHORIZED: u8 = 0x87;
@@ -1191,7 +1197,7 @@ fn a_refused_subscription_is_an_error_with_its_name() {
         if codes.iter().any(|code| *code < 0x80) {
             stream.write_all(b"\x30\x0d\x00\x09home/step\x001").unwrap();
         }
-        // Until the client has left.
+        // Waits until the client has left.
         let _rest = stream.read_to_end(&mut Vec::new());
     };
     let refused = "[[rule]]\ntopic = \"secret/#\"\nsay = \"They hide {value}.\"";
@@ -1199,7 +1205,7 @@ fn a_refused_subscription_is_an_error_with_its_name() {
     broker(&[NOT_AUTHORIZED]);
     let error = listening.thread.join().unwrap().unwrap_err().to_string();
     assert!(error.contains("\"secret/#\": NotAuthorized"), "{error}");
-    // Where another filter is granted, that one is heard.
+    // If another filter is granted, its messages arrive.
     let mut listening = Listening::start(port, &format!("{STEPS}\n{refused}"));
     let answering = std::thread::spawn(move || broker(&[0, NOT_AUTHORIZED]));
     assert!(listening.next().unwrap().contains("step 1"));
@@ -1207,7 +1213,7 @@ fn a_refused_subscription_is_an_error_with_its_name() {
     answering.join().unwrap();
 }
 
-/// A broker that sends anything: the generator of its kind, by seeds.
+/// A broker that sends random packets, by seeds.
 #[test]
 fn a_broker_that_sends_anything_is_survived() {
     let message = |rng: &mut ChaCha8Rng| {
@@ -1260,7 +1266,7 @@ fn an_occupancy_sensor_says_that_a_room_is_empty() {
     assert_eq!(said, r#"{"presence":"empty","room":"living room"}"#);
 }
 
-/// Row "4 200 messages of control characters" of the attacks: whatever is published, what waits for silence has few bytes.
+/// Row "4 200 messages of control characters" of the attacks: lines that wait for silence have a byte limit.
 #[test]
 fn what_waits_for_silence_is_bounded_in_bytes() {
     let rules = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"the {1} is {value}\"\nquiet_s = 600.0";
@@ -1288,14 +1294,14 @@ fn what_waits_for_silence_is_bounded_in_bytes() {
         assert_eq!(due.len(), kept);
         assert!(due.iter().all(|line| line_item(line, &Who::Somebody).is_ok()));
     }
-    // There is room again, and what cannot be said is no word that ends a silence.
+    // There is room again. A rejected line does not end a silence.
     let mut listener = Listener::new(Rules::parse(&format!("{rules}\n{STEPS}")).unwrap());
     assert!(listener.hear(b"home/lamp/state", b"on", false, start).is_empty());
     assert!(listener.hear(b"home/step", b"\x07", false, start).is_empty());
     assert_eq!(listener.due(after), [r#"{"kind":"device","text":"the lamp is on"}"#]);
 }
 
-/// Row "900 rules for one field" of the attacks: a message is read once, however many rules look into it.
+/// Row "900 rules for one field" of the attacks: a message is read once for all rules.
 #[test]
 fn a_message_is_read_once_for_all_rules() {
     let rule =
@@ -1315,12 +1321,11 @@ fn a_message_is_read_once_for_all_rules() {
     assert_eq!((listener.heard.unfit, listener.heard.oversized), (1, 0));
 }
 
-/// Whether a subscription is a probe.
 fn is_probe(subscribe: &[u8]) -> bool {
     subscribe.windows(probe::TOPIC.len()).any(|part| part == probe::TOPIC.as_bytes())
 }
 
-/// A broker that lies: it does what a test says.
+/// A false broker that does as a test says.
 struct Liar {
     socket: std::net::TcpListener,
     stream: Option<std::net::TcpStream>,
@@ -1345,7 +1350,7 @@ impl Liar {
         (Self { socket, stream: None }, port)
     }
 
-    /// The next packet that comes and is no probe.
+    /// The next packet that is not a probe.
     fn read(&mut self) -> Option<(u8, Vec<u8>)> {
         loop {
             let packet = self.read_any()?;
@@ -1376,9 +1381,9 @@ impl Liar {
         self.stream.as_mut().unwrap().write_all(bytes).unwrap();
     }
 
-    /// Takes a connection, greets it with these properties, and grants its subscription.
+    /// Accepts a connection, greets it with these properties, and grants its subscription.
     fn greet(&mut self, is_kept: bool, properties: &[u8]) {
-        // Whoever was connected learns that it is over.
+        // This ends the earlier connection.
         self.stream = None;
         self.stream = Some(self.socket.accept().unwrap().0);
         let _connect = self.read().unwrap();
@@ -1392,7 +1397,7 @@ impl Liar {
         self.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
     }
 
-    /// The next packet of a kind; pings between are answered.
+    /// The next packet of a kind. It answers pings on the way.
     fn read_kind(&mut self, kind: u8) -> (u8, Vec<u8>) {
         loop {
             let packet = self.read().unwrap();
@@ -1412,7 +1417,7 @@ impl Liar {
 
 const BELL: &str = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring the bell for {value}.\"";
 
-/// A broker that takes the lowest free identifier, whose acknowledgements it has, and whose new messages are lost on their way.
+/// A broker that uses the lowest free identifier has its acknowledgements, and its new messages are lost on their way.
 #[test]
 fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     let (mut broker, port) = Liar::new();
@@ -1420,7 +1425,7 @@ fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     for round in 0..4 {
         broker.greet(round > 0, &[]);
         broker.grant();
-        // From the second time on: their first sending was lost with the link.
+        // From the second round on, their first sending was lost with the connection.
         broker.write(&[message("bell", "ada", 1, round > 0), message("bell", "ben", 2, round > 0)].concat());
         for name in ["ada", "ben"] {
             assert_eq!(
@@ -1433,7 +1438,7 @@ fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     assert_eq!(listening.end().1.said, 8);
 }
 
-/// What this side has not acknowledged comes again for sure, whatever identifiers the broker takes.
+/// An unacknowledged message certainly comes again, in whatever order the broker uses identifiers.
 #[test]
 fn what_was_not_acknowledged_is_recognised() {
     let (mut broker, port) = Liar::new();
@@ -1459,7 +1464,7 @@ fn what_was_not_acknowledged_is_recognised() {
     assert_eq!(thread.join().unwrap().unwrap().said, 2);
 }
 
-/// A broker that counts, and has not got the last acknowledgements; until a ping shows that it has them.
+/// A broker that counts identifiers lacks the last acknowledgements, until a ping shows that it has them.
 #[test]
 fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     let (mut broker, port) = Liar::new();
@@ -1472,7 +1477,7 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
         assert!(listening.next().unwrap().contains(&format!("for {n}.")));
     }
     broker.acknowledged(usize::from(all));
-    // It wants a ping each second now. The last message is new: its first sending was lost.
+    // It expects a ping each second now. The last message is new: its first sending was lost.
     broker.greet(true, &[19, 0, 1]);
     broker.grant();
     let again: Vec<_> = (all - 20..=all).flat_map(|n| message("bell", &n.to_string(), n, true)).collect();
@@ -1487,7 +1492,7 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     broker.grant();
     broker.write(&message("bell", "last", all + 1, true));
     assert!(listening.next().unwrap().contains("for last."), "it had the acknowledgement");
-    // A session that is not kept brings nothing again.
+    // After a new session no message comes again.
     broker.greet(false, &[]);
     broker.grant();
     broker.write(&message("bell", "more", all + 2, true));
@@ -1495,8 +1500,8 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     listening.end();
 }
 
-/// A narrator that has just started, in the middle of a session whose broker counts; the broker ends before it has written down any
-/// acknowledgement, and sends everything again.
+/// A new narrator in the middle of a session with a broker that counts. The broker ends before it has stored any acknowledgement, and sends
+/// everything again.
 #[test]
 fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     let (mut broker, port) = Liar::new();
@@ -1519,7 +1524,7 @@ fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     assert_eq!(listening.end().1.said, ids.len() as u64 + 1);
 }
 
-/// Row "server keep alive 0" of the attacks: the broker wants no pings, and none is too late.
+/// Row "server keep alive 0" of the attacks: the broker expects no pings, and none is too late.
 #[test]
 fn a_broker_that_wants_no_pings_is_not_left() {
     let (mut broker, port) = Liar::new();
@@ -1539,7 +1544,7 @@ fn a_broker_that_wants_no_pings_is_not_left() {
     listening.end();
 }
 
-/// Row "receive maximum 0" of the attacks, and the same broker when it has come to its senses.
+/// Row "receive maximum 0" of the attacks, and the same broker after it has recovered.
 #[test]
 fn a_broker_that_allows_nothing_is_tried_again() {
     let (mut broker, port) = Liar::new();
@@ -1570,7 +1575,6 @@ fn more_answers_than_questions_say_nothing() {
     listening.end();
 }
 
-/// The filters of a subscription with an identifier, and of one without.
 fn is_identified(subscribe: &[u8]) -> bool {
     subscribe[2] > 0
 }
@@ -1605,7 +1609,7 @@ fn what_fits_two_filters_is_said_once() {
     let said: Vec<_> = (0..8).map(|_| first.next().unwrap()).collect();
     assert_eq!(said, expected);
     assert_eq!(first.end(), (Vec::new(), Heard { said: 9, ..Heard::default() }));
-    // What the broker keeps for a narrator that is away, also over its own restart, and also where that has another filter then.
+    // The broker stores messages for an absent narrator, also over its own restart, and also if that narrator then has another filter.
     press(&broker);
     broker = broker.restart();
     let other = "[[rule]]\ntopic = \"zigbee/#\"\nrepeats = true\nsay = \"They press {value}.\"\n\
@@ -1613,14 +1617,14 @@ fn what_fits_two_filters_is_said_once() {
     let mut second = Listening::start(port, other);
     let said: Vec<_> = (0..8).map(|_| second.next().unwrap()).collect();
     assert_eq!(said, expected);
-    // Its session still has the filter of before.
+    // Its session still has the earlier filter.
     press(&broker);
     let said: Vec<_> = (0..8).map(|_| second.next().unwrap()).collect();
     assert_eq!(said, expected);
     assert_eq!(second.end(), (Vec::new(), Heard { said: 16, ..Heard::default() }));
 }
 
-/// A broker may take no identifiers, by its greeting or by its answer.
+/// A broker may reject identifiers, in its greeting or in its answer.
 #[test]
 fn a_broker_without_identifiers_is_asked_without() {
     let (mut broker, port) = Liar::new();
@@ -1641,12 +1645,12 @@ fn a_broker_without_identifiers_is_asked_without() {
     listening.end();
 }
 
-/// What another filter covers is ended once, and only in a session that the broker has kept.
+/// A covered filter is unsubscribed once, and only in a session that the broker has kept.
 #[test]
 fn a_subscription_that_is_left_out_is_ended_once() {
     let rules = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring.\"\n\
         [[rule]]\ntopic = \"#\"\nsay = \"They do {value}.\"";
-    // Whether it asks for an end before it acknowledges a message.
+    // Whether it unsubscribes before it acknowledges a message.
     let asks = |broker: &mut Liar| {
         broker.write(&message("bell", "x", 1, false));
         broker.read().unwrap()
@@ -1749,7 +1753,7 @@ fn a_state_is_said_when_it_has_lasted() {
         let said = listener.hear(b"plug/washer", format!("{{\"power\": {watts}}}").as_bytes(), false, at);
         (said, listener.due(at))
     };
-    // A peak of ten seconds is no use of the machine.
+    // A peak of ten seconds does not count as use of the machine.
     assert_eq!(power(900.0, 0), (vec![], vec![]));
     assert!(power(0.2, 10).0.len() <= 1);
     assert_eq!(power(0.2, 50).1, [""; 0]);

@@ -1,4 +1,4 @@
-//! What a check has found.
+//! The findings of checks.
 
 use std::path::Path;
 use std::time::Duration;
@@ -7,7 +7,6 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_services::config::{Config, RobotKind};
 use serde::Serialize;
 
-/// How good a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Verdict {
@@ -41,7 +40,7 @@ impl Finding {
     }
 }
 
-/// Where the configuration lies, for remedies that name it.
+/// The configuration's path, for remedies that name it.
 pub(super) struct Place<'a> {
     pub(super) config: &'a Path,
     /// How long topics are listened to.
@@ -55,7 +54,7 @@ impl Place<'_> {
     }
 }
 
-/// A few names, and how many more there are.
+/// A few names, and the number of others.
 pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     const SHOWN: usize = 6;
     let names: Vec<&str> = names.into_iter().collect();
@@ -66,7 +65,7 @@ pub(super) fn some_of<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     }
 }
 
-/// What is wrong with the first room of `[robot.segments]` that the map does not have, and what to do.
+/// The first room in `[robot.segments]` that the map lacks, as a fault with its remedy.
 pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
     let ids = || map.rooms().iter().map(|own| own.id.as_str());
     let room = config.robot.segments.keys().find(|room| map.find_room(room).is_none())?;
@@ -79,13 +78,13 @@ pub(super) fn segment_of_no_room(config: &Config, map: &SemanticMap, file: &str)
     Some((found, remedy))
 }
 
-/// Two lines of `[robot.segments]` that cannot both be meant, and what to do: one room with two segments, of which one is never used, or two
-/// rooms that are one segment to the robot, which does neither. Home Assistant's automation may do several rooms as one.
+/// Two contradictory lines of `[robot.segments]`, as a fault with its remedy: a room with two segments, where one is never used, or two rooms with
+/// one segment, where the robot cleans neither. Home Assistant's automation may clean several rooms as one.
 pub(super) fn segments_at_odds(config: &Config, map: &SemanticMap, file: &str) -> Option<(String, String)> {
     let table = &config.robot.segments;
     let pairs =
         || table.iter().enumerate().flat_map(|(at, one)| table.iter().skip(at + 1).map(move |other| (one, other)));
-    // Two names of one room may well have the same.
+    // Two names of one room may have the same segment.
     let is_one = |room: &str, other: &str| map.find_room(room).is_some_and(|known| map.find_room(other) == Some(known));
     if let Some(((room, segment), (other, own))) =
         pairs().find(|((room, segment), (other, own))| segment != own && is_one(room, other))
@@ -104,7 +103,7 @@ pub(super) fn segments_at_odds(config: &Config, map: &SemanticMap, file: &str) -
     Some((found, "give each its own, and leave out a room that the robot has no segment for".to_owned()))
 }
 
-/// Which of these a text was probably meant to be: the nearest by letters that differ, where those are few.
+/// The known text that a misspelt one probably means: the nearest by edit distance, if it is near enough.
 pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let most = (text.chars().count() / 4).clamp(1, 4);
     let far = known.into_iter().map(|known| (letters_apart(text, known), known));
@@ -113,7 +112,7 @@ pub(super) fn nearest<'a>(text: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, known)| known)
 }
 
-/// Letters to be put in, taken out or changed to make one text of another.
+/// The edit distance of two texts.
 fn letters_apart(one: &str, other: &str) -> usize {
     let other: Vec<char> = other.chars().collect();
     let mut row: Vec<usize> = (0..=other.len()).collect();

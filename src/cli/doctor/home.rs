@@ -1,4 +1,4 @@
-//! What is wrong with a home's set-up: its map, rules, persons, broker, topics, robot, and what runs of it.
+//! Checks of a home's set-up: map, rules, persons, broker, topics, robot, and running services.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -18,9 +18,9 @@ use super::finding::{Finding, Place, segment_of_no_room, segments_at_odds, some_
 use super::home_mqtt;
 use crate::cli::count;
 
-/// How long a daemon has to say how it is.
+/// Timeout of the daemon's status.
 const STATUS_MAX: Duration = Duration::from_secs(2);
-/// How far behind a file's time the clock may be, in seconds.
+/// Seconds that the clock may be behind a file's time.
 const CLOCK_S: u64 = 3600;
 
 /// All checks of a home that a configuration file describes.
@@ -42,7 +42,7 @@ pub(super) fn checks(
     findings
 }
 
-/// What is wrong with the names that a configuration file and its rules have, without a look at what runs.
+/// Checks the names in a configuration file and its rules, without a look at running services.
 pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
     let shown = place.shown();
     let segment = |(map, _): (&SemanticMap, &Grounding)| {
@@ -58,7 +58,7 @@ pub(super) fn names(config: &Config, home: Option<(&SemanticMap, &Grounding)>, p
     findings
 }
 
-/// Whether the clock can be right: habits go by the time of day.
+/// Checks the clock: habits depend on the time of day.
 fn clock(config: &Config, place: &Place<'_>) -> Finding {
     let check = "clock";
     let written = |path: &Path| std::fs::metadata(path).and_then(|about| about.modified()).ok();
@@ -78,13 +78,13 @@ fn clock(config: &Config, place: &Place<'_>) -> Finding {
     }
 }
 
-/// Whether what is learned can be kept.
+/// Checks whether habits can be stored.
 fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     let check = "state";
     let folder = config.daemon.state_directory()?;
     let shown = folder.display();
     let another = || format!("give another folder as daemon.state in {}", place.shown());
-    // A folder that is not there yet is made by the daemon.
+    // The daemon makes a missing folder.
     let finding = match no_folder(&folder) {
         None => match little_room(&folder) {
             None => Finding::good(check, format!("kept in {shown}")),
@@ -102,7 +102,7 @@ fn state(config: &Config, place: &Place<'_>) -> Option<Finding> {
     Some(finding)
 }
 
-/// How many KiB the disk of a folder, or of the one above it that is there, has left, where it may not be enough for all that a daemon keeps.
+/// The free KiB on a folder's disk (or its nearest existing parent's), if they may not suffice for the daemon's state.
 fn little_room(folder: &Path) -> Option<u64> {
     /// Journal, habits, and another copy of each while it is replaced.
     const ENOUGH_BYTES: u64 = 64 << 20;
@@ -111,7 +111,7 @@ fn little_room(folder: &Path) -> Option<u64> {
     (left_bytes < ENOUGH_BYTES).then_some(left_bytes >> 10)
 }
 
-/// Whether there is anything in the rooms that a person can turn to.
+/// Checks whether the rooms contain things that persons use.
 fn things(config: &Config, map: &SemanticMap, grounding: &Grounding, place: &Place<'_>) -> Finding {
     let check = "things";
     let file = config.scene.path.as_ref().map(|path| path.display().to_string());
@@ -139,7 +139,7 @@ fn things(config: &Config, map: &SemanticMap, grounding: &Grounding, place: &Pla
     }
 }
 
-/// Whether the home's persons are who the rules speak of.
+/// Compares the home's persons with those of the rules.
 fn persons(config: &Config, place: &Place<'_>) -> Finding {
     let check = "persons";
     let residents = &config.persons.residents;
@@ -172,7 +172,7 @@ fn persons(config: &Config, place: &Place<'_>) -> Finding {
     }
 }
 
-/// What runs of the home.
+/// Checks the running services.
 fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: &Place<'_>) -> Vec<Finding> {
     let check = "services";
     let file = place.shown();
@@ -209,7 +209,7 @@ fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: 
     }
     let mut findings = vec![Finding::good(check, format!("running: {}", some_of(running.iter().copied())))];
     for (name, _, _, start) in missing {
-        // Without the daemon nobody forecasts, and a robot without its planner, or a home without narration, does nothing.
+        // Without the daemon there is no forecast, and without its planner a robot does nothing, as does a home without narration.
         let found = format!(
             "{} runs, and no {name} does, in the domain {} at {}",
             running[0],
@@ -227,7 +227,7 @@ fn services(config: &Config, map: Option<&SemanticMap>, domain: &Domain, place: 
     findings
 }
 
-/// A check's name lives as long as the program.
+/// Names of checks are static.
 fn name_of(service: &str) -> &'static str {
     match service {
         "daemon" => "daemon",
@@ -249,7 +249,7 @@ fn fast_clock(ahead: u64, ahead_ns: u64) -> Option<Finding> {
     (ahead > 0).then(|| Finding::limited("daemon", found, remedy))
 }
 
-/// What the running daemon says of itself.
+/// Checks the running daemon by its status.
 fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> Finding {
     let check = "daemon";
     let status = match node.status_client().and_then(|client| client.ask(STATUS_MAX)) {
@@ -273,7 +273,8 @@ fn daemon(map: Option<&SemanticMap>, node: &roomcast_ipc::Node, file: &str) -> F
         return Finding::wrong(check, found, "its log says why; roomcast model check");
     }
     if status.journal_failures > 0 {
-        let found = format!("its journal could not be written {} times since it started", status.journal_failures);
+        let found =
+            format!("its state database could not be written {} times since it started", status.journal_failures);
         return Finding::limited(check, found, "its log says why; a restart would know less of who is where");
     }
     if let Some(finding) = fast_clock(status.ahead, status.ahead_ns) {

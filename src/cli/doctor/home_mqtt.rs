@@ -1,4 +1,4 @@
-//! The broker of a home: whether it can be reached, what is said there, and whether rules and robot go by it.
+//! Checks of a home's broker: whether it can be reached, which topics it has, and whether rules and robot match them.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::PermissionsExt;
@@ -21,17 +21,16 @@ use roomcast_services::vacuum::{Dialect, Sensed, Status, by_ids, segment_of};
 use super::finding::{Finding, Place, nearest, segment_of_no_room, some_of};
 use crate::cli::count;
 
-/// Domains of Home Assistant whose states say something of people.
+/// Home Assistant's domains with states about people.
 const OF_PEOPLE: [&str; 8] = ["binary_sensor", "light", "switch", "media_player", "lock", "cover", "fan", "person"];
 
 /// Home Assistant's states under another base topic than the rules'.
 const STATES: [&str; 4] = ["+/binary_sensor/+/state", "+/light/+/state", "+/switch/+/state", "+/person/+/state"];
-/// How long rules are counted before one that never fitted is named, in hours: nobody opens every door within minutes.
+/// Rules are counted for this many hours before an unused one is reported: not every door is opened within minutes.
 const COUNTED_H_MIN: f64 = 1.0;
 /// Robots under another prefix than the configured one.
 const ROBOTS: [&str; 2] = ["+/+/$state", "+/+/StatusStateAttribute/status"];
 
-/// Broker, rules, topics and robot.
 pub(super) fn checks(config: &Config, home: Option<(&SemanticMap, &Grounding)>, place: &Place<'_>) -> Vec<Finding> {
     let mut findings = Vec::new();
     let rules = match config.mqtt.rules.as_deref() {
@@ -88,7 +87,7 @@ fn has_robot(config: &Config) -> bool {
     config.robot != Default::default()
 }
 
-/// Names of persons that rules have, without placeholders.
+/// Names of persons in the rules, without placeholders.
 pub(super) fn persons_of_rules(config: &Config) -> Vec<String> {
     let rules = config.mqtt.rules.as_deref().and_then(|path| Rules::load(path).ok());
     let mut names: Vec<String> =
@@ -98,7 +97,7 @@ pub(super) fn persons_of_rules(config: &Config) -> Vec<String> {
     names
 }
 
-/// Whether the rules can be read, and name rooms and things that there are.
+/// Checks whether the rules can be read and name existing rooms and things.
 pub(super) fn rules(path: &Path, home: Option<(&SemanticMap, &Grounding)>) -> (Vec<Finding>, Option<Rules>) {
     let check = "rules";
     let rules = match Rules::load(path) {
@@ -146,7 +145,7 @@ fn rooms_of_rules(path: &Path, rules: &Rules, map: &SemanticMap) -> Option<Findi
     Some(Finding::wrong("rules", found, remedy))
 }
 
-/// Rules whose sentence speaks of a thing or a room that the map does not have.
+/// Rules with a sentence about a thing or a room that the map does not have.
 fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Grounding) -> Option<Finding> {
     let mut mentions = PlaceMatcher::new(map, grounding);
     let said = rules.about().filter_map(|rule| Some((rule.number, rule.sentence?)));
@@ -174,7 +173,7 @@ fn things_of_rules(path: &Path, rules: &Rules, map: &SemanticMap, grounding: &Gr
     Some(Finding::limited("things of rules", found, remedy))
 }
 
-/// A line whose text begins with a name of no person, for people.
+/// Reports a line with a text that begins with a name that belongs to no person.
 pub(in crate::cli) fn no_person(line: &str, persons: &Persons) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let text = line.get("text")?.as_str()?;
@@ -183,7 +182,7 @@ pub(in crate::cli) fn no_person(line: &str, persons: &Persons) -> Option<String>
         .then(|| "the text begins with a name from persons.not_persons, so it moves no person".to_owned())
 }
 
-/// A line whose text resembles a presence form and is none, for people.
+/// Reports a line with a text that resembles a presence form but is none.
 pub(in crate::cli) fn not_quite_a_form(line: &str, persons: &Persons, map: Option<&SemanticMap>) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let text = line.get("text")?.as_str()?;
@@ -193,7 +192,7 @@ pub(in crate::cli) fn not_quite_a_form(line: &str, persons: &Persons, map: Optio
     Some(format!("this sets no presence; the nearest form is {:?} (docs/persons.md)", form.sentence))
 }
 
-/// Whom a line of narration names who does not live here, for people, where the home lists who does.
+/// Reports a line about a person who is not among the listed residents.
 pub(in crate::cli) fn no_resident(line: &str, persons: &Persons, residents: &[String]) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let name = line.get("person")?.as_str()?;
@@ -202,12 +201,12 @@ pub(in crate::cli) fn no_resident(line: &str, persons: &Persons, residents: &[St
     is_guest.then(|| format!("nobody who lives here is called {name:?} (persons.residents: {who}): they are a visitor"))
 }
 
-/// Whether a topic is one of Home Assistant's own: `BASE/DOMAIN/OBJECT/state`, or below the base that its manual has.
+/// Whether a topic is Home Assistant's own: `BASE/DOMAIN/OBJECT/state`, or below the base in its manual.
 fn is_of_statestream(topic: &str) -> bool {
     topic.starts_with("homeassistant/") || topic.ends_with("/state") && topic.matches('/').count() >= 3
 }
 
-/// What a line of narration speaks of and the map does not have, for people.
+/// Reports a room or a thing of a line that the map does not have.
 pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let line: serde_json::Value = serde_json::from_str(line).ok()?;
     let of = |key: &str| line.get(key).and_then(serde_json::Value::as_str);
@@ -221,8 +220,8 @@ pub(in crate::cli) fn remark(line: &str, map: &SemanticMap, mentions: &mut Place
     Some(format!("the map has no {thing:?}"))
 }
 
-/// The thing that a sentence is about, where neither it nor anything else in the sentence is on the map. None where the sentence names no thing,
-/// says only who is in the house or out of it, or has a placeholder, whose value nobody knows yet.
+/// The thing of a sentence, if neither it nor another thing in the sentence is on the map. `None` if the sentence names no thing, reports only
+/// presence in the house, or has a placeholder with an unknown value.
 fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> Option<String> {
     let sentence = Sentence::new(said).ok().filter(|_| !said.contains('{'))?;
     if mentions.last(said).is_some() {
@@ -237,19 +236,19 @@ fn missing_thing(said: &str, map: &SemanticMap, mentions: &mut PlaceMatcher) -> 
         .filter(|word| !word.is_empty())
         .map(str::to_lowercase)
         .collect();
-    // What the table of names knows is a thing wherever it stands behind who does what.
+    // A word in the table of names is a thing wherever it stands after subject and verb.
     let runs = (1..=4).rev().flat_map(|length| words.get(2..).unwrap_or_default().windows(length));
     let is_known = |run: &String| Names::built_in().names().any(|name| name == run);
     if let Some(known) = runs.map(|run| run.join(" ")).find(is_known) {
         return Some(known);
     }
-    // Of what nothing is known "the" says that it is a thing.
+    // An unknown word after "the" is a thing.
     let at = words.iter().position(|word| word == "the")?;
     let named = words[at + 1..].join(" ");
     (!named.is_empty()).then_some(named)
 }
 
-/// What is listened to: everything beside what rules name, and robots.
+/// The subscriptions: wide ones around the rules' topics, and robots.
 fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
     let first = |topic: &str| topic.split('/').next().unwrap_or_default().to_owned();
     let mut roots: Vec<String> = rules.iter().flat_map(|rules| rules.filters()).map(|filter| first(&filter)).collect();
@@ -264,7 +263,7 @@ fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
     if rules.is_some() {
         filters.extend(STATES.map(str::to_owned));
     }
-    // Topics of one level, which the wide ones have not.
+    // Topics of one level, which the wide filters miss.
     filters.extend(roots.iter().filter(|root| !root.contains(['#', '+'])).cloned());
     if has_robot(config) {
         filters.extend(ROBOTS.map(str::to_owned));
@@ -274,7 +273,7 @@ fn filters(config: &Config, rules: Option<&Rules>) -> Vec<String> {
 
 fn reached(broker: &Broker, seen: &Seen) -> Finding {
     let check = "broker";
-    // What is only looked for elsewhere may be refused.
+    // Subscriptions that only search elsewhere may be refused.
     let is_needed = |filter: &str| !STATES.contains(&filter) && !ROBOTS.contains(&filter);
     if let Some((filter, reason)) = seen.refused.iter().find(|(filter, _)| is_needed(filter)) {
         let found = format!("{} refuses the subscription to {filter} ({reason})", broker.address);
@@ -300,7 +299,7 @@ fn unreached(error: &LookError, place: &Place<'_>) -> Finding {
     Finding::wrong("broker", chain(error), format!("{} ({})", error.remedy(), place.shown()))
 }
 
-/// Whether what rules listen to is there, and what is there that no rule listens to.
+/// Compares the topics of the rules with those of the broker.
 fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Place<'_>) -> Vec<Finding> {
     let shown = path.display();
     let own = |topic: &str| {
@@ -327,7 +326,7 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     let all = rules.about().count();
     let wait_s = place.wait.as_secs_f64();
     let mut findings = Vec::new();
-    // A topic that is there under nearly the same name is a typo; one that is not may just not have spoken yet.
+    // A nearly equal name is a typo. Other missing topics may just not have had a message yet.
     let misspelt = silent.iter().find_map(|rule| {
         if rule.topic.contains(['+', '#']) {
             return None;
@@ -344,11 +343,11 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     } else if silent.len() == all {
         let found =
             format!("{shown}: nothing was said within {wait_s:.0} s under any topic of its {}", count(all, "rule"));
-        // The same under another base.
+        // The same topics under another base.
         let tail = |topic: &str| topic.split_once('/').map(|(_, tail)| tail.to_owned());
         let tails: Vec<String> = rules.about().filter_map(|rule| tail(rule.topic)).collect();
         let other = all_topics().find(|(topic, _)| tail(topic).is_some_and(|own| tails.contains(&own)));
-        // Of Home Assistant are most rules, as `init` wrote them; what was added may be of anything.
+        // Most rules are of Home Assistant, from `init`; added ones may be of any program.
         let topics_of = |wanted: &str| rules.about().filter(|rule| base(rule.topic) == wanted).count();
         let wanted = bases.iter().max_by_key(|base| topics_of(base)).map_or("homeassistant", String::as_str);
         let (found, remedy) = match other.map(|(topic, _)| base(topic)) {
@@ -416,9 +415,9 @@ fn topics(rules: &Rules, path: &Path, seen: &Seen, config: &Config, place: &Plac
     findings
 }
 
-/// Topics that a rule listens to, with a last payload that no rule can read.
+/// Topics of a rule with a last payload that no rule can read.
 fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Finding> {
-    // Nothing is what is left of a payload that was too large to be remembered.
+    // A payload that was too large to remember is empty.
     let filled = topics.iter().filter(|(topic, payload)| !payload.is_empty() && is_of_people(topic));
     let unread: Vec<_> = filled
         .filter_map(|(topic, payload)| {
@@ -443,7 +442,7 @@ fn payloads(rules: &Rules, topics: &[(&str, &[u8])], shown: &str) -> Option<Find
     Some(Finding::limited("payloads", found, remedy))
 }
 
-/// Rules that no message ever fitted.
+/// Rules that no message ever matched.
 fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) -> Finding {
     let check = "rules that fit";
     let never: Vec<_> =
@@ -478,7 +477,7 @@ fn never(rules: &Rules, counted: &Counted, fitted: &[Option<u64>], shown: &str) 
     )
 }
 
-/// Whether a topic may say what people do: of Home Assistant's states only some domains, of other programs all.
+/// Whether a topic may be about people: only some domains of Home Assistant's states, but all of other programs.
 fn is_of_people(topic: &str) -> bool {
     let levels: Vec<&str> = topic.split('/').collect();
     match levels[..] {
@@ -493,7 +492,7 @@ fn is_of_people(topic: &str) -> bool {
     }
 }
 
-/// What is heard of the robot.
+/// The robot's messages.
 #[derive(Default)]
 struct Heard {
     online: Option<bool>,
@@ -515,7 +514,7 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
             Some(Sensed::Status(status)) => (heard.status, heard.any) = (Some(status), true),
             Some(Sensed::Fault(fault)) => (heard.fault, heard.any) = (fault, true),
             Some(Sensed::Segments(segments)) => (heard.segments, heard.any) = (segments, true),
-            // Its sensor may be there while the robot is not.
+            // The battery's sensor may be there while the robot is not.
             Some(Sensed::Battery(_)) => heard.battery = true,
             Some(Sensed::Resumes(_)) => heard.any = true,
             None => {}
@@ -590,7 +589,7 @@ fn robot(config: &Config, map: Option<&SemanticMap>, seen: &Seen, place: &Place<
     findings
 }
 
-/// Home Assistant has a vacuum's battery as a sensor of its own.
+/// Home Assistant has a vacuum's battery as a separate sensor.
 fn no_battery(config: &Config, seen: &Seen) -> Finding {
     let vacuum = config.robot.topic.rsplit('/').next().unwrap_or_default();
     let sensor = format!("/sensor/{vacuum}_battery/state");
@@ -609,7 +608,7 @@ fn no_battery(config: &Config, seen: &Seen) -> Finding {
     Finding::limited("battery", found, remedy)
 }
 
-/// Whether each room has the name that Home Assistant's automation is to get for it.
+/// Checks whether each room has a segment name for Home Assistant's automation.
 fn segments_of_home_assistant(config: &Config, map: &SemanticMap, place: &Place<'_>) -> Finding {
     let check = "segments";
     let file = place.shown();
@@ -633,7 +632,7 @@ fn segments_of_home_assistant(config: &Config, map: &SemanticMap, place: &Place<
     Finding::limited(check, found, remedy)
 }
 
-/// Whether each room is a segment of the robot's own map.
+/// Checks whether each room is a segment of the robot's own map.
 fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, String>, place: &Place<'_>) -> Finding {
     let check = "segments";
     let own = by_ids(&config.robot.segments, map);
@@ -671,7 +670,7 @@ fn segments(config: &Config, map: &SemanticMap, segments: &BTreeMap<String, Stri
         "the robot cannot do {names}: {room}: {why}; its segments are {}",
         some_of(known.iter().map(String::as_str))
     );
-    // One that no room has yet: another would send the robot into the wrong room.
+    // A segment that no room has yet: another would send the robot into the wrong room.
     let done: Vec<String> = rooms.iter().filter_map(|room| segment(room).ok()).collect();
     let number = segments.keys().find(|number| !done.contains(number)).map_or("NUMBER", String::as_str);
     let remedy = format!(
@@ -693,7 +692,7 @@ mod tests {
     use roomcast_services::config::PersonsConfig;
     use roomcast_services::daemon::PersonsFile;
 
-    /// A robot without Valetudo tells of no segments: the configuration alone has them.
+    /// A robot without Valetudo does not list segments: only the configuration has them.
     #[test]
     fn rooms_that_home_assistant_gets_by_their_ids_are_named() {
         let map = SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap();
@@ -719,7 +718,7 @@ mod tests {
         assert_eq!(told(&[("attic", "16")]).0, Verdict::Wrong);
     }
 
-    /// Since 2026.8 Home Assistant's vacuums tell no battery, and it was looked at in vain.
+    /// Regression: since 2026.8 Home Assistant's vacuums publish no battery, so the check looked in vain.
     #[test]
     fn a_robot_of_which_no_battery_is_heard_is_named() {
         let mut config = Config::default();
@@ -742,7 +741,7 @@ mod tests {
         assert!(remedy(&config, &seen).unwrap().starts_with("let Home Assistant say"));
     }
 
-    /// What was counted before is not what is heard now.
+    /// Earlier counts do not prove present messages.
     #[test]
     fn topics_are_seen_only_where_something_is_said() {
         let folder = tempfile::tempdir().unwrap();
@@ -781,7 +780,7 @@ mod tests {
         assert_eq!(told(&["oven", "lamp"]), (Verdict::Good, "2 topics seen, and every rule hears one".to_owned()));
     }
 
-    /// Who followed the remedy for Home Assistant would have it speak under the topics of Zigbee2MQTT.
+    /// Regression: the remedy for Home Assistant named the topics of Zigbee2MQTT.
     #[test]
     fn only_home_assistants_topics_are_set_in_home_assistant() {
         for own in ["homeassistant/sensor/a/state", "homeassistant/#", "home/binary_sensor/hall/state"] {

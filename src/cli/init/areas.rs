@@ -1,4 +1,4 @@
-//! Which areas of Home Assistant are which rooms of a robot's map. It has one storey alone: areas of others become rooms beside it.
+//! Matches areas of Home Assistant with rooms of a robot's map. The map has only one storey: areas of others become additional rooms.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,23 +9,23 @@ use serde_json::{Value, json};
 
 use super::{Failure, count, input, inside};
 
-/// Floors that differ by less in height are one, in metres.
+/// Floors with a smaller difference in height are one, in metres.
 const SAME_FLOOR_M: f64 = 0.1;
-/// The kind of room that people leave a storey by.
+/// The kind of room that leads to other storeys.
 const WAY_OUT: &str = "hallway";
 
-/// The rooms of a home's map that areas are.
+/// The rooms of areas on a home's map.
 #[derive(Debug, Default)]
 pub(super) struct Areas {
-    /// The room's id of each area that is known, by the area's.
+    /// The room's id of each matched area, by the area's id.
     rooms: BTreeMap<String, String>,
 }
 
 impl Areas {
-    /// Finds the areas on a robot's map, and puts those of other floors beside it, boxes as the areas' own map has them.
+    /// Matches the areas with a robot's map, and adds those of other floors, with the boxes of the areas' own map.
     ///
     /// # Errors
-    /// When the rooms do not fit into the map.
+    /// If the rooms do not fit into the map.
     pub(super) fn find(imported: Imported, areas: &SemanticMap) -> Result<(Imported, Self), Failure> {
         let map = &imported.map;
         let floor_m = floor_of(map, areas);
@@ -47,7 +47,7 @@ impl Areas {
         Ok((Imported { map, notes, ..imported }, Self { rooms }))
     }
 
-    /// The room that an area is, on the home's map.
+    /// The room of an area, on the home's map.
     pub(super) fn room(&self, map: &SemanticMap, area: &str) -> Option<RoomId> {
         let id = self.rooms.get(area)?;
         all(map).find(|room| map.rooms()[room.0 as usize].id == *id)
@@ -71,7 +71,7 @@ fn floor_m_of(areas: &SemanticMap, area: RoomId) -> f64 {
     areas.rooms()[area.0 as usize].space.bounds.min_m[2]
 }
 
-/// The floor whose areas the robot's map has most of; none where two have as many.
+/// The floor with most areas on the robot's map; `None` if two have equally many.
 fn floor_of(map: &SemanticMap, areas: &SemanticMap) -> Option<f64> {
     let mut floors: Vec<(usize, f64)> = Vec::new();
     for area in all(areas) {
@@ -92,7 +92,7 @@ fn floor_of(map: &SemanticMap, areas: &SemanticMap) -> Option<f64> {
     }
 }
 
-/// The map with rooms for these areas, above and below it, and the way there from where people leave its storey.
+/// The map with rooms for these areas, above and below it, connected with the way out of its storey.
 fn beside(
     map: &SemanticMap,
     areas: &SemanticMap,
@@ -156,7 +156,7 @@ fn words(name: &str) -> String {
     name.to_lowercase().replace(['_', '-'], " ")
 }
 
-/// The names that a room alone has among some: its id, its label where no other of them bears it, and what aliases say of either.
+/// The unambiguous names of a room among some: its id, its label if no other room has it, and their aliases.
 fn own_names(map: &SemanticMap, among: &[RoomId], room: RoomId) -> BTreeSet<String> {
     let own = &map.rooms()[room.0 as usize];
     let is_only = among.iter().filter(|other| map.rooms()[other.0 as usize].label == own.label).count() == 1;
@@ -166,8 +166,8 @@ fn own_names(map: &SemanticMap, among: &[RoomId], room: RoomId) -> BTreeSet<Stri
     keys().chain(aliases).map(|name| words(name)).collect()
 }
 
-/// The room of the robot's map that an area of its floor is: the one that has one of its names, else the only one of its kind where it is the
-/// only area of that kind there.
+/// The room of the robot's map for an area of its floor: the one with one of the area's names, else the only one of its kind, if the area is also the
+/// only one of that kind.
 fn room_of_area(map: &SemanticMap, areas: &SemanticMap, here: &[RoomId], area: RoomId) -> Option<RoomId> {
     let rooms: Vec<RoomId> = all(map).collect();
     let names = own_names(areas, here, area);
@@ -215,7 +215,7 @@ mod tests {
         ("hobby", "Hobbyraum", "keller"),
     ];
 
-    /// A robot knows one storey. Who is on another is known to be there, and not waited for where the robot works.
+    /// A robot knows one storey. A person on another one is known to be there, so the robot need not wait.
     #[test]
     fn areas_of_other_floors_become_rooms_beside_the_robots() {
         let (home, own) = (areas(&HOME), robot(&["kitchen", "hallway", "bathroom"]));
@@ -226,7 +226,7 @@ mod tests {
         assert_eq!(map.rooms()[..3], own.map.rooms()[..]);
         let floor_m = |area: &str| map.rooms()[known.room(&map, area).unwrap().0 as usize].space.bounds.min_m[2];
         assert!(floor_m("hobby") < -2.0 && floor_m("kuche") == 0.0 && floor_m("eltern") > 2.0);
-        // All can be walked to, by the hallway.
+        // All can be reached on foot, through the hallway.
         let mut reached = BTreeSet::from([known.room(&map, "flur_unten").unwrap().0]);
         for _ in 0..map.rooms().len() {
             for [one, other] in map.doors().iter().map(|door| door.rooms.map(|room| room.0)) {

@@ -1,4 +1,4 @@
-//! Questions on a terminal; whoever is no terminal is asked nothing.
+//! Questions on a terminal. Without a terminal there are no questions.
 
 use std::io::{self, BufRead, IsTerminal, Write};
 
@@ -7,7 +7,6 @@ use crate::columns::prose;
 use crate::exit_code;
 use roomcast_core::text::{visible, visible_lines};
 
-/// Asks, or does not.
 pub(super) struct Asker {
     terminal: Option<Terminal>,
 }
@@ -18,27 +17,27 @@ struct Terminal {
 }
 
 impl Asker {
-    /// One that asks where both ends are a terminal, unless it is to ask nothing.
+    /// Asks if both ends are a terminal, unless `silent`.
     pub(super) fn new(silent: bool) -> Self {
         let asks = !silent && io::stdin().is_terminal() && io::stdout().is_terminal();
         let terminal = || Terminal { input: Box::new(io::BufReader::new(io::stdin())), output: Box::new(io::stdout()) };
         Self { terminal: asks.then(terminal) }
     }
 
-    /// One that asks these ends.
+    /// Asks over these ends.
     #[cfg(test)]
     pub(super) fn of(input: impl BufRead + 'static, output: impl Write + 'static) -> Self {
         Self { terminal: Some(Terminal { input: Box::new(input), output: Box::new(output) }) }
     }
 
-    /// Says something where questions are asked, in lines that fit.
+    /// Prints a wrapped text if questions are asked.
     pub(super) fn say(&mut self, text: &str) -> Result<(), Failure> {
         let Some(Terminal { output, .. }) = &mut self.terminal else { return Ok(()) };
-        // Of topics and of what others answer, somebody else says what they are.
+        // Parts of the text are untrusted, for instance topics.
         writeln!(output, "{}", prose(&visible_lines(text))).and_then(|()| output.flush()).map_err(failed)
     }
 
-    /// The answer to a question, the default where the line is empty; none where nothing is asked.
+    /// The answer to a question, or the default for an empty line; `None` if no questions are asked.
     pub(super) fn text(&mut self, question: &str, default: &str) -> Result<Option<String>, Failure> {
         self.say(question)?;
         let Some(Terminal { input, output, .. }) = &mut self.terminal else { return Ok(None) };
@@ -53,7 +52,7 @@ impl Asker {
         Ok(Some(if answer.is_empty() { default.to_owned() } else { answer.to_owned() }))
     }
 
-    /// What an answer leads to; one that leads to nothing is told why, and the question is asked again. None where nothing is asked.
+    /// The value of an answer. After a fault the reason is printed, and the question asked again. `None` if no questions are asked.
     pub(super) fn until<T>(
         &mut self,
         question: &str,
@@ -64,14 +63,14 @@ impl Asker {
             let Some(answer) = self.text(question, default)? else { return Ok(None) };
             match take(self, &answer) {
                 Ok(taken) => return Ok(Some(taken)),
-                // Nobody answers any more.
+                // The input has ended.
                 Err(failure) if failure.code == exit_code::INTERRUPTED => return Err(failure),
                 Err(failure) => self.say(&format!("{failure}.\n"))?,
             }
         }
     }
 
-    /// Yes or no; none where nothing is asked.
+    /// Yes or no; `None` if no questions are asked.
     pub(super) fn yes_or_no(&mut self, question: &str, default: bool) -> Result<Option<bool>, Failure> {
         let shown = if default { "yes" } else { "no" };
         self.until(question, shown, |_, answer| match answer.to_lowercase().as_str() {
@@ -106,7 +105,7 @@ mod tests {
         assert!(asker.text("More?", "").unwrap_err().to_string().contains("nothing was written"));
     }
 
-    /// What a broker's topics may hold.
+    /// A broker's topics may contain such characters.
     #[test]
     fn a_question_moves_no_cursor() {
         #[derive(Clone, Default)]

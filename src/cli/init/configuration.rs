@@ -1,5 +1,3 @@
-//! The configuration that `roomcast init` writes.
-
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -8,7 +6,7 @@ use roomcast_core::semantic_map::SemanticMap;
 
 use super::{Found, RULES_FILE, SCENE_FILE, STATE_FOLDER, is_of_home_assistant};
 
-/// The robot's name by its topic at the broker, unless a resident has it.
+/// The robot's name from its topic at the broker, unless a resident has it.
 pub(super) fn name_of_robot(robot: &str, residents: &[String]) -> Option<String> {
     let words = robot.rsplit('/').next()?.replace(['_', '-'], " ");
     let mut letters = words.trim().chars();
@@ -21,7 +19,7 @@ pub(super) fn name_of_robot(robot: &str, residents: &[String]) -> Option<String>
     Some(name).filter(|name| check_name(name).is_ok() && !is_taken(name))
 }
 
-/// The configuration, with a word to each part.
+/// The configuration, with comments.
 pub(super) fn configuration(map: &SemanticMap, has_rules: bool, found: &Found) -> String {
     let quoted = |text: &str| toml::Value::from(text).to_string();
     let path = |path: &Path| quoted(&path.to_string_lossy());

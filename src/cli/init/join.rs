@@ -1,4 +1,4 @@
-//! A robot's map joined with the things and rules of Home Assistant's areas.
+//! Joins a robot's map with the things and rules of Home Assistant's areas.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -9,10 +9,10 @@ use serde_json::json;
 use super::areas::Areas;
 use super::{Failure, count, input};
 
-/// Size of a thing that Home Assistant knows in a room and the robot's map does not have, in metres.
+/// Size in metres of a thing that only Home Assistant knows.
 const THING_M: f64 = 0.3;
 
-/// The robot's map with the things that Home Assistant knows in its areas, each in the middle of its room.
+/// The robot's map with the things of Home Assistant's areas, each in the middle of its room.
 pub(super) fn with_things(
     map: &SemanticMap,
     areas: &SemanticMap,
@@ -59,7 +59,6 @@ pub(super) fn with_things(
     changed.map_err(|error| input(format!("Home Assistant's things do not fit into the robot's map: {error}")))
 }
 
-/// A point well inside a room, near its middle.
 pub(super) fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
     const STEPS: i32 = 20;
     let space = &map.rooms()[room].space;
@@ -78,16 +77,15 @@ pub(super) fn inside(map: &SemanticMap, room: usize) -> [f64; 3] {
     places.into_iter().map(point).find(is_inside).unwrap_or(middle)
 }
 
-/// What a rule begins with.
+/// The first line of a rule.
 const RULE: &str = "[[rule]]\n";
 
-/// How many rules a file has that are no comments.
+/// The number of rules that are not comments.
 pub(super) fn rules_in(text: &str) -> usize {
     text.lines().filter(|line| *line == RULE.trim_end()).count()
 }
 
-/// Rules whose rooms are named as the robot's map has them. A rule of an area that no room is known to be is a comment, so that nobody is taken
-/// to be in the wrong room.
+/// Rules with the rooms' names of the robot's map. A rule of an unmatched area becomes a comment, so that it moves no person into a wrong room.
 pub(super) fn in_rooms_of(
     map: &SemanticMap,
     areas: &SemanticMap,
@@ -105,7 +103,7 @@ pub(super) fn in_rooms_of(
     let mut parts = rules.split(RULE);
     let mut text = parts.next().unwrap_or_default().to_owned();
     for part in parts {
-        // What stands behind an empty line is the next one's.
+        // A comment after an empty line belongs to the next rule.
         let (rule, rest) = part.split_at(part.find("\n\n").map_or(part.len(), |at| at + 1));
         let named = rule.parse::<toml::Table>().ok();
         let area = named.as_ref().and_then(|table| table.get("room")).and_then(toml::Value::as_str);

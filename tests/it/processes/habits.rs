@@ -1,7 +1,8 @@
 //! Habits.
 
 use roomcast_core::ids::PersonId;
-use roomcast_ipc::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, sequence};
+use roomcast_ipc::raw::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::sequence;
 use rustix::process::Signal;
 
 use super::{World, eventually, habits, includes, recorder_listens, scores_with};

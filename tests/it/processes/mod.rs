@@ -1,7 +1,8 @@
 //! Real processes in private domains: what holds between narrator, daemon and planner when one is late, doubled, restarted,
 //! fast, foreign or hostile. Nothing here sleeps for a fixed time to prove something, and nothing is held to a time.
 
-use roomcast_ipc::{DecisionV1, Node, RobotReportV1, RoomScoresV1, Subscriber, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Node, Subscriber, sequence};
 
 mod commands;
 mod daemon;

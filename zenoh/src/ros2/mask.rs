@@ -1,4 +1,4 @@
-//! A Nav2 keepout mask over the rooms of a map: how likely somebody is in a room, as a cost that is never lethal. Pure.
+//! A Nav2 keepout mask over the rooms of a map: the probability that a room is occupied, as a cost that is never lethal.
 
 use std::fs;
 use std::io::Read;
@@ -8,8 +8,8 @@ use roomcast_core::grounding::Partition;
 use roomcast_core::semantic_map::{Storey, Storeys};
 use roomcast_ros2::types::{Header, MapMetaData, OccupancyGrid, Point, Pose, Quaternion};
 
-/// A certain person's room. Nav2's keepout filter makes 100 a lethal cost of 254; this is 249, below those that a robot's body must not
-/// touch.
+/// The value of a room that is certainly occupied. Nav2's keepout filter maps 100 to the lethal cost 254; this becomes 249, below the costs that a
+/// robot's body must not touch.
 pub const MOST: i8 = 98;
 /// Most cells of a map.
 pub const CELLS_MAX: u64 = 16_000_000;
@@ -24,17 +24,17 @@ pub struct MapError {
     problem: String,
 }
 
-/// The storey that a map is of is not known: it has one, and the scene another, or several.
+/// The storey of a map is ambiguous.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the storeys of ros2.scene: {storeys}; ros2.floor_m says in metres which of these floors ros2.map is of")]
 pub struct StoreyError {
     storeys: String,
 }
 
-/// A floor is known by its height to so many metres.
+/// Tolerance of a floor's height in metres.
 const FLOOR_M: f64 = 1.0;
 
-/// Which storey of a scene has its floor at this height; without one there has to be only one.
+/// The storey with a floor at this height. Without a height, the scene must have only one storey.
 ///
 /// # Errors
 ///
@@ -55,21 +55,21 @@ pub fn storey(storeys: &Storeys, floor_m: Option<f64>) -> Result<usize, StoreyEr
     storey.ok_or_else(|| StoreyError { storeys: names() })
 }
 
-/// Where and how large a Nav2 map is.
+/// Place and size of a Nav2 map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
-    /// Metres of a cell.
+    /// Metres per cell.
     pub resolution_m: f64,
     /// Cells from west to east.
     pub width: u32,
     /// Cells from south to north.
     pub height: u32,
-    /// The lower left corner: x, y in metres, and its turn in radians.
+    /// The lower left corner: x and y in metres, and the rotation in radians.
     pub origin: [f64; 3],
 }
 
 impl Grid {
-    /// Reads a map's YAML file, and of its PGM image the size.
+    /// Reads a map's YAML file, and the size of its PGM image.
     ///
     /// # Errors
     ///
@@ -103,7 +103,6 @@ impl Grid {
         Ok(Self { resolution_m, width, height, origin })
     }
 
-    /// The middle of a cell.
     fn centre_m(&self, column: u32, row: u32) -> [f64; 2] {
         let [x, y, turn] = self.origin;
         let (across, up) = ((f64::from(column) + 0.5) * self.resolution_m, (f64::from(row) + 0.5) * self.resolution_m);
@@ -111,7 +110,6 @@ impl Grid {
     }
 }
 
-/// Width and height from the head of a PGM image.
 fn pgm_size(path: &Path) -> Result<(u32, u32), String> {
     let mut head = Vec::new();
     let file = fs::File::open(path).map_err(|error| error.to_string())?;
@@ -126,7 +124,7 @@ fn pgm_size(path: &Path) -> Result<(u32, u32), String> {
     Ok((next()?, next()?))
 }
 
-/// Which room each cell of a grid is of.
+/// The room of each cell of a grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mask {
     grid: Grid,
@@ -134,7 +132,7 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// Assigns the cells by their middles to the rooms of a storey. Scene and map have one frame.
+    /// Assigns each cell to the storey's room at its centre. Scene and map have one frame.
     #[must_use]
     pub fn new(grid: Grid, rooms: &[Partition], storeys: &Storeys, storey: usize) -> Self {
         let cells = (0..grid.height).flat_map(|row| (0..grid.width).map(move |column| (column, row)));
@@ -166,7 +164,7 @@ impl Mask {
     }
 }
 
-/// A room's value for the probability that somebody is there; in steps of five, so that a mask is seldom sent.
+/// A room's value for the probability that it is occupied, in steps of five so that masks are sent seldom.
 #[must_use]
 pub fn value(probability: f64) -> i8 {
     let steps = (probability.clamp(0.0, 1.0) * 20.0).round() as i8;
@@ -190,7 +188,7 @@ mod tests {
         (rooms, mask)
     }
 
-    /// A robot was kept out of the kitchen by who was in the bedroom above it.
+    /// Regression: a robot was kept out of the kitchen because of a person in the bedroom above.
     #[test]
     fn a_mask_has_the_rooms_of_one_storey() {
         let room = |id: &str, floor_m: f64| serde_json::json!({"id": id, "label": id, "box": {"min_m": [0.0, 0.0, floor_m], "max_m": [4.0, 4.0, floor_m + 2.5]}});
@@ -239,7 +237,7 @@ mod tests {
             drawn.data[cell(y, bottom - 1.0) * 40 + cell(x, left - 1.0)]
         };
         assert_eq!((at(0), at(1)), (98, 5));
-        // A map that is turned by a quarter has the same rooms.
+        // A map that is rotated by 90 degrees has the same rooms.
         let turned = Grid { origin: [left + 19.0, bottom - 1.0, std::f64::consts::FRAC_PI_2], ..grid };
         let mut values = mask(turned).1.draw(&[98, 5], Header::default()).data;
         let mut before = drawn.data;

@@ -1,4 +1,4 @@
-//! ROS 2, by the wire format of its middleware rmw_zenoh: standard message types alone, so that nobody has to build a package of ours.
+//! ROS 2, by the wire format of its middleware rmw_zenoh. Only standard message types are used, so no package has to be built.
 
 pub mod mask;
 pub mod node;

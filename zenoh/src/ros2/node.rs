@@ -1,5 +1,4 @@
-//! A ROS 2 node on rmw_zenoh: its keys, its liveliness tokens, what it publishes and what it hears. The formats are those of
-//! rmw_zenoh's design document.
+//! A ROS 2 node on rmw_zenoh: its keys, liveliness tokens, publishers and subscribers. The formats are those of rmw_zenoh's design document.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,17 +12,17 @@ use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig};
 
-/// How a topic is kept.
+/// The durability of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kept {
-    /// The last message for who subscribes later: ROS 2's transient-local, depth 1.
+    /// The last message is kept for later subscribers: ROS 2's transient-local, depth 1.
     Last,
-    /// Nothing: volatile, depth 10.
+    /// Volatile, depth 10.
     Not,
 }
 
 impl Kept {
-    /// As liveliness tokens say it: reliability, durability, history and depth, deadline, lifespan, liveliness; empty for the usual.
+    /// As in liveliness tokens: reliability, durability, history and depth, deadline, lifespan, liveliness; empty for defaults.
     const fn qos(self) -> &'static str {
         match self {
             Self::Last => ":1:,1:,:,:,,",
@@ -39,7 +38,7 @@ struct Topic {
     sequence: i64,
 }
 
-/// The node. Its entities go when it is dropped.
+/// A node. Its entities disappear when it is dropped.
 pub struct Node {
     session: Session,
     domain: u32,
@@ -50,22 +49,21 @@ pub struct Node {
     _token: LivelinessToken,
 }
 
-/// A name as tokens have it: slashes would end a part of a key.
+/// A name as in tokens, where a slash would end a part of the key.
 fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
-/// The key of a topic, which begins with a slash.
 fn key(domain: u32, topic: &str, kind: &str, hash: &str) -> String {
     format!("{domain}/{}/{kind}/{hash}", topic.trim_start_matches('/'))
 }
 
 impl Node {
-    /// A node of this name in the root namespace.
+    /// Creates a node of this name in the root namespace.
     ///
     /// # Errors
     ///
-    /// zenoh's.
+    /// The error of zenoh.
     pub fn new(session: Session, domain: u32, name: &str) -> zenoh::Result<Self> {
         let zid = session.zid();
         let token = session.liveliness().declare_token(format!("@ros2_lv/{domain}/{zid}/0/0/NN/%/%/{name}")).wait()?;
@@ -73,7 +71,7 @@ impl Node {
         Ok(Self { session, domain, name, entities: 0, topics: BTreeMap::new(), _heard: Vec::new(), _token: token })
     }
 
-    /// Another entity's token: `kind` is MP for a publisher, MS for a subscriber.
+    /// Declares another entity's token. `kind` is MP for a publisher, MS for a subscriber.
     fn token<M: Message>(&mut self, kind: &str, topic: &str, kept: Kept) -> zenoh::Result<(String, LivelinessToken)> {
         self.entities += 1;
         let (domain, zid, number, name) = (self.domain, self.session.zid(), self.entities, &self.name);
@@ -87,7 +85,7 @@ impl Node {
     ///
     /// # Errors
     ///
-    /// zenoh's, or the message's.
+    /// The error of zenoh or of the message.
     pub fn publish<M: Message + Serialize>(&mut self, topic: &str, kept: Kept, message: &M) -> zenoh::Result<()> {
         let bytes = types::encode(message)?;
         if !self.topics.contains_key(topic) {
@@ -106,23 +104,23 @@ impl Node {
         topic.publisher.put(bytes).attachment(attachment).wait()
     }
 
-    /// Keeps of the topics whose names begin so those that are named, and lets go of the others and of what was said there last.
+    /// A topic with a name that begins with `begin` stays only if `named` has it. Its last message is dropped with it.
     pub fn keep(&mut self, begin: &str, named: &BTreeSet<String>) {
         self.topics.retain(|topic, _| !topic.starts_with(begin) || named.contains(topic));
     }
 
-    /// Hears a topic.
+    /// Subscribes to a topic.
     ///
     /// # Errors
     ///
-    /// zenoh's.
+    /// The error of zenoh.
     pub fn hear<M: Message>(
         &mut self,
         topic: &str,
         take: impl Fn(Sample) + Send + Sync + 'static,
     ) -> zenoh::Result<()> {
         let (_, token) = self.token::<M>("MS", topic, Kept::Not)?;
-        // Any hash: Humble has none, and what comes is checked all the same.
+        // Any hash: Humble has none, and messages are checked anyway.
         let subscriber =
             self.session.declare_subscriber(key(self.domain, topic, M::TYPE, "*")).callback(take).wait()?;
         self._heard.push((subscriber, token));
@@ -130,7 +128,7 @@ impl Node {
     }
 }
 
-/// Sixteen bytes that name an entity: two times 64-bit FNV-1a of its token's key.
+/// Sixteen bytes that identify an entity: twice the 64-bit FNV-1a of its token's key.
 fn gid(name: &str) -> [u8; 16] {
     let half = |text: &str| roomcast_ipc::sequence::source_of_name(text).to_le_bytes();
     let mut gid = [0; 16];
@@ -140,7 +138,7 @@ fn gid(name: &str) -> [u8; 16] {
     gid
 }
 
-/// What goes with each message: its number, its time by the wall clock, and who publishes it.
+/// The attachment of each message: its number, its wall-clock time, and its publisher.
 fn attachment(sequence: i64, unix_ns: i64, gid: [u8; 16]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(33);
     bytes.extend(sequence.to_le_bytes());
@@ -165,7 +163,7 @@ mod tests {
         assert_eq!(mangled("/roomcast/rooms"), "%roomcast%rooms");
     }
 
-    /// Visitors come and go, and whoever was forgotten is not told of any more.
+    /// Visitors come and go, and a forgotten person must not keep a topic.
     #[test]
     fn topics_of_persons_who_are_gone_go() {
         let mut config = zenoh::Config::default();

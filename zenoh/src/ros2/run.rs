@@ -1,4 +1,4 @@
-//! What ROS 2 nodes hear of the robot's services, each on a topic of a standard type.
+//! Publishes the robot's services to ROS 2 nodes, each on a topic of a standard type.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -20,12 +20,12 @@ use crate::link::Link;
 use crate::stop::Stop;
 
 const TICK: Duration = Duration::from_millis(100);
-/// How often diagnostics are published, and markers at most.
+/// Period of diagnostics, and shortest period of markers.
 const SECOND: Duration = Duration::from_secs(1);
 /// The node's name.
 const NAME: &str = "roomcast";
 
-/// Why ROS 2 is not spoken to.
+/// Why the ROS 2 part ends.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
     /// The scene.
@@ -34,7 +34,7 @@ pub enum Ros2Error {
     /// The Nav2 map.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The storey that it is of.
+    /// The map's storey.
     #[error(transparent)]
     Storey(#[from] StoreyError),
     /// A service of the robot.
@@ -42,7 +42,7 @@ pub enum Ros2Error {
     Ipc(#[from] IpcError),
 }
 
-/// Where rooms are.
+/// The places of rooms.
 #[derive(Debug)]
 pub struct Places {
     rooms: Vec<Partition>,
@@ -54,7 +54,7 @@ impl Places {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error`] where one of them cannot be used.
+    /// [`Ros2Error`] if one of them is unusable.
     pub fn load(config: &Ros2) -> Result<Self, Ros2Error> {
         let Some(path) = &config.scene else { return Ok(Self { rooms: Vec::new(), mask: None }) };
         let scene = SemanticMap::load(path).map_err(|error| Ros2Error::Scene(Box::new(error)))?;
@@ -69,7 +69,7 @@ impl Places {
     }
 }
 
-/// The node of the session that stands, and what was said through it.
+/// The node of the present session, and a limit for its log.
 struct Voice<'a> {
     config: &'a Ros2,
     link: &'a Link,
@@ -79,7 +79,7 @@ struct Voice<'a> {
 }
 
 impl Voice<'_> {
-    /// Makes the node again with every new session; whether it is a new one.
+    /// Makes a new node for every new session; returns whether it did.
     fn renew(&mut self) -> bool {
         let session = self.link.session();
         let stands = session.as_ref().map(|(number, _)| *number);
@@ -108,19 +108,16 @@ impl Voice<'_> {
         }
     }
 
-    /// A topic below the prefix, or of an absolute name.
     fn topic(&self, name: &str) -> String {
         if name.starts_with('/') { name.to_owned() } else { format!("{}/{name}", self.config.prefix) }
     }
 
-    /// Lets go of topics of persons who have none any more.
     fn keep(&mut self, begin: &str, topics: &BTreeSet<String>) {
         if let Some((_, node)) = &mut self.node {
             node.keep(begin, topics);
         }
     }
 
-    /// Publishes below the prefix, or at an absolute name.
     fn say<M: Message + serde::Serialize>(&mut self, topic: &str, kept: Kept, message: &M) {
         let topic = self.topic(topic);
         let said = self.node.as_mut().map(|(_, node)| node.publish(&topic, kept, message));
@@ -129,13 +126,12 @@ impl Voice<'_> {
         }
     }
 
-    /// A header for content of this age.
     fn header(&self, age_ns: u64) -> Header {
         Header::of_unix_ns(clock::unix_ns().saturating_sub(age_ns), &self.config.frame)
     }
 }
 
-/// Publishes until asked to stop. `ear` takes narration, where ROS 2 may narrate.
+/// Publishes until asked to stop. `ear` takes narration, if ROS 2 may narrate.
 ///
 /// # Errors
 ///
@@ -164,7 +160,7 @@ pub fn run(
     while !stop.requested() {
         scores.wait(TICK)?;
         if voice.renew() {
-            // What the last session kept for late subscribers went with it.
+            // The last session's messages for late subscribers are gone.
             (said, of_persons, drawn, marked) = (None, None, None, None);
             if places.mask.is_some() {
                 let header = voice.header(0);
@@ -197,7 +193,7 @@ pub fn run(
                     topics.insert(topic);
                 }
             }
-            // A person that was forgotten, or that was not observed for longer than others, has no topic: a message has a bounded number of persons.
+            // The number of persons in a message is bounded. A forgotten person, or one of those observed longest ago, has no topic.
             voice.keep(&voice.topic("person/"), &topics);
         }
         if let Some(mask) = &places.mask
@@ -238,7 +234,7 @@ fn filter(config: &Ros2, header: Header) -> CostmapFilterInfo {
     CostmapFilterInfo { header, r#type: 0, filter_mask_topic, base: 0.0, multiplier: 1.0 }
 }
 
-/// How likely somebody is in each room of the scene at the likeliest moment within a horizon.
+/// For each room of the scene, the highest probability within a horizon that it is occupied.
 fn likely<'a>(forecast: &'a ForecastV1, rooms: &'a [Partition], horizon_s: f64) -> impl Iterator<Item = f64> + 'a {
     let within = forecast.horizons_s().iter().take_while(|at| f64::from(**at) <= horizon_s).count().max(1);
     rooms.iter().map(move |room| {

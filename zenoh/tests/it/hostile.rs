@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use proptest::prelude::*;
-use roomcast_ipc::{Message, NAME_BYTES};
+use roomcast_ipc::raw::{Message, NAME_BYTES};
 use roomcast_ros2::types::{Text, decode_string, encode};
 use roomcast_zenoh::config::Config;
 use roomcast_zenoh::delivery::Delivery;

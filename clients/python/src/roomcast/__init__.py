@@ -19,7 +19,7 @@ import unicodedata
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from types import TracebackType
+from types import NoneType, TracebackType
 from typing import Any, Generic, TypeVar
 
 from . import layouts, ports
@@ -111,7 +111,7 @@ _KINDS = (RoomScores, PersonScores, Forecast, PersonForecasts, Decision, RobotRe
 
 
 def source_of_name(name: str) -> int:
-    """A source's number from its name: 64-bit FNV-1a, never 0, the same as in Rust."""
+    """The number of a source from its name: 64-bit FNV-1a, never 0, the same as in Rust."""
     number = 0xCBF29CE484222325
     for byte in layouts.utf8("name", name):
         number = ((number ^ byte) * 0x100000001B3) & 0xFFFFFFFFFFFFFFFF
@@ -119,12 +119,12 @@ def source_of_name(name: str) -> int:
 
 
 class _Open:
-    """What has places in a domain until it is closed. A context manager: leaving closes it."""
+    """Holds places in a domain until it is closed. A context manager: leaving closes it."""
 
     _ports: tuple[ports.Port, ...]
 
     def close(self) -> None:
-        """Gives the places to somebody else, also while another thread waits here: its loop ends, and all else raises ClosedError."""
+        """Frees the places, even while another thread waits here: the thread's loop ends, and all other calls raise ClosedError."""
         for port in self._ports:
             port.close()
 
@@ -139,18 +139,18 @@ Self = TypeVar("Self", bound=_Open)
 
 
 class _Follows(_Open, ABC, Generic[T]):
-    """Messages one after the other. A context manager: leaving closes it. Threads may share it, and each message goes to one of them."""
+    """Follows messages one after the other. A context manager: leaving closes it. Threads may share it; each message goes to one of them."""
 
     @abstractmethod
     def _take(self, left_s: float) -> T | None:
-        """What is there already. What has to be asked for is waited for, at most this long."""
+        """Returns a message that has arrived. A message that must be requested is waited for, at most this long."""
 
     @abstractmethod
     def _sleep(self, timeout_s: float) -> None:
         """Waits for news, at most this long."""
 
     def next(self, timeout_s: float | None = None) -> T | None:
-        """Waits for the next one; none when the time is over. ClosedError when it is closed."""
+        """Waits for the next message; None after the timeout. ClosedError if it is closed."""
         deadline = ports.deadline_of(timeout_s)
         while True:
             for port in self._ports:
@@ -164,32 +164,38 @@ class _Follows(_Open, ABC, Generic[T]):
             self._sleep(min(left, 0.1))
 
     def __iter__(self) -> Iterator[T]:
-        """All as they come, until it is closed."""
+        """Yields all messages until it is closed."""
         with suppress(ClosedError):
             while (message := self.next()) is not None:
                 yield message
 
 
-class Subscription(_Follows[Kind]):
-    """Follows all messages of a kind under a name for people: `Subscription(Forecast, "my-display")`. The kinds are `RoomScores`,
-    `PersonScores`, `Forecast`, `PersonForecasts`, `Decision` and `RobotReport`.
+def _join(domain: Domain | None, name: str) -> ports.Node:
+    if not isinstance(domain, (Domain, NoneType)):
+        raise TypeError(f"domain {domain!r}: give a Domain, or leave it out for the default one")
+    return (domain or Domain.default_for_user()).open(name)
 
-    Of scores the heartbeats are left out, which say the same again. Every loss shows as a gap in the sequence numbers.
+
+class Subscription(_Follows[Kind]):
+    """Follows all messages of a kind under a display name: `Subscription(Forecast, "my-display")`. The kinds are `RoomScores`, `PersonScores`,
+    `Forecast`, `PersonForecasts`, `Decision` and `RobotReport`.
+
+    Heartbeats of scores, which repeat them, are left out. Every loss shows as a gap in the sequence numbers.
     """
 
     def __init__(self, kind: type[Kind], name: str, domain: Domain | None = None) -> None:
-        # Before it joins.
+        # Checked before it joins.
         if kind not in _KINDS:
             allowed = ", ".join(each.__name__ for each in _KINDS)
             raise TypeError(f"kind {kind!r}: give one of {allowed}; ItemScoresSubscription and StatusSubscription follow the rest")
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._subscriber: ports.Subscriber[Kind] = ports.Subscriber(node, kind.SERVICE, kind.from_message)
         self._ports = (self._subscriber,)
         self._scores: tuple[int, int] | None = None
 
     @property
     def malformed(self) -> int:
-        """Messages that said what no honest sender says, and were dropped."""
+        """Messages that were malformed and dropped."""
         return self._subscriber.malformed
 
     def _take(self, left_s: float) -> Kind | None:
@@ -229,10 +235,10 @@ class Decisions(Subscription[Decision]):
 
 
 class ItemScoresSubscription(_Follows[ItemScores]):
-    """Follows the scores of all items. The daemon sends them as long as somebody does."""
+    """Follows the scores of all items. The daemon sends them while they are followed."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._subscriber = ports.ItemScoresSubscriber(node)
         self._ports = (self._subscriber,)
 
@@ -241,17 +247,17 @@ class ItemScoresSubscription(_Follows[ItemScores]):
         return None if received is None else ItemScores.from_message(*received)
 
     def _sleep(self, timeout_s: float) -> None:
-        # Nobody is woken for them.
+        # Item scores wake no subscriber.
         time.sleep(min(timeout_s, 0.01))
 
 
 class StatusSubscription(_Follows[Status]):
-    """Asks the daemon for its status every `every_s` seconds, and goes on asking while none answers."""
+    """Asks the daemon for its status every `every_s` seconds, and keeps asking if it does not answer."""
 
     def __init__(self, name: str, domain: Domain | None = None, every_s: float = 1) -> None:
         if not every_s >= 0:
             raise ValueError(f"every_s is {every_s}; give seconds, 0 or more")
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._client = ports.StatusClient(node)
         self._ports = (self._client,)
         self._every_s = every_s
@@ -261,7 +267,7 @@ class StatusSubscription(_Follows[Status]):
         if time.monotonic() < self._due:
             return None
         try:
-            # An answer takes a moment, also for whoever does not want to wait.
+            # Even without a timeout, an answer needs a moment.
             answer = self._client.ask(max(0.01, min(0.3, left_s)))
         except NoAnswerError:
             return None
@@ -273,13 +279,13 @@ class StatusSubscription(_Follows[Status]):
 
 
 class _Participant(_Open):
-    """Sends messages under a name, each with the next number, and knows the room scores. Threads may share it."""
+    """Sends numbered messages under a name, and receives the room scores. Threads may share it."""
 
     def __init__(self, name: str, service: ports.Service, domain: Domain | None) -> None:
         self.name = name
-        # Before it joins, since it may refuse the name.
+        # Before it joins, because the name may be invalid.
         self._number = source_of_name(name)
-        self.node = (domain or Domain.default_for_user()).open(name)
+        self.node = _join(domain, name)
         self._scores: ports.Subscriber[RoomScores] = ports.Subscriber(self.node, ports.ROOM_SCORES, RoomScores.from_message)
         self._publisher = ports.Publisher(self.node, service)
         self._ports = (self._publisher, self._scores)
@@ -288,7 +294,7 @@ class _Participant(_Open):
 
     @property
     def malformed(self) -> int:
-        """Room scores that said what no honest sender says, and were dropped."""
+        """Room scores that were malformed and dropped."""
         return self._scores.malformed
 
     def newest(self) -> RoomScores | None:
@@ -296,11 +302,11 @@ class _Participant(_Open):
         return self._scores.newest()
 
 
-#: A person by number or by name; none is an unknown person: the daemon weighs the event for all.
+#: A person by number or by name. None is an unknown person: the daemon weighs the event for all.
 Who = int | str | None
 
 
-# Words that are no one person's name: the daemon drops what is said of a person of such a name.
+# Words that are not a person's name: the daemon drops events about them.
 _NO_NAMES = frozenset(
     ["nobody", "me", "who", "they", "he", "she", "i", "we", "you", "somebody", "someone", "everybody", "everyone", "all"]
     + ["the whole family", "the entire family", "the whole household", "they all", "we all", "all of them", "all of us"]
@@ -308,18 +314,18 @@ _NO_NAMES = frozenset(
 
 
 def _is_number(text: str) -> bool:
-    """Whether a text is a number rather than a name, also one that no person has."""
+    """Whether a text is a number instead of a name, even if no person has it."""
     digits = text.lstrip("-")
     return digits != "" and all(unicodedata.category(character).startswith("N") for character in digits)
 
 
 def _person(who: Who) -> tuple[int, str]:
-    """Number and name of a person as a message has them; ValueError when there is no such person."""
+    """Number and name of a person for a message; ValueError if the person is invalid."""
     if who is None:
         return layouts.ALL_PERSONS, ""
     number, name = who, ""
     if isinstance(who, str):
-        # A text of digits alone is the number, as in lines of JSON.
+        # A text of digits is a number, as in lines of JSON.
         name = who.strip()
         number = int(name) if name.isascii() and name.isdigit() else -1
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < layouts.ALL_PERSONS:
@@ -331,59 +337,59 @@ def _person(who: Who) -> tuple[int, str]:
     )
 
 
-# What an action looks like.
+# The form of an action.
 _ACTION = re.compile(r"\[[^\[\]]+\](\s*<[^<>]+>\s*\(\d+\))*")
 
 
-#: Narrations that may be under way to the daemon: what the service keeps for a daemon that restarts.
+#: Most unhandled narrations: the service stores this many for a daemon that restarts.
 UNDER_WAY_MAX = ports.NARRATION.history
-# How long it may take until one of them is dealt with.
+# Longest wait for the daemon to handle one of them.
 _PATIENCE_S = 10.0
-# Why one may stay under way: the daemon counts what was no narration, and deals with it no further.
+# A possible reason: the daemon counts an invalid narration, but does not handle it.
 _WHY_UNDER_WAY = "is the daemon running in this domain? If it is, some were no narration: see `malformed` in its status, and its log"
-# What the daemon drops it may name before what it took earlier: only after this does the difference count.
+# The daemon may list a dropped narration before an earlier accepted one. After this time the difference counts.
 _SURE_S = 2.0
 
 
 class NotIncludedError(RoomcastError):
-    """Something that was said is not in the daemon's scores."""
+    """The daemon's scores do not contain all events."""
 
 
 class _Account:
-    """Which narrations the daemon has taken; as the bridge counts them."""
+    """Counts the narrations that the daemon has handled and accepted; the bridge counts in the same way."""
 
     def __init__(self) -> None:
-        #: Dealt with, taken or not.
+        #: Handled, accepted or not.
         self.settled = 0
         self._daemon: int | None = None
         self._dealt_with = self._accepted = self._since = self._before = 0
 
     @property
     def dropped(self) -> int:
-        """Dealt with and not taken."""
+        """Handled and not accepted."""
         return self._before + max(0, self._dealt_with - (self._accepted - self._since))
 
     def take(self, daemon: int, source: Source, sent: int) -> None:
-        """Takes note of what the scores of a daemon's start contain."""
+        """Updates the counts from the scores of a daemon's start."""
         more = max(0, min(source.sequence, sent) - self.settled)
         self.settled += more
         if self._daemon not in (None, daemon):
-            # One that has started again may know less than it did, so that of this nobody can say more than that it was taken.
+            # A restarted daemon may have lost events, so for the earlier ones only their handling counts.
             self._before, self._dealt_with, self._since, more = self.dropped, 0, source.accepted, 0
-        # It may name what it drops before what it accepted earlier, so the difference can become less.
+        # The daemon may list a dropped event before an earlier accepted one, so the difference may decrease.
         self._daemon, self._accepted, self._dealt_with = daemon, source.accepted, self._dealt_with + more
 
 
 class Narrator(_Participant):
-    """Tells the daemon what persons have just done, and who is where. A context manager: leaving waits until the daemon has taken it in, and
-    raises NotIncludedError where it has not taken everything.
+    """Reports persons' actions and presence to the daemon. A context manager: leaving waits until the daemon has handled all events, and raises
+    NotIncludedError if the daemon did not accept all of them.
 
-    `person` is whom all is said of, by name or number; each call may name another. Without either it is unknown: the daemon weighs the
-    event for all persons. With 32 narrations under way the next one waits until the daemon has dealt with some, and raises
-    NotIncludedError when it does not for 10 seconds. Threads may share it.
+    `person` is the default person of all events, by name or number; each call may give another. Without either the person is unknown: the
+    daemon weighs the event for all persons. With 32 unhandled events the next call waits until the daemon has handled some, and raises
+    NotIncludedError after 10 seconds. Threads may share it.
 
-    Each event returns the number of participants that received it: 0 if no daemon runs. A daemon that starts later receives the event while
-    the narrator lives.
+    Each event returns the number of participants that received it: 0 if no daemon runs. A daemon that starts later receives the event while the
+    narrator lives.
     """
 
     def __init__(self, name: str, domain: Domain | None = None, person: Who = None) -> None:
@@ -392,23 +398,23 @@ class Narrator(_Participant):
         self.source = self._number
         self.person = person
         self._account = _Account()
-        #: The newest scores that contain something of what was said, and up to which number.
+        #: The newest scores that contain any of the events, and the last event's number in them.
         self._included: tuple[int, RoomScores] | None = None
 
     def say(self, sentence: str, person: Who = None, count: int = 0) -> int:
-        """A plain sentence: "They grab the mug." `count` is the number of unknown persons that it is about, at most 8."""
+        """A plain sentence: "They grab the mug." `count` is the number of unknown persons it is about, at most 8."""
         if count and (person is not None or self.person is not None):
             raise ValueError("count counts unknown persons: leave person out, or count")
         return self._send(NarrationKind.SENTENCE, sentence, self._who(person), count)
 
     def act(self, action: str, person: Who = None) -> int:
-        """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon knows the verbs, and drops one that it does not know."""
+        """A completed action in VirtualHome's notation: "[Grab] <mug> (1)". The daemon drops actions with unknown verbs."""
         if _ACTION.fullmatch(action.strip()) is None:
             raise ValueError(f"action {action!r}: give a verb in brackets, then things such as \"[Grab] <mug> (1)\"")
         return self._send(NarrationKind.ACTION, action, self._who(person))
 
     def did(self, person: Who, text: str) -> int:
-        """An action of a person: `did("ada", "opens the fridge")`. The text is what the person does, or a whole sentence."""
+        """An action of a person: `did("ada", "opens the fridge")`. The text is the action, or a whole sentence."""
         text = text.strip()
         if text[:1].islower():
             _, name = _person(person)
@@ -416,7 +422,7 @@ class Narrator(_Participant):
         return self._send(NarrationKind.SENTENCE, text, self._who(person))
 
     def several(self, count: int, sentence: str) -> int:
-        """A sentence about so many unknown persons, at most 8."""
+        """A sentence about a number of unknown persons, at most 8."""
         return self._send(NarrationKind.SENTENCE, sentence, _person(None), count)
 
     def present(self, person: Who, room: str | None = None) -> int:
@@ -440,8 +446,8 @@ class Narrator(_Participant):
         return self._send(NarrationKind.DEVICE, state, self._who(person))
 
     def presence(self, presence: str | Presence, room: str | None = None, person: Who = None) -> int:
-        """Where a person is, as a sensor knows it: "present", with a room or without, "away" or "gone"; or that a room is "empty", which is
-        said of everybody and takes no person. It updates what the daemon believes, and is no sentence for the language model."""
+        """A person's presence from a sensor: "present", with or without a room, "away" or "gone"; or "empty" for a room, which is about all
+        persons and takes none. It updates the daemon's beliefs; the language model does not read it."""
         said = presence.name.lower() if isinstance(presence, Presence) else presence
         if said not in ("present", "away", "gone", "empty"):
             raise ValueError(f"presence {said!r}: give 'present', 'away', 'gone' or 'empty'")
@@ -468,9 +474,10 @@ class Narrator(_Participant):
         false_alarms_per_day: float | None = None,
         only_on: bool = False,
     ) -> int:
-        """The state of a sensor: "motion", "presence", "bed", "door", "phone", "appliance" or "camera". `id` is the device, the same in each report;
-        `room` is the room that it sees, and a phone has none. `on` is None if the device is unavailable. `person` is the owner of a bed or a phone;
-        the narrator's own person is not meant. `beyond` is the other room of a door between two rooms, and the other keys are those of a JSON line."""
+        """The state of a sensor: "motion", "presence", "bed", "door", "phone", "appliance" or "camera". `id` is the device, the same in each
+        report; `room` is the room it observes, and a phone has none. `on` is None if the device is unavailable. `person` is the owner of a bed
+        or a phone; the narrator's default person does not apply. `beyond` is the other room of a door between two rooms. The other keys are
+        those of a JSON line."""
         if kind not in SENSOR_KINDS:
             raise ValueError(f"sensor {kind!r}: give one of {', '.join(SENSOR_KINDS)}")
         if not any(character.isalnum() for character in id) or len(id.encode()) > SENSOR_ID_BYTES_MAX:
@@ -495,7 +502,7 @@ class Narrator(_Participant):
 
     def _send(self, kind: int, text: str, who: tuple[int, str], count: int = 0) -> int:
         person, person_name = who
-        # The daemon drops what has neither.
+        # The daemon drops a text without letters and digits.
         if not any(character.isalnum() for character in text):
             raise MessageError("text: no letter and no digit; say something")
         message = layouts.NarrationV1(source=self.source, epoch=self.epoch, sequence=self.sequence + 1, person=person, kind=kind, minor=1, count=count)
@@ -514,19 +521,29 @@ class Narrator(_Participant):
             self._wait_for_room()
 
     def understood(self, first: int = 1, timeout_s: float = 10) -> list[dict[str, Any]]:
-        """How the daemon understood the events from the number `first` on, the oldest first: `sequence`, `event`, `persons`, `by`, `place`,
-        `presence`, and `why` if an event changed no belief. The daemon remembers its newest 512 events."""
+        """The daemon's interpretation of the events from the number `first` on, oldest first: `sequence`, `event`, `persons`, `by`, `place`,
+        `presence`, and `why` if an event changed no belief. The daemon stores its newest 512 events."""
         question = {"ask": "understood", "source": self.source, "epoch": self.epoch, "from": first}
         return list(_ask(self.node, ports.PERSON, question, timeout_s).get("understood", []))
 
+    def confirmed(self, timeout_s: float = 10) -> dict[str, Any]:
+        """Waits until the daemon's scores contain all events, and returns its interpretation of the newest one, as `understood` does.
+        NotIncludedError after the timeout, or if the daemon dropped an event."""
+        deadline = time.monotonic() + timeout_s
+        if self.wait_until_included(timeout_s) is not None:
+            for event in self.understood(self.sequence, max(0.1, deadline - time.monotonic())):
+                if event.get("sequence") == self.sequence:
+                    return event
+        raise NotIncludedError(f"narrator {self.name!r}: no scores contain the last event after {timeout_s} s; {_WHY_UNDER_WAY}")
+
     @property
     def under_way(self) -> int:
-        """Narrations that the daemon has not dealt with, as far as its newest scores say."""
+        """Events that the daemon has not handled, according to its newest scores."""
         return self.sequence - self._account.settled
 
     @property
     def dropped(self) -> int:
-        """Narrations that the daemon has not taken: they were too many or too long, said in another's name, or lost on the way."""
+        """Events that the daemon did not accept: they were too many or too long, sent in another narrator's name, or lost."""
         return self._account.dropped
 
     def newest(self) -> RoomScores | None:
@@ -539,7 +556,7 @@ class Narrator(_Participant):
             return scores
 
     def _wait_for_room(self) -> None:
-        """Returns as soon as the daemon has dealt with some; another thread may then be first."""
+        """Returns as soon as the daemon has handled some; another thread may then be first."""
         settled, deadline = self._account.settled, time.monotonic() + _PATIENCE_S
         self.newest()
         while self.under_way >= UNDER_WAY_MAX:
@@ -553,8 +570,8 @@ class Narrator(_Participant):
             self.newest()
 
     def wait_until_included(self, timeout_s: float = 10) -> RoomScores | None:
-        """Waits for scores that contain all that was said; none when the time is over. Where nothing was said it returns the newest scores, if
-        any, at once. NotIncludedError where the daemon has dealt with all and has not taken everything."""
+        """Waits for scores that contain all events; None after the timeout. Without any events it returns the newest scores, if any, at once.
+        NotIncludedError if the daemon has handled all events and not accepted all."""
         if not self.sequence:
             return self.newest()
         deadline, sure = ports.deadline_of(timeout_s), math.inf
@@ -592,7 +609,7 @@ class Narrator(_Participant):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            # What waits in shared memory dies with its publisher. What was said before a fork its parent waits for.
+            # Messages in shared memory are lost with their publisher. After a fork, the parent waits for the messages sent before it.
             if kind is None and self.sequence and not self._publisher.inherited:
                 self._leave()
         finally:
@@ -600,7 +617,8 @@ class Narrator(_Participant):
 
 
 class Planner(_Participant):
-    """Follows the room scores and publishes decisions. A context manager: leaving closes it. Threads may share it."""
+    """Follows forecasts and scores, and publishes decisions for the robot with its name. A context manager: leaving closes it. Threads may share
+    it."""
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
         super().__init__(name, ports.DECISION, domain)
@@ -618,7 +636,7 @@ class Planner(_Participant):
             return scores
 
     def scores(self, timeout_s: float | None = None) -> Iterator[RoomScores]:
-        """Every new snapshot as it comes, heartbeats left out; ends when none came for `timeout_s`, or when it is closed."""
+        """Yields every new snapshot, without heartbeats; ends if none came for `timeout_s`, or if it is closed."""
         deadline = ports.deadline_of(timeout_s)
         with suppress(ClosedError):
             while time.monotonic() < deadline:
@@ -632,12 +650,20 @@ class Planner(_Participant):
                 yield scores
 
     def forecasts(self, timeout_s: float | None = None) -> Iterator[Forecast]:
-        """Every forecast as it comes; ends when none came for `timeout_s`, or when it is closed."""
+        """Yields every forecast; ends if none came for `timeout_s`, or if it is closed."""
         with self._publisher.alone():
             if self._forecasts is None:
                 self._forecasts = ports.Subscriber(self.node, ports.FORECAST, Forecast.from_message)
                 self._ports = (*self._ports, self._forecasts)
         return self._follow(self._forecasts, timeout_s)
+
+    def next_forecast(self, timeout_s: float | None = None) -> Forecast | None:
+        """Waits for the next forecast; None after the timeout, for example if no daemon runs in this domain."""
+        return next(self.forecasts(timeout_s), None)
+
+    def next_scores(self, timeout_s: float | None = None) -> RoomScores | None:
+        """Waits for the next room scores; None after the timeout."""
+        return next(self.scores(timeout_s), None)
 
     def _follow(self, subscriber: ports.Subscriber[Forecast], timeout_s: float | None) -> Iterator[Forecast]:
         deadline = ports.deadline_of(timeout_s)
@@ -648,29 +674,33 @@ class Planner(_Participant):
                     subscriber.wait(0.25)
                     continue
                 self._forecast = forecast
-                # Decisions name the scores that they rest on.
+                # Decisions name the scores behind them.
                 self.newest()
                 deadline = ports.deadline_of(timeout_s)
                 yield forecast
 
     def decide(self, room: str, reason: str, stay_s: float = 0, cancels: int = 0) -> int:
-        """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of a decision of this planner that ends before its time.
-        Returns the number of participants that received the decision: 0 if no robot listens. ValueError when the scores that were taken last have no such room."""
+        """Publishes that the robot goes to `room`, or stays there. `cancels` is the sequence of an earlier decision of this planner that ends
+        early. Returns the number of participants that received the decision: 0 if no robot listens. ValueError if the newest scores lack the
+        room. A decision for the same room as before tells the robot to stay, so a planner may decide at each forecast."""
         with self._publisher.alone():
+            self.newest()
             known = self._last or self._forecast
             rooms = [each.id for each in known.rooms] if known else []
-            if room and rooms and room not in rooms:
-                raise ValueError(f"room {room!r}: the scores that were taken last have no such room; give one of {', '.join(rooms)}")
+            if not room:
+                raise ValueError(f"room {room!r}: give the id of a room of the map")
+            if rooms and room not in rooms:
+                raise ValueError(f"room {room!r}: the map has no such room; give one of {', '.join(rooms)}")
             stays = room == self.room and not self._paused
             return self._decide(Action.STAY if stays else Action.GO, room, reason, stay_s, cancels)
 
     def pause(self, reason: str, cancels: int = 0) -> int:
-        """Publishes that the robot stops its work and waits where it disturbs nobody."""
+        """Publishes that the robot stops its work and waits out of the way."""
         with self._publisher.alone():
             return self._decide(Action.PAUSE, self.room, reason, 0, cancels)
 
     def _decide(self, action: Action, room: str, reason: str, stay_s: float, cancels: int) -> int:
-        """By one thread at a time: what it says depends on the decision before."""
+        """For one thread at a time, because the message depends on the previous decision."""
         if not 0 <= stay_s <= 1e9:
             raise ValueError(f"stay_s is {stay_s}; give seconds from 0 to 1e9")
         if not 0 <= cancels <= self.sequence:
@@ -697,11 +727,11 @@ class Planner(_Participant):
 
 
 class Robot(_Open):
-    """A robot: follows the decisions for it, and reports where it is and what became of them. A context manager. Threads may share it.
+    """A robot: follows its decisions, and reports its position and progress. A context manager. Threads may share it.
 
-    Its name is that in the planner's configuration, `planner.robot`. A report speaks of the decision that was followed last, and of its
-    room, unless it names another room. Reports are not confirmed: one that a planner has missed is made good by the next. Each report returns
-    the number of participants that received it: 0 if no planner listens.
+    Its name is `planner.robot` of the planner's configuration. A report refers to the last decision and its room, unless it names another room.
+    Reports are not confirmed: the next report replaces a lost one. Each report returns the number of participants that received it: 0 if no
+    planner listens.
     """
 
     def __init__(self, name: str, domain: Domain | None = None) -> None:
@@ -709,15 +739,15 @@ class Robot(_Open):
         self.robot = source_of_name(name)
         self.epoch = secrets.randbits(64) | 1
         self.sequence = 0
-        #: The decision that is followed, until one comes that replaces it.
+        #: The current decision.
         self.decision: Decision | None = None
-        node = (domain or Domain.default_for_user()).open(name)
+        node = _join(domain, name)
         self._decisions: ports.Subscriber[Decision] = ports.Subscriber(node, ports.DECISION, Decision.from_message)
         self._publisher = ports.Publisher(node, ports.ROBOT_REPORT)
         self._ports = (self._publisher, self._decisions)
 
     def next(self, timeout_s: float | None = None) -> Decision | None:
-        """Waits for the next decision for this robot; none when the time is over. ClosedError when it is closed."""
+        """Waits for the next decision for this robot; None after the timeout. ClosedError if it is closed."""
         deadline = ports.deadline_of(timeout_s)
         while True:
             with self._decisions.alone():
@@ -731,18 +761,18 @@ class Robot(_Open):
             left = deadline - time.monotonic()
             if left <= 0:
                 return None
-            # Planners that come later get the newest reports.
+            # Planners that join later get the newest reports.
             self._publisher.tick()
             self._decisions.wait(min(left, 0.1))
 
     def decisions(self) -> Iterator[Decision]:
-        """All decisions for this robot as they come, until it is closed."""
+        """Yields all decisions for this robot until it is closed."""
         with suppress(ClosedError):
             while (decision := self.next()) is not None:
                 yield decision
 
     def started(self, room: str = "", note: str = "") -> int:
-        """It is in the room and has begun to work there."""
+        """The robot is in the room and has begun to work there."""
         return self.report(ReportKind.STARTED, room, note)
 
     def finished(self, room: str = "", note: str = "") -> int:
@@ -754,23 +784,23 @@ class Robot(_Open):
         return self.report(ReportKind.FAILED, room, note)
 
     def blocked(self, room: str = "", note: str = "") -> int:
-        """It does not get into the room; the robot is free again."""
+        """The robot cannot get into the room; it is free again."""
         return self.report(ReportKind.BLOCKED, room, note)
 
     def cancelled(self, room: str = "", note: str = "") -> int:
-        """Somebody, or the robot itself, took the decision back; the robot is free again."""
+        """A person or the robot cancelled the decision; the robot is free again."""
         return self.report(ReportKind.CANCELLED, room, note)
 
     def docked(self, battery: float | None = None) -> int:
-        """It is at its dock, and charges."""
+        """The robot is at its dock and charges."""
         return self.report(ReportKind.DOCKED, battery=battery)
 
     def battery(self, level: float) -> int:
-        """How full the battery is, 0 to 1."""
+        """Charge of the battery, 0 to 1."""
         return self.report(ReportKind.BATTERY, battery=level)
 
     def position(self, position_m: tuple[float, float, float], room: str = "") -> int:
-        """Where the robot is, in the map's metres."""
+        """The robot's position in the map, in metres."""
         return self.report(ReportKind.POSITION, room, position_m=position_m)
 
     def report(
@@ -781,7 +811,7 @@ class Robot(_Open):
         battery: float | None = None,
         position_m: tuple[float, float, float] | None = None,
     ) -> int:
-        """Sends a report; MessageError says what cannot be in it. A note that is too long is cut."""
+        """Sends a report; MessageError if a value is invalid. A note that is too long is cut."""
         message = layouts.RobotReportV1(robot=self.robot, epoch=self.epoch, sequence=self.sequence + 1, kind=kind)
         message.reported_ns, message.reported_unix_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME), time.time_ns()
         of_a_room = kind in (ReportKind.STARTED, ReportKind.FINISHED, ReportKind.FAILED, ReportKind.BLOCKED, ReportKind.CANCELLED)
@@ -808,10 +838,10 @@ class Robot(_Open):
 def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
     """Changes the map of the running daemon: items added, moved, removed, rooms added, all or none.
 
-    `scenes/README.md` documents the changes. Returns the daemon's answer; RoomcastError says why nothing changed.
+    `scenes/README.md` documents the changes. Returns the daemon's answer; RoomcastError gives the reason if nothing changed.
     """
-    node = (domain or Domain.default_for_user()).open("python-map-change")
-    # Asked again under the same name, a change is done once.
+    node = _join(domain, "python-map-change")
+    # The daemon applies a repeated question with the same id once.
     question = {"id": secrets.token_hex(8), "changes": changes}
     answer = _ask(node, ports.MAP_CHANGE, question, timeout_s)
     if answer.get("outcome") != "applied":
@@ -820,27 +850,27 @@ def change_map(changes: list[dict[str, Any]], domain: Domain | None = None, time
 
 
 def moment(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
-    """All that is behind the newest scores: the map in use, the narration that the model read, every label's tokens, and what the prior
-    adds to their sum (`prior_nats`)."""
-    node = (domain or Domain.default_for_user()).open("python-moment")
+    """The data behind the newest scores: the map in use, the narration that the model read, every label's tokens, and the prior's contribution to
+    their sum (`prior_nats`)."""
+    node = _join(domain, "python-moment")
     return _ask(node, ports.MOMENT, {}, timeout_s)
 
 
 def persons(domain: Domain | None = None, timeout_s: float = 10) -> list[dict[str, Any]]:
     """The persons that the daemon knows: `person`, `name`, `presence`, `since_s`, `silent_s`, `flags`."""
-    node = (domain or Domain.default_for_user()).open("python-persons")
+    node = _join(domain, "python-persons")
     return list(_ask(node, ports.PERSON, {"ask": "list"}, timeout_s).get("persons", []))
 
 
 def habits(domain: Domain | None = None, timeout_s: float = 10) -> dict[str, Any]:
-    """What the daemon has learned of the home."""
-    node = (domain or Domain.default_for_user()).open("python-habits")
+    """The habits that the daemon has learned."""
+    node = _join(domain, "python-habits")
     return _ask(node, ports.HABITS, {"ask": "show"}, timeout_s)
 
 
 def status(domain: Domain | None = None, timeout_s: float = 10) -> Status:
-    """The daemon's status, asked for once; NoAnswerError when no daemon answers in time."""
-    with closing(ports.StatusClient((domain or Domain.default_for_user()).open("python-status"))) as client:
+    """The daemon's status, asked for once; NoAnswerError if the daemon does not answer in time."""
+    with closing(ports.StatusClient(_join(domain, "python-status"))) as client:
         return Status.from_message(client.ask(timeout_s))
 
 

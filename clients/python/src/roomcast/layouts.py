@@ -1,7 +1,7 @@
-"""The messages between processes, byte for byte as `roomcast-ipc` lays them out, and judged as it judges them.
+"""The messages between processes, with the byte layout and the checks of `roomcast-ipc`.
 
-`cargo run -p roomcast-ipc --example layout` prints the layouts, and a test compares the two; another compares them with
-`clients/c/roomcast.h`. Texts are UTF-8 and zero padded, `*_ns` is the boot clock (`CLOCK_BOOTTIME`), scores are in nats.
+`cargo run -p roomcast-ipc --example layout` prints the layouts, and a test compares the two; another compares them with `clients/c/roomcast.h`.
+Texts are UTF-8 and zero padded, `*_ns` is the boot clock (`CLOCK_BOOTTIME`), scores are in nats.
 """
 
 from __future__ import annotations
@@ -23,59 +23,58 @@ MAX_SOURCES = 16
 MAX_HORIZONS = 16
 ALL_PERSONS = 0xFFFFFFFF
 NO_PARTITION = 0xFFFFFFFF
-# All participants read one clock, so that hardly any time of a message lies in the future.
+# Largest time ahead. All participants read one clock, so a valid time is hardly ever in the future.
 AHEAD_NS = 1_000_000_000
-# Bits of a robot report's flags: which of its numbers count.
+# Bits of a robot report's flags: the valid numbers.
 HAS_POSITION = 1
 HAS_BATTERY = 2
 
 _Name = ctypes.c_uint8 * NAME_BYTES
-# Control characters, and those that make text look like other text.
+# Control characters, and characters that make a text look like another text.
 _HIDDEN = re.compile(
     "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]"
 )
 
 
 class MessageError(ValueError):
-    """A message says something that no honest sender says; the text names the field, and what is allowed there."""
+    """A malformed message; the text names the field and its allowed values."""
 
 
 class Layout(ctypes.Structure):
-    """A structure as it lies in shared memory."""
+    """A structure with the layout of shared memory."""
 
     @classmethod
     def type_name(cls) -> str:
-        """The name by which iceoryx2 compares types."""
+        """The name with which iceoryx2 compares types."""
         return f"roomcast.{cls.__name__}"
 
 
 class Message(Layout):
     """The payload of a publish-subscribe service."""
 
-    #: The field with the time at which it was made; empty if the message has no age.
+    #: The field with the time of creation; empty if the message has no age.
     MADE: ClassVar[str] = ""
 
     def check(self) -> None:
-        """Judges a copy of a message as `Message::check` does in Rust; MessageError is the first fault. Nothing of a message may be
-        believed before."""
+        """Checks a copy of a message like `Message::check` in Rust; MessageError is the first fault. A message must not be trusted before."""
         raise NotImplementedError
 
     def refuse_ahead(self, now_ns: int) -> None:
-        """MessageError when it says that it was made after `now_ns`: its age would be negative."""
+        """MessageError if the time of creation is after `now_ns`: the age would be negative."""
         made_ns = getattr(self, self.MADE) if self.MADE else 0
         if made_ns > now_ns + AHEAD_NS:
             raise MessageError(f"{self.MADE}: {made_ns}, allowed is at most the time now, {now_ns}")
 
 
 def _distinct(field: str, names: Iterable[ctypes.Array[ctypes.c_uint8]]) -> None:
-    """Refuses a list that holds the same name twice: a look-up would give either."""
+    """Refuses a list with a duplicate name: a look-up would be ambiguous."""
     seen = [bytes(name) for name in names]
     if len(set(seen)) < len(seen):
         raise MessageError(f"{field}: the same one twice")
 
 
 def _in_range(field: str, value: float, low: float, high: float, allowed: str) -> None:
-    """Refuses what is outside `low` to `high`, and what is no number."""
+    """Refuses values outside `low` to `high`, and NaN."""
     if not low <= value <= high:
         raise MessageError(f"{field}: {value}, allowed is {allowed}")
 
@@ -92,7 +91,7 @@ def _refuse_hidden(field: str, text: str) -> None:
 
 
 def read_text(name: str, field: ctypes.Array[ctypes.c_uint8]) -> str:
-    """The text of a zero-padded field; MessageError says what is malformed."""
+    """The text of a zero-padded field; MessageError if it is malformed."""
     data, _, tail = bytes(field).partition(b"\0")
     if any(tail):
         raise MessageError(f"{name}: bytes after the end of the text are not zero")
@@ -105,7 +104,7 @@ def read_text(name: str, field: ctypes.Array[ctypes.c_uint8]) -> str:
 
 
 def text_or_empty(field: ctypes.Array[ctypes.c_uint8]) -> str:
-    """The text of a structure that has no check; empty when it is malformed, as in Rust."""
+    """The text of a structure without a check; empty if it is malformed, as in Rust."""
     try:
         return read_text("", field)
     except MessageError:
@@ -113,7 +112,7 @@ def text_or_empty(field: ctypes.Array[ctypes.c_uint8]) -> str:
 
 
 def utf8(name: str, text: str) -> bytes:
-    """A text as messages have it; MessageError where it is none: a Python text may have halves of characters."""
+    """Encodes a text; MessageError if it is not a valid text: a Python text may have lone surrogates."""
     try:
         return text.encode()
     except UnicodeEncodeError as error:
@@ -121,7 +120,7 @@ def utf8(name: str, text: str) -> bytes:
 
 
 def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int:
-    """Writes a text into a zero-padded field and returns its length in bytes; MessageError says what does not fit."""
+    """Writes a text into a zero-padded field and returns its length in bytes; MessageError if it does not fit."""
     data = utf8(name, text)
     _refuse_hidden(name, text)
     if len(data) > len(field):
@@ -132,7 +131,7 @@ def write_text(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> int
 
 
 def write_cut(name: str, field: ctypes.Array[ctypes.c_uint8], text: str) -> None:
-    """As `write_text`, for text that may be cut, as in Rust: ends at the last character that fits; control characters become spaces."""
+    """As `write_text`, but cuts the text after the last character that fits, as in Rust; control characters become spaces."""
     data = utf8(name, _HIDDEN.sub(" ", text))
     write_text(name, field, data[: len(field)].decode(errors="ignore"))
 
@@ -173,7 +172,7 @@ class NarrationV1(Message):
 
 
 class IncludedV1(Layout):
-    """The newest narration of one source that a message's scores contain."""
+    """The newest narration of one source in a message's scores."""
 
     _fields_ = [
         ("source", ctypes.c_uint64),
@@ -185,7 +184,7 @@ class IncludedV1(Layout):
 
 
 class RoomV1(Layout):
-    """How likely a person is to be in one room soon."""
+    """The probability that a person is in one room soon."""
 
     _fields_ = [
         ("id", _Name),
@@ -197,7 +196,7 @@ class RoomV1(Layout):
 
 
 class RoomScoresV1(Message):
-    """A full snapshot of what the daemon knows."""
+    """A full snapshot of the daemon's knowledge."""
 
     MADE = "computed_ns"
     _fields_ = [
@@ -237,7 +236,7 @@ class RoomScoresV1(Message):
         _in_range("room_count", self.room_count, 1, MAX_ROOMS, "1 to 64")
         _in_range("source_count", self.source_count, 0, MAX_SOURCES, "0 to 16")
         _in_range("reached", self.reached, 0, 3, "0 to 3")
-        # A sum of probabilities may exceed 1 by rounding, and the labels of a chain overlap.
+        # Rounding can make a sum of probabilities exceed 1, and the labels of a chain overlap.
         _in_range("label_mass", self.label_mass, 0, sys.float_info.max, "0 or more, finite")
         for room in self.room[: self.room_count]:
             if not read_text("room id", room.id):
@@ -249,7 +248,7 @@ class RoomScoresV1(Message):
 
 
 class PersonV1(Layout):
-    """One person's scores: those that they would have alone."""
+    """One person's scores, independent of other persons."""
 
     _fields_ = [
         ("person", ctypes.c_uint32),
@@ -271,7 +270,7 @@ class PersonV1(Layout):
 
 
 class PersonScoresV1(Message):
-    """The scores of each person, which the room scores of the same epoch and sequence speak of together."""
+    """The scores of each person behind the room scores of the same epoch and sequence."""
 
     MADE = "computed_ns"
     _fields_ = [
@@ -314,7 +313,7 @@ class PersonScoresV1(Message):
 
 
 class ItemScoresHeaderV1(Layout):
-    """User header of a slice of item scores: which snapshot they belong to."""
+    """User header of a slice of item scores: identifies their snapshot."""
 
     _fields_ = [
         ("epoch", ctypes.c_uint64),
@@ -327,7 +326,7 @@ class ItemScoresHeaderV1(Layout):
 
 
 class ItemScoreV1(Layout):
-    """The score of one item of the map. Sent only while somebody subscribes."""
+    """The score of one item of the map. Sent only while it is followed."""
 
     _fields_ = [
         ("id", _Name),
@@ -374,7 +373,7 @@ class ForecastV1(Message):
 
 
 class PersonForecastV1(Layout):
-    """Where one person will be."""
+    """One person's forecast."""
 
     _fields_ = [
         ("person", ctypes.c_uint32),
@@ -394,7 +393,7 @@ class PersonForecastV1(Layout):
 
 
 class PersonForecastsV1(Message):
-    """Where each person will be."""
+    """All persons' forecasts."""
 
     MADE = "computed_ns"
     _fields_ = [
@@ -436,7 +435,7 @@ class PersonForecastsV1(Message):
 
 
 class DecisionV1(Message):
-    """Where a robot goes next, and why."""
+    """A robot's next room, with the reason."""
 
     MADE = "decided_ns"
     _fields_ = [
@@ -477,7 +476,7 @@ class DecisionV1(Message):
 
 
 class RobotReportV1(Message):
-    """What a robot says of itself: where it is, and what became of a decision."""
+    """A robot's report: its position, and the result of a decision."""
 
     MADE = "reported_ns"
     _fields_ = [
@@ -515,7 +514,7 @@ class RobotReportV1(Message):
 
 
 class StatusRequestV1(Layout):
-    """Asks the daemon how it is."""
+    """Asks the daemon for its status."""
 
     _fields_ = [
         ("minor", ctypes.c_uint32),

@@ -1,4 +1,4 @@
-"""What the messages say, as dataclasses. Times `*_ns` are of the boot clock (`CLOCK_BOOTTIME`, which counts suspension), `*_unix_ns` are for people."""
+"""The messages as dataclasses. Times `*_ns` are of the boot clock (`CLOCK_BOOTTIME`, which counts suspension), `*_unix_ns` are wall-clock times."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Word(enum.IntEnum):
-    """The meaning of a number in a message. A number that this version does not know keeps its value, and its name is UNKNOWN."""
+    """The meaning of a number in a message. A number that is unknown to this version keeps its value, and its name is UNKNOWN."""
 
     @classmethod
     def _missing_(cls, value: object) -> Word | None:
@@ -31,7 +31,7 @@ class Word(enum.IntEnum):
 
     @classmethod
     def of_word(cls, word: str) -> Self | None:
-        """The meaning of a word; None for a word that this version does not know."""
+        """The meaning of a word; None if this version does not know the word."""
         return next((meaning for meaning in cls if meaning.word == word), None)
 
 
@@ -48,7 +48,7 @@ class NarrationKind(Word):
 
 
 class Reached(Word):
-    """Why scoring stopped where it did."""
+    """The reason why scoring stopped."""
 
     EXACT = 0
     RANKING = 1
@@ -57,21 +57,21 @@ class Reached(Word):
 
 
 class ScoreFlags(enum.IntFlag):
-    """What is to be known about scores."""
+    """Flags of scores."""
 
-    #: Sent again unchanged, to say that the daemon lives.
+    #: An unchanged repetition, as a sign that the daemon lives.
     HEARTBEAT = 1
-    #: No narration yet: the scores are what the model says about an unknown past.
+    #: No event yet: the scores are the model's without a known past.
     NO_NARRATION = 2
-    #: More narration had arrived when this was published: newer scores follow.
+    #: More events had arrived at publication: newer scores follow.
     BEHIND = 4
-    #: Narration was lost on the way.
+    #: An event was lost on the way.
     GAP = 8
-    #: There are more sources than places: `included` names the most recent ones.
+    #: More sources than places: `included` names the most recent ones.
     SOURCES_CUT = 16
     #: The last scoring attempt failed; these are the last good scores.
     SCORER_FAILED = 32
-    #: Everybody who is known or lives here is away: no room is likely, and their scores are `-inf`.
+    #: All known persons and residents are away: no room is likely, and their scores are `-inf`.
     NOBODY_HOME = 64
     PREPARED = 128
 
@@ -89,95 +89,95 @@ class Presence(Word):
 
 
 class PersonFlags(enum.IntFlag):
-    """What is to be known about a person's scores."""
+    """Flags of a person's scores."""
 
-    #: All that is known of the person was observed before the daemon's start.
+    #: All events of the person are from before the daemon's start.
     RESTORED = 1
-    #: Nothing for long, on a bed: possibly asleep.
+    #: Long without an event, on a bed: possibly asleep.
     ASLEEP = 2
-    #: The newest narration named nobody, and fitted this person best.
+    #: The newest event named no person, and fitted this person best.
     BY_FIT = 4
-    #: Not of the household: forgotten after a silence.
+    #: Not a member of the household: forgotten after a silence.
     VISITOR = 8
 
 
 class ForecastFlags(enum.IntFlag):
-    """What is to be known about a forecast."""
+    """Flags of a forecast."""
 
-    #: Nobody was observed: every room is as likely, which says nothing.
+    #: No person was observed: every room is equally likely.
     NOT_KNOWN = 1
-    #: Of somebody, all that is known was observed before the daemon's start.
+    #: For at least one person, all events are from before the daemon's start.
     RESTORED = 2
-    #: Everybody who is known or lives here is away now.
+    #: All known persons and residents are away now.
     NOBODY_HOME = 4
-    #: Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+    #: A resident was never observed: the probabilities do not include them, and they may be in any room.
     RESIDENT_UNKNOWN = 8
 
 
 class Action(Word):
-    """What a robot does."""
+    """The robot's action."""
 
-    #: Nothing is to be done: it waits in `to_room`, which may be another room than its own, or where it is if that is empty.
+    #: No work: it waits in `to_room`, which may be another room than its own, or in place if that is empty.
     STAY = 0
     #: It goes to `to_room` and works there.
     GO = 1
-    #: It stops its work and waits where it disturbs nobody, at its dock if it has one.
+    #: It stops its work and waits out of the way, at its dock if it has one.
     PAUSE = 2
 
 
 class DecisionFlags(enum.IntFlag):
-    """What is to be known about a decision."""
+    """Flags of a decision."""
 
-    #: Not the policy's choice but the safe fallback.
+    #: The safe fallback instead of the policy's choice.
     FALLBACK = 1
     #: The scores were older than the planner's deadline.
     STALE = 2
-    #: No scores were received at all.
+    #: No scores were received.
     NO_SCORES = 4
     #: The daemon was silent for longer than its heartbeat allows.
     DAEMON_SILENT = 8
     #: Every room has been covered.
     COVERED = 16
-    #: A person came into the room that the robot was in: what it did there is not done.
+    #: A person came into the robot's room: the work there is not done.
     INTERRUPTED = 32
-    #: `covered` counts what the robot reported as finished; without this flag, the clock.
+    #: `covered` counts the reports of finished work; without this flag, the planned time.
     REPORTED = 64
     #: The round's deadline leaves no later slot for this room.
     DEADLINE = 128
-    #: Nothing is known of anybody: the room scores say nothing about persons.
+    #: No person is known: the room scores are uninformative.
     NOT_KNOWN = 256
-    #: Everybody who is known is away.
+    #: All known persons are away.
     NOBODY_HOME = 512
     #: The robot has reported before and has been silent for longer than allowed.
     ROBOT_SILENT = 1024
-    #: The work was asked for before and its time is over: the robot owes a report of it, and is not to begin it again.
+    #: The work was requested before and its time is over: the robot owes a report, and must not begin it again.
     OWED = 2048
-    #: Decided in another domain and repeated here, so that this domain's robots keep clear of that one. It is an order to none.
+    #: Decided in another domain and repeated here, so that this domain's robots keep clear of that robot. It is not an order.
     ELSEWHERE = 4096
     #: A person holds the robot: it does not work until the hold ends, or a person resumes.
     HELD = 8192
 
 
 class ReportKind(Word):
-    """What a robot reports."""
+    """The kind of a robot's report."""
 
-    #: Where the robot is.
+    #: The robot's position.
     POSITION = 0
-    #: It is in the room and has begun to work there.
+    #: The robot is in the room and has begun to work there.
     STARTED = 1
     #: The work in the room is done.
     FINISHED = 2
     #: The work in the room failed; the robot is free again.
     FAILED = 3
-    #: It does not get into the room; the robot is free again.
+    #: The robot cannot get into the room; it is free again.
     BLOCKED = 4
-    #: It is at its dock, and charges.
+    #: The robot is at its dock and charges.
     DOCKED = 5
-    #: How full the battery is.
+    #: Charge of the battery.
     BATTERY = 6
-    #: Somebody, or the robot itself, took the decision back; the robot is free again.
+    #: A person or the robot cancelled the decision; the robot is free again.
     CANCELLED = 7
-    #: A person's order, no report: the robot does not work.
+    #: A person's order instead of a report: the robot must not work.
     HOLD = 8
     #: A person's order: the hold ends.
     RESUME = 9
@@ -189,11 +189,11 @@ class ReportKind(Word):
 
 @dataclass(frozen=True)
 class Room:
-    """A room of the map, and its scores in nats (`-inf` when it has no item)."""
+    """A room of the map, and its scores in nats (`-inf` if it has no item)."""
 
     id: str
-    #: Of one person, the score's share of all rooms' scores, 0 to 1: how likely it is the room that they go to next. Of several, how likely
-    #: somebody does.
+    #: For one person, the score's share of all rooms' scores, 0 to 1: the probability that the person goes to this room next. For several, the
+    #: probability that at least one person does.
     probability: float
     log_score_nats: float
     lower_log_score_nats: float
@@ -202,7 +202,7 @@ class Room:
 
 @dataclass(frozen=True)
 class Source:
-    """The newest narration of one source that scores contain."""
+    """The newest narration of one source in the scores."""
 
     source: int
     epoch: int
@@ -213,7 +213,7 @@ class Source:
 
 @dataclass(frozen=True)
 class RoomScores:
-    """A full snapshot of what the daemon knows."""
+    """A full snapshot of the daemon's knowledge."""
 
     SERVICE: ClassVar[ports.Service] = ports.ROOM_SCORES
 
@@ -242,12 +242,12 @@ class RoomScores:
 
     @property
     def heartbeat(self) -> bool:
-        """Whether the scores were sent before, and come again to say that the daemon lives."""
+        """Whether the scores are an unchanged repetition, as a sign that the daemon lives."""
         return bool(self.flags & ScoreFlags.HEARTBEAT)
 
     @staticmethod
     def from_message(message: layouts.RoomScoresV1) -> RoomScores:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         return RoomScores(
             epoch=message.epoch,
@@ -284,29 +284,29 @@ class RoomScores:
 
 @dataclass(frozen=True)
 class Person:
-    """One person's scores: those that they would have alone."""
+    """One person's scores, independent of other persons."""
 
     person: int
     reached: Reached
-    #: When they were observed last; 0 where that was before the machine's start.
+    #: Time of the last event; 0 if it was before the machine's start.
     observed_ns: int
     window: int
     label_mass: float
     flags: PersonFlags
-    #: How likely the person goes to each room next; with `elsewhere` the probabilities add up to 1.
+    #: Probability that the person goes to each room next; with `elsewhere` the probabilities add up to 1.
     rooms: tuple[Room, ...]
     presence: Presence = Presence.UNKNOWN
-    #: How likely the person is outside the map's rooms next; 1 while away or gone.
+    #: Probability that the person goes outside the map's rooms next; 1 while away or gone.
     elsewhere: float = 0.0
-    #: Since when `presence` holds; 0 where that was before the machine's start.
+    #: Start of `presence`; 0 if it was before the machine's start.
     since_ns: int = 0
-    #: Empty for a person who has a number only.
+    #: Empty for a person without a name.
     name: str = ""
 
 
 @dataclass(frozen=True)
 class PersonScores:
-    """The scores of each person, which the room scores of the same epoch and sequence speak of together."""
+    """The scores of each person behind the room scores of the same epoch and sequence."""
 
     SERVICE: ClassVar[ports.Service] = ports.PERSON_SCORES
 
@@ -315,13 +315,13 @@ class PersonScores:
     computed_ns: int
     published_ns: int
     map: str
-    #: How many persons are known; at most 8 are told of, those who were observed last.
+    #: Number of known persons; a message holds at most 8, the most recently observed.
     known: int
     persons: tuple[Person, ...]
 
     @staticmethod
     def from_message(message: layouts.PersonScoresV1) -> PersonScores:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         ids = [layouts.read_text("room id", message.id[room]) for room in range(message.room_count)]
         return PersonScores(
@@ -361,7 +361,7 @@ class PersonScores:
 
 @dataclass(frozen=True)
 class RoomForecast:
-    """How likely somebody is in a room, 0 to 1, at each of a forecast's horizons."""
+    """The probability that a room is occupied, 0 to 1, at each of a forecast's horizons."""
 
     id: str
     probabilities: tuple[float, ...]
@@ -369,8 +369,8 @@ class RoomForecast:
 
 @dataclass(frozen=True)
 class Forecast:
-    """How likely each room is occupied at `computed_ns` and each of `horizons_s` seconds later. Of one person, rooms and `elsewhere` add up
-    to 1 at each horizon."""
+    """The probability that each room is occupied, at `computed_ns` and each of `horizons_s` seconds later. For one person, rooms and `elsewhere`
+    add up to 1 at each horizon."""
 
     SERVICE: ClassVar[ports.Service] = ports.FORECAST
 
@@ -382,7 +382,7 @@ class Forecast:
     horizons_s: tuple[float, ...]
     rooms: tuple[RoomForecast, ...]
     flags: ForecastFlags = ForecastFlags(0)
-    #: How likely everybody is outside the map's rooms, per horizon.
+    #: Probability that all persons are outside the map's rooms, per horizon.
     elsewhere: tuple[float, ...] = ()
 
     @property
@@ -391,7 +391,7 @@ class Forecast:
         return max(0.0, (time.clock_gettime_ns(time.CLOCK_BOOTTIME) - self.computed_ns) * 1e-9)
 
     def occupied(self, room: str, ahead_s: float = 0) -> float | None:
-        """The probability that people are in a room `ahead_s` seconds from now; none if the map has no such room. The forecast's age counts.
+        """The probability that people are in a room `ahead_s` seconds from now; None if the map has no such room. The forecast's age counts.
         Between two horizons the probability is interpolated. After the last horizon it stays the same."""
         row = next((each.probabilities for each in self.rooms if each.id == room), None)
         if row is None:
@@ -407,7 +407,7 @@ class Forecast:
 
     @staticmethod
     def from_message(message: layouts.ForecastV1) -> Forecast:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         horizons = message.horizon_count
         return Forecast(
@@ -428,40 +428,39 @@ class Forecast:
 
 @dataclass(frozen=True)
 class RoomSet:
-    """The smallest set of places that holds a person with a given probability."""
+    """The smallest set of places that contains a person with a given probability."""
 
     #: The ids of the rooms in it.
     rooms: tuple[str, ...]
-    #: Whether outside the map's rooms belongs to it.
+    #: Whether the set includes the outside of the map's rooms.
     elsewhere: bool
 
 
 @dataclass(frozen=True)
 class PersonForecast:
-    """Where one person will be; rooms and `elsewhere` add up to 1 at each horizon."""
+    """One person's forecast; rooms and `elsewhere` add up to 1 at each horizon."""
 
     person: int
-    #: Empty for a person who has a number only.
+    #: Empty for a person without a name.
     name: str
     presence: Presence
     flags: PersonFlags
     rooms: tuple[RoomForecast, ...]
-    #: How likely the person is outside the map's rooms, per horizon.
+    #: Probability that the person is outside the map's rooms, per horizon.
     elsewhere: tuple[float, ...]
-    #: The probability that each of `sets` is for; 0 where there are none.
+    #: Probability that each of `sets` contains the person; 0 without sets.
     set_coverage: float
-    #: One per horizon; empty where there are none.
+    #: One per horizon; empty without sets.
     sets: tuple[RoomSet, ...]
-    #: Observations that habits rest on; 0 where nothing was learned.
+    #: Number of observations behind the habits; 0 if there are none.
     observations: float
-    #: How much of the forecast for a minute, a quarter of an hour and an hour ahead comes from what was learned of the home, 0 to 1.
+    #: Share of habits in the forecast for a minute, a quarter of an hour and an hour ahead, 0 to 1.
     learned_share: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class PersonForecasts:
-    """Where each person will be at `computed_ns` and each of `horizons_s` seconds later. The daemon sends them as long as somebody follows
-    them."""
+    """All persons' forecasts at `computed_ns` and each of `horizons_s` seconds later. The daemon sends them while they are followed."""
 
     SERVICE: ClassVar[ports.Service] = ports.PERSON_FORECASTS
 
@@ -469,14 +468,14 @@ class PersonForecasts:
     sequence: int
     computed_ns: int
     published_ns: int
-    #: How many persons are known; at most 8 are told of.
+    #: Number of known persons; a message holds at most 8.
     known: int
     horizons_s: tuple[float, ...]
     persons: tuple[PersonForecast, ...]
 
     @staticmethod
     def from_message(message: layouts.PersonForecastsV1) -> PersonForecasts:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         horizons = message.horizon_count
         ids = [layouts.read_text("room id", message.id[room]) for room in range(message.room_count)]
@@ -512,7 +511,7 @@ class PersonForecasts:
 
 @dataclass(frozen=True)
 class Decision:
-    """Where a robot goes next, and why."""
+    """A robot's next room, with the reason."""
 
     SERVICE: ClassVar[ports.Service] = ports.DECISION
 
@@ -527,25 +526,25 @@ class Decision:
     observed_ns: int
     #: Bit i: room i has been covered.
     covered: int
-    #: How likely somebody is in the room gone to: by the forecast over the stay, where the policy plans by it; else the room's score.
-    #: 0 without scores.
+    #: Probability that the robot's next room is occupied: by the forecast over the stay if the policy uses it, else the room's score. 0 without
+    #: scores.
     probability: float
     stay_ns: int
     action: Action
     flags: DecisionFlags
-    #: The room the robot is in; empty when unknown.
+    #: The robot's present room; empty if unknown.
     from_room: str
     to_room: str
     policy: str
     reason: str
-    #: Sequence of the decision of this epoch that does not hold any more; 0 for none.
+    #: Sequence of a decision of this epoch that no longer holds; 0 for none.
     cancels: int = 0
-    #: Empty where whoever decides does not tell it.
+    #: Empty if the planner does not send it.
     robot_name: str = ""
 
     @staticmethod
     def from_message(message: layouts.DecisionV1) -> Decision:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         return Decision(
             robot=message.robot,
@@ -573,32 +572,32 @@ class Decision:
 
 @dataclass(frozen=True)
 class RobotReport:
-    """What a robot says of itself: where it is, and what became of a decision."""
+    """A robot's report: its position, and the result of a decision."""
 
     SERVICE: ClassVar[ports.Service] = ports.ROBOT_REPORT
 
-    #: The number that decisions name the robot with.
+    #: The robot's number in decisions.
     robot: int
     epoch: int
     sequence: int
     reported_ns: int
     reported_unix_ns: int
-    #: The decision that it answers; both are 0 for none.
+    #: The decision that the report answers; both are 0 for none.
     decision_epoch: int
     decision_sequence: int
     kind: ReportKind
-    #: In the map's metres; none where the report does not say.
+    #: In the map's metres; None if not reported.
     position_m: tuple[float, float, float] | None
-    #: 0 to 1; none where the report does not say.
+    #: 0 to 1; None if not reported.
     battery: float | None
     robot_name: str
-    #: Empty where the position or the decision tells.
+    #: Empty if the position or the decision gives the room.
     room: str
     note: str
 
     @staticmethod
     def from_message(message: layouts.RobotReportV1) -> RobotReport:
-        """Checks and reads a message; MessageError says what is malformed."""
+        """Checks and reads a message; MessageError if it is malformed."""
         message.check()
         x, y, z = message.position_m
         return RobotReport(
@@ -622,12 +621,12 @@ class RobotReport:
 class ItemScore:
     """The score of one item of the map."""
 
-    #: Cut to 48 bytes, as the label.
+    #: Cut to 48 bytes, like the label.
     id: str
     label: str
-    #: The label's score, shared among the items that have it, in nats.
+    #: The label's score in nats, divided among its items.
     log_score_nats: float
-    #: Index of its room in the rooms of the scores; none when it lies in no room.
+    #: Index of its room in the rooms of the scores; None if it is in no room.
     room: int | None
     #: Items of the map with this label.
     label_items: int
@@ -635,8 +634,8 @@ class ItemScore:
 
 @dataclass(frozen=True)
 class ItemScores:
-    """The scores of the map's items, which add up to the room scores of the same epoch and sequence; of a map with more than 1 024 items
-    those of the best. `of` is how many the map has."""
+    """The scores of the map's items, which add up to the room scores of the same epoch and sequence. For a map with more than 1 024 items, only
+    the best. `of` is the number of items of the map."""
 
     epoch: int
     sequence: int
@@ -646,7 +645,7 @@ class ItemScores:
 
     @staticmethod
     def from_message(header: layouts.ItemScoresHeaderV1, items: list[layouts.ItemScoreV1]) -> ItemScores:
-        """Reads a message; texts that are malformed are empty."""
+        """Reads a message; malformed texts are empty."""
         return ItemScores(
             epoch=header.epoch,
             sequence=header.sequence,
@@ -702,23 +701,23 @@ class Status:
     forged: int
     costly: int
     learned: int
-    #: Bytes of memory, counts and names of things of the habits, and persons of whom something was learned.
+    #: Memory in bytes, counts and names of things of the habits, and the number of persons with learned habits.
     habits_bytes: int
     habits_counts: int
     habits_names: int
     habits_persons: int
-    #: Prompts that steps asked about, answers prepared, those that a step used, and the nanoseconds that preparing took.
+    #: Prompts that steps asked about, prefetched answers, answers that a step used, and nanoseconds of prefetching.
     asked: int
     prepared: int
     prepared_used: int
     prepare_ns: int
-    #: Narrations that a fast clock dated more than a second ahead, and how far ahead the newest was dated. They count as observed when they came.
+    #: Narrations that a fast clock dated more than a second ahead, and the lead of the newest one. Their time of arrival counts.
     ahead: int
     ahead_ns: int
 
     @staticmethod
     def from_message(message: layouts.StatusResponseV1) -> Status:
-        """Reads a message; texts that are malformed are empty."""
+        """Reads a message; malformed texts are empty."""
         return Status(
             epoch=message.epoch,
             sequence=message.sequence,

@@ -26,34 +26,33 @@ T = TypeVar("T")
 
 _EVENTS = {"data": 1, "created": 2, "dropped": 3, "dead": 4}
 _MAX_NODES = 32
-# Places for notifiers of killed processes, as in the Rust crate.
+# Spare places for notifiers of killed processes, as in the Rust crate.
 _LEFT_BEHIND = 64
-# The name with the rest of iceoryx2's file names, and the root path, must fit a Unix socket's address.
-#: Of the names of all files of a domain: with the rest they must fit a Unix socket's address.
+# Longest prefix of file names and longest root path, in bytes: with iceoryx2's endings they must fit a Unix socket's address.
 _PREFIX_LIMIT = 25
 _ROOT_LIMIT = 40
-# What iceoryx2 takes in no path.
+# Characters that iceoryx2 refuses in paths.
 _NO_ROOT = re.compile(r'[^ -\x7f]|["*<>?|]')
-# Of the names for people: iceoryx2 takes hardly more.
+# Longest display name in characters: iceoryx2 accepts hardly more.
 _PARTICIPANT_LIMIT = 100
 _SHARED_MEMORY = pathlib.Path("/dev/shm")
 # The ending of iceoryx2's counter of participants.
 _COUNTER_FILE = ".global_mgmt"
-# More than the largest port takes. iceoryx2 maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
+# More than the largest port needs. iceoryx2 maps memory before the system provides it; touching a missing page ends the process by SIGBUS.
 _FREE_BYTES = 8 << 20
-# How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
+# Retry time for opening a service: a peer that starts, stops or has just died blocks it only for moments.
 _OPEN_FOR_S = 5.0
-# The shortest wait: below a microsecond a listener takes none for a limit, and waits for ever.
+# The shortest wait: a listener takes less than a microsecond for no limit, and waits for ever.
 _MOMENT_S = 0.001
-# How long a publisher that has just sent something stays, so that whoever was woken can take it.
+# Time that a publisher stays after its last message, so that woken subscribers can take it.
 _LINGER_S = 0.1
-# Words of iceoryx2's errors that time does not heal.
+# Words in iceoryx2's errors that a retry does not help.
 _FINAL = ("Incompatible", "DoesNotSupport", "VersionMismatch", "InsufficientPermissions")
 
 
 @dataclass(frozen=True)
 class Service:
-    """A service with its quality, all of which every participant states."""
+    """A service with its quality of service; all participants must state the same."""
 
     name: str
     payload: type[layouts.Message]
@@ -79,31 +78,31 @@ HABITS = "roomcast/v1/habits"
 
 
 class RoomcastError(Exception):
-    """A domain or a service cannot be used; the message says which, why, and what to do."""
+    """A domain or a service cannot be used; the message gives the reason and the remedy."""
 
 
 class NoAnswerError(RoomcastError):
-    """Nobody answered in time."""
+    """There was no answer in time."""
 
 
 class ClosedError(RoomcastError):
-    """What was closed, or left with its `with` block, is used no more."""
+    """The object was closed, by `close` or by the end of a `with` block."""
 
 
 @dataclass(frozen=True)
 class Domain:
-    """A private world of services: participants with the same root directory and name see one another, and nobody else.
+    """A private space of services: participants with the same root directory and name see only one another.
 
-    The root (at most 40 bytes, absolute) belongs to one user, and nobody else may write there. The name has characters of a-z,
-    0-9 and '-': 15 for every user, up to 22 where the user's number is short. The first participant makes the root; the folder that it lies in
-    must exist. RoomcastError says what is wrong with either.
+    The root (at most 40 bytes, absolute) belongs to one user, and no other user may write there. The name has characters of a-z, 0-9 and '-':
+    15 for every user, up to 22 if the user's number is short. The first participant creates the root; its parent folder must exist.
+    RoomcastError if either is invalid.
     """
 
     root: str
     name: str
 
     def __init__(self, root: str | os.PathLike[str], name: str = "roomcast") -> None:
-        # A dataclass that is frozen sets its fields so.
+        # The way to set fields of a frozen dataclass.
         object.__setattr__(self, "root", os.fsdecode(root))
         object.__setattr__(self, "name", name)
         if not os.path.isabs(self.root) or len(os.fsencode(self.root)) > _ROOT_LIMIT:
@@ -119,9 +118,9 @@ class Domain:
 
     @staticmethod
     def default_for_user() -> Domain:
-        """The domain of all commands when none is given.
+        """The default domain of all commands.
 
-        ROOMCAST_ROOT and ROOMCAST_DOMAIN name it, as for every command; without them the root is under XDG_RUNTIME_DIR, else /tmp/roomcast-UID.
+        ROOMCAST_ROOT and ROOMCAST_DOMAIN set it, as for every command; without them the root is under XDG_RUNTIME_DIR, else /tmp/roomcast-UID.
         """
         name = os.environ.get("ROOMCAST_DOMAIN", "roomcast")
         if given := os.environ.get("ROOMCAST_ROOT"):
@@ -139,11 +138,13 @@ class Domain:
 
     @property
     def prefix(self) -> str:
-        """What the names of all its files begin with: no domain's begins another's, of another name or of another user."""
+        """The prefix of all its files' names. Prefixes of two domains, by name or user, never begin each other."""
         return f"{self.name}-{os.geteuid():x}_"
 
     def open(self, participant: str) -> Node:
-        """Joins under a name for people (at most 100 characters); the root directory is made if it is missing."""
+        """Joins under a display name (at most 100 characters); creates the root directory if it is missing."""
+        if not any(character.isalnum() for character in participant):
+            raise RoomcastError(f"participant {participant!r}: give a name with a letter or digit, such as 'hall-camera'")
         if len(participant) > _PARTICIPANT_LIMIT:
             raise RoomcastError(
                 f"cannot join the domain at {self.root} as {participant!r}: a name of {len(participant)} characters; give at most "
@@ -153,14 +154,14 @@ class Domain:
         self._refuse_foreign_shared_memory()
         refuse_full_shared_memory()
         iox2.set_log_level(iox2.LogLevel.Fatal)
-        # iceoryx2's names are ASCII; people's are not.
+        # iceoryx2's names are ASCII only.
         shown = "".join(character if " " <= character <= "~" else "?" for character in participant)
         try:
             config = iox2.config.default()
             config.global_cfg.root_path = iox2.Path.new(self.root)
             config.global_cfg.prefix = iox2.FileName.new(self.prefix)
             builder = iox2.NodeBuilder.new().name(iox2.NodeName.new(shown)).config(config)
-            # Ctrl-C stays Python's.
+            # Python keeps handling Ctrl-C.
             node = builder.signal_handling_mode(iox2.SignalHandlingMode.Disabled).create(iox2.ServiceType.Ipc)
         except Exception as error:  # iceoryx2's bindings have an exception type per operation
             raise RoomcastError(
@@ -171,8 +172,7 @@ class Domain:
         return Node(node, self)
 
     def commit_shared_memory(self) -> None:
-        """Has the system give every page of the domain's shared memory now, so that it cannot be out of them when one is first
-        touched, in the middle of a publish."""
+        """Allocates every page of the domain's shared memory now, so that memory cannot run out in the middle of a publish."""
         for file in self._shared_memory():
             descriptor = _open_own(file, os.O_WRONLY)
             if descriptor is None:
@@ -203,7 +203,7 @@ class Domain:
         )
 
     def _prepare_root(self) -> None:
-        """Makes the root, or refuses one that others could put files into."""
+        """Creates the root, or refuses one that other users could write to."""
         root = pathlib.Path(self.root)
         try:
             if not root.is_dir():
@@ -226,8 +226,8 @@ class Domain:
             )
 
     def remove_counter(self, leaving: frozenset[str] = frozenset()) -> None:
-        """Removes iceoryx2's counter of participants unless somebody is in the domain, dead or alive, except for `leaving`, which are numbers of
-        participants. Where that cannot be seen, somebody is. A participant that joins at this moment has its number already, and the next one
+        """Removes iceoryx2's counter of participants if no participant, dead or alive, is in the domain except for `leaving` (numbers of
+        participants). If that is unknown, the counter stays. A participant that joins at this moment has its number already, and the next one
         begins a new counter."""
 
         def is_there(entry: pathlib.Path) -> bool:
@@ -246,7 +246,7 @@ class Domain:
         return list(_SHARED_MEMORY.glob(f"{self.prefix}*"))
 
     def _refuse_foreign_shared_memory(self) -> None:
-        """Anybody may make files in /dev/shm. One of this domain's name that is somebody else's could be read and written by them."""
+        """Any user may create files in /dev/shm. Another user's file with this domain's prefix could be read and written by that user."""
         for file in self._shared_memory():
             try:
                 owner = file.lstat().st_uid
@@ -258,7 +258,7 @@ class Domain:
                 )
 
     def _close_to_others(self) -> None:
-        """iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it."""
+        """iceoryx2 opens one file per domain, its counter of participants, to every user. This restricts it to the owner."""
         for file in self._shared_memory():
             descriptor = _open_own(file, os.O_RDONLY)
             if descriptor is None:
@@ -275,8 +275,8 @@ class Domain:
 
 
 def _open_own(file: pathlib.Path, access: int) -> int | None:
-    """Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere
-    else: none but a plain file of this user's is opened."""
+    """Opens a file of the domain in shared memory, if it is a plain file of this user. Another user could have put a pipe there, which would
+    block, or a link to another place."""
     try:
         descriptor = os.open(file, access | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY)
     except OSError:
@@ -292,7 +292,7 @@ def _open_own(file: pathlib.Path, access: int) -> int | None:
 
 
 def deadline_of(timeout_s: float | None) -> float:
-    """When a wait that begins now is over; never, where it has no limit. ValueError for what is no number: that would never be over."""
+    """The end of a wait that begins now; infinity without a limit. ValueError for NaN, because such a wait would never end."""
     if timeout_s is None:
         return math.inf
     if math.isnan(timeout_s):
@@ -301,7 +301,7 @@ def deadline_of(timeout_s: float | None) -> float:
 
 
 def refuse_full_shared_memory() -> None:
-    """An error in words where iceoryx2 would end by a signal."""
+    """Raises an error in a case in which iceoryx2 would end by a signal."""
     try:
         about = os.statvfs(_SHARED_MEMORY)
     except OSError:
@@ -314,10 +314,10 @@ def refuse_full_shared_memory() -> None:
 
 
 class _Held:
-    """What iceoryx2 has given to this process, and to none that is forked from it.
+    """Objects of iceoryx2 that belong to this process, and not to its forks.
 
-    A forked process has copies. Whoever used one would speak in its parent's name, and whoever deleted one would take its parent's place
-    away. So a copy refuses to be used, and nothing deletes it.
+    A forked process has copies. Using a copy would send in its parent's name, and deleting it would free its parent's place. So a copy refuses
+    to be used, and is never deleted.
     """
 
     def __init__(self, what: str, *parts: Any) -> None:
@@ -337,7 +337,7 @@ class _Held:
 
     def _inherit(self) -> None:
         self.inherited = True
-        # A reference that nobody gives back: not even the end of Python deletes what has one.
+        # An extra reference, never released, so that not even the end of Python deletes the object.
         for part in self._parts:
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(part))
 
@@ -354,7 +354,7 @@ os.register_at_fork(after_in_child=_inherit_all)
 
 
 class _LastOut:
-    """Removes the counter of participants when the last one leaves, as in the Rust crate."""
+    """Removes the counter of participants after the last one leaves, as in the Rust crate."""
 
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
@@ -366,7 +366,7 @@ class _LastOut:
 
 
 def _leave_all() -> None:
-    """At the end of Python participants leave in any order, after `_LastOut` or before it."""
+    """At the end of Python, participants leave in any order, before or after `_LastOut`."""
     nodes = [held for held in list(_ALL_HELD) if isinstance(held, Node) and not held.inherited]
     leaving = frozenset(str(node.inner.id.value) for node in nodes)
     for domain in {node.domain for node in nodes}:
@@ -386,7 +386,7 @@ class Node(_Held):
         super().__init__(f"domain at {domain.root}", _LastOut(domain), inner)
 
     def retry(self, service: str, open_port: Callable[[], T]) -> T:
-        """Opens a port of a service; repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago."""
+        """Opens a port of a service; retries while the failure may pass: a peer is starting, stopping, or has just died."""
         self.refuse_inherited()
         refuse_full_shared_memory()
         start = time.monotonic()
@@ -443,8 +443,8 @@ def _event(node: Node, service: Service) -> Any:
 
 
 def _wake(node: Node, service: str) -> None:
-    """Wakes whoever serves a service for somebody who joined or asks: it sleeps on the news of another service, of which a notifier that
-    comes and goes is some. Where waking fails, a newcomer waits some hundred milliseconds."""
+    """Wakes the process that serves a service after a participant has joined or asked. That process sleeps on the events of another service; a
+    notifier that is created and deleted there is an event. If waking fails, a newcomer waits for some hundred milliseconds."""
     if service == NARRATION.name:
         return
     with contextlib.suppress(Exception):  # iceoryx2's bindings have an exception type per operation
@@ -452,28 +452,28 @@ def _wake(node: Node, service: str) -> None:
 
 
 class Port(_Held):
-    """A place at a service. Any thread may use it, and any may close it, also a signal's handler in the midst of its own thread's use.
+    """A place at a service. Any thread may use or close it, and so may a signal's handler during its own thread's use.
 
-    iceoryx2 ends the process that uses what was deleted, and does not delete what is in use. So the last user of a closed port deletes it.
+    iceoryx2 ends the process if a deleted object is used, and does not delete an object in use. So the last user of a closed port deletes it.
     """
 
     def __init__(self, node: Node, service: str, *parts: Any) -> None:
         super().__init__(f"service {service}", *parts)
         self._service = service
-        # Reentrant for signals' handlers, and for a use inside another.
+        # Reentrant for signal handlers, and for nested uses.
         self._lock = threading.RLock()
         self._users = 0
         self._closed = False
-        # Behind the parts, which leave first: with the last port the node leaves.
+        # Deleted after the parts: the node leaves with the last port.
         self._node = node
 
     @contextlib.contextmanager
     def use(self) -> Iterator[None]:
-        """Nobody deletes it inside. Refuses as `refuse_unusable`."""
-        # Before the lock, which in a forked process nobody may ever give back.
+        """Keeps the port from being deleted inside. Fails like `refuse_unusable`."""
+        # Before the lock, because in a forked process the lock may never be released.
         self.refuse_inherited()
         with self._lock:
-            # Counted first: from here on a signal's handler that closes it leaves deleting it to this use.
+            # Counted first: if a signal's handler closes the port from here on, this use deletes it.
             self._users += 1
         try:
             self.refuse_unusable()
@@ -491,14 +491,14 @@ class Port(_Held):
             yield
 
     def refuse_unusable(self) -> None:
-        """ClosedError when it is closed, RoomcastError when it was opened before a fork."""
+        """ClosedError if it is closed, RoomcastError if it was opened before a fork."""
         self.refuse_inherited()
         if self._closed:
             raise ClosedError(f"service {self._service}: this place was closed, by `close` or by the end of a `with` block; make a new one")
 
     def close(self) -> None:
-        """Gives the place to somebody else, at once or as soon as no thread uses it. Closing again does nothing, nor does closing what was
-        opened before a fork: the place is the parent's."""
+        """Frees the place, at once or when no thread uses it any more. Closing again does nothing, nor does closing a port from before a fork: the
+        place is the parent's."""
         if self.inherited:
             return
         self._linger()
@@ -520,7 +520,7 @@ class Publisher(Port):
 
     def __init__(self, node: Node, service: Service) -> None:
         def open_port() -> tuple[Any, Any]:
-            # The publisher first: it is the place that others may hold.
+            # The publisher first, because its place is limited.
             publisher = _publish_subscribe(node, service).publisher_builder().create()
             data = iox2.EventId.new(_EVENTS["data"])
             return publisher, _event(node, service).notifier_builder().default_event_id(data).create()
@@ -530,7 +530,7 @@ class Publisher(Port):
         super().__init__(node, service.name, self._publisher, self._notifier)
 
     def send(self, message: layouts.Message) -> int:
-        """Sends a copy and wakes the subscribers. Returns the number of subscribers that received it. MessageError when the message is malformed."""
+        """Sends a copy and wakes the subscribers. Returns the number of subscribers that received it. MessageError if the message is malformed."""
         message.check()
         return self.send_unchecked(message)
 
@@ -542,18 +542,18 @@ class Publisher(Port):
             except (iox2.LoanError, iox2.SendError) as error:
                 raise RoomcastError(f"service {self._service}: send failed: {error!r}; leave the domain and join again") from error
             self._sent_s = time.monotonic()
-            # Where it fails, the message lies in the buffer, and a subscriber that waits looks there when its time-out ends.
+            # If this fails, the message is in the buffer, and a waiting subscriber checks the buffer after its timeout.
             with contextlib.suppress(iox2.NotifierNotifyError):
                 self._notifier.notify()
             return receivers
 
     def tick(self) -> None:
-        """Hands the history to subscribers that joined since; to be called now and then while nothing is sent."""
+        """Sends the history to subscribers that joined since; to be called from time to time if nothing is sent."""
         with self.alone():
             self._publisher.update_connections()
 
     def _linger(self) -> None:
-        """What waits in shared memory dies with its publisher, so that what was sent just now is given a moment first."""
+        """Messages in shared memory are lost with their publisher, so recent ones get a moment."""
         if not self._closed:
             time.sleep(max(0.0, self._sent_s + _LINGER_S - time.monotonic()))
 
@@ -565,11 +565,11 @@ class Subscriber(Port, Generic[T]):
         self._payload = service.payload
         self._listening = threading.Lock()
         self._read = read
-        #: Messages that said what no honest sender says, and were dropped.
+        #: Messages that were malformed and dropped.
         self.malformed = 0
 
         def open_port() -> tuple[Any, Any]:
-            # The listener is there before the subscriber: no wake-up falls between the two.
+            # The listener is created first, so that no wake-up is lost between the two.
             listener = _event(node, service).listener_builder().create()
             return listener, _publish_subscribe(node, service).subscriber_builder().buffer_size(service.buffer).create()
 
@@ -578,11 +578,11 @@ class Subscriber(Port, Generic[T]):
         _wake(node, service.name)
 
     def wait(self, timeout_s: float) -> None:
-        """Sleeps until there is news or the time is over; at least a moment."""
+        """Sleeps until there is news or the timeout is over; at least a moment."""
         failure = None
         deadline = time.monotonic() + timeout_s
         with self.use():
-            # A listener has one time-out for all threads, so that one listens and the others wait for it.
+            # A listener has one timeout for all threads, so one thread listens and the others wait for it.
             if not self._listening.acquire(timeout=max(_MOMENT_S, timeout_s)):
                 return
             try:
@@ -591,15 +591,15 @@ class Subscriber(Port, Generic[T]):
                 failure = error
             finally:
                 self._listening.release()
-        # A signal ends the sleep, and Python's handler follows: out here, so that what it raises does not seem to follow from another error.
+        # A signal ends the sleep, and Python's handler follows: out here, so that its exception is not chained to another error.
         if failure is not None and "InterruptSignal" not in str(failure):
             raise RoomcastError(f"service {self._service}: wait failed: {failure!r}; leave the domain and join again") from failure
 
     def receive(self) -> T | None:
-        """Takes the oldest good message that waits; malformed ones are dropped and counted."""
+        """Takes the oldest valid message; malformed ones are dropped and counted."""
         with self.alone():
             while (sample := self._subscriber.receive()) is not None:
-                # The sender can still write to the sample, so that a copy is what is checked and read.
+                # The sender can still write to the sample, so a copy is checked and read.
                 copy = self._payload.from_buffer_copy(bytes(sample.payload().contents))
                 sample.delete()
                 try:
@@ -610,7 +610,7 @@ class Subscriber(Port, Generic[T]):
         return None
 
     def newest(self) -> T | None:
-        """Takes all that wait and returns the newest good one."""
+        """Takes all waiting messages and returns the newest valid one."""
         newest = None
         with self.alone():
             while (message := self.receive()) is not None:
@@ -635,7 +635,7 @@ def _item_scores(node: Node) -> Any:
 
 
 class ItemScoresSubscriber(Port):
-    """Receives item scores, a slice with a header; as long as it lives, the daemon sends them. They wake nobody."""
+    """Receives item scores, a slice with a header; the daemon sends them while this subscriber exists. They wake no subscriber."""
 
     def __init__(self, node: Node) -> None:
         self._subscriber = node.retry(ITEM_SCORES, lambda: _item_scores(node).subscriber_builder().create())
@@ -643,13 +643,13 @@ class ItemScoresSubscriber(Port):
         _wake(node, ITEM_SCORES)
 
     def receive(self) -> tuple[layouts.ItemScoresHeaderV1, list[layouts.ItemScoreV1]] | None:
-        """Takes the oldest that waits, copied."""
+        """Takes a copy of the oldest message."""
         with self.alone():
             sample = self._subscriber.receive()
             if sample is None:
                 return None
             header = layouts.ItemScoresHeaderV1.from_buffer_copy(bytes(sample.user_header().contents))
-            # The length that the bindings give of a slice is in bytes, and what they show of one reaches beyond it.
+            # The bindings give a slice's length in bytes, and their view reaches beyond its end.
             items = layouts.ItemScoreV1 * sample.header.number_of_elements
             copy = items.from_buffer_copy(ctypes.string_at(sample.payload().as_ptr(), ctypes.sizeof(items)))
             sample.delete()
@@ -676,8 +676,8 @@ def _client_builder(node: Node, service: str, request: Any, response: Any) -> An
 
 
 def _answer(service: str, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, deadline: float, timeout_s: float) -> T:
-    """Sends a request and waits for the answer until the deadline, which is `timeout_s` after the call; sends it again now and then: a daemon that starts after it was sent never gets it. Where
-    `read` makes nothing of the answer, it is sent again at once."""
+    """Sends a request and waits for the answer until the deadline. Sends it again from time to time, because a daemon that starts later never gets
+    the first one. If `read` finds no answer, sends it again at once."""
     while time.monotonic() < deadline:
         pending = send()
         again = time.monotonic() + again_s
@@ -698,7 +698,7 @@ def _no_answer(service: str, timeout_s: float) -> NoAnswerError:
 
 
 class _Client(Port):
-    """Asks one service."""
+    """A client of one service."""
 
     def __init__(self, node: Node, service: str, open_client: Callable[[], Any]) -> None:
         self._client = node.retry(service, open_client)
@@ -707,7 +707,7 @@ class _Client(Port):
 
     def _ask(self, send: Callable[[], Any], read: Callable[[Any], T | None], again_s: float, timeout_s: float) -> T:
         def send_and_wake() -> Any:
-            # Closed meanwhile, it asks no more.
+            # If it was closed in the meantime, it asks no more.
             self.refuse_unusable()
             pending = send()
             _wake(self._node, self._service)
@@ -715,7 +715,7 @@ class _Client(Port):
 
         deadline = deadline_of(timeout_s)
         with self.use():
-            # A client may have few requests under way, so that one thread asks and the others wait for it.
+            # A client may have few pending requests, so one thread asks and the others wait for it.
             if not self._asking.acquire(timeout=min(max(0.0, deadline - time.monotonic()), threading.TIMEOUT_MAX)):
                 raise _no_answer(self._service, timeout_s)
             try:
@@ -725,14 +725,14 @@ class _Client(Port):
 
 
 class StatusClient(_Client):
-    """Asks the daemon how it is."""
+    """Asks the daemon for its status."""
 
     def __init__(self, node: Node) -> None:
         request, response = layouts.StatusRequestV1, layouts.StatusResponseV1
         super().__init__(node, STATUS, lambda: _client_builder(node, STATUS, request, response).create())
 
     def ask(self, timeout_s: float) -> layouts.StatusResponseV1:
-        """Asks, and waits for the answer, a copy."""
+        """Asks, and waits for a copy of the answer."""
 
         def read(answer: Any) -> layouts.StatusResponseV1:
             return layouts.StatusResponseV1.from_buffer_copy(bytes(answer.payload().contents))
@@ -741,7 +741,7 @@ class StatusClient(_Client):
 
 
 class WordsClient(_Client):
-    """Asks the daemon in words (JSON)."""
+    """Asks the daemon in JSON."""
 
     def __init__(self, node: Node, service: str) -> None:
         words = iox2.Slice[ctypes.c_uint8]
@@ -776,19 +776,19 @@ class WordsClient(_Client):
 
 
 _QUESTION_BYTES_MAX = 1 << 20
-# Too long for shared memory, an answer lies in a file of its own random name, which comes in its place.
+# An answer too long for shared memory is in a file with a random name; this text replaces it.
 _IN_FILE = re.compile(rb'\{"answer":"in-file","name":"([0-9a-fA-F]{16})"\}')
 
 
 def _whole(domain: Domain, service: str, answer: bytes) -> bytes | None:
-    """The answer, out of its file where it lies in one; none where that is gone: it gave way to newer ones, or somebody was forgotten."""
+    """The answer, read from its file if it is in one; None if the file is gone: newer answers replaced it, or a person was forgotten."""
     in_file = _IN_FILE.fullmatch(answer)
     if in_file is None:
         return answer
     path = pathlib.Path(domain.root, f"{domain.prefix}{service.rsplit('/')[-1]}-{in_file[1].decode()}.answer")
     try:
         answer = path.read_bytes()
-        # It may tell of persons.
+        # It may contain personal data.
         path.unlink(missing_ok=True)
     except FileNotFoundError:
         return None

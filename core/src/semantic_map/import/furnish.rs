@@ -49,6 +49,11 @@ fn usual(label: &str) -> &'static [Piece] {
     found.or_else(|| known(ANY)).unwrap_or_default()
 }
 
+/// Whether the usual furniture of a room, by its label, has a thing.
+pub(super) fn usually_has(room: &str, thing: &str) -> bool {
+    usual(room).iter().any(|(label, ..)| label == thing)
+}
+
 /// The room that an item stands in: the one that it shares most with, else one that holds its position.
 fn holder(rooms: &[Room], item: &Item, left: &mut usize) -> Option<usize> {
     // Whether the room's footprint is looked at, beyond the box around it.

@@ -45,6 +45,10 @@ pub struct Registries<'a> {
     pub persons: Option<&'a str>,
     /// Areas that become no rooms, each by its id, its name or an alias.
     pub leave_out: &'a [String],
+    /// Names of residents, for sensors that have a person's name and are not of a person in `persons`.
+    pub residents: &'a [String],
+    /// Whether rooms get the usual furniture later: sentences then name the room of each thing that another room usually has.
+    pub furnished: bool,
 }
 
 /// A home: its map, and rules for `narrate --mqtt`.
@@ -98,11 +102,13 @@ pub fn home_assistant(registries: &Registries<'_>, name: &str) -> Result<Home, I
 
     let people = people(&entities, &persons, &mut notes);
     let places = Places::new(&areas, &plan.rooms, &left_out);
-    let sensors = sensors(&entities, &devices, &places, &people, &mut notes);
+    let names: Vec<&str> =
+        people.iter().map(|(_, name)| &**name).chain(registries.residents.iter().map(|name| &**name)).collect();
+    let sensors = sensors(&entities, &devices, &places, &names, &mut notes);
     let items = items(&sensors, &plan.rooms);
     let mut rules = Rules::default();
     let one_occupancy = with_one_occupancy(&sensors);
-    let phrases = Phrases::of(&sensors, &plan::spoken(&plan.rooms, &areas));
+    let phrases = Phrases::of(&sensors, &plan.rooms, &plan::spoken(&plan.rooms, &areas), registries.furnished);
     for placed in &sensors {
         let area = (plan.rooms[placed.room].id.as_str(), places.texts[placed.room].comment.as_str());
         rules.sensor(placed, area, &phrases, one_occupancy.contains(&placed.room));
@@ -206,11 +212,11 @@ fn sensors<'a>(
     entities: &'a [Entity],
     devices: &'a [Device],
     places: &Places<'_>,
-    people: &'a [(String, String)],
+    people: &[&'a str],
     notes: &mut Vec<String>,
 ) -> Vec<Placed<'a>> {
     let devices: HashMap<&str, &Device> = devices.iter().map(|device| (&*device.id, device)).collect();
-    let first_names = FirstNames::of(people.iter().map(|(_, name)| &**name));
+    let first_names = FirstNames::of(people);
     let (mut found, mut homeless, mut nameless) = (Vec::new(), 0, Vec::new());
     for entity in entities {
         let Some((domain, object)) = entity.entity_id.split_once('.') else { continue };

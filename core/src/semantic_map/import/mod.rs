@@ -1,4 +1,5 @@
-//! Maps of other formats, turned into scenes: VirtualHome environment graphs, open-vocabulary maps, maps of vacuum robots and Home Assistant's registries.
+//! Converts maps of other formats to scenes: VirtualHome environment graphs, open-vocabulary maps, maps of vacuum robots and Home Assistant's
+//! registries.
 //!
 //! Whatever is read passes the same checks as a scene file, so an import is a map or an error, never half a map.
 
@@ -61,7 +62,7 @@ pub enum ImportError {
         /// The areas of the home.
         there: Vec<String>,
     },
-    /// An area that is to be left out is not there.
+    /// An area in the list of areas to leave out is unknown.
     #[error("has no area {:?} to leave out; its areas are {}", excerpt(.unknown), excerpt(&.there.join(", ")))]
     NoArea {
         /// The area that is not there.
@@ -83,7 +84,7 @@ fn parse<'a, T: serde::Deserialize<'a>>(json: &'a str, expected: &'static str) -
     Ok(value)
 }
 
-/// Gives ids: words joined by hyphens, numbered from the second use on.
+/// Generates ids: words joined by hyphens, numbered from the second use on.
 #[derive(Default)]
 struct Ids {
     taken: HashSet<String>,

@@ -37,32 +37,19 @@ const OFF_GRID: f64 = 0.1;
 const ROOM_HEIGHT_M: f64 = 2.5;
 /// How far a corner may lie off a box's and be one of its corners, in metres: numbers are rounded.
 const ROUNDED_M: f64 = 0.01;
-/// What captioners say when they see nothing.
+/// Captions of captioners for an unrecognised object.
 const NOTHING: [&str; 6] = ["invalid", "unknown", "none", "object", "item", "n/a"];
 
-/// The axis that points up in the map.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Default,
-    Deserialize,
-    strum::Display,
-    strum::EnumMessage,
-    strum::EnumString,
-    strum::IntoStaticStr,
-    strum::VariantArray,
-)]
-#[strum(serialize_all = "lowercase")]
-#[serde(rename_all = "lowercase")]
-pub enum Up {
-    /// Right-handed, y up: HOV-SG and Habitat.
-    Y,
-    /// Right-handed, z up: most others.
-    #[default]
-    Z,
+crate::choices! {
+    /// The axis that points up in the map.
+    #[derive(Default)]
+    pub enum Up {
+        /// Right-handed, y up: HOV-SG and Habitat.
+        Y,
+        /// Right-handed, z up: most others.
+        #[default]
+        Z,
+    }
 }
 
 impl Up {

@@ -48,16 +48,15 @@ impl Extent {
     }
 }
 
-/// Turns an environment graph into a map.
+/// Converts an environment graph to a map.
 ///
-/// Nodes of the category `Rooms` become rooms, all others items, except characters (the forecast is about them, not about where
-/// they go) and nodes without a box. Doors come from BETWEEN edges. Class names become words by the built-in table; several
-/// rooms or items of one class get ids of their own, items by their number in the graph ("mug-173"), as
-/// activity programs have it. `equivalence` is VirtualHome's table of class names (a JSON object from a program's name to the
-/// scene's names) and adds aliases for the labels that the map has.
+/// Nodes of the category `Rooms` become rooms, all others items. Characters are left out (the forecast is about them), and so are nodes without a
+/// box. Doors come from BETWEEN edges. Class names become words by the built-in table. If several rooms or items have the same class, each gets its
+/// own id; an item's id ends with its number in the graph ("mug-173"), as in activity programs. `equivalence` is VirtualHome's table of class names
+/// (a JSON object from a program's name to the scene's names) and adds aliases for the map's labels.
 ///
 /// # Errors
-/// When the text is no graph of VirtualHome, has no room, or breaks a rule of scenes.
+/// If the text is not a VirtualHome graph, has no room, or breaks a rule of scenes.
 pub fn virtualhome(json: &str, name: &str, equivalence: Option<&str>) -> Result<Imported, ImportError> {
     let graph: Graph = parse(json, "a VirtualHome environment graph: an object with `nodes` and `edges`")?;
     let mut notes = Vec::new();
@@ -211,7 +210,7 @@ mod tests {
         }
     }
 
-    /// VirtualHome says itself in which room a thing is; largest overlap must agree at least as often as it can.
+    /// VirtualHome gives each thing's room; the largest overlap must agree at least as often as it can.
     #[test]
     fn grounding_agrees_with_virtualhomes_own_rooms() {
         let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/virtualhome/scenes");

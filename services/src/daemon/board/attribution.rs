@@ -4,7 +4,7 @@ use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
-use roomcast_ipc::RoomV1;
+use roomcast_ipc::raw::RoomV1;
 
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};
@@ -149,7 +149,7 @@ impl<M: LanguageModel> Board<M> {
             let why = own.reason.map(Reason::text).or(match &own.event {
                 Event::Did(_) if place.is_none() => Some("the text names no place on the map"),
                 Event::Present(Some(_)) | Event::Empty(_) if place.is_none() => {
-                    Some("the map has no single room of this name")
+                    Some("the map has no single room of this name: give the id of a room")
                 }
                 _ => None,
             });

@@ -4,13 +4,11 @@ use roomcast_core::narration::{Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
+use roomcast_ipc::raw::{Message, PersonV1, forecast_flags, score_flags};
 
 use super::super::answers::answer_about_person;
-use super::super::journal::{
-    Journal, JournalOptions, Outcome, Recovered, encode, encode_believed, encode_forgotten, encode_moved,
-    encode_outcome, read_records,
-};
+use super::super::journal::notes::Notes;
+use super::super::journal::{Outcome, Record};
 use super::super::person_question::{PersonAnswer, PersonQuestion, UnderstoodLine};
 use super::super::{Board, Entry};
 use super::*;
@@ -19,7 +17,6 @@ use crate::config::May;
 mod sensors;
 
 const S: u64 = 1_000_000_000;
-const BOOT: [u8; 16] = [5; 16];
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
 const FLAT: &str = include_str!("../../../../scenes/flat.json");
 
@@ -27,7 +24,7 @@ const FLAT: &str = include_str!("../../../../scenes/flat.json");
 struct House {
     board: Board<TableModel>,
     config: PersonsConfig,
-    journal: Vec<u8>,
+    journal: Notes,
     said: u64,
     now_ns: u64,
 }
@@ -52,7 +49,7 @@ impl House {
     fn new(residents: &[&str]) -> Self {
         let residents = residents.iter().map(|name| (*name).to_owned()).collect();
         let config = PersonsConfig { residents, ..PersonsConfig::default() };
-        Self { board: board(&config), config, journal: Vec::new(), said: 0, now_ns: 100_000 * S }
+        Self { board: board(&config), config, journal: Notes::default(), said: 0, now_ns: 100_000 * S }
     }
 
     fn observation(&mut self, who: &str, text: &str) -> Observation {
@@ -71,7 +68,7 @@ impl House {
     }
 
     fn enter(&mut self, observation: Observation) {
-        self.journal.extend(encode(&observation, &BOOT));
+        self.journal.observe(&observation);
         let entry = Entry::new(observation, BootNs(self.now_ns));
         self.step(Some(entry));
     }
@@ -79,10 +76,10 @@ impl House {
     fn step(&mut self, entry: Option<Entry>) {
         self.board.step(entry, BootNs(self.now_ns), UnixNs(1_000_000 * S + self.now_ns)).unwrap();
         let journal = &mut self.journal;
-        self.board.tell_beliefs(|believed| journal.extend(encode_believed(&believed)));
-        self.board.tell_moved(|moved| journal.extend(encode_moved(moved)));
-        self.board.tell_gone(|person| journal.extend(encode_forgotten(person, false)));
-        self.board.tell_outcomes(|outcome| journal.extend(encode_outcome(outcome)));
+        self.board.tell_beliefs(|believed| journal.push(&believed));
+        self.board.tell_moved(|moved| journal.push(Record::Moved(moved.clone())));
+        self.board.tell_gone(|person| journal.push(Record::Gone(person)));
+        self.board.tell_outcomes(|outcome| journal.push(outcome));
     }
 
     /// Another narrator says something at once.
@@ -146,12 +143,10 @@ impl House {
 
     /// The same on another board.
     fn restart_on(&mut self, board: Board<TableModel>) {
-        let mut recovered = Recovered::default();
-        read_records(&self.journal, &BOOT, &mut recovered);
-        assert_eq!(recovered.damaged_bytes, 0);
+        let recovered = self.journal.recovered();
         self.board = board;
         let unix_ns = 1_000_000 * S + self.now_ns;
-        self.board.restore(recovered.join(), BootNs(self.now_ns), UnixNs(unix_ns));
+        self.board.restore(recovered, BootNs(self.now_ns), UnixNs(unix_ns));
         self.step(None);
     }
 }
@@ -452,7 +447,7 @@ fn forgotten_persons_stay_forgotten_after_a_restart() {
     house.after(1, "somebody", "Nobody is home.");
     let ada = house.board.persons().number_of("ada");
     house.board.forget(ada, |_| false);
-    house.journal.extend(encode_forgotten(ada, false));
+    house.journal.push(Record::Gone(ada));
     house.step(None);
     for _ in 0..2 {
         assert_eq!((house.presence("ada"), house.presence("ben")), (None, Some(presence::AWAY)));
@@ -527,7 +522,7 @@ fn a_restart_after_a_map_change_keeps_the_belief() {
     let told = |house: &mut House| -> Vec<(u32, Vec<f32>)> {
         let forecasts = *house.board.person_forecasts(BootNs(house.now_ns));
         let rooms = forecasts.room_count as usize;
-        let own = |own: &roomcast_ipc::PersonForecastV1| {
+        let own = |own: &roomcast_ipc::raw::PersonForecastV1| {
             (own.person, (0..rooms).flat_map(|room| [0, 6, 10].map(|at| own.probability[room][at])).collect())
         };
         forecasts.persons().iter().map(own).collect()
@@ -685,7 +680,7 @@ fn a_restart_keeps_presence_windows_and_forecasts() {
                     assert_eq!(*after, PersonV1 { flags, ..*before }, "{round} {who} {what}");
                 }
                 // Who fell silent before the start is gone again.
-                let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
+                let here = |forecast: &&roomcast_ipc::raw::PersonForecastV1| forecast.presence != presence::GONE;
                 for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
                     // The joint filter starts again with the events that the journal kept.
                     assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.1));
@@ -704,22 +699,15 @@ fn a_restart_journals_a_changed_expectation_once() {
     let mut house = House::new(&[]);
     let observation = house.observation("3", "They grab the coffee maker.");
     let tell = |said: &[&[f64]]| {
-        let mut journal = encode(&observation, &BOOT);
+        let mut journal = Notes::default();
+        journal.observe(&observation);
         let mut told = Vec::new();
         for probability in [&[][..]].iter().chain(said) {
             let (person, by_fit, map) = (3, false, board(&house.config).map_number());
-            journal.extend(encode_outcome(&Outcome {
-                event: observation.id(),
-                person: PersonId(person),
-                by_fit,
-                map,
-                probability,
-            }));
+            journal.push(&Outcome { event: observation.id(), person: PersonId(person), by_fit, map, probability });
         }
-        let mut recovered = Recovered::default();
-        read_records(&journal, &BOOT, &mut recovered);
         let mut again = board(&house.config);
-        again.restore(recovered, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
+        again.restore(journal.recovered(), BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
         again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         again.tell_outcomes(|outcome| told.push(outcome.probability.to_vec()));
         told
@@ -736,20 +724,19 @@ fn a_restart_journals_a_changed_expectation_once() {
 fn a_restart_journals_the_person_of_an_away_event_once() {
     let mut house = House::new(&["ada"]);
     let observation = house.observation("ada", "away");
-    let tell = |journal: &mut Vec<u8>| {
-        let mut recovered = Recovered::default();
-        read_records(journal, &BOOT, &mut recovered);
+    let tell = |journal: &mut Notes| {
         let mut again = board(&house.config);
-        again.restore(recovered, BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
+        again.restore(journal.recovered(), BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns));
         again.step([], BootNs(house.now_ns), UnixNs(1_000_000 * S + house.now_ns)).unwrap();
         let mut told = Vec::new();
         again.tell_outcomes(|outcome| {
             told.push((outcome.event.sequence, outcome.person, outcome.by_fit, outcome.probability.len()));
-            journal.extend(encode_outcome(outcome));
+            journal.push(outcome);
         });
         told
     };
-    let mut journal = encode(&observation, &BOOT);
+    let mut journal = Notes::default();
+    journal.observe(&observation);
     assert_eq!(tell(&mut journal), [(1, person_number("ada"), false, 0)]);
     assert_eq!(tell(&mut journal), []);
 }
@@ -835,15 +822,9 @@ fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
 
 /// Somebody is forgotten, also in the journal.
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("narration.journal");
-    std::fs::write(&file, &house.journal).unwrap();
-    let options = JournalOptions { directory: directory.path().into(), bytes_max: 16 << 20, sync_ms: 1000 };
-    let (journal, _) = Journal::open(&options).unwrap();
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
-    let answer = answer_about_person(&mut house.board, (Some(&journal.handle()), None), Ok(question));
-    drop(journal);
-    house.journal = std::fs::read(&file).unwrap();
+    let House { board, journal, .. } = house;
+    let answer = journal.with(|handle| answer_about_person(board, (Some(handle), None), Ok(question)));
     house.step(None);
     answer
 }
@@ -901,7 +882,7 @@ proptest::proptest! {
         narrate(&mut house, &said);
         let forgotten = house.board.persons().number_of(COMPANY[who]);
         let mut before = presences(&house);
-        let journal = house.journal.clone();
+        let records = house.journal.records.clone();
         forget(&mut house, COMPANY[who]);
         let was_known = before.remove(&forgotten).is_some();
         proptest::prop_assert_eq!(&presences(&house), &before);
@@ -909,14 +890,14 @@ proptest::proptest! {
             house.restart();
             proptest::prop_assert_eq!(&presences(&house), &before, "{} is forgotten", COMPANY[who]);
         }
-        let text = String::from_utf8_lossy(&house.journal).to_lowercase();
+        let text = house.journal.text().to_lowercase();
         // An unknown name may still stand in a sentence.
-        proptest::prop_assert!(!was_known || !text.contains(&COMPANY[who].to_lowercase()), "{}", text);
+        proptest::prop_assert!(!was_known || !text.contains(&COMPANY[who].to_lowercase()), "{}", COMPANY[who]);
 
         let mut house = House::new(&["Anna", "Ben"]);
         narrate(&mut house, &said);
         let before = presences(&house);
-        proptest::prop_assert!(house.journal == journal);
+        proptest::prop_assert!(house.journal.records == records);
         let live_here = COMPANY.iter().zip(&residents).filter(|(_, lives_here)| **lives_here);
         house.config.residents = live_here.map(|(name, _)| (*name).to_owned()).collect();
         house.restart();
@@ -993,7 +974,7 @@ fn sentences_that_name_a_forgotten_person_leave_the_journal() {
         }
         let answer = forget(&mut house, who);
         assert!(answer.done, "{answer:?}");
-        let text = String::from_utf8_lossy(&house.journal).into_owned();
+        let text = house.journal.text();
         for (number, said) in goes.iter().chain(stays).enumerate() {
             assert_eq!(text.contains(&format!("MARK{number:02}")), number >= goes.len(), "{who}: {said}");
         }
@@ -1008,7 +989,7 @@ fn sentences_that_name_a_forgotten_person_leave_the_journal() {
     house.after(1, "Tom", "Tom hugs Ana Maria MARK.");
     house.after(1, "Tom", "Tom takes Ben's cup MARK.");
     assert!(forget(&mut house, "ana-maria").done);
-    assert!(!String::from_utf8_lossy(&house.journal).contains("MARK"));
+    assert!(!house.journal.text().contains("MARK"));
 }
 
 #[test]
@@ -1038,10 +1019,10 @@ fn forgotten_persons_leave_the_windows_of_others() {
 fn forgetting_an_unknown_person_writes_nothing() {
     let mut house = House::new(&["Anna"]);
     house.after(1, "Anna", "They sit down.");
-    let before = house.journal.clone();
+    let before = house.journal.recovered().observations;
     let answer = forget(&mut house, "Ben");
     assert!(!answer.done && answer.reason.is_some_and(|reason| reason.contains("nobody is known as")));
-    assert_eq!(house.journal, before);
+    assert_eq!(house.journal.recovered().observations, before);
 }
 
 #[test]
@@ -1138,7 +1119,7 @@ fn narrators_learn_how_their_events_were_understood() {
             "did Ada Fit fridge ",
             "did  Fit - several persons can have caused it: the belief about each of them changed a little",
             "did Ada Name - the text names no place on the map",
-            "present Ben Key - the map has no single room of this name",
+            "present Ben Key - the map has no single room of this name: give the id of a room",
             "everybody-away Ada+Ben House - ",
         ]
     );

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use super::registry::{Area, Floors};
+use super::registry::{Area, Floor, Floors};
 use crate::names::Names;
 use crate::semantic_map::Box3;
 use crate::semantic_map::import::{room_aliases, room_label};
@@ -30,17 +30,18 @@ fn storeys(areas: &[Area], floors: &Floors, notes: &mut Vec<String>) -> Vec<usiz
         }
     }
     let is_used = |id: &str| areas.iter().any(|area| area.floor_id.as_deref() == Some(id));
-    let without: Vec<&str> = (floors.floors.iter())
+    let without: Vec<String> = (floors.floors.iter())
         .filter(|floor| floor.level.is_none() && is_used(&floor.floor_id))
-        .map(|floor| if floor.name.trim().is_empty() { &*floor.floor_id } else { &*floor.name })
+        .map(floor_name)
         .collect();
     if !without.is_empty() && floors.floors.len() > 1 {
         notes.push(format!(
             "Floors without a level: {}. Their rooms are on the ground floor, for the order of the list is not height. Set the levels in Home \
              Assistant (Settings, Areas) and import again.",
-            without.iter().map(|name| super::comment(name)).collect::<Vec<_>>().join(", ")
+            without.join(", ")
         ));
     }
+    notes.extend(of_one_level(floors, is_used));
     // Where all levels are above 0, the lowest is the ground: some count floors from 1.
     let ground = level_of.values().copied().min().map_or(0, |lowest| lowest.max(0));
     let level = |area: &Area| {
@@ -49,6 +50,31 @@ fn storeys(areas: &[Area], floors: &Floors, notes: &mut Vec<String>) -> Vec<usiz
     };
     let levels: BTreeSet<i64> = level_of.values().copied().chain(areas.iter().map(level)).collect();
     areas.iter().map(|area| levels.range(..level(area)).count()).collect()
+}
+
+/// A note on floors of one level.
+fn of_one_level(floors: &Floors, is_used: impl Fn(&str) -> bool) -> Option<String> {
+    let mut names_at: BTreeMap<i64, Vec<String>> = BTreeMap::new();
+    for floor in floors.floors.iter().filter(|floor| is_used(&floor.floor_id)) {
+        if let Some(level) = floor.level {
+            names_at.entry(level).or_default().push(floor_name(floor));
+        }
+    }
+    let shared: Vec<String> = (names_at.iter())
+        .filter(|(_, names)| names.len() > 1)
+        .map(|(level, names)| format!("{} (level {level})", names.join(" and ")))
+        .collect();
+    (!shared.is_empty()).then(|| {
+        format!(
+            "Floors of one level: {}. Their rooms have one height, side by side. If one floor is above the other, set the levels in Home \
+             Assistant (Settings, Areas) and import again.",
+            shared.join(", ")
+        )
+    })
+}
+
+fn floor_name(floor: &Floor) -> String {
+    super::comment(if floor.name.trim().is_empty() { &floor.floor_id } else { &floor.name })
 }
 
 /// The rooms' boxes and the doors between them.

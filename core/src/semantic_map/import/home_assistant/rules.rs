@@ -5,6 +5,8 @@ use std::collections::{BTreeSet, HashMap};
 use super::comment;
 use super::thing::Sensor;
 use crate::narration::{RoomName, SENSOR_ID_BYTES_MAX, SensorKind, check_name};
+use crate::semantic_map::import::furnish::usually_has;
+use crate::semantic_map::schema::RoomEntry;
 
 /// The part of topics before domain and object, as `mqtt_statestream` is set up in Home Assistant's own example.
 const BASE_TOPIC: &str = "homeassistant";
@@ -27,14 +29,17 @@ pub(super) struct Placed<'a> {
 pub(super) struct Phrases(HashMap<(usize, String), String>);
 
 impl Phrases {
-    /// The phrases of all things. `spoken` names the rooms.
-    pub(super) fn of(sensors: &[Placed<'_>], spoken: &[String]) -> Self {
+    /// The phrases of all things. `spoken` names the rooms. If rooms are `furnished` later, their usual furniture counts, too.
+    pub(super) fn of(sensors: &[Placed<'_>], rooms: &[RoomEntry], spoken: &[String], furnished: bool) -> Self {
         let things: BTreeSet<(&str, usize)> =
             sensors.iter().filter_map(|placed| Some((placed.sensor.thing.as_deref()?, placed.room))).collect();
-        let mut count_of: HashMap<&str, usize> = HashMap::new();
-        things.iter().for_each(|(thing, _)| *count_of.entry(thing).or_default() += 1);
+        let is_elsewhere = |thing: &str, own: usize| {
+            rooms.iter().enumerate().any(|(room, RoomEntry { label, .. })| {
+                room != own && (things.contains(&(thing, room)) || furnished && usually_has(label, thing))
+            })
+        };
         let short = |thing: &str, room: usize| match &spoken[room] {
-            _ if count_of.get(thing) == Some(&1) => thing.to_owned(),
+            _ if !is_elsewhere(thing, room) => thing.to_owned(),
             name if thing.strip_prefix(name.as_str()).is_some_and(|rest| rest.starts_with(' ')) => thing.to_owned(),
             name if stands_before(name) => format!("{name} {thing}"),
             name => long(thing, name),

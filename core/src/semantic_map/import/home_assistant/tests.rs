@@ -39,7 +39,7 @@ fn registries() -> Registries<'static> {
     }
 }
 
-/// The rules named a person "Me" and could not be read, so that there was no home at all.
+/// A rule with such a name would make the whole home unreadable.
 #[test]
 fn a_person_whom_no_sentence_can_name_is_left_out_and_told_of() {
     let long = "a".repeat(100);
@@ -113,7 +113,7 @@ fn rules_say_what_states_mean() {
     assert_eq!(of("homeassistant/person/ada_lovelace/state"), ["home|-|phone|-|Ada Lovelace"]);
     assert_eq!(of("homeassistant/person/grace/state"), ["home|-|phone|-|Grace \"Amazing\" Hopper"]);
     assert_eq!(of("homeassistant/person/joan/state"), ["home|-|phone|-|Joan Clarke"]);
-    // A way out is a sensor, and a person who closes it from outside is not in the room.
+    // A front door is only a sensor: a person may close it from outside.
     assert_eq!(
         of("homeassistant/binary_sensor/front_door/state"),
         ["on|They open the front door.|-|-|-", "-|-|door|living_room|-"]
@@ -125,7 +125,7 @@ fn rules_say_what_states_mean() {
     assert!(!rules.contains("light.off") && !rules.contains("kuche_led") && !rules.contains("presence"));
 }
 
-/// What newer ones write: floors and labels, aliases that are no text, areas without a floor, a floor without a level, rooms of one kind.
+/// Newer registries: floors and labels, aliases that are not text, areas without a floor, a floor without a level, rooms of one kind.
 #[test]
 fn registries_of_newer_homes_are_read() {
     let areas = r#"{"version": 1, "minor_version": 9, "key": "core.area_registry", "data": {"areas": [
@@ -175,7 +175,7 @@ fn registries_of_newer_homes_are_read() {
             ("kinderzimmer_tom", "children's bedroom", 6.0),
         ]
     );
-    // Each of two rooms of one kind by its own names.
+    // Each of two rooms of one kind is found by its own names.
     for (name, room) in [
         ("Kinderzimmer Lena", Some("kinderzimmer_lena")),
         ("lenas reich", Some("kinderzimmer_lena")),
@@ -208,8 +208,8 @@ fn registries_of_newer_homes_are_read() {
     assert!(furnished.map.find_label("bed").is_some() && furnished.map.find_label("toy").is_some());
 }
 
-/// Rows "floors times areas" and "entities times aliases" of the attacks: a registry that is too large is refused before rooms are made of it.
-/// Any other registry is read once.
+/// Rows "floors times areas" and "entities times aliases" of the attacks: a registry that is too large is refused before rooms are built. Any other
+/// registry is read once.
 #[test]
 fn large_registries_are_refused_or_read_once() {
     let area = |index: usize, aliases: usize| {
@@ -224,7 +224,7 @@ fn large_registries_are_refused_or_read_once() {
         let registries = Registries { areas, floors: Some(floors), entities: Some(entities), ..Registries::default() };
         home_assistant(&registries, "x")
     };
-    // The registry of floors is none: it is not even read.
+    // The floor registry is invalid, and not even read.
     let error = read(&areas(65, 0), "no registry", "").unwrap_err().to_string();
     assert!(error.contains("65 entries, more than 64"), "{error}");
     let long = areas(1, 0).replace("\"a0\"", &format!("\"{}\"", "a".repeat(129)));
@@ -292,6 +292,16 @@ fn read(
     persons: &[&str],
     leave_out: &[&str],
 ) -> Result<Home, ImportError> {
+    let leave_out: Vec<String> = leave_out.iter().map(|area| (*area).to_owned()).collect();
+    read_with(areas, entities, persons, Registries { leave_out: &leave_out, ..Registries::default() })
+}
+
+fn read_with(
+    areas: &[(&str, &str)],
+    entities: &[(&str, &str, &str)],
+    persons: &[&str],
+    options: Registries<'_>,
+) -> Result<Home, ImportError> {
     let area = |(id, name): &(&str, &str)| serde_json::json!({"id": id, "name": name, "aliases": []});
     let areas = serde_json::json!({"data": {"areas": areas.iter().map(area).collect::<Vec<_>>()}}).to_string();
     let entity = |(id, area, class): &(&str, &str, &str)| {
@@ -302,14 +312,7 @@ fn read(
         serde_json::json!({"data": {"entities": entities.iter().map(entity).collect::<Vec<_>>()}}).to_string();
     let person = |name: &&str| serde_json::json!({"id": name, "name": name});
     let persons = serde_json::json!({"data": {"items": persons.iter().map(person).collect::<Vec<_>>()}}).to_string();
-    let leave_out: Vec<String> = leave_out.iter().map(|area| (*area).to_owned()).collect();
-    let registries = Registries {
-        areas: &areas,
-        entities: Some(&entities),
-        persons: Some(&persons),
-        leave_out: &leave_out,
-        ..Registries::default()
-    };
+    let registries = Registries { areas: &areas, entities: Some(&entities), persons: Some(&persons), ..options };
     home_assistant(&registries, "home")
 }
 
@@ -334,7 +337,7 @@ fn a_vacuums_segments_are_those_of_its_area_mapping() {
     }
 }
 
-/// What the rules of an object say when it is on or open.
+/// The sentences of an object's rules for on or open.
 fn says(home: &Home, object: &str) -> Vec<String> {
     let rules: toml::Table = home.rules.as_deref().unwrap_or_default().parse().unwrap();
     let rules = rules.get("rule").and_then(toml::Value::as_array).cloned().unwrap_or_default();
@@ -449,6 +452,17 @@ fn domain_and_class_give_the_thing() {
 }
 
 #[test]
+fn furniture_that_is_assumed_later_makes_the_sentence_name_the_room() {
+    let rooms = [("bedroom", "Bedroom"), ("kitchen", "Kitchen"), ("lounge", "Living Room")];
+    let entities = [("media_player.tv", "bedroom", ""), ("switch.kettle", "kitchen", "outlet")];
+    for (furnished, television) in [(false, "the television"), (true, "the bedroom television")] {
+        let home = read_with(&rooms, &entities, &[], Registries { furnished, ..Registries::default() }).unwrap();
+        assert_eq!(says(&home, "media_player.tv")[0], format!("playing|They watch {television}."));
+        assert_eq!(says(&home, "switch.kettle")[0], "on|They turn on the kettle.");
+    }
+}
+
+#[test]
 fn settings_counters_and_alarms_are_no_things() {
     let entities = [
         ("binary_sensor.office_multi_sensor_tamper", "kitchen", "tamper"),
@@ -498,15 +512,15 @@ fn devices_with_a_state_become_sensors_and_are_bound_to_persons_by_name() {
         ("binary_sensor.bedroom_presence", &["presence|bedroom"]),
         ("binary_sensor.hall_motion", &["motion|hall"]),
         ("binary_sensor.hall_camera_person", &["camera|hall"]),
-        // The camera beside it does not hold the room's state.
+        // The camera does not hold the room's state.
         ("binary_sensor.hall_presence", &["presence|hall"]),
-        // Each sees a part of the room.
+        // Each covers a part of the room.
         ("binary_sensor.office_left", &["motion|office"]),
         ("binary_sensor.office_right", &["motion|office"]),
         // The room has her name.
         ("binary_sensor.mira_presence", &["presence|mira"]),
         ("binary_sensor.haustuer", &["on|They open the front door.", "door|hall"]),
-        // Where it leads is not known.
+        // The other side of the door is unknown.
         ("binary_sensor.office_door", &["on|They open the door.", "off|They close the door."]),
         ("sensor.kettle_power", &["appliance|hall"]),
         ("sensor.kettle_energy", &[]),
@@ -516,7 +530,13 @@ fn devices_with_a_state_become_sensors_and_are_bound_to_persons_by_name() {
     ] {
         assert_eq!(says(&home, object), expected, "{object}");
     }
-    // A first name of two persons binds to neither.
+    // A resident need not be a person in Home Assistant.
+    let residents = ["Mira".to_owned(), "Jon".to_owned()];
+    let options = Registries { residents: &residents, ..Registries::default() };
+    let home = read_with(&rooms, &entities, &["Mira Mint"], options).unwrap();
+    assert_eq!(says(&home, "binary_sensor.bed_mira")[1], "bed|bedroom|Mira Mint");
+    assert_eq!(says(&home, "binary_sensor.bett_jon")[1], "bed|bedroom|Jon");
+    // A first name of two persons matches neither.
     let home = home_with(&rooms, &entities, &["Mira Mint", "Mira Moss"], &[]);
     assert_eq!(says(&home, "binary_sensor.bed_mira"), ["motion|bedroom"]);
 }
@@ -558,10 +578,13 @@ fn floors_of_one_level_have_one_height() {
         let home = home_assistant(&registries, "home").unwrap();
         let map = home.imported.map;
         let height = |id: &str| map.rooms.iter().find(|room| room.id == id).unwrap().space.bounds.min_m[2];
-        let note = home.imported.notes.into_iter().find(|note| note.starts_with("Floors without a level"));
+        let note = home.imported.notes.into_iter().find(|note| note.starts_with("Floors "));
         (["kitchen", "yard", "cellar", "shed"].map(height), note)
     };
-    assert_eq!(heights([Some(0), Some(0), Some(-1)]), ([3.0, 3.0, 0.0, 3.0], None));
+    let (same, note) = heights([Some(0), Some(0), Some(-1)]);
+    assert_eq!(same, [3.0, 3.0, 0.0, 3.0]);
+    assert!(note.unwrap().starts_with("Floors of one level: MAIN and OUT (level 0)."));
+    assert_eq!(heights([Some(0), Some(1), Some(-1)]).1, None);
     assert_eq!(heights([Some(1), Some(1), Some(2)]).0, [0.0, 0.0, 3.0, 0.0], "floors counted from 1");
     let (same, note) = heights([None, None, None]);
     assert_eq!(same, [0.0; 4]);

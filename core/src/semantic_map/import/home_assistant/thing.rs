@@ -389,12 +389,21 @@ fn thing_in(words: &[String], area_words: &HashSet<String>, kind: Kind) -> Optio
 pub(super) struct FirstNames<'a>(HashMap<String, Option<&'a str>>);
 
 impl<'a> FirstNames<'a> {
-    pub(super) fn of(persons: impl Iterator<Item = &'a str>) -> Self {
-        let mut named = HashMap::new();
-        for person in persons {
-            let first = Names::bare(person).split(' ').next().unwrap_or_default().to_owned();
+    /// Of persons; a name that begins another one, as "Ada" begins "Ada Lovelace", is the same person.
+    pub(super) fn of(persons: &[&'a str]) -> Self {
+        let mut named: HashMap<String, Option<&'a str>> = HashMap::new();
+        for person in persons.iter().copied() {
+            let bare = Names::bare(person);
+            let first = bare.split(' ').next().unwrap_or_default().to_owned();
+            let is_same = |other: &str| {
+                let other = Names::bare(other);
+                other == bare || other == first || bare == first
+            };
             // A first name of two persons is no person's.
-            named.entry(first).and_modify(|own| *own = None).or_insert(Some(person));
+            let known = named.entry(first.clone()).or_insert(Some(person));
+            if known.is_some_and(|own| !is_same(own)) {
+                *known = None;
+            }
         }
         Self(named)
     }

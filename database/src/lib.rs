@@ -1,0 +1,486 @@
+//! One SQLite file that belongs to one process: opened safely, migrated, and set aside when it is damaged.
+//!
+//! A commit outlives the process at once. It outlives a power loss after the next [`Database::sync`]. The write-ahead log is copied into the file
+//! when it has more than [`WAL_BYTES_MAX`], so both are bounded by what the tables hold.
+
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use roomcast_ipc::own_file::require_own;
+use rusqlite::config::DbConfig;
+use rusqlite::types::Value;
+pub use rusqlite::{self, Connection, Transaction};
+use rusqlite::{ErrorCode, OpenFlags, TransactionBehavior, params_from_iter};
+use rustix::fs::FlockOperation;
+
+/// The write-ahead log is copied into the file when it has more bytes.
+pub const WAL_BYTES_MAX: u64 = 1 << 20;
+/// Damaged databases that are kept at most.
+const ASIDE_MAX: usize = 16;
+const PAGE_BYTES: u32 = 2048;
+
+/// What a database holds, next to the table `meta` with its pairs of key and value.
+#[derive(Debug, Clone, Copy)]
+pub struct Schema {
+    /// Marks the file, so that no other program's database is taken for it.
+    pub application: i32,
+    /// The statements that lead from each version to the next. The version of a file is how many of them it has had.
+    pub migrations: &'static [&'static str],
+}
+
+/// A database that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DatabaseError {
+    /// A file operation failed.
+    #[error("database {}: cannot {operation} it: {source}; check owner, mode and space of its folder", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// "open", "lock", ...
+        operation: &'static str,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// Another user could have put it there, or may write to it.
+    #[error("database {}: {source}", path.display())]
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// The reason and the remedy.
+        source: io::Error,
+    },
+    /// Another process has it.
+    #[error("database {}: another process uses it; stop that process, or give this one another state directory", path.display())]
+    Locked {
+        /// The file.
+        path: PathBuf,
+    },
+    /// SQLite reports an error.
+    #[error("database {}: {source}; check the disk and its space", path.display())]
+    Sqlite {
+        /// The file.
+        path: PathBuf,
+        /// SQLite's reason.
+        source: rusqlite::Error,
+    },
+}
+
+/// A database that was set aside because it is damaged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SetAside {
+    /// Its new place.
+    pub path: PathBuf,
+    /// The damage.
+    pub reason: String,
+    /// Rows that the new database has from it.
+    pub rows: usize,
+}
+
+/// Where a database lives.
+#[derive(Debug)]
+enum Place {
+    /// In a file. The lock lasts while this is open.
+    File(File),
+    /// On a simulated disk of a test.
+    Simulated(Simulation),
+}
+
+/// A simulated disk: a VFS that is registered with SQLite.
+#[derive(Debug, Clone, Copy)]
+pub struct Simulation {
+    /// The name of the VFS.
+    pub vfs: &'static str,
+    /// Removes a damaged database.
+    pub set_aside: fn(),
+}
+
+/// A database of this process.
+#[derive(Debug)]
+pub struct Database {
+    /// None only while it is opened again.
+    connection: Option<Connection>,
+    path: PathBuf,
+    schema: Schema,
+    place: Place,
+}
+
+impl Database {
+    /// Opens or makes the database. One that is damaged is set aside, and a new one begins.
+    ///
+    /// # Errors
+    /// [`DatabaseError`]; damage is no error.
+    pub fn open(path: &Path, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+        // SQLite follows no links: only the folder may have some.
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let folder = fs::canonicalize(folder).map_err(failed(folder, "find"))?;
+        let path = folder.join(path.file_name().unwrap_or_default());
+        let place = Place::File(lock(&path)?);
+        Self::open_at(path, schema, place)
+    }
+
+    /// The same on a simulated disk.
+    ///
+    /// # Errors
+    /// As [`Database::open`].
+    pub fn open_simulated(simulation: Simulation, schema: Schema) -> Result<(Self, Option<SetAside>), DatabaseError> {
+        Self::open_at(PathBuf::from("simulated"), schema, Place::Simulated(simulation))
+    }
+
+    fn open_at(path: PathBuf, schema: Schema, place: Place) -> Result<(Self, Option<SetAside>), DatabaseError> {
+        let mut database = Self { connection: None, path, schema, place };
+        let aside = database.reopen()?;
+        Ok((database, aside))
+    }
+
+    /// Closes and opens it again, as a process does that was killed. A database that is damaged is set aside, and a new one begins.
+    ///
+    /// # Errors
+    /// [`DatabaseError`]; the next call tries again.
+    pub fn reopen(&mut self) -> Result<Option<SetAside>, DatabaseError> {
+        self.connection = None;
+        // A single read may be wrong, so the second attempt decides. SQLite takes a newer file format for read-only, and this file can be written.
+        let connected = self.connect().or_else(|error| match error.sqlite_error_code() {
+            Some(ErrorCode::ReadOnly) => Err(damaged(&error.to_string())),
+            _ if is_damage(&error) => self.connect(),
+            _ => Err(error),
+        });
+        match connected {
+            Ok(connection) => {
+                self.connection = Some(connection);
+                Ok(None)
+            }
+            Err(error) if is_damage(&error) => self.start_anew(&error).map(Some),
+            Err(source) => Err(DatabaseError::Sqlite { path: self.path.clone(), source }),
+        }
+    }
+
+    /// Sets a database aside that is damaged, and begins a new one.
+    ///
+    /// # Errors
+    /// [`DatabaseError`].
+    pub fn start_anew(&mut self, damage: &rusqlite::Error) -> Result<SetAside, DatabaseError> {
+        self.connection = None;
+        let path = self.set_aside()?;
+        let connection = self.connect().map_err(|source| DatabaseError::Sqlite { path: self.path.clone(), source })?;
+        self.connection = Some(connection);
+        let rows = self.salvage(&path).unwrap_or_default();
+        Ok(SetAside { path, reason: damage.to_string(), rows })
+    }
+
+    /// Copies the rows of a damaged database of the same version, from both ends of each table as far as they can be read.
+    fn salvage(&mut self, path: &Path) -> rusqlite::Result<usize> {
+        if matches!(self.place, Place::Simulated(_)) {
+            return Ok(0);
+        }
+        let damaged =
+            Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
+        damaged.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        let version = |connection: &Connection| -> rusqlite::Result<[i64; 2]> {
+            let number = |name| connection.pragma_query_value(None, name, |row| row.get(0));
+            Ok([number("application_id")?, number("user_version")?])
+        };
+        if version(&damaged)? != version(self.connection()?)? {
+            return Ok(0);
+        }
+        self.write(|transaction| {
+            // In this order a table follows the tables of its references.
+            let mut query = transaction
+                .prepare("SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> 'meta' ORDER BY rowid")?;
+            let tables: Vec<String> = query.query_map([], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
+            let mut copied = 0;
+            for (table, order) in tables.iter().flat_map(|table| [(table, "ASC"), (table, "DESC")]) {
+                let Ok(mut rows) = damaged.prepare(&format!("SELECT * FROM {table} ORDER BY 1 {order}")) else {
+                    continue;
+                };
+                let columns = rows.column_count();
+                let marks = vec!["?"; columns].join(", ");
+                let mut insert = transaction.prepare(&format!("INSERT OR IGNORE INTO {table} VALUES ({marks})"))?;
+                let Ok(mut rows) = rows.query([]) else { continue };
+                while let Ok(Some(row)) = rows.next() {
+                    let values = (0..columns).map(|at| row.get::<_, Value>(at)).collect::<rusqlite::Result<Vec<_>>>();
+                    copied += values.and_then(|values| insert.execute(params_from_iter(values))).unwrap_or_default();
+                }
+            }
+            Ok(copied)
+        })
+    }
+
+    fn connect(&self) -> rusqlite::Result<Connection> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
+            | OpenFlags::SQLITE_OPEN_CREATE
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX
+            | OpenFlags::SQLITE_OPEN_NOFOLLOW;
+        let mut connection = match &self.place {
+            Place::File(_) => Connection::open_with_flags(&self.path, flags)?,
+            Place::Simulated(disk) => Connection::open_with_flags_and_vfs(&self.path, flags, disk.vfs)?,
+        };
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
+        connection.busy_timeout(std::time::Duration::from_millis(200))?;
+        connection.set_prepared_statement_cache_capacity(64);
+        if matches!(self.place, Place::Simulated(_)) {
+            // A simulated disk has no shared memory.
+            connection.pragma_update(None, "locking_mode", "exclusive")?;
+        }
+        connection.execute_batch(&format!(
+            "PRAGMA page_size = {PAGE_BYTES}; PRAGMA cell_size_check = on; PRAGMA secure_delete = on; PRAGMA temp_store = memory;
+             PRAGMA foreign_keys = on; PRAGMA synchronous = normal; PRAGMA wal_autocheckpoint = 0;
+             PRAGMA journal_size_limit = {WAL_BYTES_MAX};"
+        ))?;
+        connection.pragma_update_and_check(None, "journal_mode", "wal", |row| row.get::<_, String>(0))?;
+        let check: String = connection.query_row("PRAGMA quick_check(1)", [], |row| row.get(0))?;
+        if check != "ok" {
+            return Err(damaged(&check));
+        }
+        self.migrate(&mut connection)?;
+        Ok(connection)
+    }
+
+    fn migrate(&self, connection: &mut Connection) -> rusqlite::Result<()> {
+        let Schema { application, migrations } = self.schema;
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let [found, version]: [i32; 2] = ["application_id", "user_version"]
+            .map(|name| transaction.pragma_query_value(None, name, |row| row.get(0)))
+            .into_iter()
+            .collect::<rusqlite::Result<Vec<_>>>()?
+            .try_into()
+            .unwrap_or_default();
+        let is_new = version == 0 && found == 0;
+        if !is_new && found != application {
+            return Err(damaged("it is a database of another program"));
+        }
+        let done = usize::try_from(version).unwrap_or(usize::MAX);
+        let Some(todo) = migrations.get(done..) else {
+            return Err(damaged(&format!("a newer version of Roomcast has written it (schema {version})")));
+        };
+        if todo.is_empty() {
+            return Ok(());
+        }
+        transaction.execute_batch(
+            "CREATE TABLE IF NOT EXISTS meta (key TEXT PRIMARY KEY, value ANY NOT NULL) WITHOUT ROWID, STRICT",
+        )?;
+        for statements in todo {
+            transaction.execute_batch(statements)?;
+        }
+        transaction.pragma_update(None, "application_id", application)?;
+        transaction.pragma_update(None, "user_version", migrations.len() as i64)?;
+        transaction.commit()
+    }
+
+    /// Gives a damaged database another name, next to its own.
+    fn set_aside(&mut self) -> Result<PathBuf, DatabaseError> {
+        if let Place::Simulated(disk) = &self.place {
+            (disk.set_aside)();
+            return Ok(self.path.clone());
+        }
+        let (mut number, mut aside) = (1, with_suffix(&self.path, ".damaged-1"));
+        while number < ASIDE_MAX && aside.exists() {
+            number += 1;
+            aside = with_suffix(&self.path, &format!(".damaged-{number}"));
+        }
+        for suffix in ["-wal", "-shm", ""] {
+            let (from, to) = (with_suffix(&self.path, suffix), with_suffix(&aside, suffix));
+            match fs::rename(&from, &to) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(failed(&from, "set aside")(error));
+                }
+                _ => {}
+            }
+        }
+        self.place = Place::File(lock(&self.path)?);
+        Ok(aside)
+    }
+
+    /// Removes the databases that were set aside.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn remove_set_aside(&self) -> io::Result<()> {
+        if matches!(self.place, Place::Simulated(_)) {
+            return Ok(());
+        }
+        for number in 1..=ASIDE_MAX {
+            for suffix in ["", "-wal", "-shm"] {
+                remove(&with_suffix(&self.path, &format!(".damaged-{number}{suffix}")))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The connection.
+    ///
+    /// # Errors
+    /// When the last attempt to open it failed.
+    pub fn connection(&self) -> rusqlite::Result<&Connection> {
+        self.connection.as_ref().ok_or(rusqlite::Error::InvalidQuery)
+    }
+
+    /// Does some work in one transaction: all of it is done or nothing.
+    ///
+    /// # Errors
+    /// Those of the work, and those of SQLite: a full disk, for instance.
+    pub fn write<T>(&mut self, work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>) -> rusqlite::Result<T> {
+        let Some(connection) = &mut self.connection else { return Err(rusqlite::Error::InvalidQuery) };
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let done = work(&transaction)?;
+        transaction.commit()?;
+        Ok(done)
+    }
+
+    /// Brings all commits to the disk. After a failure the system may take lost pages for written: [`Database::reopen`], and write them again.
+    ///
+    /// # Errors
+    /// When the disk refuses, or no name leads to the file any more.
+    pub fn sync(&mut self) -> rusqlite::Result<()> {
+        if self.wal_bytes() > WAL_BYTES_MAX {
+            self.checkpoint("PASSIVE")?;
+        }
+        let connection = self.connection()?;
+        // A commit in this mode syncs the log, and with it all commits before.
+        connection.pragma_update(None, "synchronous", "full")?;
+        let done = connection
+            .execute("INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1", []);
+        connection.pragma_update(None, "synchronous", "normal")?;
+        done?;
+        self.require_name()
+    }
+
+    fn checkpoint(&self, mode: &str) -> rusqlite::Result<()> {
+        let busy: i64 =
+            self.connection()?.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get(0))?;
+        if busy != 0 && mode == "TRUNCATE" {
+            return Err(refused("another program reads the database: end it, and ask again"));
+        }
+        Ok(())
+    }
+
+    /// Leaves nothing in file and log that the tables do not hold.
+    ///
+    /// # Errors
+    /// When the disk refuses, or another program reads the database for long.
+    pub fn erase(&mut self) -> rusqlite::Result<()> {
+        self.connection()?.execute_batch("VACUUM")?;
+        self.checkpoint("TRUNCATE")?;
+        self.require_name()
+    }
+
+    /// Copies the log into the file, so that the next commits use its space again: a full disk may have no other.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn make_room(&self) -> rusqlite::Result<()> {
+        self.checkpoint("PASSIVE")
+    }
+
+    fn wal_bytes(&self) -> u64 {
+        match self.place {
+            Place::File(_) => fs::metadata(with_suffix(&self.path, "-wal")).map_or(0, |about| about.len()),
+            // A small one, so that tests see many.
+            Place::Simulated(_) => WAL_BYTES_MAX + 1,
+        }
+    }
+
+    /// Bytes of file and log.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        fs::metadata(&self.path).map_or(0, |about| about.len()) + self.wal_bytes()
+    }
+
+    /// Refuses when the file was removed or moved, or its disk is gone: the next process would not find it.
+    fn require_name(&self) -> rusqlite::Result<()> {
+        let Place::File(file) = &self.place else { return Ok(()) };
+        let ours = file.metadata();
+        let there = fs::metadata(&self.path);
+        let is_same =
+            |(ours, there): (fs::Metadata, fs::Metadata)| (ours.dev(), ours.ino()) == (there.dev(), there.ino());
+        if ours.ok().zip(there.ok()).is_some_and(is_same) {
+            return Ok(());
+        }
+        Err(refused(
+            "the file was removed, or its disk is gone, so the next start will not find what was written; restart the process, which makes a new one",
+        ))
+    }
+}
+
+/// Whether an error says that the file is no sound database, and not that the disk or another process is in the way.
+#[must_use]
+pub fn is_damage(error: &rusqlite::Error) -> bool {
+    use rusqlite::Error::{
+        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, QueryReturnedNoRows, SqliteFailure,
+    };
+    match error {
+        SqliteFailure(error, _) => {
+            error.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ
+                || !matches!(
+                    error.code,
+                    ErrorCode::CannotOpen
+                        | ErrorCode::DatabaseBusy
+                        | ErrorCode::DatabaseLocked
+                        | ErrorCode::DiskFull
+                        | ErrorCode::FileLockingProtocolFailed
+                        | ErrorCode::OutOfMemory
+                        | ErrorCode::PermissionDenied
+                        | ErrorCode::ReadOnly
+                        | ErrorCode::SystemIoFailure
+                )
+        }
+        FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..) | QueryReturnedNoRows => {
+            true
+        }
+        _ => false,
+    }
+}
+
+fn damaged(reason: &str) -> rusqlite::Error {
+    sqlite_error(rusqlite::ffi::SQLITE_CORRUPT, reason)
+}
+
+fn refused(reason: &str) -> rusqlite::Error {
+    sqlite_error(rusqlite::ffi::SQLITE_IOERR, reason)
+}
+
+fn sqlite_error(code: i32, reason: &str) -> rusqlite::Error {
+    rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(reason.to_owned()))
+}
+
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
+fn failed(path: &Path, operation: &'static str) -> impl FnOnce(io::Error) -> DatabaseError {
+    let path = path.to_owned();
+    move |source| DatabaseError::File { path, operation, source }
+}
+
+fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Makes the file if it is missing, and locks it for this process. Its owner alone may read it.
+fn lock(path: &Path) -> Result<File, DatabaseError> {
+    for suffix in ["", "-wal", "-shm"] {
+        let path = with_suffix(path, suffix);
+        require_own(&path).map_err(|source| DatabaseError::Refused { path, source })?;
+    }
+    let no_link = rustix::fs::OFlags::NOFOLLOW.bits().cast_signed();
+    let mut options = OpenOptions::new();
+    options.read(true).append(true).create(true).mode(0o600).custom_flags(no_link);
+    let file = options.open(path).map_err(failed(path, "open"))?;
+    rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
+        rustix::io::Errno::WOULDBLOCK => DatabaseError::Locked { path: path.to_owned() },
+        error => failed(path, "lock")(error.into()),
+    })?;
+    // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
+    if file.metadata().is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
+        let _kept = file.set_permissions(fs::Permissions::from_mode(0o600));
+    }
+    Ok(file)
+}
