@@ -18,10 +18,10 @@
 
 use std::collections::HashMap;
 
-use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::like_things::LikeThings;
+use crate::matrix::Matrix;
 use crate::scorer::softmax::log_sum_exp_of;
 use crate::semantic_map::{Box3, Footprint, ItemId, PartitionId, RoomId, SemanticMap, Space};
 
@@ -221,7 +221,7 @@ pub struct Grounding {
     pub(crate) item_placement: Vec<Placement>,
     pub(crate) unassigned: Vec<(ItemId, Reason)>,
     /// Labels x partitions; see [`Grounding::weights()`].
-    pub(crate) weights: DMatrix<f64>,
+    pub(crate) weights: Matrix,
     /// Weights of like things by the person's room.
     pub(crate) like_things: LikeThings,
     /// Item i's terms are `item_terms[term_start[i]..term_start[i + 1]]`.
@@ -252,8 +252,8 @@ pub struct GroundedScores {
     /// maker").
     pub label_mass: f64,
     /// s_c over the largest s_c.
-    relative: DVector<f64>,
-    sums: DVector<f64>,
+    relative: Vec<f64>,
+    sums: Vec<f64>,
 }
 
 impl Default for GroundedScores {
@@ -262,8 +262,8 @@ impl Default for GroundedScores {
             partition_log_score_nats: Vec::new(),
             partition_probability: Vec::new(),
             label_mass: 0.0,
-            relative: DVector::zeros(0),
-            sums: DVector::zeros(0),
+            relative: Vec::new(),
+            sums: Vec::new(),
         }
     }
 }
@@ -326,7 +326,7 @@ impl Grounding {
     /// Labels x partitions: `weights[(c, r)]` is the share of label c's items in partition r. A row sums to one minus the share of the label's items
     /// outside all partitions.
     #[must_use]
-    pub fn weights(&self) -> &DMatrix<f64> {
+    pub fn weights(&self) -> &Matrix {
         &self.weights
     }
 
@@ -389,7 +389,7 @@ impl Grounding {
             item_placement.push(placement);
         }
 
-        let mut weights = DMatrix::zeros(scored_labels.len(), partitions.len());
+        let mut weights = Matrix::zeros(scored_labels.len(), partitions.len());
         let mut item_terms = Vec::with_capacity(map.items.len());
         let mut term_start = Vec::with_capacity(map.items.len() + 1);
         for (item, partition) in map.items.iter().zip(&item_partition) {
@@ -445,13 +445,8 @@ impl Grounding {
     /// If the scores are not one log-probability per label. Minus infinity is allowed.
     pub fn ground(&self, label_log_prob_nats: &[f64], out: &mut GroundedScores) -> Result<(), GroundingError> {
         self.check(label_log_prob_nats)?;
-        let (labels, partitions) = self.weights.shape();
-        if out.relative.len() != labels {
-            out.relative = DVector::zeros(labels);
-        }
-        if out.sums.len() != partitions {
-            out.sums = DVector::zeros(partitions);
-        }
+        out.relative.resize(self.weights.rows(), 0.0);
+        out.sums.resize(self.weights.columns(), 0.0);
 
         // Relative to the likeliest label nothing overflows; partitions that underflow are summed again below.
         let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -464,8 +459,8 @@ impl Grounding {
             let idle = out.relative.iter_mut().zip(&self.scored_labels).filter(|(_, label)| label.count <= 0.0);
             idle.for_each(|(relative, _)| *relative = 0.0);
         }
-        out.label_mass = reference.exp() * out.relative.sum();
-        out.sums.gemv_tr(1.0, &self.weights, &out.relative, 0.0);
+        out.label_mass = reference.exp() * out.relative.iter().sum::<f64>();
+        self.weights.transposed_product(&out.relative, &mut out.sums);
 
         out.partition_log_score_nats.clear();
         for (partition, &sum) in out.sums.iter().enumerate() {
@@ -502,8 +497,8 @@ impl Grounding {
     #[must_use]
     pub fn top_labels(&self, partition: PartitionId, label_log_prob_nats: &[f64], count: usize) -> Vec<(usize, f64)> {
         let column = self.weights.column(partition.0 as usize);
-        let mut contributions: Vec<(usize, f64)> = (column.iter().zip(label_log_prob_nats).enumerate())
-            .filter(|(_, (weight, log_prob_nats))| **weight > 0.0 && **log_prob_nats > f64::NEG_INFINITY)
+        let mut contributions: Vec<(usize, f64)> = (column.zip(label_log_prob_nats).enumerate())
+            .filter(|(_, (weight, log_prob_nats))| *weight > 0.0 && **log_prob_nats > f64::NEG_INFINITY)
             .map(|(label, (weight, log_prob_nats))| (label, log_prob_nats + weight.ln()))
             .collect();
         contributions.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -534,7 +529,7 @@ impl Grounding {
     /// `ln S_j` with its own reference, for partitions with labels far below the likeliest.
     fn log_score_nats(&self, partition: usize, label_log_prob_nats: &[f64]) -> f64 {
         let column = self.weights.column(partition);
-        let shares = column.iter().zip(label_log_prob_nats).filter(|(weight, _)| **weight > 0.0);
+        let shares = column.zip(label_log_prob_nats).filter(|(weight, _)| *weight > 0.0);
         log_sum_exp_of(shares.map(|(weight, log_prob_nats)| log_prob_nats + weight.ln()))
     }
 }
@@ -794,8 +789,7 @@ mod tests {
     fn a_rooms_name_is_shared_by_its_parts() {
         let (_, grounding) = grounding(PartitionLevel::Part);
         let kitchen = grounding.label_texts().iter().position(|label| *label == "kitchen").unwrap();
-        let row: Vec<f64> = grounding.weights.row(kitchen).iter().copied().collect();
-        assert_eq!(row, [0.5, 0.5, 0.0]);
+        assert_eq!(grounding.weights.row(kitchen), [0.5, 0.5, 0.0]);
     }
 
     #[test]

@@ -29,8 +29,7 @@
 //! [`semantic_map::read_limited`] read files. A language model is a [`scorer::LanguageModel`]; `roomcast-llama` has one, and you can write
 //! another, as below.
 //!
-//! These types of other crates are part of the interface: `nalgebra`'s dense matrix (the weights of labels in rooms), `rand`'s random
-//! numbers for policies, `serde`'s and `strum`'s traits, by which configuration and command line parse choices.
+//! These types of other crates are part of the interface: `rand`'s random numbers for policies, `serde`'s and `strum`'s traits, by which configuration and command line parse choices.
 //!
 //! The method is GG-LLM (Graule and Isler, "Geometrically Grounding Large Language Models for Zero-shot Human Activity
 //! Forecasting in Human-Aware Task Planning"); equation numbers in this documentation follow the paper.
@@ -87,6 +86,8 @@ mod choices;
 
 // In the order of the flow; the empty lines keep rustfmt from sorting them.
 pub mod ids;
+
+pub mod matrix;
 
 pub mod text;
 

@@ -17,7 +17,7 @@
 //!
 //! Scores stay those of Equation 2. `a` is [`crate::forecast::ForecastOptions::any_thing`]; 1 gives Equation 2.
 
-use nalgebra::DMatrix;
+use crate::matrix::Matrix;
 
 use crate::semantic_map::STOREY_M;
 
@@ -37,7 +37,7 @@ pub(crate) struct LikeThings {
     shares: Vec<(u32, f64)>,
     start: Vec<usize>,
     /// The matrix k.
-    near: DMatrix<f64>,
+    near: Matrix,
 }
 
 /// The room probabilities when a thing of the label was last turned to.
@@ -97,15 +97,15 @@ impl InUse {
 
 impl LikeThings {
     /// `weights` are w (labels x rooms); `middles_m` are the rooms' middles in metres.
-    pub(crate) fn new(weights: &DMatrix<f64>, middles_m: &[[f64; 3]]) -> Self {
-        let near = DMatrix::from_fn(middles_m.len(), middles_m.len(), |from, to| {
+    pub(crate) fn new(weights: &Matrix, middles_m: &[[f64; 3]]) -> Self {
+        let near = Matrix::from_fn(middles_m.len(), middles_m.len(), |from, to| {
             let ([x, y, z], [to_x, to_y, to_z]) = (middles_m[from], middles_m[to]);
             let up_m = (z - to_z).abs();
             let stairs_m = if up_m > STOREY_M { STAIRS * up_m } else { 0.0 };
             if from == to { 1.0 } else { NEXT_DOOR * (-((x - to_x).hypot(y - to_y) + stairs_m) / FALLS_M).exp() }
         });
         let (mut shares, mut start) = (Vec::new(), vec![0]);
-        for row in weights.row_iter() {
+        for row in (0..weights.rows()).map(|label| weights.row(label)) {
             shares.extend((0u32..).zip(row.iter().copied()).filter(|(_, share)| *share > 0.0));
             start.push(shares.len());
         }
@@ -124,8 +124,8 @@ impl LikeThings {
         near: &mut Vec<f64>,
         out: &mut Vec<f64>,
     ) {
-        near.clear();
-        near.extend(self.near.column_iter().map(|to| to.iter().zip(belief).map(|(k, b)| k * b).sum::<f64>()));
+        near.resize(self.near.columns(), 0.0);
+        self.near.transposed_product(belief, near);
         out.clear();
         out.resize(near.len(), 0.0);
         let largest = label_log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn another_storey_is_farther_than_the_next_room_and_what_is_beyond_all_distance_is_shared_evenly() {
-        let weights = DMatrix::from_row_slice(1, 3, &[0.0, 0.5, 0.5]);
+        let weights = Matrix::from_fn(1, 3, |_, room| [0.0, 0.5, 0.5][room]);
         let here = [1.0, 0.0, 0.0];
         let next = |middles_m: &[[f64; 3]], any_thing: f64| {
             let (mut near, mut out) = (Vec::new(), Vec::new());

@@ -141,7 +141,7 @@ pub(crate) struct PersonAnswer {
     pub(crate) understood: Vec<Understood>,
 }
 
-/// What the daemon has learned of the home.
+/// The learned habits of the home.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct LearnedHabits {
     /// Whether the daemon learns now.
@@ -157,7 +157,7 @@ pub struct LearnedHabits {
     pub persons: Vec<PersonHabits>,
 }
 
-/// What the daemon has learned of a person.
+/// The learned habits of a person.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct PersonHabits {
     /// The number.
@@ -346,7 +346,7 @@ impl Domain {
         changed(ask(&self.open(ASKER)?, question::PERSON, &asked, timeout)?)
     }
 
-    /// What the daemon has learned of the home.
+    /// The learned habits of the home.
     ///
     /// # Errors
     ///

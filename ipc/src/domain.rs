@@ -761,8 +761,7 @@ impl Node {
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be
-    /// locked.
+    /// [`IpcError::NameTaken`] if the other does not leave within 8 s; [`IpcError::Join`] if its file in the root path cannot be locked.
     pub fn be_the_only_one(self) -> Result<Self, IpcError> {
         let name = self.node.name().to_string();
         let file = format!("{}{:016x}{ONLY_FILE}", self.domain.prefix(), sequence::source_of_name(&name));

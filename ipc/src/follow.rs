@@ -192,12 +192,12 @@ impl Forecast {
     }
 }
 
-/// Where a robot goes next, and why.
+/// A robot's next room, and the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decision(pub(crate) Box<DecisionV1>);
 
 impl Decision {
-    /// What the robot is to do.
+    /// The action that the robot should take.
     #[must_use]
     pub fn action(&self) -> Action {
         Action::of(self.0.action)

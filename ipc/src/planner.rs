@@ -9,7 +9,7 @@ use crate::{Action, Domain, IpcError, Node, Publisher, clock, sequence, text};
 /// The longest stay of a decision.
 const STAY_MAX: Duration = Duration::from_secs(1_000_000_000);
 
-/// What a robot is to do: [`Planner::publish`].
+/// An order for a robot: [`Planner::publish`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Order<'a> {
     /// The room to go to, or to wait in.

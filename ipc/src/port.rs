@@ -568,7 +568,7 @@ impl ItemScoresPublisher {
     ///
     /// # Errors
     ///
-    /// [`IpcError::Refused`] where they are more than [`MAX_ITEMS`]; [`IpcError::Port`].
+    /// [`IpcError::Refused`] for more than [`MAX_ITEMS`]; [`IpcError::Port`].
     pub fn send(
         &self,
         header: ItemScoresHeaderV1,

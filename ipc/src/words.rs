@@ -61,7 +61,7 @@ macro_rules! words {
 }
 
 words! {
-    /// What a decision asks of the robot.
+    /// The action that a decision asks for.
     Action of action:
     /// The robot waits.
     Stay = STAY "stay",

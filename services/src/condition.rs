@@ -105,7 +105,7 @@ impl Condition {
     /// The state of a sensor by a value in the form of [`comparable`]. `field` is the value's place in its message.
     ///
     /// # Errors
-    /// If numbers are to be compared and the value is no number.
+    /// If the condition compares numbers and the value is not a number.
     pub(crate) fn state(&self, kind: SensorKind, field: Option<&str>, compared: &str) -> Result<State, String> {
         if self.when.as_deref() == Some(compared) {
             return Ok(Some(true));

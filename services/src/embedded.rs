@@ -102,7 +102,7 @@ impl ModelFile {
     ///
     /// # Errors
     ///
-    /// The system's, where memory or file descriptors are exhausted.
+    /// The system's, if memory or file descriptors are exhausted.
     pub fn create() -> std::io::Result<Self> {
         let mut file = File::from(rustix::fs::memfd_create("roomcast-model", rustix::fs::MemfdFlags::CLOEXEC)?);
         file.write_all(MODEL)?;

@@ -9,23 +9,23 @@ use roomcast_ipc::{MessageError, sequence, text};
 pub const LINE_BYTES_MAX: u64 = 8192;
 
 roomcast_core::choices! {
-    /// What a robot can say.
+    /// The kind of a robot's report.
     pub enum Kind {
-        /// Where it is.
+        /// The position of the robot.
         Position,
-        /// It has begun to work in the room.
+        /// The robot has begun to work in the room.
         Started,
         /// The work in the room is done.
         Finished,
         /// The work in the room failed.
         Failed,
-        /// It does not get into the room.
+        /// The robot cannot enter the room.
         Blocked,
-        /// It is at its dock.
+        /// The robot is at its dock.
         Docked,
-        /// How full its battery is.
+        /// The level of the battery.
         Battery,
-        /// The decision was taken back.
+        /// A person or the robot cancelled the decision.
         Cancelled,
         /// A person's order: the robot does not work, for some time or until it resumes.
         Hold,

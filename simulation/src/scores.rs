@@ -205,8 +205,8 @@ impl<M: LanguageModel> ScoreSource<M> {
         Ok(scores)
     }
 
-    /// Scores after no sentence and after each of `sentences`, one by one, as the daemon computes them with these limits: `sentences.len()
-    /// + 1` rows.
+    /// Scores after no sentence and after each of `sentences`, one by one, as the daemon computes them with these limits. There is one row
+    /// more than sentences.
     ///
     /// # Errors
     /// As [`ScoreSource::score`].

@@ -312,8 +312,8 @@ impl Habits {
         let own = |name: String| if name == ELSEWHERE_NAME { format!("room {name}") } else { name };
         let rooms = partition_names(grounding.partitions()).into_iter().map(own);
         let weights = grounding.weights();
-        let shares = (0..weights.nrows()).flat_map(|label| (0..weights.ncols()).map(move |room| (label, room)));
-        self.bind(labels, rooms.collect(), shares.map(|cell| weights[cell]).collect());
+        let shares = (0..weights.rows()).flat_map(|label| weights.row(label));
+        self.bind(labels, rooms.collect(), shares.copied().collect());
     }
 
     /// Whether anything is learned from now on; what is known is used either way.

@@ -22,7 +22,7 @@
 //! So with `F` the undecoded nodes whose parents are decoded, `S_r` lies between `L_r`, the sum over decided labels, and
 //! `L_r + sum over F of q(n) B(n, r)`.
 
-use nalgebra::DMatrix;
+use crate::matrix::Matrix;
 
 use super::PreparedLabels;
 use super::correction::Continuation;
@@ -69,9 +69,9 @@ pub struct BoundTable {
 impl BoundTable {
     /// Builds the table; `weights` has one row per label of the trie and one column per partition.
     #[must_use]
-    pub fn new(prepared: &PreparedLabels, weights: &DMatrix<f64>) -> Self {
+    pub fn new(prepared: &PreparedLabels, weights: &Matrix) -> Self {
         let trie = prepared.trie();
-        let partitions = weights.ncols();
+        let partitions = weights.columns();
         let columns = partitions + 2;
         let nodes = trie.nodes();
         let gains = || prepared.gain_nats().iter().map(|gain_nats| gain_nats.exp());
@@ -358,7 +358,7 @@ pub struct Certified {
 impl Certified {
     /// State for prepared labels; `weights` is labels x partitions.
     #[must_use]
-    pub fn new(prepared: &PreparedLabels, weights: &DMatrix<f64>) -> Self {
+    pub fn new(prepared: &PreparedLabels, weights: &Matrix) -> Self {
         let trie = prepared.trie();
         let nodes = trie.nodes();
         let mut siblings = vec![0_u32; nodes.len() + 1];
@@ -453,8 +453,8 @@ mod tests {
     use crate::scorer::table::TableModel;
     use crate::scorer::{LabelScores, Method, Scorer, Tokenisation};
 
-    fn exact(label_log_prob_nats: &[f64], weights: &DMatrix<f64>) -> Vec<f64> {
-        (0..weights.ncols())
+    fn exact(label_log_prob_nats: &[f64], weights: &Matrix) -> Vec<f64> {
+        (0..weights.columns())
             .map(|r| label_log_prob_nats.iter().enumerate().map(|(c, l)| l.exp() * weights[(c, r)]).sum())
             .collect()
     }
@@ -479,10 +479,10 @@ mod tests {
                 // Two labels with the same text always tie.
                 labels[1] = labels[0].clone();
             }
-            let mut weights = DMatrix::from_fn(labels.len(), partitions, |c, r| shares[c * 4 + r].powi(3));
-            for mut row in weights.row_iter_mut() {
-                let sum = row.sum().max(1.0);
-                row /= sum;
+            let mut weights = Matrix::from_fn(labels.len(), partitions, |c, r| shares[c * 4 + r].powi(3));
+            for label in 0..labels.len() {
+                let sum = weights.row(label).iter().sum::<f64>().max(1.0);
+                (0..partitions).for_each(|room| weights[(label, room)] /= sum);
             }
             let mut scorer = Scorer::new(TableModel::new(seed));
             let prepared = scorer.prepare(&labels, &BindingSequence::default(), Tokenisation::Joint, Correction { continuation, prior }).unwrap();

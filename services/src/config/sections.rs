@@ -238,7 +238,7 @@ roomcast_core::choices! {
     /// The planner's action if the round's deadline leaves no later time for a room that is probably occupied.
     #[derive(Default)]
     pub enum Forced {
-        /// The robot goes in where the policy says so.
+        /// The robot goes in if the policy says so.
         Enter,
         /// The room is left to the next round.
         #[default]
@@ -393,7 +393,7 @@ roomcast_core::choices! {
         Return,
         /// It stands still where it is.
         Pause,
-        /// It goes on: nobody is to interrupt it.
+        /// It goes on without an interruption.
         GoOn,
     }
 }

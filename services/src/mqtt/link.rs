@@ -114,7 +114,7 @@ impl Link {
     ///
     /// # Errors
     ///
-    /// [`MqttError`] for an address or a file that cannot be used, and where the system has no thread.
+    /// [`MqttError`] for an address or a file that cannot be used, or if the system cannot start a thread.
     pub fn start(broker: &Broker, mut filters: Vec<String>, will: Option<Will>) -> Result<Self, MqttError> {
         // It comes first, so that the broker answers it before any message can be too large.
         if !filters.is_empty() {

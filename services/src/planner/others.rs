@@ -10,7 +10,7 @@ use roomcast_core::ids::BootNs;
 use roomcast_ipc::raw::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags};
 use roomcast_ipc::text;
 
-/// Most robots that are followed. Of more, the one with the earliest end is dropped.
+/// Most robots that are followed. If there are more, the one with the earliest end is dropped.
 const ROBOTS_MAX: usize = 16;
 /// Time after a stay in which a late robot's next decision may still come, in nanoseconds.
 const LATE_NS: u64 = 10_000_000_000;

@@ -53,7 +53,7 @@ impl Planner {
     /// scores give the rooms, so a report must not come here before them.
     ///
     /// # Errors
-    /// [`ReportFault`] for an unknown room, an unknown decision, or a position outside the known map. The rest of the report is used,
+    /// [`ReportFault`] for an unknown room, an unknown decision, or a position that cannot be placed. The rest of the report is used,
     /// except work in an unknown room.
     pub fn take_report(&mut self, report: &RobotReportV1, now_ns: BootNs) -> Result<(), ReportFault> {
         let is_meant = report.robot == self.number && (self.robot.listens() || report.is_order());

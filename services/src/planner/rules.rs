@@ -297,7 +297,7 @@ mod tests {
         Now { local_s: hour * HOUR_S, stay_s: 600.0 }
     }
 
-    /// The sentence against a room; empty where the robot may work there.
+    /// The sentence against a room; empty if the robot may work there.
     fn said(room: usize, now: Now, facts: &Facts<'_>) -> String {
         allowed(room, now, facts).map_or_else(|reason| reason.to_string(), |()| String::new())
     }

@@ -1456,7 +1456,7 @@ fn two_robots_do_not_choose_the_same_room() {
     }
 }
 
-/// When the daemon fell silent, a robot that had made way for a person was told to wait next to that person.
+/// When the daemon fell silent, a robot that had made way for a person got an order to wait next to that person.
 #[test]
 fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
     for silent in [false, true] {

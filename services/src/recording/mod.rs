@@ -969,7 +969,7 @@ mod tests {
         };
         let of_whom: Vec<PersonId> = of(&messages).into_iter().map(|(person, _)| person).collect();
         assert_eq!(of_whom, [ada, ben, ada, ben, ada]);
-        // The first sentence of all, of a person whom only a sensor has observed: it adds no person 0.
+        // The first sentence of all, of a person with sensor events only: it adds no person 0.
         let first_plain = of(&messages[6..]);
         assert_eq!(first_plain[0], (ada, "They grab the milk.".to_owned()));
         // If the recording lacks the daemon's message and there are several persons, the sentence is left out.

@@ -4,6 +4,7 @@
 //! `PROPTEST_CASES=20000` tries so many of each kind, by a seed of its own; what fails is printed.
 
 use std::fs;
+use std::path::Path;
 
 use proptest::prelude::*;
 use roomcast_ipc::raw::{Message, NAME_BYTES};
@@ -12,9 +13,19 @@ use roomcast_zenoh::config::Config;
 use roomcast_zenoh::delivery::Delivery;
 use roomcast_zenoh::line::line;
 use roomcast_zenoh::relay::{Offered, Relay};
-use roomcast_zenoh::spool::{self, Dated, Place, Spool};
+use roomcast_zenoh::spool::{self, Dated, Place, Spool, SpoolError};
 use roomcast_zenoh::told::Teller;
 use roomcast_zenoh::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Who, read};
+
+use crate::eventually::eventually;
+
+/// A process that another test starts inherits the lock of an open spool, for a moment.
+fn open(folder: &Path) -> Spool {
+    eventually("the spool is free", || match Spool::open(folder, 64) {
+        Err(SpoolError::Locked { .. }) => None,
+        opened => Some(opened.unwrap()),
+    })
+}
 
 /// One change of some bytes: at a part of their length, what it does, and with which byte.
 type Damage = (f64, u8, u8);
@@ -149,7 +160,7 @@ proptest! {
     fn a_damaged_spool_gives_no_number_twice(count in 1..20_u64, confirmed in 0..20_u64, changes in damage()) {
         let folder = tempfile::tempdir().unwrap();
         let (file, before) = {
-            let mut spool = Spool::open(folder.path(), 64).unwrap();
+            let mut spool = open(folder.path());
             for number in 0..count {
                 let place = spool.input().unwrap();
                 let place = Place { at: place.at + 10, ..place };
@@ -164,7 +175,7 @@ proptest! {
         let good = fs::read(&file).unwrap();
         let bad = damaged(&good, &changes);
         fs::write(&file, &bad).unwrap();
-        let mut spool = Spool::open(folder.path(), 64).unwrap();
+        let mut spool = open(folder.path());
         let opened = (spool.epoch(), spool.first(), spool.last());
         prop_assert!(opened.0 != 0 && opened.1 >= 1 && opened.2 + 1 >= opened.1);
         if bad == good {
@@ -179,7 +190,7 @@ proptest! {
         spool.append(vec![Dated::new(observation(0), 0, spool.input())]).unwrap();
         prop_assert_eq!(spool.last(), opened.2 + 1);
         drop(spool);
-        let again = Spool::open(folder.path(), 64).unwrap();
+        let again = open(folder.path());
         prop_assert_eq!((again.epoch(), again.last()), (opened.0, opened.2 + 1), "what was kept since is whole");
     }
 }
