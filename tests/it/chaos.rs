@@ -38,6 +38,8 @@ use roomcast_services::setup;
 use rustix::process::{Pid, Signal, kill_process};
 
 const DEFAULT_TIME: Duration = Duration::from_secs(8);
+/// On a busy machine the time alone may be over before anything has happened.
+const DEFAULT_CYCLES_MIN: u64 = 20;
 const DEADLINE_NS: u64 = 500_000_000;
 /// What counts as the same score: quantised products differ a little with the shape of a batch.
 const TOLERANCE_NATS: f64 = 0.05;
@@ -833,7 +835,8 @@ fn survives(household: bool) {
     }
     world.go_on(World::all_recovered, PATIENCE);
     let start = Instant::now();
-    while cycles.map_or(start.elapsed() < DEFAULT_TIME, |cycles| world.tally.cycles < cycles) {
+    let least = |world: &World| world.tally.cycles < DEFAULT_CYCLES_MIN || start.elapsed() < DEFAULT_TIME;
+    while cycles.map_or_else(|| least(&world), |cycles| world.tally.cycles < cycles) {
         world.cycle();
         if world.tally.cycles.is_multiple_of(100) {
             println!("{} cycles in {:.0} s", world.tally.cycles, start.elapsed().as_secs_f64());
