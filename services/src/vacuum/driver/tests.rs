@@ -23,19 +23,19 @@ fn decision(sequence: u64, action: u32, room: &str) -> DecisionV1 {
     DecisionV1 { robot: 7, epoch: 1, sequence, action, to, stay_ns: 600 * S, ..Default::default() }
 }
 
-/// A driver and the fake robot, second by second.
+/// A driver and the simulated robot, second by second.
 struct Pair {
     driver: Driver,
     robot: FakeValetudo,
     dialect: Dialect,
     now_s: u64,
     reports: Vec<Report>,
-    /// How long orders are on their way, those that are, and which ones do not arrive.
+    /// The delay of orders, the orders on their way, and the numbers of lost orders.
     delay_s: u64,
     on_the_way: Vec<(u64, (String, String))>,
     lost: Vec<usize>,
     ordered: usize,
-    /// The broker is away.
+    /// Whether the broker is away.
     away: bool,
 }
 
@@ -75,7 +75,7 @@ impl Pair {
         self.arrive();
     }
 
-    /// What has been on its way for long enough arrives.
+    /// Delivers the orders that are due.
     fn arrive(&mut self) {
         let now_s = self.now_s;
         for (_, (topic, payload)) in self.on_the_way.extract_if(.., |(due_s, _)| *due_s <= now_s) {
@@ -88,7 +88,7 @@ impl Pair {
         self.carry_out(acts);
     }
 
-    /// The broker goes, or is back and tells what it has kept.
+    /// The broker goes away, or returns with its retained messages.
     fn be_away(&mut self, away: bool) {
         self.away = away;
         let acts = self.driver.link(!away, BootNs(self.now_s * S));
@@ -106,7 +106,7 @@ impl Pair {
         }
     }
 
-    /// A driver is started that knows nothing.
+    /// Starts a driver without state.
     fn start_again(&mut self, config: &RobotConfig) {
         self.driver = Driver::new(config, 7);
         self.driver.know_rooms(ROOMS.into_iter());
@@ -129,7 +129,7 @@ impl Pair {
         }
     }
 
-    /// What was reported of work, in order, with the decision that it answers.
+    /// The reports about work in order, each with its decision.
     fn of_work(&mut self) -> Vec<(Kind, Option<u64>)> {
         let work = |report: &Report| !matches!(report.kind, Kind::Battery | Kind::Docked | Kind::Position);
         let told = self.reports.drain(..).filter(work).map(|report| (report.kind, report.decision));
@@ -155,7 +155,7 @@ fn a_room_is_done_when_the_robot_has_left_it_by_itself() {
         (pair.robot.cleaned.as_slice(), pair.robot.orders.as_slice()),
         (&["3".to_owned()][..], &["clean 3".to_owned()][..])
     );
-    // The next one, from wherever it is.
+    // The next room, from any place.
     pair.decide(&decision(2, action::GO, "office-4"));
     pair.pass(400);
     let docked = pair.reports.iter().filter(|report| report.kind == Kind::Docked).count();
@@ -221,7 +221,7 @@ fn a_decision_to_stay_that_cancels_the_work_in_the_room_sends_the_robot_home() {
     }
 }
 
-/// Somebody comes in before the robot has begun: whatever is late or lost, it does not clean the room with them in it.
+/// A person enters before the robot has begun. Even if orders are late or lost, the robot must not clean the room.
 #[test]
 fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
     let mut begun = 0;
@@ -240,7 +240,7 @@ fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
             let case =
                 format!("{on_pause}: {delay_s} s late, after {after_s} s, {lost:?} lost: {:?}", pair.robot.orders);
             assert_ne!(pair.robot.doing, Doing::Cleaning, "{case}");
-            // It is left alone then.
+            // Afterwards the robot gets no more orders.
             let told = pair.robot.orders.len();
             pair.pass(300);
             assert_eq!((pair.robot.orders.len(), &pair.driver.state), (told, &State::Free), "{case}");
@@ -249,7 +249,7 @@ fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
     assert!(begun > 0, "some have begun before they heard that they are not to");
 }
 
-/// What a robot passes through before it begins is no sign that it has heard.
+/// States that a robot passes through before it begins do not show that it received the order.
 #[test]
 fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
     for (on_pause, order) in [(OnPause::Return, Order::Home), (OnPause::Pause, Order::Pause)] {
@@ -275,7 +275,7 @@ fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
     }
 }
 
-/// The same with another room in place of nothing: the robot is not taken to be in it while it is at the first one.
+/// The same with another room: the robot does not count as there while it is in the first room.
 #[test]
 fn a_robot_that_was_only_told_to_clean_goes_to_another_room() {
     for (delay_s, lost) in (0..8).flat_map(|delay_s| [&[][..], &[1], &[0]].map(|lost| (delay_s, lost))) {
@@ -297,7 +297,7 @@ fn a_stuck_robot_has_failed_and_says_why() {
     pair.decide(&decision(1, action::GO, "bedroom-1"));
     pair.pass(10);
     assert!(pair.last_note().contains("Wheel lost floor contact"), "{}", pair.last_note());
-    // The next room fails at once, without an order that a robot in an error would not hear.
+    // The next room fails at once, without an order: a robot in an error state ignores orders.
     let orders = pair.robot.orders.len();
     pair.decide(&decision(2, action::GO, "hall-2"));
     pair.pass(1);
@@ -326,7 +326,7 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
         sense(&mut driver, Sensed::Battery(*level), 2 + at_s as u64);
     }
     assert_eq!(told, levels, "each once");
-    // Elsewhere a twentieth is one, however its floating point comes out.
+    // Away from the dock, each twentieth counts once, despite floating-point rounding.
     let mut driver = Driver::new(&config(), 7);
     let mut told = Vec::new();
     for level in (0..=100).rev() {
@@ -338,8 +338,7 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
     assert_eq!(told, (0..=20).rev().map(|step| 5 * step).collect::<Vec<_>>());
 }
 
-/// The planner takes `docked` for the end of whatever was wrong with a robot. One that has stood there all along, and does nothing that it is
-/// told, was asked again without a pause.
+/// `docked` ends a robot's trouble for the planner. Formerly a robot that stood at its dock and followed no order was asked again without a pause.
 #[test]
 fn a_docked_robot_that_follows_no_order_is_left_alone_for_longer_and_longer() {
     let planning = PlannerConfig { room_time_s: 600.0, ..PlannerConfig::default() };
@@ -397,7 +396,7 @@ fn a_robot_that_has_to_charge_in_the_middle_has_not_finished_and_does_not_go_on_
 #[test]
 fn what_somebody_else_does_with_the_robot_is_understood() {
     let mut pair = Pair::new(&config(), 600.0);
-    // Somebody has sent it out by its button.
+    // A person starts the robot by its button.
     pair.robot
         .hear(&format!("{TOPIC}/MapSegmentationCapability/clean/set"), r#"{"segment_ids": ["1"], "iterations": 1}"#);
     pair.decide(&decision(0, action::STAY, ""));
@@ -406,7 +405,7 @@ fn what_somebody_else_does_with_the_robot_is_understood() {
     pair.decide(&decision(1, action::GO, "office-4"));
     pair.pass(5);
     assert_eq!(pair.robot.orders, ["clean 1", "STOP", "clean 4"]);
-    // Somebody pauses it, and never goes on.
+    // A person pauses the robot for good.
     pair.robot.hear(&format!("{TOPIC}/BasicControlCapability/operation/set"), "PAUSE");
     pair.pass(300);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Cancelled, Some(1))]);
@@ -426,11 +425,11 @@ fn a_planner_or_driver_that_is_started_again_does_not_begin_the_room_again() {
     let mut pair = Pair::new(&config(), 300.0);
     pair.decide(&decision(1, action::GO, "office-4"));
     pair.pass(60);
-    // The planner asks for it once more.
+    // The planner repeats the decision.
     pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
     pair.pass(10);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)); 2]);
-    // Another driver finds the robot at work; the broker has kept what it said.
+    // A new driver finds the robot at work; the broker has retained its messages.
     pair.start_again(&config());
     pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
     pair.hear_again();
@@ -452,7 +451,7 @@ fn what_is_owed_is_told_to_a_planner_that_asks_for_it() {
     assert_eq!(pair.of_work(), [(Kind::Failed, Some(2))]);
 }
 
-/// Of a planner that plans no stays.
+/// From a planner without planned stays.
 #[test]
 fn a_decision_without_a_stay_is_work_like_any_other() {
     let mut pair = Pair::new(&config(), 100.0);
@@ -470,11 +469,11 @@ fn rooms_without_a_segment_are_blocked_and_another_robots_decisions_are_no_order
     pair.decide(&decision(1, action::GO, "garage"));
     assert_eq!(pair.of_work(), [(Kind::Blocked, Some(1))]);
     pair.decide(&DecisionV1 { robot: 8, ..decision(3, action::GO, "hall-2") });
-    // A bridge repeats what it hears of a robot of this name.
+    // A bridge repeats decisions for a robot of this name.
     pair.decide(&DecisionV1 { flags: decision_flags::ELSEWHERE, ..decision(4, action::GO, "hall-2") });
     pair.pass(100);
     assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty());
-    // Whoever sends it to a room that is done means it.
+    // A decision for a finished room is deliberate.
     pair.decide(&DecisionV1 { covered: 0b0100, ..decision(2, action::GO, "kitchen-3") });
     assert_eq!(pair.robot.orders, ["clean 3"]);
 }
@@ -539,12 +538,12 @@ fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), BootNs(301 * S)).len(), 1);
 }
 
-/// What the daemon sends, that often.
+/// The daemon's publishing interval.
 const EVERY_S: u64 = 2;
 const HORIZONS_S: [f32; 16] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
-/// What a day came to.
+/// The results of a day.
 #[derive(Debug, PartialEq)]
 struct Day {
     shared_min: f64,
@@ -552,11 +551,11 @@ struct Day {
     failed: usize,
 }
 
-/// What goes wrong on a day: the robot gets stuck, loses orders, the broker is away, the driver is started again.
+/// Trouble on a day: the robot gets stuck, orders are lost, the broker is away, the driver restarts.
 #[derive(Debug, Clone, Copy)]
 struct Trouble(bool);
 
-/// A day of the whole chain: person, forecast, planner, driver, fake robot.
+/// A day of the whole chain: person, forecast, planner, driver, simulated robot.
 fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     let planning = PlannerConfig {
         policy,
@@ -588,7 +587,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             robot.orders_ignored = 2;
         }
         if hour(8.3) {
-            // In a room that is still to come.
+            // A room that is still open.
             let at_work = robot.job.as_ref().map(|(segment, _)| segment.as_str());
             let left = segments(0.0).into_iter().map(|(segment, ..)| segment);
             let next = left
@@ -608,7 +607,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             shared_s += 1.0;
         }
         let mut acts = Vec::new();
-        // A connection that is new has what the broker kept.
+        // A new connection gets the retained messages.
         let again = was_away && !away || hour(8.1);
         was_away = away;
         if !away {
@@ -651,7 +650,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed }
 }
 
-/// What the daemon would publish.
+/// The daemon's messages.
 fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
     let (now_s, now_ns) = (second as f64, second * S);
     let mut scores =
@@ -683,7 +682,7 @@ fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
     println!("coverage-aware {quiet:?}, naive {naive:?}, plain schedules {schedules:.1?} min, mean {mean:.1} min");
     assert_eq!((quiet.cleaned, quiet.failed), (4, 0));
     assert!(quiet.shared_min < naive.shared_min && quiet.shared_min < mean, "{quiet:?} {naive:?} {schedules:?}");
-    // Orders are lost, the robot is stuck, the broker is away, the driver is started again: all is done all the same.
+    // Despite all trouble, every room is done.
     let troubled = live(PolicyName::CoverageAware, Trouble(true));
     println!("with trouble {troubled:?}");
     assert_eq!(troubled.cleaned, 4);
@@ -712,7 +711,7 @@ fn home_assistants_robot_is_driven_by_the_same_driver() {
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
 }
 
-/// The broker, its Wi-Fi or the robot was away for longer than three tries, and the robot worked on beside the person when it was back.
+/// Formerly, after an absence of the broker, its Wi-Fi or the robot longer than three tries, the robot continued to work near the person.
 #[test]
 fn what_ends_work_is_told_again_until_it_is_followed() {
     for (on_pause, then) in [(OnPause::Return, Doing::Docked), (OnPause::Pause, Doing::Paused)] {
@@ -737,7 +736,7 @@ fn what_ends_work_is_told_again_until_it_is_followed() {
     }
 }
 
-/// The room before the next one is left, whoever is told of what became of it.
+/// The robot must leave its room even after the next room was reported as failed.
 #[test]
 fn a_robot_that_does_not_stop_for_another_room_is_told_until_it_does() {
     let mut pair = Pair::new(&RobotConfig { start_s: 5.0, ..config() }, 1e6);
@@ -752,7 +751,7 @@ fn a_robot_that_does_not_stop_for_another_room_is_told_until_it_does() {
     assert_ne!(pair.robot.doing, Doing::Cleaning);
 }
 
-/// A room was reported as failed since the broker was away, and the robot, which had heard, cleaned it all the same.
+/// Formerly the robot cleaned a room that was reported as failed in the broker's absence, since it had received the order.
 #[test]
 fn what_was_given_up_without_a_broker_is_not_done_later() {
     for away_after_s in 0..3 {
@@ -767,7 +766,7 @@ fn what_was_given_up_without_a_broker_is_not_done_later() {
     }
 }
 
-/// The decision was there before the robot was heard, and was forgotten then.
+/// Formerly the driver forgot a decision that came before the robot's first message.
 #[test]
 fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     let home = |action: u32, room: &str| {
@@ -783,7 +782,7 @@ fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     };
     assert!(home(action::PAUSE, "") && home(action::STAY, "hall-2"));
     assert!(!home(action::STAY, "") && !home(action::GO, "kitchen-3"));
-    // Where it is at its dock already nothing is said.
+    // A robot at its dock gets no order.
     let mut pair = Pair::new(&config(), 1e6);
     pair.start_again(&config());
     pair.decide(&decision(2, action::PAUSE, ""));
@@ -792,7 +791,7 @@ fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     assert!(pair.robot.orders.is_empty());
 }
 
-/// Work that nobody had asked for was taken for the robot's own, hours after the driver's start.
+/// Formerly the driver took work that a person started hours later for work of a decision.
 #[test]
 fn a_robot_that_somebody_sends_out_after_the_start_is_not_at_its_own_work() {
     for wait_s in [0, 3, 3600] {
@@ -812,7 +811,7 @@ fn a_robot_that_somebody_sends_out_after_the_start_is_not_at_its_own_work() {
     }
 }
 
-/// A robot of which nothing can be known was reported as alive, and the planner did not find it silent.
+/// Formerly an unreachable robot was reported as alive, so the planner did not find it silent.
 #[test]
 fn nothing_is_reported_while_broker_or_robot_are_away() {
     let mut pair = Pair::new(&config(), 1e6);
@@ -825,7 +824,7 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     pair.be_away(false);
     pair.pass(60);
     assert!(!pair.reports.is_empty() && pair.of_work().is_empty(), "it is at the same work");
-    // The broker has kept what a robot said that is off; in whatever order it tells that.
+    // The broker retains messages of a robot that is off, and sends them in any order.
     let said = [
         Sensed::Online(false),
         Sensed::Status(Status::Cleaning),
@@ -842,7 +841,7 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.battery == Some(0.4))), "{acts:?}");
 }
 
-/// `mqtt_statestream` says a state when it changes, and a broker without persistence loses what it kept.
+/// `mqtt_statestream` publishes a state only when it changes, and a broker without persistence loses retained messages.
 #[test]
 fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
@@ -858,7 +857,7 @@ fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
     assert!(acts.iter().any(|act| matches!(act, Act::Order(Order::Clean { .. }))), "{acts:?}");
 }
 
-/// Home Assistant does not say why a vacuum goes home: one that has to charge had "finished" its room.
+/// Home Assistant does not say why a vacuum goes home. Formerly a vacuum that had to charge had "finished" its room.
 #[test]
 fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
@@ -877,7 +876,7 @@ fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room
             .filter(|kind| matches!(kind, Kind::Finished | Kind::Failed))
             .collect();
         assert_eq!(ended, [kind], "{battery}");
-        // It goes on by itself where nobody tells it not to.
+        // The robot continues by itself unless it is stopped.
         let mut docked = driver.sense(Sensed::Status(Status::Docked), BootNs(700 * S));
         (701..1000).for_each(|s| docked.extend(driver.tick(BootNs(s * S))));
         let stops = docked.iter().filter(|act| matches!(act, Act::Order(Order::Stop))).count();
