@@ -190,7 +190,7 @@ struct World {
     daemon_epochs: Vec<u64>,
     planner_epochs: HashSet<u64>,
     seen: Vec<Seen>,
-    /// The newest time of each snapshot.
+    /// The newest sending time of each snapshot.
     sent_ns: HashMap<(u64, u64), u64>,
     /// The robot, and the rooms that it reported as done.
     reporter: Reporter,

@@ -1,5 +1,4 @@
-//! Services without file descriptors, shared memory, disk or rights end with a clear error or continue. They never die by a signal, and they
-//! recover.
+//! Services without file descriptors, shared memory, disk or rights end with a clear error or continue. They never die by a signal, and they recover.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

@@ -273,8 +273,8 @@ fn fields(model: &[u8]) -> Vec<(String, usize, usize)> {
     fields
 }
 
-/// The attack: a GGUF file with one changed field. `model check` and `score` must end with an exit code, not by a signal.
-/// `ROOMCAST_FUZZ_MODELS` sets the number of changed fields.
+/// The attack: a GGUF file with one changed field. `model check` and `score` must end with an exit code, not by a signal. `ROOMCAST_FUZZ_MODELS` sets
+/// the number of changed fields.
 #[test]
 #[ignore = "full"]
 fn a_model_file_with_one_field_patched_ends_no_judge() {

@@ -1,7 +1,7 @@
 //! A real Home Assistant, a real broker and real processes: import over folder and API, narration of a sensor, publication, restarts, removal.
 //!
-//! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another installation's program. Without one the test
-//! is skipped.
+//! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another installation's program. Without one the test is
+//! skipped.
 
 use std::fs::File;
 use std::net::TcpStream;

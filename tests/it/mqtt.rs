@@ -581,8 +581,7 @@ struct Lived {
 
 /// A day with the whole chain in processes: sensors, broker, narrator, daemon, planner, driver, simulated robot. The robot ignores its first two
 /// orders. While it ends its first room, the broker stops; it returns without retained messages. In between the sensors queue their messages, and
-/// send
-/// them in order when the broker is back. In a later room the robot gets stuck, until a person carries it home.
+/// send them in order when the broker is back. In a later room the robot gets stuck, until a person carries it home.
 fn live(policy: &str, seed: u64) -> Lived {
     let mut broker = broker().unwrap();
     let port = broker.port;

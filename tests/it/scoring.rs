@@ -30,8 +30,7 @@ use crate::skipped::skipped;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Weights {
     /// Quantised kernels round activations, cache keys and cache values to 127 steps. Another order of sums changes the last bits, and in about one
-    /// of a
-    /// hundred prompts that selects another step: scores then differ by hundredths of a nat.
+    /// of a hundred prompts that selects another step: scores then differ by hundredths of a nat.
     Shipped,
     /// The same, with unrounded keys and values in the cache.
     ShippedWithMixedCache,

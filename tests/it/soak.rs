@@ -1,8 +1,8 @@
 //! Many events through the daemon's whole path, with real ports and a real database, and a model with equal probabilities. Memory and file
 //! descriptors stay flat, and no event is lost.
 //!
-//! `ROOMCAST_SOAK_EVENTS=1000000 cargo test --release --test it soak -- --nocapture` runs a million and prints the percentiles of latency
-//! in the first and in the last tenth.
+//! `ROOMCAST_SOAK_EVENTS=1000000 cargo test --release --test it soak -- --nocapture` runs a million and prints the percentiles of latency in the
+//! first and in the last tenth.
 
 use std::time::{Duration, Instant};
 

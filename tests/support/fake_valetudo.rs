@@ -1,5 +1,5 @@
-//! A simulated robot for tests. It speaks the topics in Valetudo's documentation and cleans no room. It does no I/O: time and messages are
-//! arguments and results.
+//! A simulated robot for tests. It speaks the topics in Valetudo's documentation and cleans no room. It does no I/O: time and messages are arguments
+//! and results.
 
 use std::collections::BTreeMap;
 

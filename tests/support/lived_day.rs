@@ -40,7 +40,7 @@ fn plain_schedule(hour: f64) -> f64 {
     seconds.filter(together).count() as f64 / 60.0
 }
 
-/// Shared minutes of plain schedules by start hour: those that end within the robot's hours.
+/// Shared minutes of plain schedules by start hour: schedules that end within the robot's hours.
 pub(crate) fn plain_schedules() -> Vec<f64> {
     (HOURS.0..HOURS.1 - 2).map(|hour| plain_schedule(hour as f64)).collect()
 }

@@ -945,8 +945,7 @@ fn a_rehearsal_takes_nothing_from_the_narrator() {
 }
 
 /// The attack: a backlog of MQTT messages. `ROOMCAST_MQTT_RESTARTS=1000` is the long run; a restart takes about a second. `ROOMCAST_MQTT_SEED`
-/// changes
-/// the moments.
+/// changes the moments.
 #[test]
 fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     const BACKLOG: u32 = 5_000;

@@ -950,7 +950,7 @@ fn a_room_that_is_none_is_not_the_one_in_hand() {
     assert_eq!(home.decision(7).covered.count_ones(), 1);
 }
 
-/// A report about an unknown decision refers to no room, and the planner logs it.
+/// A report about an unknown decision is an error and ends no work.
 #[test]
 fn a_decision_that_is_none_is_not_the_one_in_hand() {
     let mut home = Home::new(3, &PlannerConfig::default());

@@ -151,8 +151,8 @@ fn small_window(world: &World) -> String {
     path.to_str().unwrap().to_owned()
 }
 
-/// The attack: a sentence of one kilobyte makes about 1 000 tokens. The daemon refuses it before the journal, logs it once and counts it.
-/// A state database of an older version may contain one; it blocks no later event.
+/// The attack: a sentence of one kilobyte makes about 1 000 tokens. The daemon refuses it before the journal, logs it once and counts it. A state
+/// database of an older version may contain one; it blocks no later event.
 #[test]
 fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
     let mut world = World::new("costly");

@@ -1,5 +1,5 @@
-//! The first hours of a day of two robots with real daemons, planners and bridges, 480 times faster than real time.
-//! `services/src/daemon/played.rs` plays the whole day without processes.
+//! The first hours of a day of two robots with real daemons, planners and bridges, 480 times faster than real time. `services/src/daemon/played.rs`
+//! plays the whole day without processes.
 
 use std::time::{Duration, Instant};
 

@@ -210,8 +210,8 @@ impl Seen {
 }
 
 /// No narration is lost or taken twice, no decision rests on expired scores or looks younger than it is, and a due decision or its fallback comes
-/// within
-/// the deadline. `ROOMCAST_FLEET_CYCLES` (default 12) sets the number of faults, `ROOMCAST_FLEET_CUT_S` (default 6) the seconds without the router.
+/// within the deadline. `ROOMCAST_FLEET_CYCLES` (default 12) sets the number of faults, `ROOMCAST_FLEET_CUT_S` (default 6) the seconds without the
+/// router.
 #[test]
 fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
     let Some(python) = python() else { return skipped(NO_ROUTER) };
