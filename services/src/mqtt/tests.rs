@@ -135,7 +135,7 @@ fn a_rehearsal_tells_which_rule_says_what() {
     );
     let text = told("else\u{1b}[2J", "\u{7}", false);
     assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
-    // Characters that reverse a line, and long payloads, are neutralised.
+    // Characters that reverse a line are escaped, and long payloads are cut.
     let text = told("z/kitchen", &format!("{{\"state\": \"\u{202e}\u{9b}{}\"}}", "x".repeat(200)), false);
     assert!(text.starts_with("z/kitchen  {\"state\": \"\\u202e\\u009bxxx") && text.contains("xxx..."), "{text:?}");
     assert!(!text.contains(['\u{202e}', '\u{9b}']), "{text:?}");
