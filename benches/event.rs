@@ -33,9 +33,8 @@ use roomcast_core::scorer::certified::Effort;
 use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::{LanguageModel, Token};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{
-    Domain, ForecastV1, NarrationV1, Publisher, RoomScoresV1, Sender, Subscriber, clock, narration_kind,
-};
+use roomcast_ipc::raw::{ForecastV1, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::{Domain, Publisher, Sender, Subscriber, clock};
 use roomcast_llama::{CacheType, LlamaModel, LlamaOptions, backend};
 use roomcast_services::config::IntakeLimits;
 use roomcast_services::daemon::{Board, Cycle, Entry, Intake, Taken};

@@ -19,10 +19,11 @@ use roomcast_core::label_trie::{LabelTrie, PROMPT, TokenTree};
 use roomcast_core::narration::Program;
 use roomcast_core::scorer::Token;
 use roomcast_core::semantic_map::{SemanticMap, import};
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Sender, sequence,
+    RoomScoresV1,
 };
+use roomcast_ipc::{Sender, sequence};
 use roomcast_llama::gguf::Header;
 use roomcast_services::config::{Config, IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::{Intake, Taken, journal};

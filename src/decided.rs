@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::DecisionV1;
+use roomcast_ipc::raw::DecisionV1;
 
 /// Most robots that are followed. If there are more, the one with the smallest number is dropped.
 const ROBOTS_MAX: usize = 64;
@@ -39,7 +39,7 @@ impl Decided {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::action;
+    use roomcast_ipc::raw::action;
 
     /// Regression: whenever a subscriber joined or left, all robots' decisions counted again.
     #[test]

@@ -1,4 +1,4 @@
-use roomcast_ipc::{decision_flags, forecast_flags, score_flags};
+use roomcast_ipc::raw::{decision_flags, forecast_flags, score_flags};
 
 fn set(flags: u32, names: &[(u32, &'static str)]) -> Vec<&'static str> {
     names.iter().filter(|(flag, _)| flags & flag != 0).map(|(_, name)| *name).collect()

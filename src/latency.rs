@@ -18,10 +18,8 @@ use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
 use roomcast_ipc::bare::{BareReceiver, BareSender};
-use roomcast_ipc::{
-    DecisionV1, IpcError, MessageError, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, clock, narration_kind,
-    score_flags, sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, NarrationV1, RoomScoresV1, narration_kind, score_flags};
+use roomcast_ipc::{IpcError, MessageError, Node, Publisher, Subscriber, clock, sequence};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, RecvFlags, SendFlags, SocketFlags, SocketType, recv, send, socketpair};
@@ -226,7 +224,7 @@ impl Probe {
     }
 }
 
-fn wait_for<M: roomcast_ipc::Message>(
+fn wait_for<M: roomcast_ipc::raw::Message>(
     port: &Subscriber<M>,
     path: &'static str,
     is_it: impl Fn(&M) -> bool,

@@ -17,10 +17,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, QuestionPort, RoomScoresV1, StatusClient, StatusResponseV1, Subscriber,
-    decision_flags, question, score_flags,
-};
+use roomcast_ipc::raw::{DecisionV1, RoomScoresV1, StatusResponseV1, decision_flags, score_flags};
+use roomcast_ipc::{Domain, IpcError, QuestionPort, StatusClient, Subscriber, question};
 use roomcast_services::clock;
 
 use crate::decided::{Decided, News};

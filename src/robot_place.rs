@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{DecisionV1, RobotReportV1, report_kind};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, report_kind};
 
 const ROBOTS_MAX: usize = 64;
 

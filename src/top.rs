@@ -8,10 +8,11 @@ use ratatui::style::{Color, Style, Stylize};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Paragraph};
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_ipc::{
-    DecisionV1, ItemScores, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, Presence, RobotReportV1,
-    RoomScoresV1, StatusResponseV1, forecast_flags, presence, reached, score_flags, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
+    StatusResponseV1, forecast_flags, presence, reached, score_flags,
 };
+use roomcast_ipc::{ItemScores, Presence, sequence};
 
 use crate::bar::bar;
 use crate::columns::wrapped;
@@ -148,7 +149,7 @@ impl View {
     /// show it.
     pub fn persons(&mut self, scores: &PersonScoresV1) {
         self.persons.clear();
-        let plain = |persons: &[roomcast_ipc::PersonV1]| {
+        let plain = |persons: &[roomcast_ipc::raw::PersonV1]| {
             persons.iter().all(|person| person.name().is_empty() && person.presence <= presence::PRESENT)
         };
         let forecasts = self.forecasts.as_deref().filter(|forecasts| forecasts.epoch == scores.epoch);
@@ -193,7 +194,7 @@ impl View {
         self.forecasts = Some(Box::new(*forecasts));
     }
 
-    /// Handles the flags of the forecast of all persons: bits of [`roomcast_ipc::forecast_flags`].
+    /// Handles the flags of the forecast of all persons: bits of [`roomcast_ipc::raw::forecast_flags`].
     pub fn forecast_flags(&mut self, flags: u32) {
         self.forecast_flags = flags;
     }
@@ -525,7 +526,8 @@ mod tests {
     use super::*;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
-    use roomcast_ipc::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind, text};
+    use roomcast_ipc::raw::{ItemScoreV1, ItemScoresHeaderV1, narration_kind, report_kind};
+    use roomcast_ipc::text;
 
     fn scores(sequence: u64, probabilities: &[(&str, f64)]) -> RoomScoresV1 {
         let mut scores = RoomScoresV1 {
@@ -776,7 +778,7 @@ mod tests {
         for (number, (person, kitchen)) in (3..).zip(scores.person.iter_mut().zip([0.75, 0.1])) {
             (person.person, person.probability[0], person.probability[1]) = (number, kitchen, 1.0 - kitchen);
         }
-        scores.person[1].flags = roomcast_ipc::person_flags::RESTORED;
+        scores.person[1].flags = roomcast_ipc::raw::person_flags::RESTORED;
         view.persons(&scores);
         let text = drawn(&view, 80, 24, BootNs(1_100_000_000));
         for line in [
@@ -809,7 +811,7 @@ mod tests {
             scores.person[place].presence = number;
         }
         forecasts.person[1].presence = presence::AWAY;
-        (scores.person[0].probability[1], scores.person[0].flags) = (0.5, roomcast_ipc::person_flags::ASLEEP);
+        (scores.person[0].probability[1], scores.person[0].flags) = (0.5, roomcast_ipc::raw::person_flags::ASLEEP);
         forecasts.person[0].probability[0][0] = 0.875;
         (forecasts.person[1].elsewhere[0], forecasts.person[1].elsewhere[1]) = (1.0, 0.625);
         view.forecasts(&forecasts);

@@ -13,10 +13,12 @@ use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, Header
 use hyper::{Response, StatusCode};
 use roomcast_core::ids::PersonId;
 use roomcast_core::semantic_map::{SceneError, SemanticMap, Storey, Storeys};
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_HORIZONS, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
+    RobotReportV1, RoomScoresV1, RoomV1, action, presence,
+};
 use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, ItemScores, ItemScoresSubscriber, MAX_HORIZONS, NarrationV1, Node,
-    PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, RoomV1,
-    Subscriber, action, clock, presence, question, sequence,
+    Domain, IpcError, ItemScores, ItemScoresSubscriber, Node, Presence, Subscriber, clock, question, sequence,
 };
 use roomcast_services::daemon::flag_words;
 use roomcast_services::message_text::event_of;
@@ -591,7 +593,7 @@ impl Picture {
                 format!("The daemon has been silent for {:.0} s: what is shown is old.", silence_ns as f64 / 1e9);
             return json!({"alarm": true, "text": text});
         }
-        let flags = score_flag_names(scores.flags & !roomcast_ipc::score_flags::HEARTBEAT);
+        let flags = score_flag_names(scores.flags & !roomcast_ipc::raw::score_flags::HEARTBEAT);
         let flags: Vec<_> = flags.into_iter().map(plain).collect();
         let flags = if flags.is_empty() { String::new() } else { format!(" ({})", flags.join(", ")) };
         json!({"alarm": false, "text": format!("The daemon is alive{flags}.")})
@@ -774,7 +776,8 @@ impl Quality {
 mod tests {
     use super::*;
     use roomcast_core::grounding::GroundingOptions;
-    use roomcast_ipc::{narration_kind, text};
+    use roomcast_ipc::raw::narration_kind;
+    use roomcast_ipc::text;
     use std::io::{Read, Write};
 
     const HOSTILE: &str = "<img src=x onerror=alert(1)>";

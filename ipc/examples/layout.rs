@@ -1,6 +1,6 @@
 //! Prints every message's layout, for other languages.
 
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     DecisionV1, Field, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, NarrationV1, PersonForecastV1,
     PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, RoomV1, StatusRequestV1,
     StatusResponseV1,

@@ -12,10 +12,8 @@ use serde_json::Value;
 
 use crate::{Domain, IpcError, Node, question, sequence};
 
-/// The name of the participant that asks.
 const ASKER: &str = "question";
 
-/// A question about persons.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(tag = "ask", rename_all = "kebab-case")]
 pub(crate) enum PersonQuestion<'a> {
@@ -25,18 +23,15 @@ pub(crate) enum PersonQuestion<'a> {
     Rename { id: String, who: &'a str, name: &'a str },
 }
 
-/// A question about habits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(tag = "ask", rename_all = "kebab-case")]
 enum HabitsQuestion {
     Show,
 }
 
-/// The question for everything behind the newest scores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 struct MomentQuestion {}
 
-/// The question for a change of the map.
 #[derive(Debug, Serialize)]
 struct MapQuestion<'a> {
     id: String,
@@ -292,7 +287,6 @@ pub struct PersonLabels {
     pub labels: Vec<LabelScore>,
 }
 
-/// Asks, and reads the answer.
 pub(crate) fn ask<A: DeserializeOwned>(
     node: &Node,
     service: &'static str,
@@ -304,7 +298,7 @@ pub(crate) fn ask<A: DeserializeOwned>(
     serde_json::from_str(&answer).map_err(|source| IpcError::Answer { service, source })
 }
 
-/// A name that no other question has: the daemon does a change of one name once.
+/// The daemon makes a change with one id only once, so each question gets its own.
 fn new_id() -> String {
     format!("{:016x}", sequence::random_epoch())
 }

@@ -1,5 +1,5 @@
-//! iceoryx2 by itself: the yardstick that `roomcast latency` lays beside the contract. No checks, no settings, no history: publish,
-//! notify, wake, receive. Not part of the contract.
+//! iceoryx2 without the contract, for `roomcast latency` to compare with. It has no checks, no settings and no history: publish, notify,
+//! wake, receive.
 
 use std::time::{Duration, Instant};
 
@@ -8,9 +8,10 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::ServiceName;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
+use crate::IpcError;
 use crate::domain::{Flavour, Node};
 use crate::port::port;
-use crate::{IpcError, Message};
+use crate::raw::Message;
 
 /// Sends payloads of `M`'s layout, unchecked.
 #[derive(Debug)]
@@ -86,7 +87,7 @@ impl<M: Message> BareReceiver<M> {
             if left.is_zero() {
                 return Ok(None);
             }
-            // The library waits without limit where less than a microsecond is left.
+            // The library waits without limit if less than a microsecond is left.
             match self.listener.timed_wait(|_| (), left.max(Duration::from_micros(1))) {
                 // A signal, after which there is still time.
                 Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}

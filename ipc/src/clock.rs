@@ -4,8 +4,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// `CLOCK_BOOTTIME` in nanoseconds: the same for all processes of a machine, never set back, and running on while the machine is suspended,
-/// so that scores from before a suspension are old after it. For ages.
+/// `CLOCK_BOOTTIME` in nanoseconds, for ages. All processes of a machine share it, it is never set back, and it counts the time of
+/// suspension.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
@@ -13,7 +13,7 @@ pub fn monotonic_ns() -> u64 {
     now.tv_sec.unsigned_abs() * 1_000_000_000 + now.tv_nsec.unsigned_abs()
 }
 
-/// Nanoseconds since 1970-01-01 UTC, for people; 0 when the wall clock stands before that.
+/// Nanoseconds since 1970-01-01 UTC, for people; 0 if the wall clock is earlier than that.
 #[must_use]
 pub fn unix_ns() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |age| u64::try_from(age.as_nanos()).unwrap_or(u64::MAX))

@@ -1,4 +1,4 @@
-//! Where participants meet: a root path, a name, and the nodes that join.
+//! Domains: a root path, a name, and the nodes that join.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
@@ -30,64 +30,56 @@ use crate::error::Cause;
 use crate::unused::Unused;
 use crate::{IpcError, clock, limits, sequence};
 
-/// The flavour of iceoryx2 used throughout: shared memory, and ports that may move between threads.
+/// iceoryx2's variant that is used throughout: shared memory, and ports that may move between threads.
 pub(crate) type Flavour = ipc_threadsafe::Service;
 
-/// Most characters of the prefix of file names: with the rest of iceoryx2's file names it must fit a Unix socket's address.
+/// Most characters of the prefix of file names. iceoryx2's longest file name must fit a Unix socket's address.
 const PREFIX_LIMIT: usize = 25;
 /// Most bytes of the root path, for the same reason.
 const ROOT_LIMIT: usize = 40;
-/// How long opening a service is retried: a peer that starts, stops or has just died is in the way for moments only.
+/// The longest time for opening a service: a participant that starts, stops or has just died is in the way for moments only.
 const OPEN_FOR: Duration = Duration::from_secs(8);
-/// What keeps somebody out for longer is looked for.
+/// Longer obstacles are searched for and removed.
 const LIKELY_WITHIN: Duration = Duration::from_millis(200);
-/// Where iceoryx2 keeps its shared memory on Linux.
 const SHARED_MEMORY: &str = "/dev/shm";
-/// Shared memory that must be free before a participant joins or opens a port: more than the largest port takes. iceoryx2
-/// maps its memory before it is there, and whoever touches what is not ends by SIGBUS.
+/// Shared memory that must be free before a participant joins or opens a port, more than the largest port takes. iceoryx2 maps memory
+/// before the system provides it; touching a missing page ends the process by SIGBUS.
 const FREE_BYTES: u64 = 8 << 20;
-/// More files than a port opens for itself.
+/// More files than one port opens.
 const OPEN_BY_A_PORT_MAX: u64 = 32;
-/// Folders that iceoryx2 makes in the root.
 const FOLDERS: [&str; 2] = ["nodes", "services"];
-/// What iceoryx2 keeps of a participant in `nodes`, beside its folder.
+/// iceoryx2's files of a participant in `nodes`, in addition to its folder.
 const MONITOR_FILES: [&str; 3] = ["node_monitor", "node_monitor_owner_lock", "node_monitor_context"];
-/// The ending of iceoryx2's counter of participants.
 const COUNTER_FILE: &str = "global_mgmt";
-/// Endings of the files of ports.
 const PORT_FILES: [&str; 4] = ["data", "connection", "event", "event_mgmt"];
-/// The ending of the files that participants lock who are to be the only ones of their name.
+/// The ending of the locked file of a participant with a unique name.
 const ONLY_FILE: &str = ".only";
-/// A participant of which a part is missing joins or leaves at this moment, or was killed while it did; after this long it is
-/// the latter.
+/// An incomplete participant is joining or leaving, or was killed while it did so. After this time it counts as killed.
 const JOINED_WITHIN: Duration = Duration::from_secs(10);
-/// A service that is not finished is made at this moment, or its maker was killed; after this long it is the latter. Less than
-/// [`OPEN_FOR`], so that whoever opens it gets through.
+/// An unfinished service is being created, or its creator was killed. After this time the creator counts as killed. The time is less than
+/// [`OPEN_FOR`], so that other participants can open the service.
 const MADE_WITHIN: Duration = Duration::from_secs(2);
-/// How often a participant looks for shared memory that nobody will finish.
+/// The interval of the guardian's looks.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
 
-/// The user's number in hexadecimal digits.
 fn user() -> String {
     format!("{:x}", geteuid().as_raw())
 }
 
-/// Most characters of a domain's name, for this user.
 fn name_limit() -> usize {
     PREFIX_LIMIT - user().len() - 2
 }
 
-/// A private world of services: participants see one another when root path and name are equal, and nobody else.
+/// A separate set of services: participants with the same root path and name see one another.
 ///
-/// The root path holds sockets and service files and belongs to one user, mode 0700; shared memory lies in `/dev/shm` under
-/// the domain's name and the user's number, mode 0600. That user id is the boundary: there are no access lists.
+/// The root path holds sockets and service files and belongs to one user, mode 0700. Shared memory is in `/dev/shm` under the domain's name
+/// and the user's number, mode 0600. That user id is the boundary: there are no access lists.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
     root: PathBuf,
     name: String,
 }
 
-/// The user's own root path.
 fn own_root(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
     let root = variable("XDG_RUNTIME_DIR").map(|base| Path::new(&base).join("roomcast"));
     root.filter(|root| root.is_absolute() && root.as_os_str().len() <= ROOT_LIMIT)
@@ -95,11 +87,11 @@ fn own_root(variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
 }
 
 impl Domain {
-    /// The name of a domain for which none is given.
+    /// The name of the default domain.
     pub const DEFAULT_NAME: &str = "roomcast";
 
-    /// A domain at `root` (at most 40 bytes, absolute) named `name` (of `a-z`, `0-9`, `-`: 15 for every user, up to 22 where
-    /// the user's number is short). The first participant makes the folder `root`; the folder that it lies in must exist.
+    /// The domain `name` (`a-z`, `0-9`, `-`; 15 characters for every user, up to 22 with a short user number) at `root` (absolute, at most
+    /// 40 bytes). The first participant creates the folder `root`; its parent folder must exist.
     ///
     /// # Errors
     ///
@@ -122,8 +114,7 @@ impl Domain {
         Ok(Self { root, name: name.to_owned() })
     }
 
-    /// The domain of all commands when none is given: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` name it; without them it is
-    /// [`Self::DEFAULT_NAME`] at [`Self::default_root`].
+    /// The default domain of all commands: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN`, else [`Self::DEFAULT_NAME`] at [`Self::default_root`].
     ///
     /// # Errors
     ///
@@ -143,13 +134,12 @@ impl Domain {
     ///
     /// # Errors
     ///
-    /// As [`Self::new`], for what the environment says.
+    /// As [`Self::new`], for the environment's values.
     pub fn for_user() -> Result<Self, IpcError> {
         Self::default_for_user()
     }
 
-    /// The root path when neither command line nor configuration nor environment name one: under `$XDG_RUNTIME_DIR` when it is
-    /// set and short enough, else `/tmp/roomcast-UID`.
+    /// The default root path: in `$XDG_RUNTIME_DIR` if that is set and short enough, else `/tmp/roomcast-UID`.
     #[must_use]
     pub fn default_root() -> PathBuf {
         own_root(|variable| env::var_os(variable))
@@ -169,13 +159,12 @@ impl Domain {
 
     /// Joins under `participant`, a name for people (at most 100 characters).
     ///
-    /// Makes the root directory if it is missing, and cleans up after participants that died. Signals stay the caller's.
+    /// Creates the root directory if it is missing, and cleans up after dead participants. It leaves signal handlers alone.
     ///
     /// # Errors
     ///
-    /// [`IpcError::BadRoot`] when the root belongs to somebody else or others may write there,
-    /// [`IpcError::ForeignSharedMemory`] when another user has put files in the way, [`IpcError::Join`] when iceoryx2 cannot make
-    /// the node.
+    /// [`IpcError::BadRoot`] if another user owns the root or may write to it, [`IpcError::ForeignSharedMemory`] if another user's files
+    /// are in the way, [`IpcError::Join`] if iceoryx2 cannot create the node.
     pub fn open(&self, participant: &str) -> Result<Node, IpcError> {
         if !participant.chars().any(char::is_alphanumeric) {
             let text =
@@ -185,13 +174,13 @@ impl Domain {
         self.prepare_root()?;
         self.refuse_foreign_shared_memory()?;
         refuse_too_little_memory()?;
-        // Whoever joins fails on such memory before the guardian's first look.
+        // Joining fails on such memory, and the guardian's first look comes later.
         self.remove_unmade_memory();
-        // iceoryx2 logs to standard error; what matters comes back as an error.
+        // iceoryx2 logs to standard error, and returns the errors as well.
         iceoryx2::prelude::set_log_level(LogLevel::Fatal);
         let join = |cause: Cause| IpcError::Join { root: self.root.clone(), cause };
         let config = self.config()?;
-        // iceoryx2's names are ASCII; people's are not.
+        // iceoryx2's names are ASCII, people's may be anything.
         let shown: String =
             participant.chars().map(|c| if c.is_ascii_graphic() || c == ' ' { c } else { '?' }).collect();
         let name =
@@ -216,8 +205,8 @@ impl Domain {
         })
     }
 
-    /// Removes what dead participants left, and, when nobody is left alive, everything of the domain: its shared memory, its files
-    /// in the root directory, and that directory unless something else lies there. Returns whether the domain is gone.
+    /// Removes the remains of dead participants. If no participant is alive, it removes everything of the domain: its shared memory, its
+    /// files in the root directory, and that directory unless it holds other files. Returns whether the domain is gone.
     ///
     /// # Errors
     ///
@@ -237,13 +226,13 @@ impl Domain {
         Ok(true)
     }
 
-    /// Removes what processes left that were killed while they joined, opened a service, or cleaned up after others: iceoryx2 does
-    /// not, and a service that was never finished keeps everybody out of it.
+    /// Removes the remains of processes that were killed while they joined, opened a service, or cleaned up. iceoryx2 leaves them, and an
+    /// unfinished service rejects all participants.
     ///
-    /// A participant has a folder with its details and, made after it, a monitor by which it is found. Without a monitor iceoryx2
-    /// does not see the folder; without details, which are the last to be cleaned up, it looks for the rest in its default root path
-    /// instead of this one. A service's file can be written to until it is finished. All this is ordinary for moments, so nothing is
-    /// touched that changed within [`JOINED_WITHIN`] and [`MADE_WITHIN`].
+    /// A participant has a folder with its details, and a monitor that is created after it. iceoryx2 does not see a folder without a
+    /// monitor. Without details, which are cleaned up last, it looks for the rest in its default root path instead of this one. A service's
+    /// file is writable until it is finished. Each of these states is normal for moments, so files that changed within [`JOINED_WITHIN`]
+    /// and [`MADE_WITHIN`] stay.
     fn repair(&self, config: &Config) {
         let prefix = self.prefix();
         let nodes = self.root.join("nodes");
@@ -259,8 +248,8 @@ impl Domain {
         for id in &participants {
             let folder = nodes.join(id);
             let monitor = MONITOR_FILES.map(|suffix| nodes.join(format!("{prefix}{id}.{suffix}")));
-            // A monitor that is being made can only be written to. Whoever is killed then has opened nothing yet, and counts for
-            // iceoryx2 as about to join, for ever.
+            // An unfinished monitor is write-only. A process that is killed in this state has opened no service, and iceoryx2 takes it for
+            // joining for ever.
             let made = |file: &PathBuf| fs::metadata(file).is_ok_and(|about| about.permissions().mode() & 0o400 != 0);
             let whole = folder.join(format!("{prefix}node.details")).exists() && monitor.iter().all(made);
             let youngest = monitor.iter().chain([&folder]).filter_map(|path| age(path)).min();
@@ -281,17 +270,18 @@ impl Domain {
             let name = entry.file_name().to_string_lossy().into_owned();
             if name.starts_with(&prefix) && name.ends_with(ONLY_FILE) {
                 let locked = fs::File::open(entry.path()).and_then(|file| Only::lock(file, entry.path()));
-                // Its holder was killed. What fails here is held by somebody, or gone.
+                // The lock means that the holder was killed; the drop removes the file. If locking fails, another process holds the file,
+                // or it is gone.
                 drop(locked);
             }
         }
     }
 
-    /// Removes what ports left whose participant is gone altogether, killed between making a file and noting that it is its own.
+    /// Removes the files of ports without a participant: the process was killed after it created a file and before it recorded that.
     ///
     /// The numbers of a participant and of its ports hold the process id (iceoryx2's `UniqueSystemId`: from the lowest bits up 32 of
-    /// seconds, of nanoseconds, of the process id, of a counter), and no port outlives its participant's entry, which is cleaned up last. A
-    /// connection has two participants, and is of no use to one without the other.
+    /// seconds, of nanoseconds, of the process id, of a counter). No port outlives its participant's entry, which is cleaned up last. A
+    /// connection has two participants and is of no use to one alone.
     fn repair_ports(&self, participants: &BTreeSet<String>) {
         let known: BTreeSet<u32> = participants.iter().filter_map(|id| process_of(id)).collect();
         let sockets = fs::read_dir(&self.root).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -302,7 +292,7 @@ impl Domain {
             };
             let owners = processes_of(stem);
             let of_a_port = PORT_FILES.contains(&suffix) && !owners.is_empty();
-            // A process that runs may take part in a domain of this name in another root.
+            // A running process may take part in a domain of this name in another root.
             if of_a_port
                 && owners.iter().any(|owner| !known.contains(owner) && !is_running(*owner))
                 && age(&file).is_some_and(|age| age >= JOINED_WITHIN)
@@ -312,7 +302,7 @@ impl Domain {
         }
     }
 
-    /// Whether nobody has an entry in the domain, dead or alive. Where that cannot be seen, somebody has.
+    /// Whether the domain has no entry of a participant, dead or alive. If the folder cannot be read, it counts as having one.
     fn is_deserted(&self) -> bool {
         let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
         let details = format!("{prefix}node.details");
@@ -327,8 +317,8 @@ impl Domain {
         }
     }
 
-    /// Removes shared memory that has had no size for [`MADE_WITHIN`], or that its maker has not opened for reading, which is the last
-    /// that it does.
+    /// Removes shared memory that has been unfinished for [`MADE_WITHIN`]: without a size, or not readable, since its creator makes it
+    /// readable last.
     fn remove_unmade_memory(&self) {
         for file in self.shared_memory().unwrap_or_default() {
             let Ok(about) = fs::symlink_metadata(&file) else { continue };
@@ -339,9 +329,9 @@ impl Domain {
         }
     }
 
-    /// Removes a participant's entry, and takes it out of its services before that: who is in which service is known by the entry alone, and
-    /// its places would be taken for ever. iceoryx2 may leave an entry like this: where one service cannot be left, it removes the
-    /// monitor all the same. The files of its ports go with the next [`Domain::repair`].
+    /// Takes a participant out of its services, then removes its entry. Only the entry says in which services it is, so without this order
+    /// its places would stay taken for ever. iceoryx2 may leave such an entry: if it cannot leave one service, it still removes the
+    /// monitor. The next [`Domain::repair`] removes the files of its ports.
     fn remove_entry(&self, id: &str, config: &Config) {
         let Some(_alone) = self.alone() else { return };
         let (nodes, prefix) = (self.root.join("nodes"), self.prefix());
@@ -352,27 +342,26 @@ impl Domain {
                 let name = file.file_name().to_string_lossy().into_owned();
                 let service = name.strip_prefix(&prefix).and_then(|name| name.strip_suffix(&tag));
                 if let Some(service) = service.and_then(|service| ServiceHash::try_from(service).ok()) {
-                    // What fails here is a service that has no whole file any more.
+                    // An error means that the service has no complete file any more.
                     let _left = Flavour::__internal_remove_node_from_service(&participant, &service, config);
                 }
             }
         }
-        // Others may do the same at this moment: what fails here has been done there.
+        // Another participant may do the same at this moment, so errors are ignored.
         let _removed = fs::remove_dir_all(&folder);
         for suffix in MONITOR_FILES {
             let _removed = fs::remove_file(nodes.join(format!("{prefix}{id}.{suffix}")));
         }
     }
 
-    /// Held by whoever takes others out of services: one at a time. iceoryx2 guards this by the participant's entry, which may be gone.
-    /// None while somebody holds it.
+    /// The lock for taking other participants out of services. iceoryx2 uses the participant's entry as the lock, which may be gone. `None`
+    /// while another process holds it.
     fn alone(&self) -> Option<fs::File> {
         let root = fs::File::open(&self.root).ok()?;
         rustix::fs::flock(&root, FlockOperation::NonBlockingLockExclusive).ok()?;
         Some(root)
     }
 
-    /// Whether a folder holds nothing but this domain's files.
     fn all_ours(&self, folder: &Path) -> bool {
         let prefix = self.prefix();
         fs::read_dir(folder).is_ok_and(|mut files| {
@@ -380,7 +369,7 @@ impl Domain {
         })
     }
 
-    /// Removes the domain's files in the root, and every folder that is empty then; what is not the domain's stays.
+    /// Removes the domain's files in the root, and then every empty folder. Other files stay.
     fn remove_files(&self) -> io::Result<()> {
         let gone = |result: io::Result<()>| match result {
             Err(error) if !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty) => {
@@ -405,10 +394,10 @@ impl Domain {
         Ok(())
     }
 
-    /// Participants alive, this process's own included.
+    /// Includes this process's own participants.
     fn alive(&self, config: &Config) -> usize {
         let mut alive = 0;
-        // A list that fails half-way counts as somebody alive: nothing is removed on a guess.
+        // If the list fails half-way, a participant counts as alive: a guess must not remove files.
         let listed = iceoryx2::node::Node::<Flavour>::list(config, |state| {
             alive += usize::from(!matches!(state, NodeState::Dead(_)));
             CallbackProgression::Continue
@@ -416,14 +405,13 @@ impl Domain {
         if listed.is_err() { alive.max(1) } else { alive }
     }
 
-    /// What the names of all the domain's files begin with: its name and the user's number in hexadecimal digits, `roomcast-3e8_`. Users whose
-    /// domains have one name are not in each other's way. No domain's prefix begins another's, since a name has no underscore.
+    /// The prefix of the names of all the domain's files: its name and the user's number in hexadecimal digits, `roomcast-3e8_`. It keeps
+    /// domains of one name but different users apart. No domain's prefix begins another's, since a name has no underscore.
     #[must_use]
     pub fn prefix(&self) -> String {
         format!("{}-{}_", self.name, user())
     }
 
-    /// The domain's files in shared memory.
     fn shared_memory(&self) -> io::Result<Vec<PathBuf>> {
         let prefix = self.prefix();
         let entries = fs::read_dir(SHARED_MEMORY)?.collect::<io::Result<Vec<_>>>()?;
@@ -431,8 +419,8 @@ impl Domain {
         Ok(ours.map(fs::DirEntry::path).collect())
     }
 
-    /// Whether another process uses files of this domain's name. Of this root nobody does when this is asked: it takes part in a domain of the
-    /// same name in another root.
+    /// Whether another process uses files of this domain's name. No process of this root does so at the time of the call, so it is in a
+    /// domain of the same name in another root.
     fn is_used_elsewhere(&self) -> bool {
         let (prefix, own) = (self.prefix(), std::process::id());
         self.shared_memory().unwrap_or_default().iter().any(|file| {
@@ -455,9 +443,9 @@ impl Domain {
         Ok(())
     }
 
-    /// Anybody may make files in `/dev/shm`. One of this domain's name that is somebody else's could be read and written by them.
+    /// All users may create files in `/dev/shm`. Another user's file of this domain's name would let that user read and write the messages.
     fn refuse_foreign_shared_memory(&self) -> Result<(), IpcError> {
-        // A list that fails is iceoryx2's to report.
+        // iceoryx2 reports a list that fails.
         for file in self.shared_memory().unwrap_or_default() {
             let owner = fs::symlink_metadata(&file).map(|about| about.uid());
             if let Ok(owner) = owner
@@ -469,11 +457,11 @@ impl Domain {
         Ok(())
     }
 
-    /// Has the system give every page of the domain's shared memory now, so that it cannot be out of them when one is first
-    /// touched, in the middle of a publish.
+    /// Makes the system provide every page of the domain's shared memory now. Otherwise memory could run out at the first touch of a page,
+    /// during a publish.
     fn commit_shared_memory(&self) -> Result<(), IpcError> {
         for file in self.shared_memory().unwrap_or_default() {
-            // What cannot be opened is gone again, or being made.
+            // The file is gone again, or is being created.
             let Some((open, about)) = open_own(&file, OFlags::WRONLY) else { continue };
             let bytes = about.len();
             if bytes > 0
@@ -485,14 +473,14 @@ impl Domain {
         Ok(())
     }
 
-    /// iceoryx2 opens one file per domain, its counter of participants, to every user. Nobody else is to reach it.
+    /// iceoryx2 opens one file per domain, its counter of participants, to every user. This closes it to others.
     fn close_to_others(&self) {
         for file in self.shared_memory().unwrap_or_default() {
             let opened = open_own(&file, OFlags::RDONLY).or_else(|| open_own(&file, OFlags::WRONLY));
             if let Some((open, about)) = opened
                 && about.permissions().mode() & 0o077 != 0
             {
-                // It may be gone already, and where it cannot be closed the root still keeps others out.
+                // The file may be gone already. If it cannot be closed, the root still keeps others out.
                 let _closed = open.set_permissions(fs::Permissions::from_mode(0o600));
             }
         }
@@ -507,7 +495,7 @@ impl Domain {
         IpcError::BadRoot { path: self.root.clone(), problem, cause: Some(error.into()) }
     }
 
-    /// Makes the root, or refuses one that others could put files into.
+    /// Creates the root, or refuses one that other users could put files into.
     fn prepare_root(&self) -> Result<(), IpcError> {
         use std::os::unix::fs::DirBuilderExt;
 
@@ -548,7 +536,7 @@ impl Domain {
     }
 }
 
-/// A participant by its number. iceoryx2 makes one of a number only while its entry is whole; its two halves are what it is written as.
+/// A participant by its number. iceoryx2 creates such an id only from a complete entry, so this deserialises its two halves.
 fn participant_of(number: u128) -> Option<UniqueNodeId> {
     let halves = SeqDeserializer::<_, ValueError>::new([number as u64, (number >> 64) as u64].into_iter());
     UniqueNodeId::deserialize(SeqDeserializer::new(std::iter::once(halves))).ok()
@@ -559,31 +547,31 @@ pub(crate) fn process_in(number: u128) -> u32 {
     (number >> 64) as u32
 }
 
-/// The same of a number in a file's name; none in a small one, which counts something else: memory that grows has a file `PORT__0` for its
-/// first segment.
+/// The process in a number of a file's name. `None` for a small number, which counts something else: memory that grows has a file `PORT__0`
+/// for its first segment.
 fn process_of(number: &str) -> Option<u32> {
     Some(process_in(number.parse().ok()?)).filter(|process| *process != 0)
 }
 
-/// The processes in a port's file name. Numbers only: between them stands the service's hash.
+/// The processes in a port's file name. The service's hash between the numbers is skipped.
 fn processes_of(stem: &str) -> Vec<u32> {
     stem.split('_').filter(|part| part.len() < 40).filter_map(process_of).collect()
 }
 
-/// Whether a process runs; where that cannot be known it counts as one that does. One that has ended does not, also where nobody has asked how it
-/// ended: a container's first process may never do that.
+/// Whether a process runs; if this cannot be read, it counts as running. A zombie does not run: a container's first process may never wait
+/// for its children.
 pub(crate) fn is_running(process: u32) -> bool {
     let has_ended = || {
         let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
-        // Behind its name, which may have anything in it.
+        // The state follows the process name, which may contain any characters.
         stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with(['Z', 'X']))
     };
     let process = Pid::from_raw(process.cast_signed());
     process.is_none_or(|process| test_kill_process(process) != Err(Errno::SRCH)) && !has_ended()
 }
 
-/// Opens a file of the domain's in shared memory, where anybody may put a pipe, on which opening would wait, or a link to somewhere else: none
-/// but a plain file of this user's is opened.
+/// Opens only a plain file of this user. Any user may put a pipe into shared memory, which would block the open, or a link to another
+/// place.
 fn open_own(file: &Path, access: OFlags) -> Option<(fs::File, fs::Metadata)> {
     let flags = access | OFlags::NONBLOCK | OFlags::NOFOLLOW | OFlags::CLOEXEC | OFlags::NOCTTY;
     let open = fs::File::from(rustix::fs::open(file, flags, Mode::empty()).ok()?);
@@ -591,7 +579,7 @@ fn open_own(file: &Path, access: OFlags) -> Option<(fs::File, fs::Metadata)> {
     (about.is_file() && about.uid() == geteuid().as_raw()).then_some((open, about))
 }
 
-/// How long ago a file, or what is in a folder, last changed; none where it is gone.
+/// The time since a file, or the content of a folder, last changed; `None` if it is gone.
 fn age(path: &Path) -> Option<Duration> {
     static AGES: Mutex<Ages> = Mutex::new(Ages::new());
     let changed = fs::symlink_metadata(path).and_then(|about| about.modified()).ok()?;
@@ -599,20 +587,20 @@ fn age(path: &Path) -> Option<Duration> {
     Some(ages.age(path, changed, SystemTime::now(), Duration::from_nanos(clock::monotonic_ns())))
 }
 
-/// Ages of files, whose dates are the wall clock's, which may be set. A date ahead of the clock, and one from before the clock was set, says
-/// nothing; then it counts how long this process has known the file, or the set clock.
+/// Ages of files. Their dates are from the wall clock, which may be set. A date in the future, or from before the clock was set, says
+/// nothing. Then the age counts from the time when this process first saw the file, or when the clock was set.
 #[derive(Debug)]
 struct Ages {
-    /// Since when, on the boot clock, the wall clock has run as it does, and what lay between the two then.
+    /// The boot time since which the wall clock has not been set, and the difference between the two clocks.
     steady: Option<(Duration, i128)>,
-    /// Files with a date ahead of the wall clock: which date, and when they were first seen.
+    /// Files with a date in the future: the date, and the time when they were first seen.
     ahead: BTreeMap<PathBuf, (SystemTime, Duration)>,
 }
 
 impl Ages {
-    /// A clock that moves further at once was set.
+    /// A clock that moves by more than this was set.
     const STEP_NS: i128 = 500_000_000;
-    /// Files that are remembered; a domain has fewer.
+    /// A domain has fewer files.
     const FILES_MAX: usize = 4096;
 
     const fn new() -> Self {
@@ -623,7 +611,7 @@ impl Ages {
         let since_epoch = wall.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let between = since_epoch.as_nanos() as i128 - boot.as_nanos() as i128;
         let since = match self.steady {
-            // From when it was first looked at, it is taken to have run so before.
+            // Before the first look, the wall clock is assumed to be steady since boot.
             None => Duration::ZERO,
             Some((since, before)) if (between - before).abs() < Self::STEP_NS => since,
             Some(_) => boot,
@@ -649,12 +637,11 @@ impl Ages {
     }
 }
 
-/// A participant as errors name it.
 pub(crate) fn shown(details: &NodeDetails) -> String {
     format!("{} (process {})", details.name(), details.process_id().value())
 }
 
-/// A participant's place in a domain. Ports live on when it is dropped before them.
+/// A participant's place in a domain. Ports still work after it is dropped.
 #[derive(Debug)]
 pub struct Node {
     node: iceoryx2::node::Node<Flavour>,
@@ -662,17 +649,17 @@ pub struct Node {
     domain: Domain,
     unused: Mutex<Unused>,
     tell: Option<fn(&IpcError)>,
-    /// After the node has left.
+    /// Dropped after the node has left.
     _last: LastOut,
     _only: Option<Only>,
-    /// Last, since leaving may have to wait for memory too.
+    /// Dropped last, since leaving may also wait for memory.
     _guardian: Guardian,
 }
 
 /// Removes iceoryx2's counter of participants when the last one leaves, so that a clean stop leaves nothing in shared memory.
 ///
-/// It makes participants' numbers differ, together with the process and the nanosecond in which they joined. So nothing is mistaken where
-/// somebody joins at this very moment: they have their number already, and whoever comes next begins a new counter.
+/// The counter keeps participants' numbers distinct, together with the process and the nanosecond in which they joined. A participant that
+/// is joining at this moment already has its number, and the next one starts a new counter.
 #[derive(Debug)]
 struct LastOut(Domain);
 
@@ -681,7 +668,7 @@ impl Drop for LastOut {
         if self.0.is_deserted() {
             for file in self.0.shared_memory().unwrap_or_default() {
                 if file.extension().is_some_and(|suffix| suffix == COUNTER_FILE) {
-                    // Who leaves at the same moment may have done it.
+                    // Another participant that leaves at the same moment may have removed it.
                     let _removed = fs::remove_file(file);
                 }
             }
@@ -689,9 +676,9 @@ impl Drop for LastOut {
     }
 }
 
-/// Held by the only participant of a name, for as long as its process runs: the kernel takes the lock back from one that was killed, too.
+/// The lock of the only participant of a name, held while its process runs. The kernel releases it when the process is killed.
 ///
-/// A list of participants cannot say who is alone: whoever is just joining is not in it.
+/// A list of participants is not enough: a participant that is just joining is not in it.
 #[derive(Debug)]
 struct Only {
     file: fs::File,
@@ -699,7 +686,7 @@ struct Only {
 }
 
 impl Only {
-    /// Locks a file that was opened at `path`; none where somebody else has it.
+    /// Locks a file that was opened at `path`; `None` if another process has locked it.
     fn lock(file: fs::File, path: PathBuf) -> io::Result<Option<Self>> {
         match file.try_lock() {
             Ok(()) => {}
@@ -707,7 +694,7 @@ impl Only {
             Err(TryLockError::Error(error)) => return Err(error),
         }
         let only = Self { file, path };
-        // Whoever had it may have removed it since it was opened. Then it keeps nobody else out.
+        // The previous holder may have removed the file after it was opened here. A lock on it would then exclude no other process.
         Ok(Some(only).filter(Self::is_in_place))
     }
 
@@ -719,18 +706,18 @@ impl Only {
 
 impl Drop for Only {
     fn drop(&mut self) {
-        // While it is locked: it is nobody else's.
+        // The lock still excludes other processes.
         if self.is_in_place() {
             let _removed = fs::remove_file(&self.path);
         }
     }
 }
 
-/// Frees whoever waits for shared memory that will never be finished.
+/// Removes unfinished shared memory.
 ///
-/// A process that is killed between making a piece of shared memory and giving it its size leaves a file of no bytes. iceoryx2 waits for
-/// such memory without end, whatever it is about: opening a service, cleaning up after the dead, sending. So a thread of every
-/// participant removes these files when they are [`MADE_WITHIN`] old, and what waited goes on with an error that passes.
+/// A process that is killed between creating shared memory and setting its size leaves an empty file. iceoryx2 waits for such memory
+/// without end: when it opens a service, cleans up after the dead, or sends. So a thread of every participant removes these files when they
+/// are [`MADE_WITHIN`] old, and the waiting call goes on with a temporary error.
 #[derive(Debug)]
 struct Guardian {
     stop: Option<mpsc::Sender<()>>,
@@ -755,25 +742,27 @@ impl Drop for Guardian {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // It cannot panic, and has nothing to say.
+            // The thread does not panic, and returns nothing.
             let _ended = thread.join();
         }
     }
 }
 
 impl Node {
-    /// Has it told, once for each port, when another participant is in the way and is waited for. It may take 8 s until that is an error.
+    /// Calls `tell` once for each port when another participant is in the way and this one waits. It may take 8 s until that becomes an
+    /// error.
     #[must_use]
     pub fn telling_of_waits(self, tell: fn(&IpcError)) -> Self {
         Self { tell: Some(tell), ..self }
     }
 
-    /// Makes sure that nobody else of this participant's name is one who has done the same, for as long as this node lives. Of several
-    /// that try it at once, one stays.
+    /// Makes this participant the only one of its name that has called this, while this node lives. If several call it at once, one
+    /// succeeds.
     ///
     /// # Errors
     ///
-    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be locked.
+    /// [`IpcError::NameTaken`] when the other does not leave within 8 s; [`IpcError::Join`] where its file in the root path cannot be
+    /// locked.
     pub fn be_the_only_one(self) -> Result<Self, IpcError> {
         let name = self.node.name().to_string();
         let file = format!("{}{:016x}{ONLY_FILE}", self.domain.prefix(), sequence::source_of_name(&name));
@@ -783,12 +772,12 @@ impl Node {
             OpenFailure::Passing(IpcError::Join { root: self.domain.root.clone(), cause: cause.into() })
         };
         let only = self.retry(|| {
-            // Whoever can open it can lock it, so it is its owner's alone.
+            // Each process that can open the file can lock it, so only its owner may.
             let file =
                 fs::OpenOptions::new().read(true).write(true).create(true).truncate(false).mode(0o600).open(&path);
             match Only::lock(file.map_err(failed)?, path.clone()).map_err(failed)? {
                 Some(mut only) => {
-                    // For the error of others. Where the disk is full, they are told the name alone.
+                    // For the error message of other participants. If the disk is full, they show only the name.
                     let shown = format!("{name} (process {})", std::process::id());
                     let _said = only.file.set_len(0).and_then(|()| only.file.write_all(shown.as_bytes()));
                     Ok(only)
@@ -803,7 +792,7 @@ impl Node {
         Ok(Self { _only: Some(only), ..self })
     }
 
-    /// The names of the participants that are alive, this one's too.
+    /// The names of all live participants, this one included.
     ///
     /// # Errors
     ///
@@ -826,8 +815,8 @@ impl Node {
         Ok(names)
     }
 
-    /// Removes what participants that died left behind; iceoryx2 does it when something is opened, a long-running process also
-    /// by itself now and then.
+    /// Removes the remains of dead participants. iceoryx2 does so when it opens something, and a long-running process calls this now and
+    /// then.
     pub fn clean_up_dead(&self) {
         self.remove_dead_participants();
         self.remove_unused_services(false);
@@ -837,7 +826,7 @@ impl Node {
         self.domain.repair(&self.config);
         if self.node.try_cleanup_dead_nodes().failed_cleanups > 0 {
             let mut dead = Vec::new();
-            // A list that fails half-way has named some, and the next one goes on.
+            // If the list fails half-way, it has still named some participants, and the next look goes on.
             let _listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
                 if let NodeState::Dead(node) = state {
                     dead.push(node.id().value());
@@ -845,7 +834,7 @@ impl Node {
                 CallbackProgression::Continue
             });
             for id in dead {
-                // Whoever cleans up after it right now changes the folder: one that stays as it was is left to nobody.
+                // A participant that cleans up at this moment changes the folder. So an unchanged folder is abandoned.
                 let folder = self.domain.root.join("nodes").join(id.to_string());
                 if age(&folder).is_some_and(|age| age >= JOINED_WITHIN) && self.domain.all_ours(&folder) {
                     self.domain.remove_entry(&id.to_string(), &self.config);
@@ -854,9 +843,9 @@ impl Node {
         }
     }
 
-    /// A look at every service takes some 3 ms of the processor: without `always` there is one only where something has changed.
+    /// A look at every service takes about 3 ms of the processor. Without `always` there is one only after a change.
     fn remove_unused_services(&self, always: bool) {
-        // Whoever holds it looks at this moment.
+        // If it is locked, another thread is looking.
         let Ok(mut unused) = self.unused.try_lock() else { return };
         let folders = FOLDERS.map(|folder| self.domain.root.join(folder));
         let changed = folders.each_ref().map(|folder| fs::metadata(folder).and_then(|about| about.modified()).ok());
@@ -875,12 +864,13 @@ impl Node {
         }
     }
 
-    /// Frees the places of a service whose holders are no participants any more, dead or alive. iceoryx2 removes a dead one's port tag before its
-    /// place: who is killed between leaves a place without a tag, which it passes over (`PortCleanupAction::SkipPort`), and takes the
-    /// participant away all the same. The place would be taken for ever.
+    /// Frees the places of a service whose participants have no entry any more. iceoryx2 removes the port tag of a dead participant before
+    /// its place. If the process that cleans up is killed in between, iceoryx2 skips the place without a tag
+    /// (`PortCleanupAction::SkipPort`) and still removes the participant. The place would be taken for ever.
     pub(crate) fn free_places_of_nobody(&self, places: &[Place], service: &ServiceHash) {
         let Some(_alone) = self.domain.alone() else { return };
-        // A participant is there before it takes a place, and as long as it has one: those listed now are all that may hold any of these.
+        // A participant's entry exists before it takes a place and until it gives the place up. So the participants listed now are all that
+        // may hold any of these.
         let mut participants = Vec::new();
         let listed = iceoryx2::node::Node::<Flavour>::list(&self.config, |state| {
             participants.push(match state {
@@ -894,7 +884,7 @@ impl Node {
             return;
         }
         for Place { participant, port } in places.iter().filter(|place| !participants.contains(&place.participant)) {
-            // With a tag, as it was before. Where any of this fails it is tried again with the next try to open the port.
+            // This restores the tag. If any step fails, the next try to open the port repeats it.
             let folder = self.domain.root.join("nodes").join(participant.value().to_string());
             let tag = format!("{}{port}{}", self.domain.prefix(), self.config.global.node.port_tag_suffix);
             let _tagged = fs::create_dir(&folder).and_then(|()| fs::write(folder.join(tag), []));
@@ -915,7 +905,6 @@ impl Node {
         &self.config
     }
 
-    /// Tries once; none where the failure may pass.
     pub(crate) fn try_once<T>(&self, open: impl FnOnce() -> Result<T, OpenFailure>) -> Result<Option<T>, IpcError> {
         refuse_too_little_memory()?;
         match open() {
@@ -928,7 +917,7 @@ impl Node {
         }
     }
 
-    /// Repeats while the failure may pass: a peer is starting, stopping, or has died a moment ago.
+    /// Repeats while the failure may pass.
     pub(crate) fn retry<T>(&self, mut open: impl FnMut() -> Result<T, OpenFailure>) -> Result<T, IpcError> {
         refuse_too_little_memory()?;
         let start = Instant::now();
@@ -960,7 +949,7 @@ impl Node {
                         if let Some(tell) = tell.take_if(|_| is_of_another) {
                             tell(&error);
                         }
-                        // As soon as it may be: a service that then has no memory takes a while more.
+                        // This comes early, since a service without memory then takes longer.
                         self.domain.remove_unmade_memory();
                         self.remove_unused_services(true);
                     }
@@ -972,24 +961,24 @@ impl Node {
     }
 }
 
-/// How many files are open here and how many may be, where a port may find no more of them: iceoryx2 does not say that.
+/// Open files and their limit, if a port may not be able to open enough of them: iceoryx2 does not report that.
 fn too_many_files() -> Option<(u64, u64)> {
     let limit = getrlimit(Resource::Nofile).current?;
     let open = match fs::read_dir("/proc/self/fd") {
         Ok(files) => files.count() as u64,
-        // To look takes a file, too.
+        // The look itself needs a file, too.
         Err(error) if error.raw_os_error() == Some(Errno::MFILE.raw_os_error()) => limit,
         Err(_) => return None,
     };
     (open.saturating_add(OPEN_BY_A_PORT_MAX) > limit).then_some((open, limit))
 }
 
-/// An error in words where iceoryx2 would end by a signal.
+/// Returns an error if iceoryx2 would end the process by a signal.
 fn refuse_too_little_memory() -> Result<(), IpcError> {
     if let Some(limit_bytes) = getrlimit(Resource::Fsize).current.filter(|bytes| *bytes < FREE_BYTES) {
         return Err(IpcError::FilesLimited { limit_bytes, needed_bytes: FREE_BYTES });
     }
-    // Where it cannot be asked, there is no such file system, and iceoryx2 says so.
+    // If this fails, the file system is missing, and iceoryx2 reports that.
     let Ok(about) = rustix::fs::statvfs(SHARED_MEMORY) else { return Ok(()) };
     let free_bytes = about.f_bavail.saturating_mul(about.f_frsize);
     if free_bytes >= FREE_BYTES {
@@ -998,14 +987,12 @@ fn refuse_too_little_memory() -> Result<(), IpcError> {
     Err(IpcError::SharedMemoryFull { free_bytes, needed_bytes: FREE_BYTES })
 }
 
-/// A place in a service that a port has taken.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     pub(crate) participant: UniqueNodeId,
     pub(crate) port: u128,
 }
 
-/// Whether trying again may help.
 #[derive(Debug)]
 pub(crate) enum OpenFailure {
     Final(IpcError),
@@ -1062,26 +1049,26 @@ mod tests {
         assert_eq!(participant_of(number).unwrap().value(), number);
     }
 
-    /// Row "half-made memory dated an hour ahead" of the attacks, and clocks that are set while files are looked at.
+    /// Row "half-made memory dated an hour ahead" of the attacks, and clocks that are set while files are observed.
     #[test]
     fn ages_of_files_do_not_follow_the_wall_clock_alone() {
         let hour = Duration::from_secs(3600);
         let (file, start) = (Path::new("half-made"), SystemTime::UNIX_EPOCH + 1000 * hour);
         let second = |n: u64| Duration::from_secs(n);
         let mut ages = Ages::new();
-        // At first the dates are all there is.
+        // At first only the dates count.
         assert_eq!(ages.age(file, start - second(7), start, hour), second(7));
-        // A date ahead counts from when it was seen.
+        // The age of a file from the future counts from its first sight.
         for n in 0..4 {
             assert_eq!(ages.age(file, start + hour, start + second(n), hour + second(n)), second(n));
         }
-        // Another date ahead is another file.
+        // Another future date counts as another file.
         assert_eq!(ages.age(file, start + 2 * hour, start + second(4), hour + second(4)), Duration::ZERO);
-        // The clock is set an hour ahead: what was just made is no hour old.
+        // The clock is set an hour ahead: a new file is not an hour old.
         let ahead = start + hour;
         assert_eq!(ages.age(file, start + second(4), ahead + second(5), hour + second(5)), Duration::ZERO);
         assert_eq!(ages.age(file, start + second(4), ahead + second(8), hour + second(8)), second(3));
-        // What was made since has its date's age again, and a clock that is corrected little by little is the same clock.
+        // Newer files have their date's age again, and a clock that is corrected little by little counts as steady.
         assert_eq!(ages.age(file, ahead + second(8), ahead + second(10), hour + second(10)), second(2));
         assert_eq!(
             ages.age(file, ahead + second(8), ahead + second(20) + Duration::from_millis(300), hour + second(20)),
@@ -1094,7 +1081,7 @@ mod tests {
         for name in ["", "Room", "a_b", "a/b", "a very long name that does not fit"] {
             assert!(matches!(Domain::new("/tmp/roomcast-x", name), Err(IpcError::BadDomainName { .. })), "{name}");
         }
-        // So many fit for every user, and the user is in all names.
+        // This length fits every user, and the user is in all names.
         let domain = Domain::new("/tmp/roomcast-x", "fifteen-letters").unwrap();
         assert_eq!(domain.prefix(), format!("fifteen-letters-{:x}_", geteuid().as_raw()));
         for root in ["relative", "/tmp/a-path-that-is-much-too-long-for-a-socket"] {
@@ -1102,7 +1089,7 @@ mod tests {
         }
     }
 
-    /// Whoever joins is in no list at first: two planners that started together both stayed, and one vacuum had two drivers.
+    /// A joining participant is in no list at first. Two planners that started together both stayed, and one vacuum had two drivers.
     #[test]
     fn of_those_that_come_at_once_one_is_the_only_one() {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -1120,7 +1107,7 @@ mod tests {
                     for _ in 0..3 {
                         let only = domain.open("one").unwrap().be_the_only_one().unwrap();
                         assert_eq!(here.fetch_add(1, Ordering::SeqCst), 0, "another one is here");
-                        // Cleaning up takes it from nobody.
+                        // Cleaning up does not remove the lock.
                         watcher.clean_up_dead();
                         let [file] = &lock()[..] else { panic!("{:?}", lock()) };
                         let holder = fs::read_to_string(file).unwrap();
@@ -1133,7 +1120,7 @@ mod tests {
             }
         });
         assert_eq!(lock(), Vec::<PathBuf>::new(), "the last one has removed it");
-        // Of one that was killed it is removed, and keeps nobody out until then.
+        // A killed participant's lock file is removed, and excludes no other participant until then.
         let left = domain.root().join(format!("{}0123456789abcdef{ONLY_FILE}", domain.prefix()));
         fs::write(&left, "one (process 1)").unwrap();
         watcher.clean_up_dead();

@@ -1,97 +1,97 @@
-//! What can go wrong between processes.
+//! Errors between processes.
 
 use std::fmt;
 use std::path::PathBuf;
 
-/// A message that says something which no honest sender says. It is counted and dropped; nothing else happens.
+/// A malformed message. The receiver counts and drops it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MessageError {
-    /// The text does not fit.
+    /// The text is too long.
     #[error("{field}: text of {bytes} bytes, at most {limit} fit; shorten it")]
     TextTooLong {
-        /// Which field.
+        /// The field.
         field: &'static str,
-        /// What was given.
+        /// The length of the text.
         bytes: usize,
-        /// What fits.
+        /// The greatest length.
         limit: usize,
     },
-    /// The text is empty where there must be one.
+    /// The text is empty, and the field needs one.
     #[error("{field}: empty")]
     Empty {
-        /// Which field.
+        /// The field.
         field: &'static str,
     },
     /// The bytes are not UTF-8.
     #[error("{field}: not UTF-8 from byte {at} on")]
     NotUtf8 {
-        /// Which field.
+        /// The field.
         field: &'static str,
-        /// First bad byte.
+        /// The first bad byte.
         at: usize,
     },
-    /// A control character, or one that makes text look like other text.
+    /// A control character, or a character that makes text look like other text.
     #[error("{field}: control character U+{code_point:04X} at byte {at}")]
     ControlCharacter {
-        /// Which field.
+        /// The field.
         field: &'static str,
-        /// Where.
+        /// The byte where the character begins.
         at: usize,
-        /// Which.
+        /// The character.
         code_point: u32,
     },
     /// Bytes after the end of the text are not zero.
     #[error("{field}: bytes after the end of the text are not zero")]
     Untidy {
-        /// Which field.
+        /// The field.
         field: &'static str,
     },
     /// A list of names holds the same name twice.
     #[error("{field}: the same one twice")]
     Twice {
-        /// Which field.
+        /// The field.
         field: &'static str,
     },
     /// A number outside what the field allows.
     #[error("{field}: {value}, allowed is {allowed}")]
     OutOfRange {
-        /// Which field.
+        /// The field.
         field: &'static str,
-        /// What was given.
+        /// The number.
         value: f64,
-        /// In words.
+        /// The range that the field allows, in words.
         allowed: &'static str,
     },
 }
 
-/// An error of iceoryx2's or of the system, below one of this crate's.
+/// The error of iceoryx2 or of the system that caused an [`IpcError`].
 pub type Cause = Box<dyn std::error::Error + Send + Sync>;
 
-/// A service, port or domain that cannot be used. Its `Debug` is the text for people, so that `fn main() -> Result<(), Error>` shows the remedy.
+/// A service, port or domain cannot be used. `Debug` prints the text for people, so `fn main() -> Result<(), Error>` shows the remedy.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum IpcError {
     /// The domain's name cannot be part of a file name.
     #[error("domain name {name:?}: use 1 to {limit} characters of a-z, 0-9 and '-'")]
     BadDomainName {
-        /// What was given.
+        /// The name.
         name: String,
-        /// Most characters.
+        /// The most characters.
         limit: usize,
     },
     /// The domain's root path is not usable.
     #[error("domain root {}: {problem}", path.display())]
     BadRoot {
-        /// Which path.
+        /// The path.
         path: PathBuf,
-        /// What is wrong, and the remedy.
+        /// The problem, and the remedy.
         problem: String,
         /// The system's error, if one is the reason.
         #[source]
         cause: Option<Cause>,
     },
-    /// Another user has made a file of the domain's name in shared memory.
+    /// Another user owns a file with this domain's prefix in shared memory.
     #[error(
         "{} belongs to user {owner}, who could read and write it: have it removed, or use another domain name", file.display()
     )]
@@ -101,27 +101,27 @@ pub enum IpcError {
         /// Its owner's user id.
         owner: u32,
     },
-    /// There is not enough shared memory left.
+    /// Too little shared memory is free.
     #[error(
         "/dev/shm has {free_bytes} bytes free, {needed_bytes} are needed: remove what fills it, or mount it larger"
     )]
     SharedMemoryFull {
-        /// What is left, in bytes.
+        /// Free shared memory, in bytes.
         free_bytes: u64,
-        /// What is needed, in bytes.
+        /// Needed shared memory, in bytes.
         needed_bytes: u64,
     },
-    /// Files, of which shared memory is made, may not become large enough.
+    /// The limit on file sizes is too low for shared memory, which consists of files.
     #[error(
         "files may have at most {limit_bytes} bytes here, and shared memory takes up to {needed_bytes}: raise the limit (ulimit -f, LimitFSIZE=)"
     )]
     FilesLimited {
         /// The limit, in bytes.
         limit_bytes: u64,
-        /// What is needed, in bytes.
+        /// Needed file size, in bytes.
         needed_bytes: u64,
     },
-    /// The node, a participant's entry in the domain, could not be made.
+    /// The node, a participant's entry in the domain, could not be created.
     #[error("cannot join the domain at {}: {cause}; is {} writable and has /dev/shm space left?", root.display(), root.display())]
     Join {
         /// The domain's root path.
@@ -142,19 +142,19 @@ pub enum IpcError {
         /// Type and size that this program has.
         ours: String,
     },
-    /// The service was made by another version of iceoryx2.
+    /// Another version of iceoryx2 created the service.
     #[error(
         "service {service}: made with iceoryx2 {theirs}, this program has iceoryx2 {ours}; every participant of a domain must have exactly the same version"
     )]
     VersionMismatch {
         /// Service name.
         service: &'static str,
-        /// What could be found out about the other side.
+        /// The version of the other side, if it could be found.
         theirs: String,
         /// [`crate::ICEORYX2_VERSION`].
         ours: &'static str,
     },
-    /// Others hold all places.
+    /// All places of the service are taken.
     #[error(
         "{holder} {} here already, and {service} takes {limit} {role}{} in a domain: stop one first, or use another domain",
         if *.limit == 1 { "is" } else { "are" }, if *.limit == 1 { "" } else { "s" }
@@ -162,22 +162,22 @@ pub enum IpcError {
     Occupied {
         /// Service name.
         service: &'static str,
-        /// Who, as far as known, by name and process.
+        /// The participants that have the places, by name and process, as far as known.
         holder: String,
-        /// "publisher", "subscriber", "server", "client".
+        /// `publisher`, `subscriber`, `server` or `client`.
         role: &'static str,
-        /// How many places there are.
+        /// The number of places.
         limit: usize,
     },
-    /// Another participant of this name is alive.
+    /// Another live participant has this name.
     #[error(
         "{holder} is here already, and there can be one of that name; stop it first, give this one another name, or use another domain"
     )]
     NameTaken {
-        /// Name and process of the other.
+        /// Name and process of the other participant.
         holder: String,
     },
-    /// The service could not be opened within the time allowed for it.
+    /// The service could not be opened in time.
     #[error("service {service}: cannot open it: {cause}; tried for {tried_ms} ms")]
     Open {
         /// Service name.
@@ -185,31 +185,31 @@ pub enum IpcError {
         /// iceoryx2's error.
         #[source]
         cause: Cause,
-        /// How long it was tried.
+        /// The time spent on it.
         tried_ms: u128,
     },
-    /// The service could not be opened, and hardly a file more may be open in this process.
+    /// The service could not be opened, and this process is close to its limit of open files.
     #[error(
         "service {service}: cannot open it: {open} files are open in this process, of at most {limit}: raise the limit (ulimit -n, LimitNOFILE=)"
     )]
     TooManyFiles {
         /// Service name.
         service: &'static str,
-        /// How many are open.
+        /// Open files.
         open: u64,
-        /// How many may be.
+        /// The limit.
         limit: u64,
     },
-    /// The service could not be opened, and hardly more address space is left to this process.
+    /// The service could not be opened, and this process is close to its limit of address space.
     #[error(
         "service {service}: cannot open it: this process has {used_bytes} bytes of address space, of at most {limit_bytes}: raise the limit (ulimit -v, LimitAS=)"
     )]
     TooLittleAddressSpace {
         /// Service name.
         service: &'static str,
-        /// What the process has, in bytes.
+        /// Address space of the process, in bytes.
         used_bytes: u64,
-        /// What it may have, in bytes.
+        /// The limit, in bytes.
         limit_bytes: u64,
     },
     /// A port failed while in use.
@@ -217,30 +217,30 @@ pub enum IpcError {
     Port {
         /// Service name.
         service: &'static str,
-        /// "send", "receive", "wait", "connect".
+        /// `send`, `receive`, `wait` or `connect`.
         operation: &'static str,
-        /// iceoryx2's error, or the system's.
+        /// The error of iceoryx2 or of the system.
         #[source]
         cause: Cause,
     },
-    /// What was to be sent is malformed.
+    /// The program tried to send a malformed message.
     #[error("service {service}: refused to send: {source}")]
     Refused {
         /// Service name.
         service: &'static str,
-        /// Why.
+        /// The fault.
         #[source]
         source: MessageError,
     },
-    /// The daemon has an answer and cannot give it.
+    /// The daemon received the question and gave a reason instead of an answer.
     #[error("service {service}: {reason}")]
     NotGiven {
         /// Service name.
         service: &'static str,
-        /// Why, and what to do.
+        /// The reason, and the remedy.
         reason: String,
     },
-    /// An argument that no message can have.
+    /// An argument that fits no message.
     #[error("{0}")]
     Argument(String),
     /// The daemon's scores do not contain an event.
@@ -250,7 +250,7 @@ pub enum IpcError {
     NotIncluded {
         /// The narrator's name.
         narrator: String,
-        /// What is missing.
+        /// The missing part.
         problem: &'static str,
         /// Events that the daemon has not dealt with.
         under_way: u64,
@@ -267,14 +267,14 @@ pub enum IpcError {
         /// The fault.
         source: serde_json::Error,
     },
-    /// Nobody answered.
+    /// No daemon answered.
     #[error(
         "no daemon of this domain has answered within {waited_ms} ms ({service}): start `roomcast daemon`, or give its --root and --domain"
     )]
     NoAnswer {
         /// Service name.
         service: &'static str,
-        /// How long was waited.
+        /// The time waited.
         waited_ms: u128,
     },
 }

@@ -1,4 +1,4 @@
-//! What the daemon and the planners publish, one message after the other: [`Scores`], [`Forecasts`] and [`Decisions`].
+//! Messages of the daemon and the planners, one after the other: [`Scores`], [`Forecasts`] and [`Decisions`].
 
 use std::time::{Duration, Instant};
 
@@ -7,10 +7,9 @@ use crate::raw::{
 };
 use crate::{Action, Domain, IpcError, Node, Reached, Subscriber, clock};
 
-/// How long one sleep lasts at most.
+/// The longest sleep between two calls of `tick`.
 const SLEEP: Duration = Duration::from_millis(250);
 
-/// Takes messages of one kind in their order, without the heartbeats.
 #[derive(Debug)]
 pub(crate) struct Follow<M: Message> {
     subscriber: Subscriber<M>,
@@ -188,7 +187,6 @@ impl Forecast {
         !self.0.has(forecast_flags::NOT_KNOWN)
     }
 
-    /// A row of probabilities at a time since the forecast was computed.
     fn at(&self, row: &[f32], since: Duration) -> f64 {
         probability_at(self.0.horizons_s(), row, since.as_secs_f64())
     }

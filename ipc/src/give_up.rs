@@ -1,15 +1,15 @@
-//! What a program does where iceoryx2 panics: it has no error to return where a socket's file cannot be removed, or where a participant that it
-//! took for dead turns out to live.
+//! Ends the process with an error when iceoryx2 panics. iceoryx2 panics if it cannot remove a socket file, or if a participant that it took
+//! for dead is alive.
 
 use std::io::Write;
 use std::panic::{self, PanicHookInfo};
 use std::path::{Component, Path};
 
-/// Most characters of iceoryx2's reason, behind the participant that it prints first.
+/// Limit on iceoryx2's reason, which follows the participant that it prints first.
 const REASON_CHARS_MAX: usize = 200;
 
-/// From now on a panic of iceoryx2's ends this process with an error of one line and this exit code, like any other error of shared memory. What
-/// was confirmed is kept, and others remove what the process leaves, as after a kill. Other panics stay what they are.
+/// From now on a panic in iceoryx2 ends this process with a one-line error and this exit code. Confirmed data stays, and other participants
+/// clean up after the process, as after a kill. Other panics stay unchanged.
 pub fn end_where_iceoryx2_panics(program: &'static str, code: u8) {
     let before = panic::take_hook();
     panic::set_hook(Box::new(move |panicked| {
@@ -25,14 +25,14 @@ pub fn end_where_iceoryx2_panics(program: &'static str, code: u8) {
     }));
 }
 
-/// Whether a source file is one of iceoryx2's crates, wherever cargo has put them.
+/// Looks for a folder name of an iceoryx2 crate; cargo may keep the crates anywhere.
 fn is_of_iceoryx2(file: &str) -> bool {
     let folders: Vec<_> = Path::new(file).components().collect();
     let is_own = |name: &Component<'_>| name.as_os_str().to_string_lossy().starts_with("iceoryx2");
     folders.windows(2).any(|pair| is_own(&pair[0]) && pair[1].as_os_str() == "src")
 }
 
-/// What iceoryx2 says, without the participant that it says it of, which fills a screen.
+/// iceoryx2's message without the participant in front of it, which fills a screen.
 fn reason(panicked: &PanicHookInfo<'_>) -> String {
     let payload = panicked.payload();
     let text = payload.downcast_ref::<String>().map(String::as_str).or_else(|| payload.downcast_ref::<&str>().copied());

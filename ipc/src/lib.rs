@@ -32,8 +32,8 @@
 //! | follow decisions | [`Domain::decisions`] | `Decisions` |
 //! | ask about persons, habits, the map | [`Domain::persons`], [`Domain::habits`], [`Domain::moment`], [`Domain::change_map`] | `persons`, `habits`, `moment`, `change_map` |
 //!
-//! [`Domain::for_user`] is the domain of the `roomcast` program: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` choose another one, as they do for the
-//! program.
+//! [`Domain::for_user`] is the domain of the `roomcast` program: `ROOMCAST_ROOT` and `ROOMCAST_DOMAIN` choose another one, as they do for
+//! the program.
 //!
 //! A planner sends a robot to the calmest room. Its name is the robot's name:
 //!
@@ -86,10 +86,10 @@
 //! | --- | --- | --- | --- | --- | --- |
 //! | `roomcast/v1/narration` | [`raw::NarrationV1`] | 8 | 4 | 256 | 32 |
 //! | `roomcast/v1/room-scores` | [`raw::RoomScoresV1`], a full snapshot | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-scores` | [`raw::PersonScoresV1`], those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-scores` | [`raw::PersonScoresV1`] for each person | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/item-scores` | slice of [`raw::ItemScoreV1`] with [`raw::ItemScoresHeaderV1`] | 1 | 8 | 2 | 1 |
 //! | `roomcast/v1/forecast` | [`raw::ForecastV1`] | 1 | 16 | 2 | 1 |
-//! | `roomcast/v1/person-forecasts` | [`raw::PersonForecastsV1`], those of each person | 1 | 16 | 2 | 1 |
+//! | `roomcast/v1/person-forecasts` | [`raw::PersonForecastsV1`] for each person | 1 | 16 | 2 | 1 |
 //! | `roomcast/v1/decision` | [`raw::DecisionV1`] | 8 | 16 | 16 | 1 |
 //! | `roomcast/v1/robot-report` | [`raw::RobotReportV1`] | 8 | 8 | 64 | 8 |
 //! | `roomcast/v1/status` | [`raw::StatusRequestV1`] to [`raw::StatusResponseV1`] | 1 server | 8 clients | 2 | - |
@@ -98,22 +98,23 @@
 //! | `roomcast/v1/person` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //! | `roomcast/v1/habits` | JSON text ([`question`]) | 1 server | 8 clients | 2 | - |
 //!
-//! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and what was overwritten
-//! shows as a gap in the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a
-//! subscriber sleeps until there is news ([`Subscriber::wait`]).
+//! All publish-subscribe services overflow safely: a publisher never waits for a slow subscriber, and overwritten messages show as a gap in
+//! the sequence numbers ([`sequence`]). Each has an event service of the same name, so that a subscriber sleeps until there is news
+//! ([`Subscriber::wait`]).
 //!
-//! # What holds for every message
+//! # Every message
 //!
-//! - `#[repr(C)]`, fixed-width integers, `f32` and `f64` only, no padding, little endian on all supported machines. Offsets
-//!   stand in each field's documentation, are asserted at compile time, and are listed by `cargo run -p roomcast-ipc
-//!   --example layout` for other languages. The iceoryx2 type name is the message's `TYPE_NAME`.
+//! - `#[repr(C)]`, fixed-width integers, `f32` and `f64` only, no padding, little endian on all supported machines. Each
+//!   field's documentation has its offset, which the compiler asserts. `cargo run -p roomcast-ipc --example layout` lists the
+//!   offsets for other languages. The iceoryx2 type name is the message's `TYPE_NAME`.
 //! - Text is UTF-8 in a fixed array, zero padded, without control characters ([`text`]).
-//! - `*_ns` is `CLOCK_BOOTTIME` ([`clock::monotonic_ns`]), monotonic and counting suspension, for ages; `*_unix_ns` is wall clock, for people only.
+//! - `*_ns` is `CLOCK_BOOTTIME` ([`clock::monotonic_ns`]), for ages: it is monotonic and counts suspension. `*_unix_ns` is the wall
+//!   clock, for people only.
 //! - An epoch is random per process start; a sequence starts at 1 and grows by 1 within an epoch.
-//! - Scores are f64 in nats. `-inf` says that nothing of the map's labels lies there.
-//! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change is a new
-//!   type name and a new service name, published beside the old one.
-//! - A message is data: it is copied out of shared memory before it is looked at, and [`raw::Message::check`] judges the copy.
+//! - Scores are f64 in nats. `-inf` means that no label of the map is there.
+//! - Reserved bytes are zero; a minor number in each message grows when one of them gets a meaning. A breaking change gets a
+//!   new type name and a new service name, published together with the old one.
+//! - A message is data: it is copied out of shared memory first, and [`raw::Message::check`] checks the copy.
 
 mod ask;
 #[cfg(feature = "yardstick")]
@@ -166,8 +167,6 @@ pub use port::{
     StatusServer, Subscriber, wait_for_any,
 };
 pub use question::{AnswerPort, QuestionPort};
-#[doc(hidden)]
-pub use raw::*;
 pub use robot::{Report, Robot};
 pub use sensor::{SENSOR_ID_BYTES_MAX, Sensor, SensorKind};
 pub use who::Who;

@@ -1,19 +1,19 @@
-//! The system's limits on this process, in words: where one is reached, the system and iceoryx2 do not say which.
+//! The system's limits on this process, in words. The errors of the system and of iceoryx2 do not name the limit.
 
 use std::fs;
 
 use rustix::process::{Resource, getrlimit};
 
-/// Stack that the main thread needs, in bytes. Below a quarter of this it overflows, which ends the process by a signal.
+/// Stack that the main thread needs, in bytes. With less than a quarter of this it overflows, and a signal ends the process.
 const STACK_BYTES_MIN: u64 = 512 << 10;
-/// Address space that a process needs besides its program, in bytes. Where an allocation fails, Rust ends the process by a signal.
+/// Address space that a process needs in addition to its program, in bytes. When an allocation fails, Rust aborts the process.
 const ADDRESS_SPACE_BYTES_MIN: u64 = 68 << 20;
-/// Address space that a daemon needs besides its program and its model, in bytes: shared memory, and threads with their stacks.
+/// Address space that a daemon needs in addition to its program and its model, in bytes: shared memory, and threads with their stacks.
 pub const DAEMON_BYTES_MIN: u64 = 352 << 20;
-/// So much address space may be asked for at once, in bytes: shared memory, or a thread with its stack.
+/// Address space that one step may need, in bytes: shared memory, or a thread with its stack.
 const ADDRESS_SPACE_BYTES: u64 = 128 << 20;
 
-/// The limit that is too low for any command, if there is one. Needs little of the stack: to be called first of all.
+/// The limit that is too low for any command, if there is one. It needs little stack, so that it can run first.
 #[must_use]
 pub fn too_low() -> Option<String> {
     if let Some(limit) = getrlimit(Resource::Stack).current.filter(|limit| *limit < STACK_BYTES_MIN) {
@@ -24,7 +24,7 @@ pub fn too_low() -> Option<String> {
     too_little_address_space(ADDRESS_SPACE_BYTES_MIN)
 }
 
-/// The limit on address space, if this process may not have `more` bytes besides those that it has.
+/// The limit on address space, if it does not allow `more` bytes in addition to those in use.
 #[must_use]
 pub fn too_little_address_space(more: u64) -> Option<String> {
     let limit = getrlimit(Resource::As).current?;
@@ -36,7 +36,6 @@ pub fn too_little_address_space(more: u64) -> Option<String> {
     })
 }
 
-/// How much address space this process has, in bytes.
 fn used_bytes() -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let used =
@@ -44,7 +43,7 @@ fn used_bytes() -> u64 {
     used.map_or(0, |kilobytes: u64| kilobytes.saturating_mul(1_024))
 }
 
-/// How much address space this process has and how much it may have, in bytes, if little of it is left.
+/// Used address space and its limit, in bytes, if little is left.
 #[must_use]
 pub(crate) fn address_space() -> Option<(u64, u64)> {
     let limit = getrlimit(Resource::As).current?;

@@ -14,7 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 const SURE: Duration = Duration::from_secs(2);
 const TICK: Duration = Duration::from_millis(100);
 
-/// Which events the daemon has taken. Pure.
+/// Counts the events that the daemon has taken.
 #[derive(Debug, Default)]
 struct Account {
     /// Events that the daemon has dealt with, taken or not.
@@ -32,7 +32,6 @@ impl Account {
         self.before + self.dealt_with.saturating_sub(self.accepted.saturating_sub(self.since))
     }
 
-    /// Takes note of what the scores of a daemon's start contain.
     fn take(&mut self, daemon: u64, dealt_with: u64, accepted: u64, sent: u64) {
         let mut more = dealt_with.min(sent).saturating_sub(self.settled);
         self.settled += more;
@@ -58,7 +57,6 @@ pub struct Narrator {
     epoch: u64,
     sequence: u64,
     account: Account,
-    /// The newest event that scores contain.
     included: u64,
 }
 
@@ -320,7 +318,6 @@ impl Narrator {
         self.wait_until_included(PATIENCE)
     }
 
-    /// Takes note of what the newest scores contain.
     fn look(&mut self) -> Result<(), IpcError> {
         while let Some(scores) = self.scores.receive()? {
             let own =

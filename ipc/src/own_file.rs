@@ -7,7 +7,7 @@ use std::path::Path;
 
 use rustix::process::geteuid;
 
-/// Permission bits of group and others to write.
+/// Write permission for the group and others.
 const WIDE: u32 = 0o022;
 
 /// Refuses a file of a state directory that another user could have put there or may write to: a symbolic link, a FIFO or a device, a file

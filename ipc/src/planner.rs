@@ -83,8 +83,8 @@ impl Planner {
         Ok(next.map(|message| &*self.newest.insert(RoomScores(message))))
     }
 
-    /// Publishes that the robot goes to `room`. If the decision before names the same room, the robot is told to stay, so a planner may decide at
-    /// each forecast. Returns the number of participants that received it: 0 if no robot listens.
+    /// Publishes that the robot goes to `room`. If the previous decision names the same room, it publishes that the robot stays, so a
+    /// planner may decide at each forecast. Returns the number of participants that received it: 0 if no robot listens.
     ///
     /// # Errors
     ///
@@ -131,7 +131,6 @@ impl Planner {
         self.sequence
     }
 
-    /// The rooms of the map, as far as they are known; takes the newest messages.
     fn rooms(&mut self) -> Result<Vec<String>, IpcError> {
         while let Some(message) = self.scores.take(|message| (message.epoch, message.sequence))? {
             self.newest = Some(RoomScores(message));

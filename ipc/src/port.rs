@@ -1,4 +1,4 @@
-//! Ports: what a participant sends and receives through.
+//! Ports: participants send and receive through them.
 
 use std::cell::{Cell, RefCell};
 use std::error::Error;
@@ -43,25 +43,23 @@ const DATA: usize = 1;
 const CREATED: usize = 2;
 const DROPPED: usize = 3;
 const DEAD: usize = 4;
-/// Participants that may have one service open at once.
+/// Most participants that have one service open at once.
 pub(crate) const MAX_NODES: usize = 32;
-/// Notifiers that a service can hold beside those of its publishers. iceoryx2 keeps the place of a notifier whose process
-/// was killed at one unlucky moment; without spare places the next publisher could never join. Who may publish is limited by the
-/// publishers, not by this.
+/// Spare notifiers of a service, in addition to those of its publishers. iceoryx2 keeps the place of a notifier if its process was killed
+/// at an unlucky moment, and without spare places the next publisher could never join. The limit on publishers is separate.
 const LEFT_BEHIND: usize = 64;
-/// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake; a notifier that
-/// stands still between two of its steps could make it believe so of one that sleeps.
+/// The longest sleep without a look at the listener. iceoryx2 leaves out wake-ups of a listener that it believes awake, and a notifier that
+/// is paused between two of its steps could make it believe that of a sleeping listener.
 const SLICE: Duration = Duration::from_millis(250);
 
 const ITEM_SCORES: &str = "roomcast/v1/item-scores";
 const STATUS: &str = "roomcast/v1/status";
 const STATUS_CLIENTS: usize = 8;
 
-/// A connection that could not be made is tried again after so long.
 const RECONNECT: Duration = Duration::from_secs(1);
 
-/// Connections that failed, for want of file descriptors or memory for instance. iceoryx2 tries again only when ports come or go, so
-/// that without this the two ends would never hear one another again.
+/// Failed connections, for example for lack of file descriptors or memory. iceoryx2 retries only when ports come or go, so without this the
+/// two ends would stay disconnected.
 #[derive(Debug, Default)]
 struct Connections {
     failed: Arc<AtomicBool>,
@@ -69,7 +67,7 @@ struct Connections {
 }
 
 impl Connections {
-    /// What iceoryx2 calls when one fails.
+    /// The handler that iceoryx2 calls when a connection fails.
     fn watch(&self) -> impl Fn(DegradationCause, &DegradationInfo) -> DegradationAction + Send + use<> {
         let failed = Arc::clone(&self.failed);
         move |_, _| {
@@ -78,7 +76,6 @@ impl Connections {
         }
     }
 
-    /// Whether it is time to try again.
     fn are_due(&self) -> bool {
         match self.again.get() {
             Some(at) if at <= Instant::now() => {
@@ -100,14 +97,14 @@ type Factory<P, H> = publish_subscribe::PortFactory<Flavour, P, H>;
 
 /// Sends messages of one kind. Never blocks on a slow subscriber.
 ///
-/// A subscriber notices a new publisher when it next receives. What was sent before that dies with the publisher, so one
-/// that means to leave waits until it was noticed: a narrator, until scores include what it said.
+/// A subscriber notices a new publisher at its next receive. Until then the publisher's messages are lost if it is dropped. So a publisher
+/// that wants to leave waits for a sign: a narrator waits until scores contain its events.
 #[derive(Debug)]
 pub struct Publisher<M: Message> {
     publisher: iceoryx2::port::publisher::Publisher<Flavour, M, ()>,
     factory: Factory<M, ()>,
     notifier: Notifier<Flavour>,
-    /// The subscribers at the last tick, by the sum of their ports' numbers: one may come as another one goes.
+    /// The subscribers at the last tick, as the sum of their ports' numbers: a count does not change if one comes as another goes.
     known: Cell<u128>,
     connections: Connections,
 }
@@ -116,7 +113,7 @@ impl<M: Message> Publisher<M> {
     pub(crate) fn open(node: &Node) -> Result<Self, OpenFailure> {
         let quality = M::SERVICE;
         let factory = open_service::<M>(node)?;
-        // The publisher first: it is the place that others may hold.
+        // The publisher comes first, since its place may be taken.
         let connections = Connections::default();
         let publisher = factory.publisher_builder().set_degradation_handler(connections.watch()).create();
         let publisher = publisher.map_err(|error| match error {
@@ -143,7 +140,7 @@ impl<M: Message> Publisher<M> {
         self.send_unchecked(message)
     }
 
-    /// As [`Publisher::send`] without the check: for tests of what receivers do with malformed messages.
+    /// As [`Publisher::send`] without the check, for tests with malformed messages.
     ///
     /// # Errors
     ///
@@ -155,19 +152,19 @@ impl<M: Message> Publisher<M> {
         Ok(receivers)
     }
 
-    /// Hands the history to subscribers that joined since; to be called every 100 ms or so. Returns whether any joined or left.
+    /// Sends the history to new subscribers; to be called about every 100 ms. Returns whether any subscriber joined or left.
     ///
     /// # Errors
     ///
     /// [`IpcError::Port`].
     pub fn tick(&self) -> Result<bool, IpcError> {
         if self.connections.are_due() {
-            // iceoryx2 looks at all of them when a subscriber comes or goes. Where this one cannot come, another will.
+            // iceoryx2 checks all connections when a subscriber comes or goes. If this one cannot be created, another will come.
             drop(self.factory.subscriber_builder().create());
         }
         let joined = joined(&self.factory);
         self.publisher.update_connections().map_err(|error| port(M::SERVICE.name, "connect", &error))?;
-        // A newcomer has its history now and may be asleep.
+        // A new subscriber has its history now and may be asleep.
         let changed = self.known.replace(joined) != joined;
         if changed {
             self.wake();
@@ -181,12 +178,12 @@ impl<M: Message> Publisher<M> {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// The names of the participants that they belong to.
+    /// The names of the participants that subscribe.
     #[must_use]
     pub fn listeners(&self) -> Vec<String> {
         let holders = subscribers(&self.factory);
         let mut names = Vec::new();
-        // A list that fails names nobody else, and whoever asks asks again.
+        // If the list fails, some names are missing until the next call.
         let _listed = self.factory.nodes(|state| {
             if let NodeState::Alive(node) = state
                 && holders.iter().any(|holder| holder.participant == *node.id())
@@ -198,8 +195,7 @@ impl<M: Message> Publisher<M> {
         names
     }
 
-    /// A wake-up that fails is not worth failing for: the message lies in the buffer, and a subscriber that waits looks there
-    /// when its time-out ends.
+    /// An error is ignored: the message is in the buffer, and a waiting subscriber looks there when its time-out ends.
     fn wake(&self) {
         let _listeners_woken = self.notifier.notify();
     }
@@ -211,47 +207,47 @@ type Port<M> = iceoryx2::port::subscriber::Subscriber<Flavour, M, ()>;
 #[derive(Debug)]
 pub struct Subscriber<M: Message> {
     subscriber: RefCell<Port<M>>,
-    /// The one before it, for as long as it has messages: they are older than all that the new one gets.
+    /// The previous subscriber while it has messages. They are older than all messages of the new one.
     former: RefCell<Option<Port<M>>>,
     connections: Connections,
     factory: Factory<M, ()>,
     listener: Listener<Flavour>,
     /// The last wait ended with news that the listener still holds.
     woken: Cell<bool>,
-    /// How much of what was said before it gets.
+    /// The number of earlier messages that the subscriber receives.
     history: usize,
     malformed: Cell<u64>,
 }
 
-/// Whether a message that was copied is good, or why it is malformed, and the port that it came by.
+/// Whether a copied message is good, or the reason why it is malformed, and its port.
 pub type Judged = (Result<(), MessageError>, Sender);
 
-/// The port that a message came by: another one for every publisher that was ever opened in a domain, and so for every process. It tells
-/// who speaks apart as far as participants use this crate; the user id is the boundary for all others.
+/// The port of a message. Each publisher ever opened in a domain has another one, and so has each process. It separates senders only if
+/// participants use this crate. The user id is the boundary for all others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Sender(u128);
 
 impl Sender {
-    /// A sender without a port, for simulations and tests: a port's own comes with what it sent.
+    /// A sender without a port, for simulations and tests.
     #[must_use]
     pub const fn simulated(number: u64) -> Self {
         Self(number as u128)
     }
 
-    /// As bytes, to be kept over a restart: ports outlive the process that listens to them.
+    /// The sender as bytes, to be stored over a restart: ports outlive the process that listens to them.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; 16] {
         self.0.to_le_bytes()
     }
 
-    /// Whether its process runs; a port of a killed one is listed until somebody cleans up after it. Where that cannot be known it counts as one
-    /// that runs.
+    /// Whether the sender's process runs. iceoryx2 lists a killed process's port until another participant cleans up. If this cannot be
+    /// read, the process counts as running.
     #[must_use]
     pub fn is_running(self) -> bool {
         is_running(process_in(self.0))
     }
 
-    /// From what [`Sender::to_bytes`] gave.
+    /// The sender of [`Sender::to_bytes`].
     #[must_use]
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(u128::from_le_bytes(bytes))
@@ -262,7 +258,7 @@ impl<M: Message> Subscriber<M> {
     pub(crate) fn open(node: &Node, history: usize) -> Result<Self, OpenFailure> {
         let quality = M::SERVICE;
         let factory = open_service::<M>(node)?;
-        // The listener is there before the subscriber: no wake-up falls between the two.
+        // The listener exists before the subscriber, so that no wake-up is missed in between.
         let events = open_event(node, quality.name, quality.publishers, quality.subscribers)?;
         let is_full =
             || occupied(node, &factory, &subscribers(&factory), quality.name, "subscriber", quality.subscribers);
@@ -283,8 +279,8 @@ impl<M: Message> Subscriber<M> {
         Ok(Self { subscriber, former, connections, factory, listener, woken, history, malformed })
     }
 
-    /// Sleeps until there is news (a message, a publisher that comes, goes or dies) or `timeout` is over, whichever is first;
-    /// returns whether there was news: seldom, that was looked after before. A signal ends the sleep too.
+    /// Sleeps until there is news (a message; a publisher that comes, goes or dies) or `timeout` is over. Returns whether there was news;
+    /// in rare cases the news was already handled. A signal ends the sleep too.
     ///
     /// # Errors
     ///
@@ -293,7 +289,7 @@ impl<M: Message> Subscriber<M> {
         wait_for_any(&[self], timeout)
     }
 
-    /// Takes what the listener was told: whether there was anything, and whether anything but messages.
+    /// Empties the listener. Returns whether there was any event, and whether any was not about messages.
     fn told(&self) -> Result<(bool, bool), IpcError> {
         let mut others = false;
         let told = self.listener.try_wait(|event| others |= event.id != EventId::new(DATA));
@@ -337,8 +333,8 @@ impl<M: Message> Subscriber<M> {
         Ok(self.receive_into(&mut message)?.then_some(message))
     }
 
-    /// As [`Subscriber::receive`], into memory of the caller: a loop that uses the same memory for every message spares copies of some
-    /// thousand bytes. Returns whether there was a message. If not, the memory may hold a malformed message.
+    /// As [`Subscriber::receive`], into the caller's memory: a loop that reuses it saves copies of some thousand bytes. Returns whether
+    /// there was a message. If not, the memory may hold a malformed message.
     ///
     /// # Errors
     ///
@@ -359,8 +355,7 @@ impl<M: Message> Subscriber<M> {
         self.malformed.get()
     }
 
-    /// Takes the oldest message that waits, malformed or not, with the port that it came by. No field of a malformed message may be
-    /// believed.
+    /// Takes the oldest waiting message, malformed or not, with its port. The fields of a malformed message must not be used.
     ///
     /// # Errors
     ///
@@ -381,16 +376,16 @@ impl<M: Message> Subscriber<M> {
             None => self.subscriber.borrow().receive().map_err(fail)?,
         };
         Ok(sample.map(|sample| {
-            // Its sender can still write to the sample. What is checked must be what is used: copy first; the black box keeps the
-            // compiler from reading the shared memory a second time.
+            // The sender can still write to the sample, and the check must see the data that is used. So this copies first, and the black
+            // box keeps the compiler from reading the shared memory a second time.
             *message = *sample.payload();
-            // The connection's own number, not the one in the sample's header, which its sender can write to.
+            // The number is from the connection: the sender can write to the number in the sample's header.
             (black_box(message).check(), Sender(sample.origin().value()))
         }))
     }
 
-    /// Another subscriber in place of this one, whose connections are made from the start: publishers give it as much of their history as it asks
-    /// for. What this one has got by good connections is taken first; what is in the history, too, comes twice.
+    /// Replaces the subscriber, so that all connections are made again. Publishers send the new one as much of their history as it asks
+    /// for. Messages that the former one has received are read first; those in the history come twice.
     fn connect_again(&self) {
         if self.former.borrow().is_some() {
             self.connections.failed.store(true, Ordering::Relaxed);
@@ -404,7 +399,7 @@ impl<M: Message> Subscriber<M> {
         }
     }
 
-    /// Takes all that wait and returns the newest good one.
+    /// Takes all waiting messages and returns the newest good one.
     ///
     /// # Errors
     ///
@@ -449,15 +444,11 @@ impl<M: Message> Awaited for Subscriber<M> {}
 mod sealed {
     use super::{BorrowedFd, IpcError};
 
-    /// What can be slept at.
     pub trait Sleeper {
-        /// Its service.
         fn service(&self) -> &'static str;
-        /// Whether there is news that was not looked after yet.
         fn has_news(&self) -> Result<bool, IpcError>;
-        /// The descriptor that can be read when the listener is told something.
         fn descriptor(&self) -> BorrowedFd<'_>;
-        /// The sleep has ended with news that the listener still holds.
+        /// Notes that the sleep ended with news that the listener still holds.
         fn woken(&self);
     }
 }
@@ -468,8 +459,7 @@ impl<M: Message> Sleeper for Subscriber<M> {
     }
 
     fn has_news(&self) -> Result<bool, IpcError> {
-        // What woke the last wait is taken off the listener only now, so that whoever was woken had its message sooner, by some
-        // system calls.
+        // The listener is emptied only now, so that the woken program gets its message earlier, by some system calls.
         let woken = self.woken.take();
         let (news, others) = self.told()?;
         Ok(others || (news && (!woken || self.has_messages()?)))
@@ -477,8 +467,8 @@ impl<M: Message> Sleeper for Subscriber<M> {
 
     #[expect(unsafe_code, reason = "iceoryx2 gives the number of its descriptor and no safe form of it")]
     fn descriptor(&self) -> BorrowedFd<'_> {
-        // SAFETY: the descriptor is the listener's, which is borrowed for longer than this and closes it when it is dropped; its number is
-        // not kept.
+        // SAFETY: the descriptor belongs to the listener, which is borrowed for longer than this and closes it when it is dropped. The
+        // number is not stored.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }
     }
 
@@ -487,13 +477,13 @@ impl<M: Message> Sleeper for Subscriber<M> {
     }
 }
 
-/// Sleeps as [`Subscriber::wait`] does, for news of any of several subscribers; whether one had some.
+/// Sleeps as [`Subscriber::wait`] does, for news of any of several subscribers. Returns whether there was any.
 ///
 /// # Errors
 ///
 /// [`IpcError::Port`].
 pub fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, IpcError> {
-    // Without an end where it lies beyond what a clock can say.
+    // No end if it is beyond the range of the clock.
     let end = Instant::now().checked_add(timeout);
     loop {
         for one in awaited {
@@ -514,7 +504,6 @@ pub fn wait_for_any(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool,
     }
 }
 
-/// Sleeps until a listener is told something; whether one was.
 fn sleep(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, Errno> {
     let timeout = Timespec::try_from(timeout).map_err(|_| Errno::INVAL)?;
     let descriptors: Vec<BorrowedFd<'_>> = awaited.iter().map(|one| one.descriptor()).collect();
@@ -534,9 +523,9 @@ fn sleep(awaited: &[&dyn Awaited], timeout: Duration) -> Result<bool, Errno> {
 /// A snapshot of all items' scores.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ItemScores {
-    /// Which room scores they belong to.
+    /// The header, which names the room scores of the same moment.
     pub header: ItemScoresHeaderV1,
-    /// One per item, in the map's order; of a map with more than [`MAX_ITEMS`] those with the best scores.
+    /// One score per item, in the map's order; if the map has more than [`MAX_ITEMS`], only the best scores.
     pub items: Vec<ItemScoreV1>,
 }
 
@@ -545,7 +534,6 @@ pub struct ItemScores {
 pub struct ItemScoresPublisher {
     publisher: iceoryx2::port::publisher::Publisher<Flavour, [ItemScoreV1], ItemScoresHeaderV1>,
     factory: Factory<[ItemScoreV1], ItemScoresHeaderV1>,
-    /// How many subscribers there were at the last tick.
     known: Cell<usize>,
 }
 
@@ -554,7 +542,7 @@ impl ItemScoresPublisher {
         let factory = open_item_scores(node)?;
         let publisher = factory
             .publisher_builder()
-            // Memory that grows later may find none.
+            // Growing later may fail for lack of memory.
             .initial_max_slice_len(MAX_ITEMS)
             .create()
             .map_err(|error| match error {
@@ -566,7 +554,7 @@ impl ItemScoresPublisher {
         Ok(Self { publisher, factory, known: Cell::new(0) })
     }
 
-    /// Whether anybody wants them; sending is not worth its time otherwise.
+    /// Whether there are subscribers. Without one, sending is not worth its time.
     #[must_use]
     pub fn wanted(&self) -> bool {
         self.subscribers() > 0
@@ -576,7 +564,7 @@ impl ItemScoresPublisher {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// Sends the scores of all items, or of the best.
+    /// Sends the scores of all items, or of the best ones.
     ///
     /// # Errors
     ///
@@ -600,8 +588,8 @@ impl ItemScoresPublisher {
         Ok(())
     }
 
-    /// Hands the history to subscribers that joined since. Returns whether one joined that found nobody else, and may have found no
-    /// history: nothing is sent while nobody wants it.
+    /// Sends the history to new subscribers. Returns whether the first subscriber joined. It may find no history, since nothing was sent
+    /// before.
     ///
     /// # Errors
     ///
@@ -633,7 +621,7 @@ impl ItemScoresSubscriber {
         Ok(Self { subscriber })
     }
 
-    /// Takes all that wait and returns the newest, copied.
+    /// Takes all waiting snapshots and returns the newest, copied.
     ///
     /// # Errors
     ///
@@ -642,7 +630,7 @@ impl ItemScoresSubscriber {
         let mut newest = None;
         while let Some(sample) = self.subscriber.receive().map_err(|error| port(ITEM_SCORES, "receive", &error))? {
             let items = sample.payload();
-            // The length is the sender's word.
+            // The sender can change the length.
             if items.len() <= MAX_ITEMS {
                 newest = Some(ItemScores { header: *sample.user_header(), items: items.to_vec() });
             }
@@ -675,7 +663,7 @@ impl StatusServer {
         Ok(Self { server })
     }
 
-    /// Answers all requests that wait; returns how many.
+    /// Answers all waiting requests. Returns their number.
     ///
     /// # Errors
     ///
@@ -683,19 +671,19 @@ impl StatusServer {
     pub fn answer(&self, response: impl Fn() -> StatusResponseV1) -> Result<usize, IpcError> {
         let mut answered = 0;
         while let Some(request) = self.server.receive().map_err(|error| port(STATUS, "receive", &error))? {
-            // An asker that has gone away meanwhile is no failure of the daemon.
+            // If the client has gone, the daemon goes on.
             answered += usize::from(request.send_copy(response()).is_ok());
         }
         Ok(answered)
     }
 }
 
-/// Asks the daemon how it is.
+/// Asks the daemon for its status.
 #[derive(Debug)]
 pub struct StatusClient {
     client: RefCell<Client<Flavour, StatusRequestV1, (), StatusResponseV1, ()>>,
     factory: StatusFactory,
-    /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
+    /// The last question got no answer. Its connection may have failed, and iceoryx2 does not try that again.
     unanswered: Cell<bool>,
     waker: Option<Notifier<Flavour>>,
 }
@@ -720,7 +708,7 @@ impl StatusClient {
             self.client.replace(client);
         }
         let start = Instant::now();
-        // A daemon that starts after the question was sent never gets it: ask again now and then.
+        // A daemon that starts after a question was sent never receives it, so the question is repeated.
         while start.elapsed() < timeout {
             let pending = self.client.borrow().send_copy(StatusRequestV1::default());
             let pending = pending.map_err(|error| port(STATUS, "send", &error))?;
@@ -738,8 +726,9 @@ impl StatusClient {
     }
 }
 
-/// Wakes whoever serves a service for somebody who joined or asks, so that it need not look after newcomers all the time: it sleeps on the
-/// news of another service. None where nobody is to be woken; then, and where waking fails, a newcomer waits some hundred milliseconds.
+/// Wakes the participant that serves a service when another one joins or asks, so that it need not look for newcomers all the time. It
+/// sleeps on the news of another service. `None` if no participant serves it; then, or if waking fails, a newcomer waits some hundred
+/// milliseconds.
 pub(crate) fn waker(node: &Node, service: &'static str) -> Option<Notifier<Flavour>> {
     let heard = match service {
         name if name == DecisionV1::SERVICE.name => RoomScoresV1::SERVICE,
@@ -750,7 +739,6 @@ pub(crate) fn waker(node: &Node, service: &'static str) -> Option<Notifier<Flavo
     events.notifier_builder().default_event_id(EventId::new(CREATED)).create().ok()
 }
 
-/// Wakes them.
 pub(crate) fn wake(waker: Option<&Notifier<Flavour>>) {
     if let Some(waker) = waker {
         let _listeners_woken = waker.notify();
@@ -793,8 +781,8 @@ fn open_item_scores(node: &Node) -> Result<Factory<[ItemScoreV1], ItemScoresHead
     opened.map_err(|error| publish_subscribe_failure(node, ITEM_SCORES, &ours, error))
 }
 
-/// A service that one participant answers: every option of it, in one place. A macro, because iceoryx2's builders of fixed and of
-/// dynamic payloads have no trait in common.
+/// A service with one server; all its options are in one place. This is a macro because iceoryx2's builders of fixed and of dynamic
+/// payloads have no trait in common.
 macro_rules! request_response {
     ($node:expr, $service:expr, $request:ty, $response:ty, $clients:expr) => {
         $node
@@ -911,7 +899,7 @@ fn publish_subscribe_failure(
     }
 }
 
-/// What the running service carries, as far as it says.
+/// The message type of the running service, if it says so.
 fn their_type(node: &Node, service: &'static str) -> String {
     let unknown = || "other types".to_owned();
     let Ok(name) = ServiceName::new(service) else { return unknown() };
@@ -939,7 +927,7 @@ pub(crate) fn described(type_name: &str, size: usize) -> String {
     format!("{type_name} of {size} bytes")
 }
 
-/// The place may come free: its holder may be stopping, or dead and not yet cleaned up.
+/// A temporary failure: the holder may be stopping, or dead and not yet cleaned up.
 pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
     node: &Node,
     factory: &F,
@@ -949,7 +937,7 @@ pub(crate) fn occupied<F: PortFactory<Service = Flavour>>(
     limit: usize,
 ) -> OpenFailure {
     let mut names = Vec::new();
-    // A list that fails leaves the answer vague, which is all that can be said then.
+    // If the list fails, the error names fewer holders.
     let _listed = factory.nodes(|state| {
         if let NodeState::Alive(node) = state
             && holders.iter().any(|holder| holder.participant == *node.id())
@@ -982,7 +970,7 @@ fn subscribers<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory
     places
 }
 
-/// Who the subscribers are, as the sum of their ports' numbers: a count does not notice one that comes as another goes, and a list takes memory.
+/// The subscribers as the sum of their ports' numbers: a count does not change if one comes as another goes, and a list takes memory.
 fn joined<P: Debug + IceoryxSend + ?Sized, H: Debug + ZeroCopySend>(factory: &Factory<P, H>) -> u128 {
     let mut sum = 0_u128;
     factory.dynamic_config().list_subscribers(|subscriber| {
@@ -1008,9 +996,8 @@ pub(crate) fn port<E: Error + Clone + Send + Sync + 'static>(
     IpcError::Port { service, operation, cause: Box::new(error.clone()) }
 }
 
-/// Opens them.
 impl Node {
-    /// A publisher of `M`. Fails with [`IpcError::Occupied`] when its places are taken.
+    /// A publisher of `M`. Fails with [`IpcError::Occupied`] if all its places are taken.
     ///
     /// # Errors
     ///
@@ -1019,7 +1006,7 @@ impl Node {
         self.retry(|| Publisher::open(self))
     }
 
-    /// A subscriber of `M`; it gets the service's history.
+    /// A subscriber of `M`. It receives the service's history.
     ///
     /// # Errors
     ///
@@ -1028,7 +1015,7 @@ impl Node {
         self.retry(|| Subscriber::open(self, M::SERVICE.history))
     }
 
-    /// A subscriber of what is said from now on: publishers give it nothing of the service's history.
+    /// A subscriber without the service's history.
     ///
     /// # Errors
     ///
@@ -1046,7 +1033,7 @@ impl Node {
         self.retry(|| ItemScoresPublisher::open(self))
     }
 
-    /// A subscriber of item scores; as long as it lives, the daemon sends them.
+    /// A subscriber of item scores. While it lives, the daemon sends them.
     ///
     /// # Errors
     ///
@@ -1055,8 +1042,8 @@ impl Node {
         self.retry(|| ItemScoresSubscriber::open(self))
     }
 
-    /// The same at the first try, for whoever can do without: none where others have all the places, or somebody is in the way for a
-    /// moment.
+    /// As [`Node::item_scores_subscriber`] with a single try, for optional use. `None` if all places are taken or another temporary failure
+    /// occurs.
     ///
     /// # Errors
     ///
@@ -1065,7 +1052,7 @@ impl Node {
         self.try_once(|| ItemScoresSubscriber::open(self))
     }
 
-    /// The place that answers status requests.
+    /// The server of status requests.
     ///
     /// # Errors
     ///
@@ -1074,7 +1061,7 @@ impl Node {
         self.retry(|| StatusServer::open(self))
     }
 
-    /// Asks for status.
+    /// A client for status requests.
     ///
     /// # Errors
     ///
@@ -1087,9 +1074,10 @@ impl Node {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Domain, report_kind};
+    use crate::Domain;
+    use crate::raw::report_kind;
 
-    /// A planner that was started again within one tick was not noticed, and heard of one other robot alone.
+    /// A planner that restarted within one tick was not noticed, and received reports of one other robot alone.
     #[test]
     fn one_that_comes_as_another_goes_is_noticed() {
         let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -1106,7 +1094,7 @@ mod tests {
         domain.clean_up().unwrap();
     }
 
-    /// One connection that failed is made again: what came by the others and was not read yet is not lost by that.
+    /// A failed connection is made again. The unread messages of the other connections are not lost.
     #[test]
     fn what_good_connections_delivered_outlives_a_failed_one() {
         let root = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
@@ -1129,7 +1117,7 @@ mod tests {
         subscriber.connect_again();
         assert_eq!(subscriber.subscribers(), before + 1, "the one before it has messages");
         assert!(subscriber.has_messages().unwrap());
-        // Once more before they are read: that waits.
+        // A second reconnection waits until the messages are read.
         subscriber.connect_again();
         assert_eq!(subscriber.subscribers(), before + 1);
         publisher.tick().unwrap();
@@ -1142,7 +1130,7 @@ mod tests {
             }
         }
         assert_eq!(subscriber.subscribers(), before, "its place is free again");
-        // The newest came to both; where that overran the former's buffer, its oldest gave way as ever.
+        // The newest message came to both. If it overran the former's buffer, the oldest gave way as usual.
         assert!(heard.iter().copied().eq(2..=most + 1), "{heard:?}");
         drop((subscriber, publisher, node));
         domain.clean_up().unwrap();

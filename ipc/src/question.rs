@@ -1,20 +1,21 @@
-//! Questions and answers in words: what is asked now and then, and has no bounded size, goes as JSON text.
+//! Questions and answers as JSON text, for rare requests without a bounded size.
 //!
-//! | service | asked | answered |
+//! | service | question | answer |
 //! | --- | --- | --- |
-//! | `roomcast/v1/map-change` | changes to the map in use | what became of them, or why not |
-//! | `roomcast/v1/moment` | nothing (`{}`) | the map in use, the narration in the windows, every label's tokens with their log-probabilities |
-//! | `roomcast/v1/person` | who is known; to forget a person, to give them a name | who is known then, and what became of the change |
-//! | `roomcast/v1/habits` | what was learned of the home; to forget it, to replace it | how much is known then, and what became of the change |
+//! | `roomcast/v1/map-change` | changes to the map in use | the result, or the reason for a refusal |
+//! | `roomcast/v1/moment` | `{}` | the map in use, the narration in the windows, every label's tokens with their log-probabilities |
+//! | `roomcast/v1/person` | list the known persons, forget or name a person | the known persons afterwards, and the result |
+//! | `roomcast/v1/habits` | show, forget or replace the learned habits | their size afterwards, and the result |
 //!
-//! All are request-response services of `[u8]`, UTF-8. The daemon is the one server. A question may be asked again when no answer
-//! came, so whoever asks for a change names it, and the daemon does a change of the same name once.
+//! All are request-response services of `[u8]`, UTF-8, with the daemon as the one server. A client may repeat a question without an answer.
+//! So each question for a change has an id, and the daemon makes the change of one id once.
 //!
-//! Shared memory is set aside for every answer that may be under way, each as long as the longest, before there is any: later there may be
-//! no more, and the system ends whoever touches what is not there. So an answer of more than [`ANSWER_BYTES_MAX`] bytes lies in a file of the
-//! domain's root path, and `{"answer":"in-file","name":"NAME"}` comes by the service. The file is called `DOMAIN_SERVICE-NAME.answer`, with the domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random
-//! for each answer: so nobody reads what somebody else was answered. Whoever has read the file removes it, since it may tell of persons. Of those that
-//! nobody has read the newest [`ANSWER_FILES_MAX`] stay. Where the file cannot be written, `{"answer":"none","reason":"..."}` comes.
+//! Shared memory for every possible answer, each of the greatest length, is allocated in advance: later the memory may be full, and the
+//! system kills a process that touches a missing page. So an answer of more than [`ANSWER_BYTES_MAX`] bytes goes to a file in the domain's
+//! root path, and the service carries `{"answer":"in-file","name":"NAME"}`. The file's name is `DOMAIN_SERVICE-NAME.answer`, with the
+//! domain's prefix and the last part of the service's name. NAME is sixteen hexadecimal digits, random for each answer, so clients do not
+//! read each other's answers. The client that has read the file removes it, since it may contain personal data. The newest
+//! [`ANSWER_FILES_MAX`] unread files stay. If the file cannot be written, the service carries `{"answer":"none","reason":"..."}`.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -39,47 +40,46 @@ use crate::{IpcError, MessageError, sequence};
 
 /// Changes to the map in use.
 pub const MAP_CHANGE: &str = "roomcast/v1/map-change";
-/// All that is behind the scores of this moment.
+/// The data behind the newest scores.
 pub const MOMENT: &str = "roomcast/v1/moment";
 
-/// Who is known, and changes to that.
+/// The known persons, and changes to them.
 pub const PERSON: &str = "roomcast/v1/person";
 
-/// What was learned of the home, and changes to that.
+/// The learned habits, and changes to them.
 pub const HABITS: &str = "roomcast/v1/habits";
 
-/// Most bytes of a question. An answer's length is the daemon's own affair.
+/// Most bytes of a question. The daemon alone decides the length of an answer.
 pub const QUESTION_BYTES_MAX: usize = 1 << 20;
 
 /// Most bytes of an answer in shared memory.
 pub const ANSWER_BYTES_MAX: usize = 1 << 12;
 
-/// Most files of long answers of a service: each of its clients waits for one answer at a time. Whoever comes too late for theirs asks again.
+/// Most files of long answers of a service: each of its clients waits for one answer at a time. A client that comes too late for its file
+/// asks again.
 pub const ANSWER_FILES_MAX: usize = CLIENTS;
 
-/// How the answer begins that says: it lies in the file of the name that follows.
+/// The name of the file follows.
 const IN_FILE: &str = r#"{"answer":"in-file","name":""#;
-/// How the answer begins that says: there is none, for the reason that follows, in a text of JSON without escapes.
+/// The reason follows, as JSON text without escapes.
 const NO_ANSWER: &str = r#"{"answer":"none","reason":""#;
-/// How both end.
 const END: &str = r#""}"#;
-/// How the files of answers end.
 const FILE_END: &str = ".answer";
 
 const CLIENTS: usize = 8;
-/// A daemon that starts after a question was sent never gets it: it is asked again after this.
+/// The client repeats the question after this time: a daemon that started in between has not received it.
 const ASK_AGAIN: Duration = Duration::from_millis(500);
 const POLL: Duration = Duration::from_millis(2);
 
 type Factory = request_response::PortFactory<Flavour, [u8], (), [u8], ()>;
 
-/// Answers questions in words. There is one per service and domain.
+/// Answers questions as JSON text. There is one per service and domain.
 #[derive(Debug)]
 pub struct AnswerPort {
     server: Server<Flavour, [u8], (), [u8], ()>,
     service: &'static str,
     files: AnswerFiles,
-    /// The files of answers that were given, the newest last. Mostly they are read and gone.
+    /// The files of answers, the newest last. Clients have read and removed most of them.
     given: Mutex<VecDeque<PathBuf>>,
 }
 
@@ -95,7 +95,7 @@ impl AnswerPort {
         let server = factory
             .server_builder()
             .initial_max_slice_len(ANSWER_BYTES_MAX)
-            // Shared memory is set aside for as many answers as may be, each as long as the longest.
+            // This allocates shared memory for all answers at once, each of the greatest length.
             .max_loaned_responses_per_request(1)
             .create();
         let server = server.map_err(|error| {
@@ -110,12 +110,12 @@ impl AnswerPort {
             occupied(node, &factory, &servers, service, "server", 1)
         })?;
         let own = Self { server, service, files: AnswerFiles::new(node, service), given: Mutex::default() };
-        // A daemon that was killed may have left some.
+        // A killed daemon may have left files.
         own.forget_answers();
         Ok(own)
     }
 
-    /// Removes all answers that were too long for shared memory and that nobody has read. Whoever was about to read one asks again.
+    /// Removes all unread files of long answers. Their clients ask again.
     pub fn forget_answers(&self) {
         self.given().clear();
         self.files.remove_all();
@@ -125,11 +125,11 @@ impl AnswerPort {
         self.given.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Writes an answer that is too long for shared memory; gives what comes by the service in its place.
+    /// Writes a long answer to a file. Returns the text that the service carries instead.
     fn put_aside(&self, answer: &str) -> String {
         let name = format!("{:016x}", sequence::random_epoch());
         let file = self.files.of(&name);
-        // Nobody knows the name of a file that is not whole.
+        // The name is published only after the file is complete.
         if let Err(error) = write_new(&file, answer) {
             let _gone = fs::remove_file(&file);
             return not_given(&format!(
@@ -146,8 +146,8 @@ impl AnswerPort {
         format!("{IN_FILE}{name}{END}")
     }
 
-    /// Answers all questions that wait, each copied out of shared memory and checked; returns how many. What is no text, or too
-    /// long, gets its answer from `respond` too.
+    /// Answers all waiting questions, each copied out of shared memory and checked. Returns their number. `respond` also answers a question
+    /// that is too long or not UTF-8.
     ///
     /// # Errors
     ///
@@ -167,7 +167,7 @@ impl AnswerPort {
             }
             let response = request.loan_slice_uninit(answer.len());
             let sent = response.map(|response| response.write_from_slice(answer.as_bytes()).send());
-            // An asker that has gone away meanwhile is no failure of the daemon.
+            // If the client has gone, the daemon goes on.
             answered += usize::from(matches!(sent, Ok(Ok(_))));
         }
         Ok(answered)
@@ -176,12 +176,12 @@ impl AnswerPort {
 
 type Asker = Client<Flavour, [u8], (), [u8], ()>;
 
-/// Asks questions in words.
+/// Asks questions as JSON text.
 #[derive(Debug)]
 pub struct QuestionPort {
     client: RefCell<Asker>,
     factory: Factory,
-    /// Nobody answered the last question: perhaps its connection could not be made, which iceoryx2 does not try again.
+    /// The last question got no answer. Its connection may have failed, and iceoryx2 does not try that again.
     unanswered: Cell<bool>,
     service: &'static str,
     files: AnswerFiles,
@@ -196,12 +196,12 @@ impl QuestionPort {
         Ok(Self { client, factory, unanswered, service, files, waker })
     }
 
-    /// Asks, and waits for the answer; asks again now and then while none comes.
+    /// Asks, and waits for the answer. While none comes, it repeats the question every half second.
     ///
     /// # Errors
     ///
-    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::NotGiven`] where the daemon says why it has none, [`IpcError::Refused`] for a question that is too long or an answer that is no
-    /// text, [`IpcError::Port`].
+    /// [`IpcError::NoAnswer`] after `timeout`, [`IpcError::NotGiven`] with the daemon's reason, [`IpcError::Refused`] for a question that
+    /// is too long or an answer that is not UTF-8, [`IpcError::Port`].
     pub fn ask(&self, question: &str, timeout: Duration) -> Result<String, IpcError> {
         let service = self.service;
         let refused = |source| IpcError::Refused { service, source };
@@ -230,7 +230,8 @@ impl QuestionPort {
                         let file = self.files.of(name);
                         copy = match fs::read(&file) {
                             Ok(long) => long,
-                            // It gave way to newer ones, or somebody was forgotten: this is asked again.
+                            // Newer answers replaced the file, or the daemon removed all of them when it forgot a person. The question is
+                            // repeated.
                             Err(error) if error.kind() == io::ErrorKind::NotFound => break,
                             Err(error) => {
                                 let operation = "read the answer of";
@@ -256,8 +257,8 @@ impl QuestionPort {
     }
 }
 
-/// A copy of a text in shared memory, where its sender can still write to it: what is checked must be what is used. Its length is the sender's
-/// word, too, and looked at before so much is copied.
+/// Copies a text out of shared memory, since its sender can still change it: the check must see the text that is used. The sender can also
+/// change the length, so its limit is checked first.
 fn copied(field: &'static str, text: &[u8]) -> Result<Vec<u8>, MessageError> {
     let (bytes, limit) = (text.len(), QUESTION_BYTES_MAX);
     if bytes > limit { Err(MessageError::TextTooLong { field, bytes, limit }) } else { Ok(text.to_vec()) }
@@ -268,28 +269,24 @@ fn client_of(factory: &Factory) -> Result<Asker, ClientCreateError> {
     client.allocation_strategy(AllocationStrategy::PowerOfTwo).create()
 }
 
-/// The answer that says why there is none.
 fn not_given(reason: &str) -> String {
     let plain = |character| if matches!(character, '"' | '\\') || character < ' ' { '?' } else { character };
     format!("{NO_ANSWER}{}{END}", reason.chars().map(plain).collect::<String>())
 }
 
-/// The name of the file that an answer lies in, where it says that it lies in one.
 fn name_of(answer: &[u8]) -> Option<&str> {
     let answer = std::str::from_utf8(answer).ok()?;
     answer.strip_prefix(IN_FILE)?.strip_suffix(END).filter(|name| is_name(name))
 }
 
-/// No answer leads to another place than its service's files.
+/// Only such names are read, so that no answer leads to another file.
 fn is_name(name: &str) -> bool {
     name.len() == 16 && name.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
-/// The files of a service's long answers, in the root path.
 #[derive(Debug)]
 struct AnswerFiles {
     root: PathBuf,
-    /// What their names begin with.
     prefix: String,
 }
 
@@ -304,7 +301,7 @@ impl AnswerFiles {
         self.root.join(format!("{}{name}{FILE_END}", self.prefix))
     }
 
-    /// Removes all, also those of a daemon before. Mostly there is none, and one that is just being removed is gone, too.
+    /// This includes files of an earlier daemon. A client may remove a file at the same time.
     fn remove_all(&self) {
         for entry in fs::read_dir(&self.root).into_iter().flatten().flatten() {
             let name = entry.file_name();
@@ -316,7 +313,6 @@ impl AnswerFiles {
     }
 }
 
-/// Writes a file of its owner's alone that must not be there yet.
 fn write_new(path: &Path, text: &str) -> io::Result<()> {
     let mut file = fs::OpenOptions::new().write(true).create_new(true).mode(0o600).open(path)?;
     file.write_all(text.as_bytes())
@@ -327,9 +323,8 @@ fn open(node: &Node, service: &'static str) -> Result<Factory, OpenFailure> {
     opened.map_err(|error| request_response_failure(node, service, &described("[u8]", 1), &error))
 }
 
-/// Opens them.
 impl Node {
-    /// The place that answers questions of a service of this module.
+    /// Opens the server of a service of this module.
     ///
     /// # Errors
     ///
@@ -338,7 +333,7 @@ impl Node {
         self.retry(|| AnswerPort::open(self, service))
     }
 
-    /// Asks questions of a service of this module.
+    /// Opens a client of a service of this module.
     ///
     /// # Errors
     ///
@@ -353,7 +348,7 @@ mod tests {
     use super::*;
     use crate::Domain;
 
-    /// The number of bytes stands in memory that the asker can write to. A copy of so many ended the daemon.
+    /// The length is in memory that the client can change. A copy of that length once crashed the daemon.
     #[test]
     #[expect(unsafe_code, reason = "the asker writes to the header of its own question")]
     fn a_question_that_is_said_to_be_endless_is_refused() {
@@ -366,7 +361,7 @@ mod tests {
         let question = client.loan_slice_uninit(BYTES as usize).unwrap().write_from_slice(&[b' '; BYTES as usize]);
         let words = size_of_val(question.header()) / size_of::<u64>();
         let header = std::ptr::from_ref(question.header()).cast_mut().cast::<u64>();
-        // SAFETY: the header is of so many words, and lies in the asker's own shared memory, which may be written to.
+        // SAFETY: the header has this many words, and is in the client's own shared memory, which may be written to.
         let numbers: Vec<_> = (0..words).map(|word| unsafe { header.add(word) }).collect();
         // SAFETY: as above.
         let number = numbers.into_iter().find(|number| unsafe { number.read_volatile() } == BYTES).unwrap();

@@ -1,4 +1,4 @@
-//! A robot: follows its decisions, and reports what became of them.
+//! A robot follows its decisions and reports on its work.
 
 use std::time::Duration;
 

@@ -67,7 +67,6 @@ impl<'a> Sensor<'a> {
         Self { kind, id, room: None, beyond: None, on: None, hold_s: None, false_alarms_per_day: None, only_on: false }
     }
 
-    /// The text of its narration.
     pub(crate) fn text(&self) -> Result<String, IpcError> {
         let refused = |problem: &str| Err(IpcError::Argument(format!("sensor {:?}: {problem}", self.id)));
         if self.id.len() > SENSOR_ID_BYTES_MAX || !self.id.contains(char::is_alphanumeric) {

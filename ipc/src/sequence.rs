@@ -1,19 +1,19 @@
 //! Gaps, duplicates and restarts, seen from `(source, epoch, sequence)`.
 
-/// What a sequence number says about a message.
+/// The meaning of a sequence number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
-    /// The next one, or the first of a source.
+    /// The next number, or the first of a source.
     New,
-    /// A new one, after `missed` others that have not arrived.
+    /// `missed` earlier messages have not arrived.
     AfterGap {
-        /// How many are missing.
+        /// The number of missing messages.
         missed: u64,
     },
-    /// Seen before, or older than what was seen: not to be taken again.
+    /// The message was seen before, or is older than the newest one: to be ignored.
     Duplicate,
-    /// Further ahead than [`JUMP_MAX`]: no source has lost so many, and taking it would make duplicates of all that it says next. Nothing
-    /// is noted.
+    /// The number is more than [`JUMP_MAX`] ahead. No source loses so many messages, and if it counted, all later messages would be
+    /// duplicates. The follower ignores it.
     TooFar,
 }
 
@@ -39,15 +39,14 @@ pub const JUMP_MAX: u64 = 1 << 32;
 pub struct Follower {
     epoch: u64,
     sequence: u64,
-    /// Former epochs, newest last.
+    /// Earlier epochs, the newest last.
     left: Vec<u64>,
 }
 
 impl Follower {
-    /// How many former epochs stay known.
     const LEFT: usize = 8;
 
-    /// Takes note of a message and says what it is.
+    /// Records a message and classifies it.
     pub fn take(&mut self, epoch: u64, sequence: u64) -> Arrival {
         if epoch == self.epoch {
             if sequence <= self.sequence {
@@ -86,7 +85,7 @@ impl Follower {
     }
 }
 
-/// A random number, not 0, for an epoch.
+/// A random number for an epoch, never 0.
 #[must_use]
 pub fn random_epoch() -> u64 {
     use std::hash::{BuildHasher, Hasher, RandomState};

@@ -55,14 +55,14 @@ pub fn decode<'a>(field: &'static str, bytes: &'a [u8]) -> Result<&'a str, Messa
     Ok(text)
 }
 
-/// As [`decode`] for bytes that were already checked; empty when they are not text.
+/// As [`decode`] for bytes that were already checked; empty if they are not text.
 #[must_use]
 pub(crate) fn checked(bytes: &[u8]) -> &str {
     decode("", bytes).unwrap_or("")
 }
 
-/// Whether a character has no place in a sentence or a name: control characters, which would reach terminals and logs; and those without
-/// a shape of their own, which make text look like other text (directions, zero width, line ends, tags).
+/// Whether a character must not occur in a sentence or name: control characters, which would reach terminals and logs, and invisible
+/// characters, which make text look like other text (directions, zero width, line ends, tags).
 #[must_use]
 pub fn is_hidden(character: char) -> bool {
     character.is_control()

@@ -1,4 +1,4 @@
-//! Services that nobody is in: whoever leaves last removes its service, and may be killed while it does.
+//! Removes services without participants. The last participant removes its service when it leaves, but may be killed while it does.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,38 +15,36 @@ use iceoryx2::service::marker::{CustomHeaderMarker, CustomPayloadMarker};
 use iceoryx2::service::static_config::StaticConfig;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern;
 
-/// Services that nobody is in, as far as they have been seen: which file each has, and since when nobody is in it. For moments this is
-/// ordinary: a service is made, or left.
+/// Services seen without participants, with their file and the time since when. This state is normal for moments, while a service is
+/// created or left.
 #[derive(Debug, Default)]
 pub(crate) struct Unused {
     seen: BTreeMap<PathBuf, (File, Instant)>,
-    /// When the folders of participants and services had last changed at the last look.
+    /// The modification times of the folders of participants and services at the last look.
     changed: [Option<SystemTime>; 2],
 }
 
-/// Which file it is: its number, and when it was last changed. A service that is made again under its name has another one.
+/// Inode number and change time: a new service of the same name has another one.
 type File = (u64, i64);
 
-/// What is removed of a service.
 #[derive(Debug)]
 enum Rest {
-    /// It has no memory: its maker failed or was killed between file and memory, or who left last could remove the memory only. iceoryx2
-    /// takes it for one that is being made, and lets nobody in.
+    /// The service has no memory: its creator failed or was killed between file and memory, or the last participant could remove only the
+    /// memory. iceoryx2 treats it as unfinished and rejects all participants.
     File,
-    /// It has memory, and nobody is in it.
     Whole(Box<StaticConfig>),
 }
 
 impl Unused {
-    /// Whether a look may find something new: who comes, leaves or is cleaned up after changes one of the folders.
+    /// Whether a look may find something new: each participant that joins, leaves or is cleaned up changes one of the folders.
     pub(crate) fn is_due(&mut self, changed: [Option<SystemTime>; 2]) -> bool {
         let before = std::mem::replace(&mut self.changed, changed);
         before != changed || !self.seen.is_empty()
     }
 
-    /// Removes services of more than `long` that nobody has been in for a part of that; `age` is that of a file, and their files lie in
-    /// `folder` and begin with `prefix`. Returns the endings of the memory files of those that are closed to everybody: nobody can be in them
-    /// any more, and the next look removes what is left then.
+    /// Removes services that are older than `long` and have been without participants for a quarter of that. `age` gives the age of a file;
+    /// the files are in `folder` and begin with `prefix`. Returns the name endings of the memory files of closed services: they have no
+    /// participants, and the next look removes the rest of them.
     pub(crate) fn remove(
         &mut self,
         node: &iceoryx2::node::Node<Flavour>,
@@ -56,7 +54,7 @@ impl Unused {
         age: impl Fn(&Path) -> Option<Duration>,
     ) -> Vec<String> {
         let mut found = BTreeMap::new();
-        // A list that fails has named some, and the next one goes on.
+        // If the list fails, it has still named some services, and the next look goes on.
         let _listed = Flavour::list(node.config(), |details| {
             let service = details.static_details;
             let path = folder.join(format!("{prefix}{}.service", service.service_hash().as_str()));
@@ -74,19 +72,19 @@ impl Unused {
         let mut closed = Vec::new();
         for (path, (file, rest)) in found {
             let (_, since) = self.seen.entry(path.clone()).or_insert((file, Instant::now()));
-            // Who makes a service has a part of it for moments, and so has who leaves it.
+            // A service is without participants for moments while it is created or left.
             if since.elapsed() < long / 4 || age(&path).is_none_or(|age| age < long) {
                 continue;
             }
             match rest {
                 Rest::File => {
-                    // Others may do the same at this moment: what fails here has been done there.
+                    // Another participant may remove it at the same moment, so an error is ignored.
                     let _removed = fs::remove_file(path);
                 }
-                // Somebody may join it at this moment, so that iceoryx2's own way is taken: whoever leaves as the last one closes it first.
+                // A participant may join at this moment. So iceoryx2 removes the service: the last participant that leaves closes it first.
                 Rest::Whole(service) => {
                     if is_closed_or_leave(node, &service) {
-                        // Before the service's number stand the domain's prefix and the type's.
+                        // The domain's prefix and the type's prefix precede the service's number.
                         closed.push(format!("_{}.dynamic", service.unique_service_id().value()));
                     }
                 }
@@ -96,8 +94,8 @@ impl Unused {
     }
 }
 
-/// Joins a service of whatever type and leaves it at once, unless it lets nobody in any more: gives whether that is so. What else keeps it out
-/// passes, or is told to whoever needs the service.
+/// Joins a service of any type and leaves it at once. Returns whether the service is closed to all participants. Other errors pass, or the
+/// participant that needs the service reports them.
 #[expect(
     unsafe_code,
     reason = "iceoryx2 has no other way to open a service whose type is not known when this is compiled"
@@ -109,7 +107,7 @@ fn is_closed_or_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConf
         MessagingPattern::PublishSubscribe(about) => {
             let types = about.message_type_details();
             let builder = builder.publish_subscribe::<[CustomPayloadMarker]>().user_header::<CustomHeaderMarker>();
-            // SAFETY: the types are those of the service, and no port is made: nothing is read as any type.
+            // SAFETY: the types are those of the service. Without a port, no data is read as any type.
             let builder = unsafe {
                 builder
                     .__internal_set_payload_type_details(&types.payload)
@@ -133,7 +131,7 @@ fn is_closed_or_leave(node: &iceoryx2::node::Node<Flavour>, service: &StaticConf
             };
             matches!(builder.open(), Err(RequestResponseOpenError::IsMarkedForDestruction))
         }
-        // Roomcast has none.
+        // Roomcast has no other patterns.
         _ => false,
     }
 }

@@ -70,7 +70,6 @@ impl From<Option<&str>> for Who {
 }
 
 impl Who {
-    /// The number and the name that a message has.
     pub(crate) fn in_message(&self) -> Result<(u32, &str), IpcError> {
         match self {
             Self::Somebody => Ok((ALL_PERSONS, "")),

@@ -1,4 +1,4 @@
-//! The words of the contract: what numbers in messages mean.
+//! Enums for the numbers in messages.
 
 use std::fmt;
 

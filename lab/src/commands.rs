@@ -54,7 +54,7 @@ enum Experiment {
     Card(card::CardArgs),
     /// The forecast over folds: every activity by a model that was trained without it.
     Folds(folds::FoldsArgs),
-    /// The forecast on the sealed split, once: what it finds is written down before it is shown.
+    /// The forecast on the sealed split, once: the result is recorded before it is shown.
     Sealed(folds::SealedArgs),
     /// The paper's Table I: disturbance by prompt.
     Table1(study::Table1Args),
@@ -64,17 +64,17 @@ enum Experiment {
     Ablation(study::AblationArgs),
     /// Disturbance against coverage for every policy and weight, with the clairvoyant bound.
     Pareto(study::ParetoArgs),
-    /// How well the forecast says where the person will be, by horizon.
+    /// How well the forecast names the person's room, by horizon.
     Horizon(study::StudyArgs),
-    /// How well a home is learned, day by day: every forecast is made first and learned from then.
+    /// How well a home is learned, day by day: every forecast comes before its lesson.
     Habits(habits::HabitsArgs),
-    /// How often the next sentence is among those that are scored ahead.
+    /// How often the next sentence is among the prefetched ones.
     Guesses(guesses::GuessesArgs),
-    /// How well the tracker knows who is where, in simulated homes with sensors.
+    /// How well the tracker finds each person, in simulated homes with sensors.
     Persons(persons::PersonsArgs),
     /// What people ask of a robot at home: days of households, by each way to control it.
     Wishes(wishes::WishesArgs),
-    /// Try a model file, for another process of this program that loads it then.
+    /// Try a model file, for another process of this program that loads it afterwards.
     #[command(hide = true)]
     Model {
         #[command(subcommand)]
@@ -94,19 +94,18 @@ enum Rehearse {
     },
 }
 
-/// What all experiments share: model, window and cache.
 #[derive(Debug, Clone, clap::Args)]
 struct ModelArgs {
-    /// A GGUF model; the embedded household model when left out.
+    /// A GGUF model; by default the embedded household model.
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Observations in the history window, the paper's n_h, exactly, 1 to 1000; the daemon's default window when left out.
     #[arg(long, value_name = "N", value_parser = ranges::observations())]
     history: Option<usize>,
-    /// How labels are scored; all methods agree up to rounding.
+    /// The method of scoring; all methods agree up to rounding.
     #[arg(long, value_parser = choice::<Method>(), default_value_t)]
     method: Method,
-    /// How prompt and labels are cut into tokens.
+    /// The tokenisation of prompt and labels.
     #[arg(long, value_parser = choice::<Tokenisation>(), default_value_t)]
     tokenisation: Tokenisation,
     #[command(flatten)]
@@ -117,7 +116,7 @@ struct ModelArgs {
     /// How the key-value cache is stored. In single precision, unlike in the running system, results depend less on the processor.
     #[arg(long, value_parser = choice::<CacheType>(), default_value_t = CacheType::F32)]
     kv_cache: CacheType,
-    /// Where scores are kept for the next run; below the user's cache folder when left out.
+    /// Where scores are kept for the next run; by default below the user's cache folder.
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
     /// Keep no scores.
@@ -145,14 +144,13 @@ impl ModelArgs {
         })
     }
 
-    /// The product's scorer for a map's labels.
     fn source(&self, grounding: &Grounding) -> Result<ScoreSource<LlamaModel>, ExperimentError> {
         let default = LlamaOptions::default();
         let threads = if self.threads == 0 { default.threads } else { self.threads };
         let model = model::load(self.model.as_deref(), &LlamaOptions { threads, cache: self.kv_cache, ..default })
             .map_err(|failure| StudyError::Model(failure.error))?;
         let labels = grounding.label_texts();
-        // Scores of another arithmetic are others.
+        // Another arithmetic gives other scores, so it has its own cache.
         let folder = self.cache().map(|folder| match self.kv_cache {
             CacheType::F32 => folder,
             other => folder.join(format!("{other:?}").to_lowercase()),
@@ -161,10 +159,11 @@ impl ModelArgs {
     }
 }
 
-/// How the forecast tells like things apart.
+/// How the forecast distinguishes things of a kind.
 #[derive(Debug, Clone, clap::Args)]
 struct LikeThingsArgs {
-    /// The part of a label that like things share evenly in the forecast; the rest goes to those that are near or were in use. 1 is Equation 2.
+    /// The part of a label that things of a kind share evenly in the forecast; the rest goes to near things and things in use. 1 is
+    /// Equation 2.
     #[arg(long, value_name = "P", default_value_t = ForecastOptions::default().any_thing, value_parser = ranges::share)]
     any_thing: f64,
 }
@@ -175,7 +174,6 @@ impl LikeThingsArgs {
     }
 }
 
-/// Arguments of `roomcast-lab forecast`.
 #[derive(Debug, clap::Args)]
 struct ForecastArgs {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
@@ -184,7 +182,7 @@ struct ForecastArgs {
     /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
     #[arg(long, value_name = "FILE", required = true)]
     scene: Vec<PathBuf>,
-    /// Programs that the baselines are counted on, may be repeated; the statistics of the embedded model's training split when left out.
+    /// Programs that the baselines are counted on, may be repeated; by default the statistics of the embedded model's training split.
     #[arg(long, value_name = "DIR")]
     fit: Vec<PathBuf>,
     /// Take only the programs of a split that a training manifest lists, such as models/manifest.json.
@@ -211,14 +209,14 @@ struct ForecastArgs {
     markdown: bool,
 }
 
-/// The ways of binding that are shown side by side: a person takes any thing of a kind, or the nearest.
+/// The bindings that are shown side by side: a person takes any thing of a kind, or the nearest.
 const BINDINGS: [ItemChoice; 2] = [ItemChoice::Uniform, ItemChoice::Nearest];
 
 fn commands() -> clap::Command {
     take_negative_numbers(Args::command())
 }
 
-/// Parses the command line, runs the experiment and gives the exit code.
+/// Parses the command line, runs the experiment and returns the exit code.
 pub fn main() -> ExitCode {
     match Args::from_arg_matches(&commands().get_matches()) {
         Ok(args) => ended("roomcast", run(&args)),
@@ -276,17 +274,15 @@ fn run_forecast(args: &ForecastArgs) -> CommandResult {
     roomcast_cli::print(&if args.markdown { forecast_markdown(&report) } else { forecast_text(&report) })
 }
 
-/// What the baselines know of the embedded model's training split.
 fn embedded_statistics() -> Result<Statistics, Failure> {
     Statistics::from_json(roomcast_services::embedded::STATISTICS).map_err(|e| Failure::new(exit_code::FAILURE, e))
 }
 
-/// How scores were corrected, by each of the models.
 fn corrections(report: &Report) -> String {
     report.corrections.iter().map(ToString::to_string).collect::<Vec<_>>().join(", or ")
 }
 
-/// Counts of `own` programs and those of folders, smoothed as `statistics` are, which are taken where no folder is given.
+/// Counts of `own` programs and of folders, smoothed like `statistics`; without a folder `statistics` itself.
 fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) -> Result<Statistics, Failure> {
     if folders.is_empty() {
         return Ok(statistics.clone());
@@ -301,7 +297,6 @@ fn fitted(own: &[NamedProgram], folders: &[PathBuf], statistics: &Statistics) ->
     Ok(Statistics { kneser_ney: statistics.kneser_ney, ..counts })
 }
 
-/// Each once, in their order.
 fn distinct<T: Copy + PartialEq>(given: &[T]) -> Vec<T> {
     let mut once = Vec::new();
     for own in given {
@@ -312,7 +307,7 @@ fn distinct<T: Copy + PartialEq>(given: &[T]) -> Vec<T> {
     once
 }
 
-/// Results go by the names of scenes, so no two may have the same.
+/// Results name scenes, so no two may have the same name.
 fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
     let mut maps: Vec<(SemanticMap, Grounding)> = Vec::with_capacity(paths.len());
     for path in paths {
@@ -332,10 +327,8 @@ fn maps(paths: &[PathBuf]) -> Result<Vec<(SemanticMap, Grounding)>, Failure> {
     Ok(maps)
 }
 
-/// The end of the names of VirtualHome's environment graphs.
 const GRAPH: &str = "_graph.json";
 
-/// A scene, or a VirtualHome graph as `roomcast scene import` reads it.
 fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let Some(name) = name.strip_suffix(GRAPH) else { return Ok(setup::load_map(Some(path))?) };
@@ -344,21 +337,18 @@ fn load_map(path: &Path) -> Result<SemanticMap, Failure> {
     Ok(import::virtualhome(&text, name, None).map_err(|e| failed(e.to_string()))?.map)
 }
 
-/// The split that a manifest's model was trained on.
 const TRAINED: &str = "train";
 /// The split that only `roomcast-lab sealed` opens.
 const SEALED: &str = "sealed";
 
-/// A manifest that the training writes.
 #[derive(Debug, serde::Deserialize)]
 struct Manifest {
     #[serde(skip)]
     path: PathBuf,
     splits: BTreeMap<String, Split>,
-    /// What trained the model.
     #[serde(default)]
     command: String,
-    /// Titles near one another, by the name of their activity.
+    /// Similar titles, by the name of their activity.
     #[serde(default)]
     activities: BTreeMap<String, Vec<String>>,
 }
@@ -380,7 +370,7 @@ impl Manifest {
         Failure::new(exit_code::INPUT, format!("{}: {error}", self.path.display()))
     }
 
-    /// The programs of a split, with their activities. The sealed one is left to `roomcast-lab sealed`.
+    /// The programs of a split, with their activities. Only `roomcast-lab sealed` may use the sealed one.
     fn split(&self, programs: Vec<NamedProgram>, name: &str) -> Result<Vec<NamedProgram>, Failure> {
         if name == SEALED {
             return Err(self.failed("the sealed split is opened once, by `roomcast-lab sealed`"));
@@ -402,7 +392,7 @@ impl Manifest {
             .iter()
             .flat_map(|(activity, titles)| titles.iter().map(|title| (title.as_str(), activity.as_str())))
             .collect();
-        // The manifest's paths are relative to the data's root: the ends of the programs' paths.
+        // The manifest's paths are relative to the data's root, so they are suffixes of the programs' paths.
         let listed = |path: &Path| {
             let parts: Vec<_> = path.components().collect();
             (0..parts.len()).any(|from| files.contains(parts[from..].iter().collect::<PathBuf>().as_path()))
@@ -535,7 +525,6 @@ fn forecast_text(report: &Report) -> String {
     text
 }
 
-/// Says how many programs have no case, where there are any.
 fn left_out(report: &Report) -> String {
     match report.programs_without_case {
         0 => String::new(),
@@ -543,13 +532,13 @@ fn left_out(report: &Report) -> String {
     }
 }
 
-/// The tables of the model card: next object and next room, both ways of binding, and the differences from the baselines.
+/// The tables of the model card: next object and next room, both bindings, and the differences from the baselines.
 fn forecast_markdown(report: &Report) -> String {
     let cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
         None => format!("{value:.2}"),
         Some([low, high]) => format!("{value:.2} [{low:.2}, {high:.2}]"),
     };
-    // Of a difference it matters most on which side of zero an end is.
+    // For a difference, the sign of each end matters most.
     let end = |end: f64| if end != 0.0 && end.abs() < 0.005 { format!("{end:+.3}") } else { format!("{end:.2}") };
     let less_cell = |(value, interval): (f64, Option<[f64; 2]>)| match interval {
         None => end(value),
@@ -685,7 +674,6 @@ fn forecast_markdown(report: &Report) -> String {
     text
 }
 
-/// A table in Markdown.
 fn markdown<H: AsRef<str>, C: AsRef<str>>(header: &[H], rows: &[Vec<C>]) -> String {
     let line = |cells: &mut dyn Iterator<Item = &str>| {
         let cells: Vec<String> = cells.map(|cell| cell.replace('|', "\\|")).collect();
@@ -705,7 +693,7 @@ fn target_name(target: Target) -> String {
 mod tests {
     use super::*;
 
-    /// clap finds a default of another type than its option only when it reads the option.
+    /// clap notices a default of the wrong type only when it reads the option.
     #[test]
     fn defaults_of_each_experiment_have_the_types_of_their_options() {
         for name in Args::command().get_subcommands().map(|one| one.get_name().to_owned()) {

@@ -1,36 +1,36 @@
-//! Which processor cores the scorer may use.
+//! Binds the scorer to processor cores.
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// Cores that cannot be used.
+/// The cores cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum AffinityError {
-    /// A core that this process may not run on.
+    /// The process may not run on a core.
     #[error("model.cores names core {core}, but this process may run on {allowed:?} only: name some of these, or none")]
     Unknown {
         /// The core.
         core: usize,
-        /// Those it may run on.
+        /// The cores that it may run on.
         allowed: Vec<usize>,
     },
-    /// The system refuses.
+    /// The system refused.
     #[error("the scorer cannot be bound to the cores {cores:?} (model.cores): {source}")]
     Refused {
         /// The cores.
         cores: Vec<usize>,
-        /// The system's word.
+        /// The system's error.
         source: std::io::Error,
     },
 }
 
-/// Binds the calling thread, and every thread that it starts from now on, to `cores`; to none in particular when there are none.
+/// Binds the calling thread, and every thread that it starts from now on, to `cores`. Does nothing if `cores` is empty.
 ///
-/// llama.cpp's threads are started by the thread that decodes first, so binding that one binds them all.
+/// The thread that decodes first starts llama.cpp's threads, so binding that one binds them all.
 ///
 /// # Errors
 ///
-/// [`AffinityError`] when a core does not exist or is not this process's to use.
+/// [`AffinityError`] if a core does not exist or this process may not run on it.
 pub fn bind(cores: &[usize]) -> Result<(), AffinityError> {
     if cores.is_empty() {
         return Ok(());

@@ -1,35 +1,35 @@
 //! Reads and checks the header of a GGUF model file without llama.cpp.
 //!
-//! llama.cpp trusts a model file further than a service may: some broken vocabularies end the process. So every file is read
-//! here first, in safe code with a limit on everything, and only a file whose metadata, vocabulary and tensor extents are
-//! consistent is handed on. The same header feeds `roomcast model info`.
+//! llama.cpp trusts a model file further than a service may: some broken vocabularies end the process. So safe code with a limit on
+//! everything reads every file first. llama.cpp gets only a file with consistent metadata, vocabulary and tensor extents. The same header
+//! feeds `roomcast model info`.
 //!
-//! Format: GGUF versions 2 and 3, little-endian, as llama.cpp writes them: magic, version, tensor count, metadata count, metadata
-//! (key, type, value), tensor descriptions (name, shape, type, offset), padding to the alignment, tensor data.
+//! Format: GGUF versions 2 and 3, little-endian, as llama.cpp writes them: magic, version, tensor count, metadata count, metadata (key,
+//! type, value), tensor descriptions (name, shape, type, offset), padding to the alignment, tensor data.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Metadata entries that a header may have; known models have fewer than a hundred.
+/// Most metadata entries of a header; known models have fewer than a hundred.
 const METADATA_ENTRIES_MAX: u64 = 4_096;
-/// Tensors that a file may describe; models of 400 billion parameters have about two thousand.
+/// Most tensors of a file; models of 400 billion parameters have about two thousand.
 const TENSORS_MAX: u64 = 65_536;
-/// Bytes of one key or one string of the metadata; chat templates are the longest, with some tens of kilobytes.
+/// Most bytes of one key or string of the metadata; chat templates are the longest, with some tens of kilobytes.
 const STRING_BYTES_MAX: u64 = 1 << 20;
-/// Elements of one metadata array; the largest vocabularies have about 300 000 tokens.
+/// Most elements of one metadata array; the largest vocabularies have about 300 000 tokens.
 const ARRAY_ELEMENTS_MAX: u64 = 1 << 22;
-/// Bytes of all keys, texts and tokens together as they lie in memory; the largest vocabularies take some 12 MB.
+/// Most bytes of all keys, texts and tokens together in memory; the largest vocabularies take some 12 MB.
 const KEPT_BYTES_MAX: u64 = 64 << 20;
-/// Bytes of one tensor name, the terminating zero of llama.cpp's buffer included.
+/// Most bytes of one tensor name, with the terminating zero of llama.cpp's buffer.
 const TENSOR_NAME_BYTES_MAX: u64 = 64;
-/// Dimensions of a tensor in ggml.
+/// ggml's limit on the dimensions of a tensor.
 const DIMENSIONS_MAX: u32 = 4;
-/// Alignment of the tensor data where `general.alignment` does not say otherwise.
+/// Alignment of the tensor data without `general.alignment`.
 const ALIGNMENT_BYTES_DEFAULT: u64 = 32;
 
-/// Why a file is not a usable GGUF model.
+/// The file is not a usable GGUF model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GgufError {
@@ -38,7 +38,7 @@ pub enum GgufError {
     Io {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The first four bytes are not `GGUF`.
@@ -51,7 +51,7 @@ pub enum GgufError {
         /// Its first four bytes, unprintable ones escaped.
         found: String,
     },
-    /// A version other than 2 and 3, or a big-endian file.
+    /// The version is not 2 or 3, or the file is big-endian.
     #[error(
         "{path} has GGUF version {version}, and versions 2 and 3 in little-endian order can be read; convert the model again with a current llama.cpp"
     )]
@@ -68,14 +68,14 @@ pub enum GgufError {
     Truncated {
         /// The file.
         path: PathBuf,
-        /// What was being read.
+        /// The part that was read.
         place: String,
-        /// Where the file would have to end, in bytes from its start.
+        /// The least size of a complete file, in bytes.
         needed: u64,
         /// The file's size, in bytes.
         size_bytes: u64,
     },
-    /// The header contradicts itself or passes a limit.
+    /// The header contradicts itself or exceeds a limit.
     #[error(
         "{path} is malformed at {place}: {reason}; the file is damaged or was written by a faulty tool, get it again from its source"
     )]
@@ -84,39 +84,39 @@ pub enum GgufError {
         path: PathBuf,
         /// The metadata key or the tensor.
         place: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
-    /// A sound GGUF file that holds no language model that can score text.
+    /// A valid GGUF file without a language model that can score text.
     #[error(
         "{path} holds no language model that Roomcast can run: {reason}; choose a GGUF file of a causal language model with its vocabulary"
     )]
     NotALanguageModel {
         /// The file.
         path: PathBuf,
-        /// What is missing.
+        /// The missing part.
         reason: String,
     },
-    /// One part of a model in several files, and the others are not there.
+    /// The file is one part of a model in several files, and other parts are missing.
     #[error("{path} is part {number} of {count} of a model: {reason}")]
     Parts {
         /// The file.
         path: PathBuf,
-        /// Which part it is, from 1.
+        /// The number of the part, from 1.
         number: u64,
-        /// How many parts the model has.
+        /// The number of parts of the model.
         count: u64,
-        /// What is wrong, and the remedy.
+        /// The fault, and the remedy.
         reason: String,
     },
 }
 
-/// A metadata value. Arrays are checked and counted, and only those that a check needs are kept.
+/// A metadata value. Arrays are checked and counted; only arrays that a later check needs are stored.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// Any of the unsigned integers.
+    /// An unsigned integer of any size.
     Unsigned(u64),
-    /// Any of the signed integers.
+    /// A signed integer of any size.
     Signed(i64),
     /// f32 or f64.
     Float(f64),
@@ -165,7 +165,7 @@ pub struct Header {
     vocabulary: Vec<Vec<u8>>,
 }
 
-/// Name, elements per block and bytes per block of a ggml tensor type; none for the numbers that ggml has retired or not given.
+/// Name, elements per block and bytes per block of a ggml tensor type; `None` for a number that ggml has retired or not assigned.
 fn tensor_type(number: u32) -> Option<(&'static str, u64, u64)> {
     Some(match number {
         0 => ("F32", 1, 4),
@@ -230,16 +230,14 @@ const TYPE_ARRAY: u32 = 9;
 const VOCABULARY_KEY: &str = "tokenizer.ggml.tokens";
 /// Most parts of a model: llama.cpp counts them in 16 bits.
 const PARTS_MAX: u64 = 65_535;
-/// llama.cpp's program that splits and joins models.
 const JOIN: &str = "join them with llama.cpp's `llama-gguf-split --merge`";
 
-/// A reader that knows its place in the file, so that every error can name it and no length is believed before it is checked.
+/// A reader that knows its place in the file, so that every error can name it and each length is checked before it is used.
 struct Cursor<'a> {
     input: BufReader<File>,
     path: &'a Path,
     position: u64,
     size_bytes: u64,
-    /// What is kept of the metadata so far, in bytes.
     kept_bytes: u64,
 }
 
@@ -248,7 +246,7 @@ impl Cursor<'_> {
         GgufError::Malformed { path: self.path.to_owned(), place: place.to_owned(), reason: reason.into() }
     }
 
-    /// Fails where fewer than `bytes` remain, before anything of that size is allocated.
+    /// Fails if fewer than `bytes` remain. Called before memory of that size is allocated.
     fn require(&self, bytes: u64, place: &str) -> Result<(), GgufError> {
         let needed = self.position.saturating_add(bytes);
         if needed > self.size_bytes {
@@ -271,7 +269,7 @@ impl Cursor<'_> {
 
     fn skip(&mut self, bytes: u64, place: &str) -> Result<(), GgufError> {
         self.require(bytes, place)?;
-        // Relative, so that what is already buffered is not read again.
+        // A relative seek keeps the buffered bytes.
         let step = i64::try_from(bytes).map_err(|_| self.malformed(place, "its size passes 2^63 bytes"))?;
         self.input.seek_relative(step).map_err(|source| GgufError::Io { path: self.path.to_owned(), source })?;
         self.position += bytes;
@@ -304,7 +302,7 @@ impl Cursor<'_> {
         Ok(buffer)
     }
 
-    /// Counts what is to be kept, and fails where it is too much together.
+    /// Counts stored bytes, and fails if the sum is too large.
     fn keep(&mut self, bytes: usize, place: &str) -> Result<(), GgufError> {
         self.kept_bytes = self.kept_bytes.saturating_add(bytes as u64);
         if self.kept_bytes > KEPT_BYTES_MAX {
@@ -314,7 +312,7 @@ impl Cursor<'_> {
         Ok(())
     }
 
-    /// A text to keep. Bytes that are not UTF-8 become longer ones.
+    /// Reads a text to store. Bytes that are not UTF-8 become longer ones.
     fn text(&mut self, place: &str) -> Result<String, GgufError> {
         let text = String::from_utf8_lossy(&self.string(STRING_BYTES_MAX, place)?).into_owned();
         self.keep(text.len(), place)?;
@@ -401,7 +399,7 @@ impl Cursor<'_> {
     }
 }
 
-/// Opens a file that is no FIFO and no device: to open one of these is to wait for whoever writes to it.
+/// Opens a plain file. Opening a FIFO or a device would wait for its writer.
 pub(crate) fn open_plain(path: &Path) -> std::io::Result<File> {
     match std::fs::metadata(path)?.is_file() {
         true => File::open(path),
@@ -474,7 +472,7 @@ impl Header {
         let mut placed = Vec::with_capacity(tensors.len());
         for (mut tensor, offset) in tensors {
             let place = format!("tensor {:?}", tensor.name);
-            // llama.cpp wants the tensors packed in the order of their descriptions; anything else overlaps or leaves holes.
+            // llama.cpp expects the tensors in the order of their descriptions, without gaps. Other offsets overlap or leave holes.
             if offset != expected_offset {
                 return Err(
                     cursor.malformed(&place, format!("its data starts at {offset}, expected {expected_offset}"))
@@ -496,8 +494,8 @@ impl Header {
         Ok(Self { path: path.to_owned(), version, size_bytes, metadata, tensors: placed, vocabulary })
     }
 
-    /// Reads the header and checks besides that it describes a language model whose vocabulary llama.cpp can load: what would end
-    /// the process there is an error here. Of a model in several parts, all parts must be there; their tensors and sizes count together.
+    /// Reads the header and also checks that it describes a language model with a vocabulary that llama.cpp can load. A fault that would
+    /// end the process there is an error here. If the model has several parts, all must be there; their tensors and sizes count together.
     ///
     /// # Errors
     ///
@@ -509,7 +507,7 @@ impl Header {
         Ok(header)
     }
 
-    /// As [`Header::read_language_model`], of a file that may be one part of a model: the other parts are not looked for.
+    /// As [`Header::read_language_model`], for a file that may be one part of a model: the other parts may be missing.
     ///
     /// # Errors
     ///
@@ -522,13 +520,13 @@ impl Header {
         Ok(header)
     }
 
-    /// Which part of a model this file is, from 1, and how many parts there are; none for a model in one file.
+    /// The number of this part of the model, from 1, and the number of parts; `None` for a model in one file.
     fn part(&self) -> Option<(u64, u64)> {
         let count = self.unsigned("split.count").filter(|count| (2..=PARTS_MAX).contains(count))?;
         Some((self.unsigned("split.no").unwrap_or(0).saturating_add(1), count))
     }
 
-    /// Adds the tensors of the other parts, whose names follow from the name of the first: `NAME-00001-of-00002.gguf`.
+    /// Adds the tensors of the other parts. Their names follow from the name of the first: `NAME-00001-of-00002.gguf`.
     fn add_parts(&mut self) -> Result<(), GgufError> {
         let Some((number, count)) = self.part() else { return Ok(()) };
         let fail = |reason: String| GgufError::Parts { path: self.path.clone(), number, count, reason };
@@ -571,12 +569,11 @@ impl Header {
         Ok(())
     }
 
-    /// Whether another GGUF file follows the last tensor of this one.
     fn holds_another(&self) -> std::io::Result<bool> {
         let Some(end) = self.tensors.iter().map(|tensor| tensor.start.saturating_add(tensor.size_bytes)).max() else {
             return Ok(false);
         };
-        // The end of the last tensor may be filled up to the alignment.
+        // The end of the last tensor may be padded to the alignment.
         let mut behind = Vec::new();
         let mut file = open_plain(&self.path)?;
         file.seek(SeekFrom::Start(end))?;
@@ -596,7 +593,7 @@ impl Header {
             return refuse(format!("the vocabulary {VOCABULARY_KEY} is missing"));
         }
         let tokens = self.vocabulary.len() as u64;
-        // An empty token is renamed by its number in llama.cpp, so several of them do no harm.
+        // llama.cpp renames an empty token by its number, so several of them are harmless.
         let mut seen = HashSet::with_capacity(self.vocabulary.len());
         for (index, token) in self.vocabulary.iter().enumerate() {
             // llama.cpp reads up to the first zero byte.
@@ -618,7 +615,7 @@ impl Header {
             }
         }
         if self.text("tokenizer.ggml.model") == Some("llama") {
-            // A sentencepiece tokenizer spells unknown characters by bytes, and looks them up without asking whether they exist.
+            // A sentencepiece tokenizer spells unknown characters in bytes, and looks up their tokens without a check that they exist.
             for byte in 0..=u8::MAX {
                 if !seen.contains(format!("<0x{byte:02X}>").as_bytes()) && !seen.contains([byte].as_slice()) {
                     return refuse(format!("its sentencepiece vocabulary has no token for the byte 0x{byte:02X}"));
@@ -651,7 +648,7 @@ impl Header {
         }
     }
 
-    /// A number of the metadata that is not negative.
+    /// A non-negative number of the metadata.
     #[must_use]
     pub(crate) fn unsigned(&self, key: &str) -> Option<u64> {
         match self.metadata.get(key) {
@@ -661,13 +658,13 @@ impl Header {
         }
     }
 
-    /// A value of the metadata written out, of an array its type and length.
+    /// A value of the metadata as text; for an array its type and length.
     #[must_use]
     pub fn written(&self, key: &str) -> Option<String> {
         Some(match self.metadata.get(key)? {
             Value::Unsigned(number) => number.to_string(),
             Value::Signed(number) => number.to_string(),
-            // Most are of single precision, and would show digits that nobody wrote.
+            // Most are of single precision, and would show excess digits.
             Value::Float(number) => (*number as f32).to_string(),
             Value::Bool(value) => value.to_string(),
             Value::Text(text) => text.clone(),
@@ -729,7 +726,7 @@ mod tests {
         text(out, value);
     }
 
-    /// A file as small as one can be and still pass: two byte-fallback-free "gpt2" tokens and their embedding of 32 values each.
+    /// The smallest file that passes: "gpt2" tokens without byte fallback, and their embedding of 32 values each.
     fn tiny(tokens: &[&str]) -> Vec<u8> {
         let mut out = b"GGUF".to_vec();
         out.extend(3_u32.to_le_bytes());
@@ -840,7 +837,7 @@ mod tests {
         assert!(matches!(read(&old).unwrap_err(), GgufError::Version { version: 1, .. }));
     }
 
-    /// A test that waits for ever is one that a FIFO holds up.
+    /// A FIFO would block this test for ever.
     #[test]
     fn what_is_no_plain_file_is_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -855,7 +852,7 @@ mod tests {
         assert!(matches!(Header::read(&folder.path().join("none")).unwrap_err(), GgufError::Io { .. }));
     }
 
-    /// Entries that are each within the limits, each of bytes that become three times as many, or of tokens without a byte.
+    /// Each entry is within the limits, but their sum is not: of bytes that become three times as many, or of tokens without a byte.
     #[test]
     fn metadata_is_bounded_in_sum() {
         let mut many = b"GGUF".to_vec();
@@ -889,13 +886,13 @@ mod tests {
         assert!(error.contains("token 1 of the vocabulary, \"a\", occurs twice"), "{error}");
         let error = read(&tiny(&["a", "a\0b"])).unwrap_err().to_string();
         assert!(error.contains("occurs twice"), "llama.cpp reads both as \"a\": {error}");
-        // The same file as a sentencepiece model lacks the tokens of the bytes.
+        // The same file lacks the byte tokens of a sentencepiece model.
         let bytes = tiny(&["a", "b"]);
         let at = bytes.windows(4).position(|window| window == b"gpt2").unwrap();
         let mut spm = bytes[..at - 8].to_vec();
         text(&mut spm, "llama");
         spm.extend(&bytes[at + 4..]);
-        // One byte longer than before: the padding before the tensor data shrinks by it.
+        // The name is one byte longer, so the padding before the tensor data shrinks by one.
         let header_end =
             spm.windows(17).position(|window| window == b"token_embd.weight").unwrap() + 17 + 4 + 16 + 4 + 8;
         spm.remove(header_end);

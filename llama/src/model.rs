@@ -1,11 +1,10 @@
-//! llama.cpp as a [`LanguageModel`]: the one file that talks to it.
+//! llama.cpp as a [`LanguageModel`]. No other file calls it.
 //!
-//! **The prefix is kept.** After a call the cache holds the prompt on every sequence in use; the next call removes what
-//! differs and decodes only the rest.
+//! **The prefix stays.** After a call the cache holds the prompt on every sequence in use. The next call removes only the difference and
+//! decodes only the rest.
 //!
-//! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call: a token carries the ids of
-//! all paths through it, and a prompt token those of all paths (which needs the unified cache). Trees with more paths
-//! than sequences go in waves.
+//! **One batch.** New prompt tokens and the tree behind them go to the decoder in one call. A token carries the ids of all paths through
+//! it, and a prompt token the ids of all paths, which needs the unified cache. Trees with more paths than sequences go in several calls.
 
 use std::cell::RefCell;
 use std::io::Read;
@@ -38,21 +37,21 @@ use crate::gguf::{Header, open_plain};
 
 /// llama.cpp's own limit on sequences in a context (LLAMA_MAX_SEQ).
 pub const SEQUENCES_MAX: u32 = 256;
-/// Most threads of one decoder call; llama.cpp reads and writes beyond its memory with too many.
+/// Most threads of one decoder call; with more, llama.cpp accesses memory out of bounds.
 pub const THREADS_MAX: usize = 256;
 
-/// Tokens times parameters of a call for which nobody waits: an event that comes meanwhile waits for its end, or shares the memory with it.
-/// A core of some years ago takes 20 to 60 ms for it; a call reads all weights, so smaller ones cost more together.
+/// Tokens times parameters of a call in the background. A new event waits for its end, or shares the memory with it. A core of some years
+/// ago takes 20 to 60 ms for it. A call reads all weights, so smaller calls take more time in all.
 const SMALL_CALL: u64 = 2_000_000_000;
-/// Most tokens of it: llama.cpp keeps memory for as many.
+/// Most tokens of such a call: llama.cpp allocates memory for them.
 const SMALL_CALL_TOKENS: usize = 64;
 
 /// Most parameters of a model for which [`CacheType::Auto`] is [`CacheType::Q8`]: with 11 million it takes less time than `mixed`, with 135 million more.
 const Q8_PARAMETERS_MAX: u64 = 50_000_000;
-/// A context has a multiple of so many positions, as llama.cpp rounds them up, and at least so many.
+/// llama.cpp rounds the positions of a context up to a multiple of this.
 const POSITIONS_STEP: u32 = 256;
 
-/// llama.cpp computes so many tokens of a call at a time: its buffers have a row of logits for each, and an event is seldom longer.
+/// Tokens that llama.cpp computes at a time. Its buffers have a row of logits for each, and most events are shorter.
 const TOKENS_AT_A_TIME: u32 = 128;
 
 roomcast_core::choices! {
@@ -79,7 +78,6 @@ roomcast_core::choices! {
 }
 
 impl CacheType {
-    /// `Auto` for one model.
     fn chosen(self, header: &Header, parameters: u64) -> Self {
         match self {
             Self::Auto => {
@@ -91,7 +89,7 @@ impl CacheType {
         }
     }
 
-    /// How keys and values are stored, and whether llama.cpp's fused attention reads them.
+    /// The types of keys and values, and whether llama.cpp's fused attention reads them.
     fn stored(self) -> (KvCacheType, KvCacheType, bool) {
         match self {
             Self::F16 => (KvCacheType::F16, KvCacheType::F16, false),
@@ -102,16 +100,16 @@ impl CacheType {
     }
 }
 
-/// Numbers in a block of [`CacheType::Q8`]: a head's keys and values are whole blocks.
+/// Numbers in a block of [`CacheType::Q8`]: a head's keys and values fill whole blocks.
 const BLOCK: u64 = 32;
 
-/// How a model is run.
+/// Options of a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LlamaOptions {
     /// Threads of one decoder call, 1 to [`THREADS_MAX`].
     pub threads: usize,
-    /// Most positions in the cache: prompt and tree together. No more than the model was trained with is used, and memory is taken for those
-    /// that are needed ([`LanguageModel::reserve`]).
+    /// Most positions in the cache: prompt and tree together. The model's training length limits them, and memory is allocated when it is
+    /// needed ([`LanguageModel::reserve`]).
     pub context_tokens: u32,
     /// Paths that are decoded in one call, 1 to [`SEQUENCES_MAX`].
     pub sequences: u32,
@@ -123,8 +121,8 @@ pub struct LlamaOptions {
 
 impl Default for LlamaOptions {
     fn default() -> Self {
-        // A core is left for the rest of the robot, also of two: the threads of a call wait for one another a hundred times, so whatever
-        // takes one core away holds up all.
+        // One core stays free for the rest of the robot, even of two. The threads of a call wait for one another a hundred times, so a core
+        // in other use delays all of them.
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             threads: cores.saturating_sub(1).max(1),
@@ -137,12 +135,11 @@ impl Default for LlamaOptions {
 }
 
 impl LlamaOptions {
-    /// Positions of a context of a model that was trained on sequences of `trained_tokens`.
     fn positions(&self, trained_tokens: u32) -> u32 {
         self.context_tokens.min(trained_tokens).max(1)
     }
 
-    /// llama.cpp's own parameters for a context of a model that was trained on sequences of `trained_tokens`.
+    /// llama.cpp's context parameters for a model that was trained on sequences of `trained_tokens`.
     #[must_use]
     pub fn context_parameters(&self, trained_tokens: u32) -> LlamaContextParams {
         let positions = self.positions(trained_tokens);
@@ -158,7 +155,7 @@ impl LlamaOptions {
             .with_n_threads_batch(threads)
             .with_type_k(keys)
             .with_type_v(values)
-            // One canonical arithmetic: of keys and values in half or single precision, the fused kernels sum in half precision.
+            // The fused kernels sum half or single precision in half precision. Only Q8 uses them, so that the arithmetic stays the same.
             .with_flash_attention_policy(if fused {
                 llama_cpp_sys_2::LLAMA_FLASH_ATTN_TYPE_ENABLED
             } else {
@@ -171,7 +168,7 @@ impl LlamaOptions {
 }
 
 self_cell::self_cell!(
-    /// A context borrows its weights; both live and move together. Who counts tokens on another thread shares the weights.
+    /// A context borrows its weights, so both move together. Another thread that counts tokens shares the weights.
     struct Loaded {
         owner: Arc<Weights>,
         #[not_covariant]
@@ -186,18 +183,16 @@ pub struct LlamaModel {
     batch_tokens: usize,
     info: ModelInfo,
     options: LlamaOptions,
-    /// Of the context; its limit is in `info`.
     positions: u32,
-    /// Of a call for which nobody waits.
     small_tokens: usize,
-    /// Of one that works ahead on a thread of its own.
+    /// Set on the prefetcher's copy.
     is_stopped: Option<IsStopped>,
     moved: Option<Progress>,
     add_start_token: bool,
     start_token: Token,
     sentences_apart: bool,
     sequences: u32,
-    /// Prompt whose keys and values are in the cache.
+    /// The prompt in the cache.
     kept: Vec<Token>,
     /// Sequences `0..kept_sequences` hold it.
     kept_sequences: u32,
@@ -215,8 +210,8 @@ impl std::fmt::Debug for LlamaModel {
     }
 }
 
-/// llama.cpp's process-wide state, set up once; its log goes to `tracing`. Public for what runs llama.cpp by itself beside the
-/// scorer, to compare: nobody else can set it up a second time.
+/// Sets up llama.cpp's process-wide state once; its log goes to `tracing`. This is public for programs that also run llama.cpp directly, to
+/// compare: a second set-up fails.
 ///
 /// # Errors
 /// Why it cannot be set up.
@@ -234,8 +229,7 @@ pub fn backend() -> Result<&'static LlamaBackend, String> {
     Ok(BACKEND.get_or_init(|| backend))
 }
 
-/// Loads the kernels that fit this processor best, of those that lie beside the program: in `../lib/roomcast` as a package has
-/// them, else where this build put them.
+/// Loads the kernels that fit this processor best: from `../lib/roomcast` of a package, else from this build's folder.
 #[cfg(feature = "portable")]
 fn load_kernels() -> Result<(), String> {
     use llama_cpp_2::llama_backend::load_backends_from_path;
@@ -266,8 +260,8 @@ pub fn build_features() -> Result<Vec<String>, ModelError> {
     backend().map_err(fail)?;
     let guard = ASKING.lock().map_err(|_| fail("asking for its features failed before".into()))?;
     #[expect(unsafe_code, reason = "llama-cpp-2 has no safe function for it")]
-    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites; the lock keeps other calls
-    // away until it is copied, and the backend is set up.
+    // SAFETY: the function returns a zero-terminated text in a static that the next call rewrites. The lock keeps other calls away until it
+    // is copied, and the backend is set up.
     let text =
         unsafe { std::ffi::CStr::from_ptr(llama_cpp_sys_2::llama_print_system_info()) }.to_string_lossy().into_owned();
     drop(guard);
@@ -292,21 +286,21 @@ pub fn file_sha256(path: &Path) -> std::io::Result<[u8; 32]> {
     }
 }
 
-/// The widths of the model's keys and values per head. A model that does not say one in one number has none here.
+/// The widths of the model's keys and values per head. `None` if the model has no single number for it.
 fn head_widths(header: &Header) -> [Option<u64>; 2] {
     let number = |name| header.architecture_number(name);
     let even = || number("embedding_length")?.checked_div(number("attention.head_count")?);
     [number("attention.key_length").or_else(even), number("attention.value_length").or_else(even)]
 }
 
-/// A width of the model's heads that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp refuses others that it cannot store.
+/// A head width that does not fill whole blocks of [`CacheType::Q8`]. llama.cpp rejects other widths that it cannot store.
 fn broken_blocks(header: &Header) -> Option<u64> {
     head_widths(header).into_iter().flatten().find(|width| width % BLOCK != 0)
 }
 
-/// Whether texts may be cut into tokens sentence by sentence with this SentencePiece vocabulary: it merges two neighbours only to a token
-/// that it has, best score first, so nothing merges across the end of a sentence and a space when no token holds both. Tokens of the user's
-/// own are cut out by other rules, and scores that are no numbers have no order.
+/// Whether texts may be tokenised sentence by sentence with this SentencePiece vocabulary. It merges two neighbours only to a token that it
+/// has, best score first. So it merges nothing across the end of a sentence and a space if no token contains both. User-defined tokens
+/// follow other rules, and NaN scores have no order.
 fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
     let cut = |text: &str| vocabulary.tokenize(text.as_bytes(), false, false);
     let joins = |token| {
@@ -317,14 +311,13 @@ fn sentences_apart(vocabulary: &LlamaVocab<'_>) -> bool {
                 [".\u{2581}", "!\u{2581}", "?\u{2581}"].iter().any(|both| text.contains(both))
             })
     };
-    // Without a space put before every text, a sentence by itself is another one than behind a space.
+    // If the vocabulary does not put a space before every text, a sentence alone differs from one after a space.
     [cut("a."), cut("a")].concat() == cut("a. a") && !vocabulary.tokens().any(joins)
 }
 
-/// The parameters of a context of `positions` that decodes up to `batch_tokens` in a call.
 fn sized(options: &LlamaOptions, trained_tokens: u32, positions: u32, batch_tokens: u32) -> LlamaContextParams {
     let parameters = options.context_parameters(trained_tokens).with_n_ctx(NonZeroU32::new(positions));
-    // llama.cpp aborts where a batch has fewer tokens than there are sequences.
+    // llama.cpp aborts if a batch has fewer tokens than there are sequences.
     parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens.min(TOKENS_AT_A_TIME))
 }
 
@@ -339,7 +332,7 @@ fn load_context(
     Loaded::try_new(weights, |weights| weights.new_context(backend, parameters)).map_err(|e| e.to_string())
 }
 
-/// How many tokens a [`SMALL_CALL`] has, at most `most`: llama.cpp multiplies by fours.
+/// Tokens of a [`SMALL_CALL`], at most `most`. llama.cpp multiplies by fours.
 fn small_tokens(parameters: u64, most: usize) -> usize {
     let tokens = usize::try_from(SMALL_CALL / parameters.max(1)).unwrap_or(usize::MAX);
     let tokens = if tokens >= 4 { tokens / 4 * 4 } else { tokens.max(1) };
@@ -353,7 +346,7 @@ impl LlamaModel {
     /// When the file is missing, damaged, or of a kind that llama.cpp cannot run.
     pub fn load(path: &Path, options: &LlamaOptions) -> Result<Self, ModelError> {
         let fail = |reason: String| ModelError::Load { path: path.display().to_string(), reason };
-        // llama.cpp may abort on a damaged file, and take the service with it.
+        // llama.cpp may abort on a damaged file and end the service.
         let header = Header::read_language_model(path).map_err(|fault| ModelError::File(Box::new(fault)))?;
         if options.cache == CacheType::Q8
             && let Some(width) = broken_blocks(&header)
@@ -364,10 +357,10 @@ impl LlamaModel {
         }
         let fingerprint = file_sha256(path).map_err(|e| fail(e.to_string()))?;
         let backend = backend().map_err(fail)?;
-        // Read, not mapped: of a mapped file, what is cut off while it is in use ends this process (SIGBUS).
+        // The file is read, not mapped. If a mapped file is truncated while it is in use, this process ends (SIGBUS).
         let parameters = LlamaModelParams::default().with_use_mmap(false).with_use_mlock(options.lock_memory);
         let weights = Weights::load_from_file(backend, path, &parameters);
-        // llama.cpp does not say that it lacks memory.
+        // llama.cpp does not report a lack of memory.
         let weights = weights.map_err(|error| match getrlimit(Resource::As).current {
             Some(limit) => fail(format!(
                 "{error}; it takes {} bytes, and this process may have {limit} bytes of address space: raise the limit (ulimit -v, LimitAS=)",
@@ -433,13 +426,13 @@ impl LlamaModel {
         })
     }
 
-    /// How the model is run: where the cache was left to be chosen, as it was chosen.
+    /// The model's options, with the chosen cache in place of `Auto`.
     #[must_use]
     pub fn options(&self) -> &LlamaOptions {
         &self.options
     }
 
-    /// Positions that memory is taken for, at most the context's limit.
+    /// Positions that have memory, at most the context's limit.
     #[must_use]
     pub fn positions(&self) -> u32 {
         self.positions
@@ -449,7 +442,7 @@ impl LlamaModel {
         self.loaded.with_dependent_mut(|_, context| run(context))
     }
 
-    /// Removes everything at or past `position` from every sequence.
+    /// Removes all positions from `position` on from every sequence.
     fn truncate_cache(&mut self, position: usize) -> Result<(), ModelError> {
         let from = u32::try_from(position).unwrap_or(u32::MAX);
         let removed = self.with_context(|c| c.clear_kv_cache_seq(None, Some(from), None));
@@ -461,13 +454,13 @@ impl LlamaModel {
         }
     }
 
-    /// A decoder error after which the cache is empty and consistent again.
+    /// Empties the cache, which is then consistent again, and returns the error.
     fn decode_error(&mut self, tokens: usize, reason: String) -> ModelError {
         self.forget();
         ModelError::Decode { tokens, reason }
     }
 
-    /// Sends the batch to the decoder and gives its rows to `visit`.
+    /// Sends the batch to the decoder and passes its rows to `visit`.
     fn flush(&mut self, stats: &mut DecodeStats, visit: &mut dyn FnMut(usize, &[f32])) -> Result<(), ModelError> {
         let tokens = self.batch.n_tokens();
         if tokens == 0 {
@@ -476,7 +469,7 @@ impl LlamaModel {
         if self.is_stopped.as_ref().is_some_and(|is_stopped| is_stopped()) {
             self.batch.clear();
             self.rows.clear();
-            // What earlier calls have read beyond what is kept.
+            // Earlier calls may have decoded positions beyond `kept`.
             self.untidy = true;
             return Err(ModelError::Stopped);
         }
@@ -499,7 +492,6 @@ impl LlamaModel {
         result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
     }
 
-    /// Puts one token into the batch, sending the batch off first when it is full.
     fn push(
         &mut self,
         token: Token,
@@ -513,7 +505,7 @@ impl LlamaModel {
             self.flush(stats, visit)?;
         }
         self.sequence_ids.clear();
-        // The batch was made for `sequences` ids a token, and does not check.
+        // The batch was created for `sequences` ids a token, and does not check.
         self.sequence_ids.extend(sequences.take(self.sequences as usize).map(u32::cast_signed));
         if let Some(row) = row {
             self.rows.push((self.batch.n_tokens(), row));
@@ -599,7 +591,7 @@ impl LanguageModel for LlamaModel {
     }
 
     fn twin(&self, is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
-        // With more threads than one, OpenMP would have more of them than there are cores, and put to sleep whoever waits for the others.
+        // With several threads, OpenMP would have more of them than there are cores, and put waiting threads to sleep.
         let options = LlamaOptions { threads: 1, ..self.options.clone() };
         let weights = Arc::clone(self.loaded.borrow_owner());
         let batch_tokens = u32::try_from(self.small_tokens).unwrap_or(u32::MAX);
@@ -630,7 +622,7 @@ impl LanguageModel for LlamaModel {
         if self.untidy || keep < self.kept.len() {
             self.untidy = false;
             self.kept.truncate(keep);
-            // A failure empties the cache, which costs time at the next event and nothing else.
+            // A failure empties the cache, which only costs time at the next event.
             let _ = self.truncate_cache(self.kept.len());
         }
     }
@@ -658,7 +650,7 @@ impl LanguageModel for LlamaModel {
         if !self.info.shares_prefix {
             self.forget();
         }
-        // The last prompt token is decoded again when its logits are asked for.
+        // The last prompt token is decoded again if its logits are asked for.
         let keep = common_prefix(&self.kept, prompt).min(prompt.len() - usize::from(want_prompt_row));
         if self.untidy || keep < self.kept.len() {
             self.truncate_cache(keep)?;

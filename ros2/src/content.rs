@@ -1,11 +1,11 @@
-//! What ROS 2 topics say of rooms, persons and the daemon.
+//! The content of ROS 2 topics about rooms, persons and the daemon.
 
 use roomcast_core::narration::name_words;
 use roomcast_ipc::raw::{ForecastV1, MAX_HORIZONS, PersonForecastV1, PersonForecastsV1, RoomScoresV1, probability_at};
 
 use crate::types::{Classification, DiagnosticArray, DiagnosticStatus, Header, KeyValue, ObjectHypothesis};
 
-/// A daemon that was silent for so long is an error.
+/// A daemon that is silent for this long is an error.
 const SILENCE_NS: u64 = 2_000_000_000;
 
 /// The seconds ahead that have topics, if no others are configured.
@@ -43,8 +43,8 @@ pub fn of_person(
     Classification { header, results: rows.map(hypothesis).collect() }
 }
 
-/// The parts of topics that name the persons of a message, in its order: `ada`, `anne_marie`, and `person_3` for the person with the number 3
-/// and no name. Of two persons with the same part, the second one has its number behind it.
+/// The parts of topics that name the persons of a message, in its order: `ada`, `anne_marie`, and `person_3` for the person with the number
+/// 3 and no name. If two persons have the same part, the second one's number follows it.
 #[must_use]
 pub fn person_topics(persons: &[PersonForecastV1]) -> Vec<String> {
     let mut topics: Vec<String> = Vec::new();
@@ -61,13 +61,13 @@ pub fn person_topics(persons: &[PersonForecastV1]) -> Vec<String> {
     topics
 }
 
-/// A name in small letters, digits and single underscores, since ROS 2 has no others. A topic begins with a letter.
+/// A name in lower-case letters, digits and single underscores, the only characters of ROS 2. A topic begins with a letter.
 fn topic_of(person: &PersonForecastV1) -> String {
     let words = name_words(person.name());
     let plain = |letter: char| letter.is_ascii_lowercase() || letter.is_ascii_digit();
     let words: Vec<String> = words.iter().map(|word| word.chars().filter(|letter| plain(*letter)).collect()).collect();
     let name = words.iter().filter(|word| !word.is_empty()).cloned().collect::<Vec<_>>().join("_");
-    // A name that lost letters may be like another one.
+    // A name that lost letters may equal another one.
     let letters = person.name().chars().filter(|own| own.is_alphanumeric()).count();
     let has_lost = words.iter().map(String::len).sum::<usize>() < letters;
     match name.chars().next() {
@@ -78,7 +78,7 @@ fn topic_of(person: &PersonForecastV1) -> String {
     }
 }
 
-/// Whether the daemon scores, now.
+/// Reports whether the daemon scores.
 #[must_use]
 pub fn diagnostics(scores: Option<&RoomScoresV1>, now_ns: u64, header: Header) -> DiagnosticArray {
     let silence_ns = scores.map(|scores| scores.silence_ns(now_ns));

@@ -11,7 +11,7 @@
 //! # Ok::<(), roomcast_ros2::types::CdrError>(())
 //! ```
 
-// In the order in which one may use another; the empty lines keep rustfmt from sorting them.
+// A module uses only those above it. The empty lines keep rustfmt from sorting them.
 pub mod types;
 
 pub mod schema;

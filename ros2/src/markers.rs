@@ -1,10 +1,10 @@
-//! The rooms as RViz and Foxglove draw them.
+//! The rooms as markers for RViz and Foxglove.
 
 use roomcast_core::grounding::Partition;
 
 use crate::types::{ColorRgba, Header, Marker, MarkerArray, Point, Pose, Quaternion};
 
-/// Each room's outline and its name with a probability, redder where somebody is likelier.
+/// Each room's outline and its name with a probability. A higher probability makes it redder.
 #[must_use]
 pub fn markers(rooms: &[(&Partition, f64)], header: &Header) -> MarkerArray {
     let mut markers = Vec::new();

@@ -1,8 +1,8 @@
-//! Definitions of the messages as text, as recordings hold them: fields alone.
+//! Definitions of the messages as text for recordings: fields alone.
 
 use crate::types::Message;
 
-/// Between a definition and the next one that it needs.
+/// Separates a definition from the next one that it needs.
 const LINE: &str = "================================================================================";
 
 /// The fields of each type, with types by their full names.
@@ -51,13 +51,12 @@ fn fields(name: &str) -> Option<&'static str> {
     FIELDS.iter().find(|(known, _)| *known == name).map(|(_, fields)| *fields)
 }
 
-/// The types that some fields have, in their order.
 fn nested(fields: &str) -> impl Iterator<Item = &str> {
     let kinds = fields.lines().filter_map(|field| field.split(' ').next());
     kinds.map(|kind| kind.trim_end_matches("[]")).filter(|kind| kind.contains('/'))
 }
 
-/// The definition of a message, with those of all types in it, in the encoding `ros2msg`.
+/// The definition of a message, with the definitions of all types in it, in the encoding `ros2msg`.
 #[must_use]
 pub fn of<M: Message>() -> String {
     let own = M::NAME.replace("/msg/", "/");
@@ -89,7 +88,7 @@ mod tests {
     use super::*;
     use crate::types::{Classification, CostmapFilterInfo, DiagnosticArray, MarkerArray, OccupancyGrid, Text};
 
-    /// A definition's types, from its text alone: the first is its own.
+    /// The types of a definition; the first is its own.
     fn types<M: Message>() -> Vec<(String, Vec<(String, String)>)> {
         let text = of::<M>();
         let between = format!("{LINE}\nMSG: ");
@@ -107,7 +106,6 @@ mod tests {
         [own].into_iter().chain(others).collect()
     }
 
-    /// A type as REP 2016 describes it.
     fn described((name, fields): &(String, Vec<(String, String)>)) -> String {
         let fields = fields.iter().map(|(kind, name)| {
             let (one, more) = kind.strip_suffix("[]").map_or((kind.as_str(), 0), |one| (one, 144));
@@ -132,7 +130,6 @@ mod tests {
         format!("{{\"type_name\": \"{name}\", \"fields\": [{}]}}", fields.join(", "))
     }
 
-    /// The hash that ROS 2 computes from a definition.
     fn hash<M: Message>() -> String {
         let types = types::<M>();
         let others: BTreeMap<_, _> = types[1..].iter().map(|one| (one.0.clone(), described(one))).collect();

@@ -1,20 +1,20 @@
-//! The ROS 2 messages that are used, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh
-//! tells types apart. A test computes every hash from the definition in [`crate::schema`]; the bridge's tests compute them, and decode every
-//! message, by other implementations.
+//! The ROS 2 messages, field by field in the order of their definitions, with the names and hashes by which rmw_zenoh distinguishes types.
+//! A test computes every hash from the definition in [`crate::schema`]; the bridge's tests compute them, and decode every message, with
+//! other implementations.
 
 pub use cdr_encoding::Error as CdrError;
 use cdr_encoding::{from_bytes, to_vec};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-/// Before each message in CDR: little endian, no options.
+/// The header of each message in CDR: little endian, no options.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// A message that is published or heard.
+/// A message that is published or received.
 pub trait Message {
     /// Its name for people and in recordings.
     const NAME: &'static str;
-    /// Its name in keys.
+    /// Its name in keys of rmw_zenoh.
     const TYPE: &'static str;
     /// The hash of its definition (REP 2016).
     const HASH: &'static str;
@@ -31,7 +31,7 @@ pub fn encode<M: Message + Serialize>(message: &M) -> Result<Vec<u8>, CdrError> 
     Ok(bytes)
 }
 
-/// Why bytes are no message.
+/// The bytes are not a message of the type.
 #[derive(Debug, thiserror::Error)]
 #[error("no {kind} in CDR: {reason}")]
 pub struct Malformed {
@@ -39,7 +39,7 @@ pub struct Malformed {
     reason: String,
 }
 
-/// The message of some bytes, in either byte order.
+/// Decodes a message, in either byte order.
 ///
 /// # Errors
 ///
@@ -54,14 +54,14 @@ pub fn decode<M: Message + DeserializeOwned>(bytes: &[u8]) -> Result<M, Malforme
     decoded.map(|(message, _)| message).map_err(|error| malformed(error.to_string()))
 }
 
-/// The text of a peer's `std_msgs/String`, in either byte order.
+/// Decodes the text of a peer's `std_msgs/String`, in either byte order.
 ///
 /// # Errors
 ///
 /// [`Malformed`] for bytes that are none.
 pub fn decode_string(bytes: &[u8]) -> Result<String, Malformed> {
     let text = decode::<Text>(bytes)?.data;
-    // The decoder takes whatever byte is last for the zero that ends a string; before the text are the encoding and the length.
+    // The decoder accepts any last byte in place of the zero that ends a string. The encoding and the length precede the text.
     if bytes.get(ENCAPSULATION.len() + size_of::<u32>() + text.len()) == Some(&0) {
         Ok(text)
     } else {
@@ -92,15 +92,15 @@ message!(Text, "std_msgs", "String", "df668c740482bbd48fb39d76a70dfd4bd59db12880
 pub struct Time {
     /// Seconds.
     pub sec: i32,
-    /// Nanoseconds beyond them.
+    /// Nanoseconds in addition to them.
     pub nanosec: u32,
 }
 
 impl Time {
-    /// A wall clock's time.
+    /// The time of a wall clock.
     #[must_use]
     pub fn of_unix_ns(unix_ns: u64) -> Self {
-        // ROS 2 itself ends in 2038 here.
+        // ROS 2's time ends in 2038.
         let sec = i32::try_from(unix_ns / 1_000_000_000).unwrap_or(i32::MAX);
         Self { sec, nanosec: (unix_ns % 1_000_000_000) as u32 }
     }
@@ -109,14 +109,14 @@ impl Time {
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
-    /// When the content was made.
+    /// The time of the content.
     pub stamp: Time,
     /// The frame of its coordinates.
     pub frame_id: String,
 }
 
 impl Header {
-    /// A header for content that was made at a wall clock's time.
+    /// A header for content of this wall clock time.
     #[must_use]
     pub fn of_unix_ns(unix_ns: u64, frame: &str) -> Self {
         Self { stamp: Time::of_unix_ns(unix_ns), frame_id: frame.to_owned() }
@@ -156,9 +156,9 @@ impl Default for Quaternion {
 /// `geometry_msgs/Pose`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// Where.
+    /// The position.
     pub position: Point,
-    /// Which way.
+    /// The orientation.
     pub orientation: Quaternion,
 }
 
@@ -167,7 +167,7 @@ pub struct Pose {
 pub struct MapMetaData {
     /// When the map was loaded.
     pub map_load_time: Time,
-    /// Metres of a cell.
+    /// Metres per cell.
     pub resolution: f32,
     /// Cells from west to east.
     pub width: u32,
@@ -180,7 +180,7 @@ pub struct MapMetaData {
 /// `nav_msgs/OccupancyGrid`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct OccupancyGrid {
-    /// When, and in which frame.
+    /// Time and frame.
     pub header: Header,
     /// Its place and size.
     pub info: MapMetaData,
@@ -197,11 +197,11 @@ message!(
 /// `nav2_msgs/CostmapFilterInfo`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CostmapFilterInfo {
-    /// When, and in which frame.
+    /// Time and frame.
     pub header: Header,
     /// 0: a keepout filter.
     pub r#type: u8,
-    /// Where the mask is.
+    /// The topic of the mask.
     pub filter_mask_topic: String,
     /// Cost is base + multiplier times the mask's value.
     pub base: f32,
@@ -227,7 +227,7 @@ pub struct ObjectHypothesis {
 /// `vision_msgs/Classification`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Classification {
-    /// When, and in which frame.
+    /// Time and frame.
     pub header: Header,
     /// The rooms.
     pub results: Vec<ObjectHypothesis>,
@@ -248,7 +248,7 @@ pub struct ColorRgba {
     pub g: f32,
     /// Blue.
     pub b: f32,
-    /// 1 hides what is behind it.
+    /// Opacity, 0 to 1.
     pub a: f32,
 }
 
@@ -284,29 +284,29 @@ pub struct MeshFile {
 /// `visualization_msgs/Marker`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Marker {
-    /// When, and in which frame.
+    /// Time and frame.
     pub header: Header,
-    /// With `id`, its name.
+    /// The namespace; with `id` it identifies the marker.
     pub ns: String,
-    /// With `ns`, its name.
+    /// With `ns` it identifies the marker.
     pub id: i32,
-    /// What it is: 4 a line, 9 a text.
+    /// The type: 4 is a line, 9 a text.
     pub r#type: i32,
-    /// 0: it is there.
+    /// 0 adds the marker.
     pub action: i32,
-    /// Where it is.
+    /// Position and orientation.
     pub pose: Pose,
     /// Metres.
     pub scale: Point,
     /// Its colour.
     pub color: ColorRgba,
-    /// Zero: for ever.
+    /// Zero means for ever.
     pub lifetime: Time,
     /// Whether it moves with its frame.
     pub frame_locked: bool,
-    /// Of a line.
+    /// The points of a line.
     pub points: Vec<Point>,
-    /// Of each point; none.
+    /// Colours of the points; empty.
     pub colors: Vec<ColorRgba>,
     /// Empty.
     pub texture_resource: String,
@@ -314,13 +314,13 @@ pub struct Marker {
     pub texture: CompressedImage,
     /// Empty.
     pub uv_coordinates: Vec<UvCoordinate>,
-    /// Of a text.
+    /// The text of a text marker.
     pub text: String,
     /// Empty.
     pub mesh_resource: String,
     /// Empty.
     pub mesh_file: MeshFile,
-    /// No.
+    /// Always false.
     pub mesh_use_embedded_materials: bool,
 }
 
@@ -340,9 +340,9 @@ message!(
 /// `diagnostic_msgs/KeyValue`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeyValue {
-    /// What.
+    /// The name.
     pub key: String,
-    /// How much.
+    /// The value.
     pub value: String,
 }
 
@@ -351,22 +351,22 @@ pub struct KeyValue {
 pub struct DiagnosticStatus {
     /// 0 good, 1 a warning, 2 an error, 3 stale.
     pub level: u8,
-    /// Of what.
+    /// The name of the part.
     pub name: String,
-    /// In words.
+    /// The state in words.
     pub message: String,
-    /// Of which machine.
+    /// The machine.
     pub hardware_id: String,
-    /// In numbers.
+    /// The state in numbers.
     pub values: Vec<KeyValue>,
 }
 
 /// `diagnostic_msgs/DiagnosticArray`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DiagnosticArray {
-    /// When.
+    /// Time and frame.
     pub header: Header,
-    /// Of each part.
+    /// The status of each part.
     pub status: Vec<DiagnosticStatus>,
 }
 message!(
@@ -405,7 +405,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// What is read is what was written; of a text without its zero nothing is.
+        /// Each text decodes to itself. A text without its final zero is rejected.
         #[test]
         fn a_text_is_read_whole_or_not_at_all(data in "\\PC{0,40}") {
             let bytes = encode(&Text { data: data.clone() }).unwrap();

@@ -1,10 +1,10 @@
-//! Narration, decisions and reports in words, for `std_msgs/String`.
+//! Narration, decisions and reports as sentences, for `std_msgs/String`.
 
-use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
 use crate::types::Text;
 
-/// What was narrated, and of whom where the sentence itself does not begin with the name.
+/// The sentence of an event, preceded by the person's name unless it begins with it.
 #[must_use]
 pub fn narration(said: &str, name: Option<&str>) -> Text {
     let data = match name {
@@ -14,7 +14,7 @@ pub fn narration(said: &str, name: Option<&str>) -> Text {
     Text { data }
 }
 
-/// Who goes where, and why.
+/// A robot's decision and the reason.
 #[must_use]
 pub fn decision(decision: &DecisionV1, robot: &str) -> Text {
     let (from, to) = (decision.from(), decision.to());
@@ -32,7 +32,7 @@ pub fn decision(decision: &DecisionV1, robot: &str) -> Text {
     Text { data }
 }
 
-/// What a robot says of itself.
+/// A robot's report.
 #[must_use]
 pub fn report(report: &RobotReportV1, robot: &str) -> Text {
     let what = match report.kind {
@@ -74,7 +74,8 @@ fn add(data: &mut String, between: &str, words: &str) {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{report_flags, text};
+    use roomcast_ipc::raw::report_flags;
+    use roomcast_ipc::text;
 
     use super::*;
 

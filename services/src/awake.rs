@@ -1,30 +1,30 @@
-//! Staying awake for some time after a message: who owns a core may spend it on the microseconds that waking up takes.
+//! Polls for some time after a message, since waking up takes microseconds.
 
 use std::time::{Duration, Instant};
 
 use roomcast_ipc::IpcError;
 
-/// Waits for news, and for some time after the last message it looks again and again instead of sleeping.
+/// Waits for news. For some time after a message it polls instead of sleeping.
 #[derive(Debug)]
 pub struct Awake {
     spin: Duration,
-    /// Until when it does not sleep; none before the first message, and where it always sleeps.
+    /// The end of the polling; `None` while it sleeps.
     until: Option<Instant>,
 }
 
 impl Awake {
-    /// Stays awake for so many microseconds after a message; 0 for never.
+    /// Polls for so many microseconds after a message; 0 for never.
     #[must_use]
     pub fn new(spin_us: u64) -> Self {
         Self { spin: Duration::from_micros(spin_us), until: None }
     }
 
-    /// There was a message.
+    /// Notes a message.
     pub fn heard(&mut self) {
         self.until = (!self.spin.is_zero()).then(|| Instant::now() + self.spin);
     }
 
-    /// Waits by `wait`, which sleeps for at most as long as it is told and says whether there was news, for at most `patience`.
+    /// Calls `wait` until there is news, for at most `patience`. `wait` sleeps for at most its argument and returns whether there was news.
     ///
     /// # Errors
     /// As `wait`.

@@ -26,26 +26,22 @@ const ON: [&str; 21] = [
     "running",
     "in_use",
 ];
-/// Values of a device without a state, in lower case.
 const NO_STATE: [&str; 7] = ["unavailable", "unknown", "offline", "none", "null", "nan", "undefined"];
 /// The value of Zigbee2MQTT's door sensors is true while the door is closed.
 const CONTACT: &str = "/contact";
 
-/// A device's state; `None` if the device is unavailable.
 pub(crate) type State = Option<bool>;
 
-/// The condition of a rule.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Condition {
-    /// The value as it is compared.
+    /// In the form of [`comparable`].
     when: Option<String>,
-    /// The excluded values as they are compared.
+    /// In the form of [`comparable`].
     unless: Vec<String>,
     above: Option<f64>,
     below: Option<f64>,
 }
 
-/// The keys of a condition as they stand in a file.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ConditionKeys<'a> {
     pub(crate) when: Option<&'a str>,
@@ -74,18 +70,16 @@ impl Condition {
         Ok(Self { when: when.map(comparable), unless, above, below })
     }
 
-    /// Whether it compares numbers.
     pub(crate) fn is_numeric(&self) -> bool {
         self.above.is_some() || self.below.is_some()
     }
 
-    /// Whether a value is in its `unless`.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn excepts(&self, compared: &str) -> bool {
         self.unless.iter().any(|own| own == compared)
     }
 
-    /// Whether a value, as values are compared, meets it. A text that is no number meets no numeric condition.
+    /// `compared` has the form of [`comparable`]. A text that is not a number meets no numeric condition.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn holds(&self, compared: &str) -> bool {
         if self.is_numeric() {
@@ -98,7 +92,7 @@ impl Condition {
         }
     }
 
-    /// Whether it compares numbers and the value of a device with a state is none.
+    /// Whether it compares numbers and the value of a device with a state is not a number.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn lacks_number(&self, compared: &str) -> bool {
         self.is_numeric() && compared.parse::<f64>().is_err() && !NO_STATE.contains(&compared)
@@ -108,7 +102,7 @@ impl Condition {
         self.above.is_none_or(|above| number > above) && self.below.is_none_or(|below| number < below)
     }
 
-    /// The state of a sensor by a value, as values are compared. `field` is where the value stands in its message.
+    /// The state of a sensor by a value in the form of [`comparable`]. `field` is the value's place in its message.
     ///
     /// # Errors
     /// If numbers are to be compared and the value is no number.
@@ -142,9 +136,9 @@ impl Condition {
     }
 }
 
-/// A value in the way in which rules compare it: numbers as numbers, texts without regard to upper and lower case.
+/// The form in which rules compare a value: numbers as numbers, texts in lower case.
 pub(crate) fn comparable(value: &str) -> String {
-    // Longer ones are the codes of tags and keys, which a number does not hold exactly.
+    // Longer ones are codes of tags and keys, which a float does not represent exactly.
     const DIGITS_MAX: usize = 15;
     let value = value.trim();
     let is_number = value.len() <= DIGITS_MAX

@@ -8,7 +8,7 @@ use roomcast_core::narration::{Observation, SensorReport};
 use roomcast_core::pipeline::{Pipeline, PipelineError, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::narration_kind;
+use roomcast_ipc::raw::narration_kind;
 use serde::Serialize;
 
 use crate::config::Config;
@@ -19,10 +19,9 @@ use crate::setup;
 
 /// Seconds between two events without times.
 const APART_S: u64 = 5;
-/// The source of all events.
 const SOURCE: u64 = 1;
 
-/// Why a dry run cannot begin or go on.
+/// A dry run cannot begin or continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DryRunError {
@@ -53,14 +52,14 @@ pub struct Belief {
     pub before: f32,
 }
 
-/// What an event would do.
+/// The effect of an event.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DryLine {
-    /// The text as it came.
+    /// The text of the event.
     pub text: String,
-    /// How the daemon would understand it.
+    /// The daemon's reading of it.
     pub understood: UnderstoodLine,
-    /// The belief about each of its persons.
+    /// The belief about each person of the event.
     pub beliefs: Vec<Belief>,
 }
 
@@ -96,7 +95,6 @@ impl DryLine {
     }
 }
 
-/// A sensor's report in words.
 fn meaning(report: &SensorReport) -> String {
     let SensorReport { kind, id, room, beyond, on, only_on, .. } = report;
     let mut words = format!("the {kind} sensor {id:?}");
@@ -115,7 +113,7 @@ fn meaning(report: &SensorReport) -> String {
     words
 }
 
-/// A daemon's reading of events, one after the other.
+/// Reads events as the daemon does, one after the other.
 #[derive(Debug)]
 pub struct DryRun {
     board: Board<TableModel>,
@@ -125,7 +123,7 @@ pub struct DryRun {
 }
 
 impl DryRun {
-    /// The home of a configuration at a moment of the wall clock.
+    /// The home of a configuration at a time of the wall clock.
     ///
     /// # Errors
     /// When the map cannot be used.
@@ -144,7 +142,7 @@ impl DryRun {
         Ok(Self { board, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
     }
 
-    /// What an item would do after all items before it; `None` for an item that the daemon refuses.
+    /// The effect of an item after all items before it; `None` if the daemon would reject the item.
     ///
     /// # Errors
     /// When a step fails.
@@ -196,11 +194,11 @@ impl DryRun {
         }))
     }
 
-    /// Where each person is believed to be now: rooms, and `elsewhere`.
+    /// The belief about each person's place: rooms, and `elsewhere`.
     fn places(&mut self) -> Vec<(PersonId, Vec<(String, f32)>)> {
         let rooms: Vec<String> = self.board.snapshot().rooms().iter().map(|room| room.id().to_owned()).collect();
         let forecasts = self.board.person_forecasts(self.now_ns);
-        let of = |own: &roomcast_ipc::PersonForecastV1| {
+        let of = |own: &roomcast_ipc::raw::PersonForecastV1| {
             let places = rooms.iter().cloned().zip(own.probability.iter().map(|row| row[0]));
             (PersonId(own.person), places.chain([("elsewhere".to_owned(), own.elsewhere[0])]).collect())
         };

@@ -1,5 +1,5 @@
-//! What the binary carries with it, so that it runs without a network and without a data folder: the household model, the
-//! scenes, their activity programs and the statistics of the training split. Each is a `static`: the program has a `const` as often as code uses it.
+//! Embedded files, so that the binary runs without a network and without a data folder: the household model, the scenes, their activity
+//! programs and the statistics of the training split. Each is a `static`: the program would contain a `const` once per use.
 
 use std::fs::File;
 use std::io::Write;
@@ -8,14 +8,14 @@ use std::path::PathBuf;
 
 /// The household model, a GGUF file; `models/README.md` is its card.
 pub static MODEL: &[u8] = include_bytes!("../models/household.gguf");
-/// Scores that [`MODEL`] is known to give, JSON; `roomcast model check --record` wrote them.
+/// Expected scores of [`MODEL`], JSON; `roomcast model check --record` wrote them.
 pub static MODEL_CHECK: &str = include_str!("../models/household-check.json");
-/// The name by which messages and tables call [`MODEL`].
+/// The name of [`MODEL`] in messages and tables.
 pub const MODEL_NAME: &str = "household (embedded)";
-/// Statistics of the training split that the forecast's baselines are fitted on, JSON.
+/// Statistics of the training split for the forecast's baselines, JSON.
 pub static STATISTICS: &str = include_str!("../models/household-statistics.json");
 
-/// What the training split's programs narrate after what, for guesses at the next sentence, JSON.
+/// The sentences that follow one another in the training split's programs, for guesses at the next sentence, JSON.
 pub static FORMS: &str = include_str!("../models/household-forms.json");
 
 /// A text file in the binary.
@@ -27,7 +27,7 @@ pub struct EmbeddedText {
     pub text: &'static str,
 }
 
-/// The scenes of `scenes/`; the first is the one for a first look.
+/// The scenes of `scenes/`; the first is the default.
 pub static SCENES: [EmbeddedText; 7] = [
     EmbeddedText { name: "studio", text: include_str!("../scenes/studio.json") },
     EmbeddedText { name: "apartment-e0", text: include_str!("../scenes/apartment-e0.json") },
@@ -38,7 +38,7 @@ pub static SCENES: [EmbeddedText; 7] = [
     EmbeddedText { name: "warehouse", text: include_str!("../scenes/warehouse.json") },
 ];
 
-/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation; every apartment has every object that they name.
+/// The activity programs of `scenes/programs/` for homes, in VirtualHome's notation. Every apartment has all their objects.
 pub static PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText {
         name: "p0-breakfast-and-television",
@@ -48,7 +48,7 @@ pub static PROGRAMS: [EmbeddedText; 3] = [
     EmbeddedText { name: "p2-long-evening", text: include_str!("../scenes/programs/p2-long-evening.txt") },
 ];
 
-/// Those for the ward, then those for the warehouse.
+/// The programs for the ward, then for the warehouse.
 pub static WORK_PROGRAMS: [EmbeddedText; 6] = [
     EmbeddedText { name: "w0-medication-round", text: include_str!("../scenes/programs/w0-medication-round.txt") },
     EmbeddedText {
@@ -67,33 +67,31 @@ pub static WORK_PROGRAMS: [EmbeddedText; 6] = [
     EmbeddedText { name: "g2-end-of-shift", text: include_str!("../scenes/programs/g2-end-of-shift.txt") },
 ];
 
-/// The names of the embedded scenes, for messages.
 #[must_use]
 pub(crate) fn scene_names() -> String {
     SCENES.map(|scene| scene.name).join(", ")
 }
 
-/// The names of the embedded activity programs, for messages.
 #[must_use]
 pub(crate) fn program_names() -> String {
     let names: Vec<_> = PROGRAMS.iter().chain(&WORK_PROGRAMS).map(|program| program.name).collect();
     names.join(", ")
 }
 
-/// The embedded scene of that name.
+/// The embedded scene with a name.
 #[must_use]
 pub fn scene(name: &str) -> Option<EmbeddedText> {
     SCENES.into_iter().find(|scene| scene.name == name)
 }
 
-/// The embedded activity program of that name.
+/// The embedded activity program with a name.
 #[must_use]
 pub fn program(name: &str) -> Option<EmbeddedText> {
     PROGRAMS.into_iter().chain(WORK_PROGRAMS).find(|program| program.name == name)
 }
 
-/// The embedded model as a file, which is what llama.cpp loads: an anonymous one in memory, so that nothing is left behind, nothing
-/// can be out of date, and a service without a writable folder works too.
+/// The embedded model as an anonymous file in memory, since llama.cpp loads files. It leaves no file behind, is never out of date, and
+/// needs no writable folder.
 #[derive(Debug)]
 pub struct ModelFile {
     file: File,
@@ -111,7 +109,7 @@ impl ModelFile {
         Ok(Self { file })
     }
 
-    /// A path that opens the file, in this process and as long as this value lives.
+    /// A path that opens the file, in this process and during the life of this value.
     #[must_use]
     pub fn path(&self) -> PathBuf {
         format!("/proc/self/fd/{}", self.file.as_raw_fd()).into()

@@ -1,41 +1,41 @@
-//! What of a person's forecast was learned, in words and numbers: for `habits show`, for `explain`, and for metrics. Data alone.
+//! The learned part of a person's forecast, as data: for `habits show`, for `explain`, and for metrics.
 
 use std::fmt;
 
 use roomcast_core::habits::{RoomShares, Shares};
 use roomcast_core::ids::PersonId;
 use roomcast_core::text::count;
-use roomcast_ipc::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
+use roomcast_ipc::raw::{LEARNED_SHARE_S, PersonForecastV1, PersonForecastsV1};
 use serde::{Deserialize, Serialize};
 
-/// Elsewhere among the places of a set.
+/// The name of elsewhere among the places of a set.
 pub const ELSEWHERE: &str = "elsewhere";
 
-/// How much of a forecast comes from where; the shares sum to one.
+/// The shares of the sources of a forecast at a horizon. They sum to one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HorizonLine {
-    /// How far ahead, in seconds.
+    /// The horizon, in seconds.
     pub horizon_s: f64,
-    /// Of the forecast without habits.
+    /// The forecast without habits.
     pub shipped: f64,
-    /// That the person is still, or again, in the same place.
+    /// The person is still, or again, in the same place.
     pub persistence: f64,
-    /// The hazard of leaving, and where to.
+    /// The hazard of leaving, and the next place.
     pub leaving: f64,
-    /// Where the person was that much later at such times before.
+    /// The place at this horizon after similar times before.
     pub later: f64,
-    /// The smallest set of places that holds the person then, with the promised coverage on the long run: ids of rooms, and [`ELSEWHERE`].
+    /// The smallest set of places with the promised coverage in the long run: ids of rooms, and [`ELSEWHERE`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub set: Vec<String>,
-    /// What this forecast gives the places of the set together; none where it is not known.
+    /// This forecast's probability of the set; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_probability: Option<f64>,
 }
 
-/// How much of a forecast that was published was learned, and its set: what a recording has of it.
+/// The learned share of a published forecast, and its set, as a recording has them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PublishedLine {
-    /// How far ahead, in seconds.
+    /// The horizon, in seconds.
     pub horizon_s: f64,
     /// The share that was learned of this home.
     pub learned: f64,
@@ -47,50 +47,50 @@ pub struct PublishedLine {
     pub set_probability: Option<f64>,
 }
 
-/// A thing that somebody may turn to next, and why.
+/// A possible next thing, and the sources of its probability.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ThingReason {
-    /// Its words.
+    /// Its label.
     pub label: String,
-    /// How much of its probability comes from where.
+    /// The shares of the sources.
     #[serde(flatten)]
     pub shares: Shares,
 }
 
-/// A room in which the next thing may be, and why.
+/// A possible room of the next thing, and the sources of its probability.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RoomReason {
     /// Its id.
     pub room: String,
-    /// How much of its probability comes from where.
+    /// The shares of the sources.
     #[serde(flatten)]
     pub shares: RoomShares,
 }
 
-/// What was learned of a person, in the present forecast.
+/// The learned part of a person's present forecast.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PersonHabits {
-    /// Who.
+    /// The person.
     pub person: PersonId,
     /// Observations that were learned from.
     pub observations: f64,
-    /// The likeliest things to be turned to next, the likeliest first.
+    /// The likeliest next things, the likeliest first.
     pub things: Vec<ThingReason>,
-    /// The rooms in which that may be, the likeliest first.
+    /// The likeliest rooms of the next thing, the likeliest first.
     pub rooms: Vec<RoomReason>,
-    /// Where the person will be: of which forecast how much.
+    /// The shares of the forecast at each horizon.
     pub forecast: Vec<HorizonLine>,
-    /// The same as far as messages have it, where nothing else is known.
+    /// The published lines, if only a recording is known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub published: Vec<PublishedLine>,
-    /// The coverage that the sets promise, 0 to 1.
+    /// The promised coverage of the sets, 0 to 1.
     #[serde(default)]
     pub coverage: f64,
 }
 
 #[cfg_attr(not(feature = "recording"), allow(dead_code, reason = "only recordings have it"))]
 impl PersonHabits {
-    /// What a published forecast says of it, of everybody of whom anything was learned.
+    /// The learned parts in a published forecast, for each person with any.
     #[must_use]
     pub(crate) fn of_published(forecasts: &PersonForecastsV1) -> Vec<Self> {
         let learned = forecasts.persons().iter().filter(|own| own.set_coverage > 0.0 || own.observations > 0.0);
@@ -119,14 +119,13 @@ impl PersonHabits {
     }
 }
 
-/// Things and rooms that a text has, at most.
+/// Most things and rooms in a text.
 const SHOWN: usize = 5;
 
 fn percent(share: f64) -> String {
     format!("{:.0} %", 100.0 * share)
 }
 
-/// Seconds in the largest unit that they fill.
 fn ahead(seconds: f64) -> String {
     match seconds {
         s if s >= 3_600.0 => format!("{:.0} h", s / 3_600.0),
@@ -144,13 +143,13 @@ fn from(observations: &[f64; 4], place: &str) -> String {
     )
 }
 
-/// What habit's part is called. Without an observation it is what habit begins with: that things are turned to again, and what others of the home do.
+/// The name of habit's part. Without an observation it is the prior: repetition, and the habits of other persons of the home.
 fn habit(observations: &[f64; 4]) -> &'static str {
     if observations.iter().all(|count| *count < 0.5) { "what habit begins with" } else { "habit" }
 }
 
 impl PersonHabits {
-    /// The places of a set, to the end of the line. It holds the person as often as it is set for on the long run alone.
+    /// Writes the places of a set to the end of the line. The coverage of the set holds only in the long run.
     fn write_set(&self, f: &mut fmt::Formatter<'_>, set: &[String], probability: Option<f64>) -> fmt::Result {
         if !set.is_empty() {
             let own = probability.map_or_else(String::new, |p| format!(", {} by this forecast", percent(p)));
@@ -232,7 +231,7 @@ mod tests {
         for (at, id) in ["kitchen", "bedroom"].into_iter().enumerate() {
             forecasts.id[at][..id.len()].copy_from_slice(id.as_bytes());
         }
-        // Of the second person nothing was learned.
+        // The second person has no learned part.
         let own = &mut forecasts.person[0];
         (own.person, own.set_coverage, own.observations) = (7, 0.9, 41.0);
         (own.room_set[0], own.room_set[1], own.set_elsewhere, own.learned_share) =
@@ -286,14 +285,14 @@ mod tests {
         ] {
             assert!(text.contains(part), "{part}\n{text}");
         }
-        // At the first observation nothing was learned of what follows; the chance of a repetition is what habit begins with.
+        // At the first observation nothing that follows is learned; the chance of a repetition is the initial habit.
         let young = Shares { habit: 0.98, observations: [0.0; 4], ..shares };
         let young =
             PersonHabits { things: vec![ThingReason { label: "mug".to_owned(), shares: young }], ..learned.clone() };
         assert!(
             young.to_string().contains(", what habit begins with 98 %, ") && !young.to_string().contains(", habit ")
         );
-        // A recording of before does not say what the forecast gave the set.
+        // An earlier recording does not contain the probability of the set.
         let mut older = learned.clone();
         older.forecast[0].set_probability = None;
         assert!(older.to_string().contains("; set for 90 % on the long run: kitchen, elsewhere"));

@@ -1,5 +1,5 @@
-//! Learning habits from what was narrated before: a recording, a sensor log, or lines with times. All is told again to a board with
-//! its own model, minute by minute in its own time, and what that has learned is given back. No port, no clock.
+//! Learns habits from the past: a recording, a sensor log, or lines with times. A board with its own model gets all events at their times,
+//! minute by minute, and returns what it has learned. It has no ports and no clock.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -21,31 +21,31 @@ use crate::sensor_log::{Said as Narrated, SensorLog};
 use crate::setup::{self, SetupError};
 
 const MINUTE_NS: u64 = 60_000_000_000;
-/// Over a longer silence nobody watched.
+/// A longer silence means that the home was not observed.
 const GAP_NS: u64 = 36 * 3_600_000_000_000;
 
-/// Why nothing was learned.
+/// Learning failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LessonError {
-    /// Model, map or configuration.
+    /// Model, map or configuration failed.
     #[error(transparent)]
     Setup(#[from] SetupError),
     /// The map does not fit into messages.
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// The model fails.
+    /// The model failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
-    /// What was learned before cannot be used.
+    /// The earlier habits cannot be used.
     #[error(transparent)]
     Stored(#[from] StoredError),
 }
 
-/// Something that was narrated.
+/// An event to learn from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lesson {
-    /// When it was observed, in nanoseconds since 1970, by the clock of [`Lessons::zone`].
+    /// The time of the event, in nanoseconds since 1970, by the clock of [`Lessons::zone`].
     at_ns: UnixNs,
     person: PersonId,
     name: Option<Box<str>>,
@@ -53,7 +53,6 @@ pub struct Lesson {
     event: Event,
 }
 
-/// Why nothing is learned from something that was narrated.
 #[derive(Debug, thiserror::Error)]
 enum Unfit {
     #[error("it has no time: give \"observed_unix_s\"")]
@@ -66,7 +65,6 @@ enum Unfit {
     Text(String),
 }
 
-/// A length of time, roughly.
 fn in_words(length_ns: u64) -> String {
     let length_s = length_ns / 1_000_000_000;
     match length_s {
@@ -77,8 +75,8 @@ fn in_words(length_ns: u64) -> String {
     }
 }
 
-/// What is to be learned from, whatever it comes from. This is the one place that decides what may be learned: nothing of which the time is
-/// not known, and nothing that lies after now. It would not fade until then, and what is learned meanwhile would count for nothing.
+/// Events to learn from, from any input. All inputs share this check: an event without a time or in the future is not learned. A future
+/// event would not fade until its time, and events in between would have no effect.
 #[derive(Debug)]
 pub struct Lessons {
     lessons: Vec<Lesson>,
@@ -88,19 +86,19 @@ pub struct Lessons {
 }
 
 impl Lessons {
-    /// None yet. Their times are of the wall clock, in UTC, where it is `now_unix_ns`; hours of the day are those of `zone`.
+    /// No lessons yet. Times are of the wall clock in UTC, now `now_unix_ns`; hours of the day are of `zone`.
     #[must_use]
     pub fn of_wall_clock(zone: Zone, now_unix_ns: UnixNs) -> Self {
         Self { lessons: Vec::new(), zone, now_ns: now_unix_ns, faults: Faults::default() }
     }
 
-    /// None yet. Their times are local ones of `zone`, without regard to time zones, as logs have them; the wall clock has `now_unix_ns`.
+    /// No lessons yet. Times are local times of `zone` without a time zone, as in logs; the wall clock is at `now_unix_ns`.
     #[must_use]
     pub fn of_local_time(zone: &Zone, now_unix_ns: UnixNs) -> Self {
         Self::of_wall_clock(Zone::UTC, UnixNs((zone.local_s(now_unix_ns).max(0.0) * 1e9) as u64))
     }
 
-    /// Takes what was said at `at_s` seconds since 1970, or by its own time, or else says that it cannot be learned from. `place` is where it stands.
+    /// Takes an event at `at_s` seconds since 1970, or else at its own time. If it cannot be learned, this adds a fault at `place`.
     pub fn take(&mut self, place: impl Display, item: &Item, at_s: Option<f64>) {
         let at_ns = match at_s {
             Some(at_s) if at_s < 0.0 => return self.faults.add_at(place, Unfit::Early),
@@ -117,7 +115,6 @@ impl Lessons {
         self.admit(place, at_ns, event.map(|event| Lesson { at_ns: UnixNs(0), person, name, count, event }));
     }
 
-    /// Takes a lesson of a time if it may be learned.
     fn admit(&mut self, place: impl Display, at_ns: Option<UnixNs>, lesson: Result<Lesson, Unfit>) {
         let lesson = lesson.and_then(|lesson| {
             let at_ns = at_ns.ok_or(Unfit::NoTime)?;
@@ -132,7 +129,7 @@ impl Lessons {
         }
     }
 
-    /// Takes lines of JSON that have times, as `roomcast narrate` takes them. They are of `person` where they do not say.
+    /// Takes lines of JSON with times, as `roomcast narrate` does. `person` is for lines without one.
     pub fn take_lines(&mut self, text: &str, person: &Who) {
         for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
             match line_item(line, person) {
@@ -142,10 +139,10 @@ impl Lessons {
         }
     }
 
-    /// Takes a sensor log, whose times are local ones, and its malformed lines.
+    /// Takes a sensor log with local times, and its malformed lines.
     pub fn take_sensors(&mut self, log: SensorLog) {
         self.faults = log.faults;
-        // Of a line whose begin and end are said, one fault is told.
+        // A line with an event at its begin and at its end gives one fault at most.
         let mut unfit = BTreeSet::new();
         for Narrated { item, at_s, line, .. } in log.said {
             if !unfit.contains(&line) {
@@ -158,7 +155,7 @@ impl Lessons {
         }
     }
 
-    /// Takes a recording; what was narrated without a time was observed when it was received, and what was sent again counts once.
+    /// Takes a recording. A narration without a time gets the time of its receipt, and a repeated one counts once.
     #[cfg(feature = "recording")]
     pub fn take_recording(&mut self, recording: &Recording) {
         let mut names = BTreeSet::new();
@@ -174,7 +171,7 @@ impl Lessons {
                 0 => received_unix_ns,
                 observed_unix_ns => observed_unix_ns.min(received_unix_ns),
             };
-            // What the daemon refused says nothing.
+            // The daemon rejected this narration.
             let Ok(event) = event_of(narration.kind, narration.text()) else { continue };
             if names.insert((narration.source, narration.epoch, narration.sequence)) {
                 let (person, name, count) = (narration.person, name.map(Into::into), narration.counted());
@@ -184,29 +181,29 @@ impl Lessons {
         }
     }
 
-    /// What can be learned from.
+    /// The events to learn from.
     #[must_use]
     pub fn lessons(&self) -> &[Lesson] {
         &self.lessons
     }
 
-    /// What cannot, each in words.
+    /// The faults of the other events.
     #[must_use]
     pub fn faults(&self) -> &Faults {
         &self.faults
     }
 
-    /// The time zone in which hours of the day are those of the home.
+    /// The home's time zone, for hours of the day.
     #[must_use]
     pub fn zone(&self) -> &Zone {
         &self.zone
     }
 }
 
-/// A board that learns on from what was learned before, with the model, map and persons of the configuration.
+/// A board that continues earlier habits, with the model, map and persons of the configuration.
 ///
 /// # Errors
-/// When something of it cannot be set up, or what was learned before is malformed.
+/// When the set-up fails, or the earlier habits are malformed.
 pub fn board(config: &Config, before: &str, zone: Zone) -> Result<Board<LlamaModel>, LessonError> {
     let (pipeline, map) = setup::open(config)?;
     let options = HabitsOptions { learn: true, ..config.habits.options() };
@@ -217,7 +214,7 @@ pub fn board(config: &Config, before: &str, zone: Zone) -> Result<Board<LlamaMod
     Ok(board.with_habits(HomeHabits::new(Memory::of(habits), zone).of_the_past()))
 }
 
-/// Tells all of it to a board, in the order of time; gives what it has learned then. `told` hears how many were told.
+/// Gives all lessons to a board by time, and returns its habits. `told` gets the count after each lesson.
 ///
 /// # Errors
 /// When the model fails.
@@ -228,7 +225,7 @@ pub fn teach<M: LanguageModel>(
 ) -> Result<String, LessonError> {
     lessons.sort_by_key(|lesson| lesson.at_ns);
     let mut now_ns = lessons.first().map_or(UnixNs(0), |lesson| lesson.at_ns);
-    // The monotonic clock of the board stands still while nobody watched.
+    // The board's monotonic clock skips unobserved times.
     let mut skipped_ns = 0;
     for (sequence, lesson) in (1..).zip(lessons) {
         let Lesson { at_ns, person, name, count, event } = lesson;
@@ -257,7 +254,7 @@ pub fn teach<M: LanguageModel>(
         };
         board.step([Entry::new(observation, observed_ns)], observed_ns, now_ns)?;
         board.tell_outcomes(|_| {});
-        // As a daemon does once a minute, also while much is narrated.
+        // A daemon does this once a minute, even when events are frequent.
         board.tick(observed_ns, now_ns);
         while board.tidy() {}
         told(sequence as usize);
@@ -271,12 +268,12 @@ mod tests {
     use roomcast_core::pipeline::{Pipeline, PipelineOptions};
     use roomcast_core::scorer::table::TableModel;
     use roomcast_core::semantic_map::SemanticMap;
-    use roomcast_ipc::narration_kind;
+    use roomcast_ipc::raw::narration_kind;
 
     use super::*;
     use crate::sensor_log::SensorRules;
 
-    /// Without a model that takes long; what it says is made up.
+    /// The real model would take long; this one has invented scores.
     fn board() -> Board<TableModel> {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
         let options = GroundingOptions::default();
@@ -305,7 +302,7 @@ mod tests {
             [item(seven_s, "They sit on the sofa."), item(seven_s + 1_800, "They open the fridge.")]
         });
         let without = Item::new(narration_kind::SENTENCE, "They wait.", Who::Somebody);
-        // In any order, and one without a time; before, nothing for a year.
+        // The events are unordered, one has no time, and a year without events precedes them.
         let early = item(1_670_000_000, "They sit on the sofa.");
         let mut lessons = lines();
         for item in days.chain([early, without]).collect::<Vec<_>>().iter().rev() {
@@ -336,7 +333,7 @@ mod tests {
         assert_eq!((times, lessons.faults().count()), (vec![NOW_NS - 3_600_000_000_000, NOW_NS], 0));
     }
 
-    /// From whatever input, nothing is learned of which the time is not known or lies after now, and each is told where it stands.
+    /// With each input, an event without a time or in the future is not learned, and its fault names its place.
     #[test]
     fn nothing_is_learned_from_the_future() {
         let now_s = NOW_NS / 1_000_000_000;
@@ -351,7 +348,7 @@ mod tests {
             faults[0].starts_with("line 2: its time lies 26512 days ahead")
                 && faults[1].starts_with("line 3: it has no time")
         );
-        // A second ahead is a clock that differs, and counts as of now.
+        // A second ahead is a difference of clocks, and counts as now.
         assert_eq!(of_lines.lessons()[1].at_ns, UnixNs(NOW_NS));
         let log =
             "2024-03-01 08:15:03\t2024-03-01 08:16:00\tfridge\n1e10\t1e10\tfridge\n-5\t-4\tfridge\n10\t20\tfridge\n";
@@ -382,15 +379,15 @@ mod tests {
 
     #[cfg(feature = "recording")]
     fn message(sequence: u64, observed_unix_ns: UnixNs) -> Recorded {
-        let narration = roomcast_ipc::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
-        Recorded::Narration(Box::new(roomcast_ipc::NarrationV1 {
+        let narration = roomcast_ipc::raw::NarrationV1::new(narration_kind::SENTENCE, "They sit.").unwrap();
+        Recorded::Narration(Box::new(roomcast_ipc::raw::NarrationV1 {
             sequence,
             observed_unix_ns: observed_unix_ns.0,
             ..narration
         }))
     }
 
-    /// The times of a recording go on from a start in 1970, and its clock was set meanwhile.
+    /// The recording's times continue from a start in 1970, and the clock was set during it.
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_over_a_clock_that_was_set_teaches_hours_by_the_right_one() {
@@ -402,7 +399,7 @@ mod tests {
         assert_eq!(times, [NOW_NS - 9, NOW_NS - 7]);
     }
 
-    /// A recording of a machine whose clock was ahead.
+    /// The recording machine's clock was ahead.
     #[cfg(feature = "recording")]
     #[test]
     fn a_recording_of_the_future_teaches_nothing() {

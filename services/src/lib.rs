@@ -1,10 +1,11 @@
 //! Roomcast's processes: the daemon that scores rooms, the planner that sends the robot elsewhere, and narrators.
 //!
-//! Data flows one way: a narrator publishes what it sees, the daemon publishes room scores, the planner publishes decisions. What decides
-//! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) is apart from threads, ports and clocks, so that faults can be simulated.
+//! Data flows one way: a narrator publishes events, the daemon publishes room scores, the planner publishes decisions. The deciding parts
+//! ([`daemon::Intake`], [`daemon::Board`], [`planner::Planner`]) are separate from threads, ports and clocks, so that faults can be
+//! simulated.
 //!
-//! The crate is the program's library: its signatures have types of the crates that it drives (`crossbeam`, `rumqttc`, `sd-notify`). What
-//! others build on is `roomcast-ipc` and `roomcast-core`.
+//! The crate is the program's library: its signatures contain types of its dependencies (`crossbeam`, `rumqttc`, `sd-notify`). Other
+//! programs build on `roomcast-ipc` and `roomcast-core`.
 //!
 //! ```
 //! use roomcast_services::config::Config;
@@ -15,7 +16,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-// In the order in which one may use another; the empty lines keep rustfmt from sorting them.
+// A module uses only those above it. The empty lines keep rustfmt from sorting them.
 pub mod clock;
 
 pub mod logging;

@@ -1,4 +1,4 @@
-//! One line of narration as what a narrator sends. `docs/json-lines.md` is the manual; [`roomcast_core::narration::line`] reads it.
+//! Turns one line of narration into an item to send. `docs/json-lines.md` is the manual; [`roomcast_core::narration::line`] reads it.
 
 use std::fmt;
 use std::io;
@@ -10,36 +10,36 @@ use roomcast_core::narration::ProgramError;
 use roomcast_core::narration::line::{self, Line};
 pub(crate) use roomcast_core::narration::line::{AHEAD_NS, LINE_BYTES_MAX};
 pub use roomcast_core::narration::line::{Who, WhoError};
-use roomcast_ipc::{MessageError, NarrationV1, text};
+use roomcast_ipc::raw::NarrationV1;
+use roomcast_ipc::{MessageError, text};
 
-/// The clock that dated an event is fast if the time lies further ahead than this. Less is rounding and transport.
+/// If a time is further ahead than this, the clock of the event is fast. Less is rounding and transport.
 pub(crate) const FAST_NS: u64 = 1_000_000_000;
 
-/// One narration to be.
+/// An event to send.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Item {
-    /// One of [`roomcast_ipc::narration_kind`].
+    /// One of [`roomcast_ipc::raw::narration_kind`].
     pub kind: u32,
     /// The text, in the notation of its kind.
     pub text: String,
     /// The person observed.
     pub person: Who,
-    /// When it was observed, in Unix nanoseconds; none for now.
+    /// The time of the observation, in Unix nanoseconds; `None` for now.
     pub observed_unix_ns: Option<UnixNs>,
     /// The number of persons that the narrator counted; 0 if it counted none.
     pub count: u8,
-    /// How long it takes in reality, in seconds: time that passes before it is observed.
+    /// The real duration in seconds, which passes before the event is observed.
     pub duration_s: f64,
 }
 
 impl Item {
-    /// An observation of now.
+    /// An event of now.
     #[must_use]
     pub fn new(kind: u32, text: impl Into<String>, person: Who) -> Self {
         Self { kind, text: text.into(), person, observed_unix_ns: None, count: 0, duration_s: 0.0 }
     }
 
-    /// The item of a line.
     fn of_line(line: Line) -> Result<Self, LineError> {
         let Line { kind, text, person, observed_unix_ns, count } = line;
         let item = Self { observed_unix_ns, count, ..Self::new(kind.number(), text, person) };
@@ -64,19 +64,19 @@ impl Item {
     }
 }
 
-/// Why a line is no narration.
+/// A line is not a narration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LineError {
-    /// It says nothing that can be read.
+    /// It cannot be read.
     #[error(transparent)]
     Line(#[from] line::LineError),
-    /// It cannot be a message.
+    /// It does not fit a message.
     #[error(transparent)]
     Message(#[from] MessageError),
 }
 
-/// A line or file that is no narration.
+/// An input is not a narration.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InputError {
@@ -85,7 +85,7 @@ pub enum InputError {
     Read {
         /// The file, or "standard input".
         name: String,
-        /// The system's word.
+        /// The system's error.
         source: io::Error,
     },
     /// Neither a file nor the name of a shipped activity program.
@@ -103,29 +103,28 @@ pub enum InputError {
         /// The file.
         path: PathBuf,
     },
-    /// A FIFO cannot be made.
+    /// A FIFO cannot be created.
     #[error("cannot make the named pipe {path}: {source}; give --fifo a path in a folder of your own")]
     MakeFifo {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: io::Error,
     },
     /// The program is malformed.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// A line is no narration.
+    /// A line is not a narration.
     #[error("line {line}: {source}")]
     Line {
-        /// From 1.
+        /// The number of the line, from 1.
         line: u64,
-        /// Why.
+        /// The fault.
         source: LineError,
     },
 }
 
-/// Lines that are no narration: their count, and the faults of the first ones in words. However many there are, they take no
-/// more memory.
+/// Lines that are not narrations: their count, and the texts of the first faults. The memory is bounded.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Faults {
     told: Vec<String>,
@@ -133,7 +132,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Most lines with a fault in words.
+    /// Most faults with a text.
     pub const TOLD: usize = 100;
 
     /// Adds the fault of a line.
@@ -141,7 +140,7 @@ impl Faults {
         self.add_at(format_args!("line {line}"), reason);
     }
 
-    /// Adds a fault at a place that is no line.
+    /// Adds a fault at a place that is not a line.
     pub fn add_at(&mut self, place: impl fmt::Display, reason: impl fmt::Display) {
         self.count += 1;
         if self.told.len() < Self::TOLD {
@@ -155,14 +154,14 @@ impl Faults {
         &self.told
     }
 
-    /// How many there are.
+    /// The number of faults.
     #[must_use]
     pub fn count(&self) -> u64 {
         self.count
     }
 }
 
-/// One line as an item, as [`Line::read`] reads it. Lines that the daemon would refuse are refused here, so that their writer sees it.
+/// Reads one line as an item, as [`Line::read`] does. It rejects lines that the daemon would reject, so that their writer sees the fault.
 ///
 /// # Errors
 ///
@@ -189,12 +188,12 @@ pub(crate) fn item_by(
 #[cfg(test)]
 mod tests {
     use roomcast_core::ids::PersonId;
-    use roomcast_ipc::{ALL_PERSONS, narration_kind};
+    use roomcast_ipc::raw::{ALL_PERSONS, narration_kind};
     use serde_json::{Value, json};
 
     use super::*;
 
-    /// The table that a hub of `roomcast-zenoh` is tested with, too.
+    /// The tests of the hub of `roomcast-zenoh` use the same table.
     #[test]
     fn a_narrator_takes_the_lines_that_a_hub_takes() {
         let table: Vec<Value> = serde_json::from_str(include_str!("../../tests/data/lines.json")).unwrap();

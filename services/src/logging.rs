@@ -13,15 +13,15 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// The environment variable with the filter, for instance `roomcast=debug`.
+/// The environment variable of the filter, for example `roomcast=debug`.
 const FILTER_VARIABLE: &str = "ROOMCAST_LOG";
 
-/// llama.cpp tells much about itself that matters only when a model does not load.
+/// llama.cpp logs many details that matter only when a model does not load.
 const FILTER_DEFAULT: &str = "info,llama-cpp-2=warn,llama_cpp_2=error,rumqttc=error";
 
 /// Most lines that wait to be written. The memory for their places is taken at the start, 32 bytes each.
 const LINES_MAX: usize = 8_192;
-/// How long the end of the program waits for lines that are still to be written.
+/// The longest time that the end of the program waits for the last lines.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// Keeps the log's thread alive. The drop writes the waiting lines, for a second at most.
@@ -52,7 +52,7 @@ pub fn init() -> Log {
     let filter = given.or_else(|| FILTER_DEFAULT.parse().ok()).unwrap_or_default();
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let registry = tracing_subscriber::registry().with(filter);
-    // An error says that somebody else has set up logging already, a test for instance.
+    // An error means that logging is set up already, for example by a test.
     let log = match journal {
         Some(journal) => {
             let _set = registry.with(journal).try_init();
@@ -82,7 +82,7 @@ pub fn init() -> Log {
     log
 }
 
-/// Lines on their way to the thread that writes them. A line that finds no place is lost.
+/// Sends lines to the thread that writes them. If the queue is full, a line is lost.
 #[derive(Debug, Clone)]
 struct Lines(Sender<Vec<u8>>);
 
@@ -100,7 +100,6 @@ impl Write for Lines {
     }
 }
 
-/// The thread that writes the lines.
 #[derive(Debug)]
 struct Writer {
     lines: Sender<Vec<u8>>,
@@ -110,13 +109,12 @@ struct Writer {
 impl Drop for Writer {
     fn drop(&mut self) {
         if self.lines.send_timeout(Vec::new(), LAST_LINES).is_ok() {
-            // The sender's end is the thread's end.
+            // When the channel closes, the thread has ended.
             let _ended = self.ended.recv_timeout(LAST_LINES);
         }
     }
 }
 
-/// Starts the thread; `None` if the system gives no thread.
 fn writer() -> Option<(Lines, Writer)> {
     let (lines, waiting) = bounded::<Vec<u8>>(LINES_MAX);
     let (end, ended) = bounded::<()>(1);
@@ -151,7 +149,7 @@ pub fn chain(error: &dyn std::error::Error) -> String {
 #[derive(Debug)]
 pub struct Limiter {
     interval_ns: u64,
-    /// Of how many intervals messages may come ahead of their time.
+    /// The time by which messages may be early, a multiple of the interval.
     ahead_ns: u64,
     next_ns: BootNs,
     held: u64,
@@ -164,13 +162,13 @@ impl Limiter {
         Self::with_burst(interval_ns, 1)
     }
 
-    /// One message per `interval_ns` over time, of which `burst` may come at once.
+    /// One message per `interval_ns` over time, with a burst of `burst`.
     #[must_use]
     pub(crate) fn with_burst(interval_ns: u64, burst: u64) -> Self {
         Self { interval_ns, ahead_ns: interval_ns.saturating_mul(burst.saturating_sub(1)), next_ns: BootNs(0), held: 0 }
     }
 
-    /// Whether to log now, and then how many were held back since the last.
+    /// `None` to hold the message back. To log it, the number of messages held back since the last one.
     pub fn pass(&mut self, now_ns: BootNs) -> Option<u64> {
         if now_ns.saturating_add(self.ahead_ns) < self.next_ns {
             self.held += 1;

@@ -1,9 +1,9 @@
-//! From a narration message to its event.
+//! Reads the event of a narration message.
 
 use roomcast_core::narration::line::Kind;
 use roomcast_core::narration::{Event, ObservedError};
 
-/// The event of a message's text, read as its kind ([`roomcast_ipc::narration_kind`]): a presence or an action.
+/// The event of a message's text, read as its kind ([`roomcast_ipc::raw::narration_kind`]): a presence or an action.
 ///
 /// # Errors
 /// The text's fault, as that kind.
@@ -15,7 +15,7 @@ pub fn event_of(kind: u32, text: &str) -> Result<Event, ObservedError> {
 mod tests {
     use roomcast_core::ids::PersonId;
     use roomcast_core::{narration, semantic_map, text};
-    use roomcast_ipc::narration_kind;
+    use roomcast_ipc::raw::narration_kind;
 
     use super::*;
 
@@ -30,7 +30,7 @@ mod tests {
         assert!(error.contains("say `present`"), "{error}");
     }
 
-    /// What is read has the numbers of what is sent.
+    /// The core and the messages use the same numbers.
     #[test]
     fn a_kind_is_the_messages_kind() {
         let numbers = [
@@ -45,14 +45,14 @@ mod tests {
         assert_eq!(Kind::of_number(narration_kind::PRESENCE + 1), None);
     }
 
-    /// Somebody has one number in messages and in the core, and a name one length.
+    /// `SOMEBODY` has the same number in messages and in the core, and the longest name has the same length.
     #[test]
     fn somebody_is_somebody() {
-        assert_eq!(PersonId::SOMEBODY, PersonId(roomcast_ipc::ALL_PERSONS));
-        assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::NAME_BYTES);
+        assert_eq!(PersonId::SOMEBODY, PersonId(roomcast_ipc::raw::ALL_PERSONS));
+        assert_eq!(narration::PERSON_NAME_BYTES_MAX, roomcast_ipc::raw::NAME_BYTES);
     }
 
-    /// Row "bidirectional and zero-width labels" of the attacks: what messages refuse, maps and sentences refuse, and no other character.
+    /// Row "bidirectional and zero-width labels" of the attacks: messages, maps and sentences reject the same characters.
     #[test]
     fn messages_and_maps_refuse_the_same_characters() {
         for character in (0..=u32::from(char::MAX)).filter_map(char::from_u32) {
@@ -63,6 +63,6 @@ mod tests {
     /// Row "1 000 rooms" of the attacks.
     #[test]
     fn a_map_has_no_more_rooms_than_a_message() {
-        assert_eq!(semantic_map::MAX_ROOMS, roomcast_ipc::MAX_ROOMS);
+        assert_eq!(semantic_map::MAX_ROOMS, roomcast_ipc::raw::MAX_ROOMS);
     }
 }

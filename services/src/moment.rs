@@ -1,12 +1,12 @@
-//! One moment of a running system: all that is behind its scores, as the daemon tells it and as a recording keeps it.
+//! One moment of a running system: all data behind its scores, as the daemon and recordings have it.
 //!
-//! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and
-//! per label its tokens with their log-probabilities. Everything else (items, rooms) follows from these by the pure functions
-//! of [`roomcast_core::grounding`] and [`roomcast_core::explanation`], so whoever has a moment can recompute every number of it.
+//! A moment is data, and JSON between processes (`roomcast/v1/moment`): the map in use, the narration that the model read, and each label's
+//! tokens with their log-probabilities. The pure functions of [`roomcast_core::grounding`] and [`roomcast_core::explanation`] compute
+//! everything else (items, rooms) from these, so a reader of a moment can recompute every number of it.
 
 use std::collections::BTreeMap;
 
-use roomcast_ipc::{NAME_BYTES, RoomScoresV1};
+use roomcast_ipc::raw::{NAME_BYTES, RoomScoresV1};
 use serde::{Deserialize, Serialize};
 
 use crate::habits_reason::PersonHabits;
@@ -21,52 +21,52 @@ use roomcast_core::scorer::{LanguageModel, Tokenisation};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_core::text::is_hidden;
 
-/// Version of the JSON form. Further keys may be added without a new one.
+/// Version of the JSON form. New keys do not change it.
 pub const VERSION: u32 = 1;
 
-/// Why a moment cannot be explained.
+/// A moment cannot be explained.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MomentError {
-    /// Not a moment's JSON.
+    /// The text is not a moment's JSON.
     #[error("the moment is malformed: {0}; do both sides have the same version of Roomcast?")]
     Json(#[from] serde_json::Error),
     /// A version that this program does not know.
     #[error("the moment has version {0}, this program knows {VERSION}; use the same version of Roomcast on both sides")]
     Version(u32),
-    /// The map in it is malformed.
+    /// The map in the moment is malformed.
     #[error("the moment's map is malformed")]
     Scene(#[from] SceneError),
-    /// Its scores are not those of its map.
+    /// The scores do not match the map.
     #[error("the moment's scores do not fit its map")]
     Grounding(#[from] GroundingError),
-    /// Nobody has scores of their own by that name or number.
+    /// The person has no scores.
     #[error("the moment has no scores of {who}; it has those of {known}")]
     NoPerson {
-        /// Who was asked for.
+        /// The person asked for.
         who: String,
-        /// Whose there are.
+        /// The persons with scores.
         known: String,
     },
-    /// A name that nobody can have.
+    /// A person's name is not allowed.
     #[error("person {person} of the moment is called {name:?}, which is no name; was the file damaged or forged?")]
     BadName {
-        /// Whose.
+        /// The person.
         person: PersonId,
         /// The name.
         name: String,
     },
-    /// Nobody of that name.
+    /// No person with scores has the name.
     #[error(
         "nobody of whom there are scores is called {who:?}; there are scores of {known}, and of nobody who was not observed yet"
     )]
     NoName {
-        /// Who was asked for.
+        /// The name asked for.
         who: String,
-        /// Whose scores there are.
+        /// The persons with scores.
         known: String,
     },
-    /// Everybody is out of the house.
+    /// All known persons are out of the house.
     #[error("everybody who is known is away: no room is likely, and there is nothing to explain")]
     NobodyHome,
     /// A label of the map has no score.
@@ -79,13 +79,13 @@ pub enum MomentError {
 /// A sentence that the model read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReadSentence {
-    /// Of whom.
+    /// The person of the sentence.
     pub person: PersonId,
     /// The sentence.
     pub text: String,
 }
 
-/// The newest narration of a source that scores contain.
+/// The newest narration of a source in the scores.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncludedSource {
     /// The source, hexadecimal.
@@ -96,40 +96,39 @@ pub struct IncludedSource {
     pub sequence: u64,
 }
 
-/// What the model said about a label.
+/// The model's score of a label.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LabelScore {
-    /// Its words.
+    /// The label.
     pub label: String,
-    /// ln s_c in nats; none for a probability of zero, which JSON cannot say as a logarithm.
+    /// ln s_c in nats; `None` for a probability of zero, since JSON has no infinity.
     pub log_prob_nats: Option<f64>,
-    /// Its tokens; empty where the scorer does not know their probabilities one by one (several persons, other methods than the
-    /// exact trie).
+    /// Its tokens; empty if the scorer does not know their probabilities one by one (several persons, other methods than the exact trie).
     pub tokens: Vec<TokenReason>,
-    /// What the prior adds to them, in nats.
+    /// The prior's part, in nats.
     #[serde(default)]
     pub prior_nats: f64,
 }
 
-/// What the model said about the labels for one person.
+/// The model's scores of the labels for one person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonLabels {
-    /// Who.
+    /// The person.
     pub person: PersonId,
-    /// Their scores: those that they would have alone.
+    /// The scores for this person alone.
     pub labels: Vec<LabelScore>,
 }
 
-/// All that is behind the scores of one moment.
+/// All data behind the scores of one moment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
     /// [`VERSION`].
     pub version: u32,
-    /// Epoch of the daemon's scores, hexadecimal; empty for scores of no daemon.
+    /// Epoch of the daemon's scores, hexadecimal; empty if the scores are not a daemon's.
     pub epoch: String,
-    /// Sequence of those scores.
+    /// Sequence of the scores.
     pub sequence: u64,
-    /// When they were computed: Unix nanoseconds, 0 when not known.
+    /// The time of the scores in Unix nanoseconds, 0 if unknown.
     pub computed_unix_ns: UnixNs,
     /// The model's name.
     pub model: String,
@@ -137,44 +136,44 @@ pub struct Moment {
     pub model_fingerprint: String,
     /// SHA-256 of the map, hexadecimal.
     pub map_fingerprint: String,
-    /// How scores are grounded.
+    /// The options of the grounding.
     pub grounding: GroundingOptions,
-    /// The binding sequence's name: a built-in one's, or `custom`.
+    /// The name of the binding sequence: a built-in name, or `custom`.
     pub binding_name: String,
-    /// Its text.
+    /// The text of the binding sequence.
     pub binding: String,
-    /// How prompt and labels were cut into tokens.
+    /// The tokenisation of prompt and labels.
     #[serde(default)]
     pub tokenisation: Tokenisation,
-    /// How scores were corrected; Equation 1 as it stands in recordings that do not say.
+    /// The correction of the scores; in recordings without it, plain Equation 1.
     #[serde(default)]
     pub correction: Correction,
-    /// What the model read before it, oldest first.
+    /// The sentences that the model read, the oldest first.
     pub narration: Vec<ReadSentence>,
-    /// Per source the newest narration in it.
+    /// The newest narration of each source in the scores.
     pub included: Vec<IncludedSource>,
-    /// What it said: of one person. Of several, what it comes to for all together, everybody counting the same.
+    /// The scores of the labels for one person, or for several persons together with equal weights.
     pub labels: Vec<LabelScore>,
-    /// Of several persons, what it said for each.
+    /// The scores for each of several persons.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub persons: Vec<PersonLabels>,
-    /// Whose the scores are, where they are of one person alone.
+    /// The person of the scores, if they are for one person alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alone: Option<PersonId>,
-    /// The names of those who have one, by number.
+    /// The names of persons, by number.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub names: BTreeMap<PersonId, String>,
-    /// What was learned of the home, by person: it makes the forecasts, and no scores.
+    /// The learned habits, by person. They affect the forecasts, not the scores.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub habits: Vec<PersonHabits>,
-    /// Everybody who is known is out of the house: no label has a score.
+    /// All known persons are out of the house, so no label has a score.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub nobody_home: bool,
-    /// The map, as its scene file.
+    /// The map, as a scene file.
     pub scene: serde_json::Value,
 }
 
-/// A moment explained, with what a drawing of it needs.
+/// An explained moment, with the data for a drawing.
 #[derive(Debug)]
 pub struct Explained {
     /// The chain behind every score.
@@ -183,15 +182,14 @@ pub struct Explained {
     pub map: SemanticMap,
     /// Its grounding.
     pub grounding: Grounding,
-    /// The scores, recomputed from the labels'.
+    /// The item and room scores, recomputed from the labels' scores.
     pub scores: GroundedScores,
-    /// Per item ln s_i.
+    /// ln s_i for each item.
     pub item_log_score_nats: Vec<f64>,
 }
 
 impl Moment {
-    /// The moment after a pipeline's last step. Epoch, sequence and time are those of `snapshot`, where the scores went into
-    /// one.
+    /// The moment after a pipeline's last step. Epoch, sequence and time are from `snapshot`, if the scores are in one.
     #[must_use]
     pub fn of<M: LanguageModel>(
         pipeline: &Pipeline<M>,
@@ -262,7 +260,7 @@ impl Moment {
     /// Reads a moment's JSON.
     ///
     /// # Errors
-    /// When it is none, of another version, or names somebody as nobody can be called.
+    /// If the text is malformed, has another version, or contains a name that is not allowed.
     pub fn from_json(text: &str) -> Result<Self, MomentError> {
         let moment: Self = serde_json::from_str(text)?;
         if moment.version != VERSION {
@@ -276,7 +274,7 @@ impl Moment {
         }
     }
 
-    /// Whose scores there are, in the order of their numbers. A moment that does not say it has those of whom its narration is of.
+    /// The persons with scores, by number. Without them, the persons of the narration.
     #[must_use]
     pub fn person_numbers(&self) -> Vec<PersonId> {
         let scored = self.persons.iter().map(|own| own.person).chain(self.alone);
@@ -289,22 +287,21 @@ impl Moment {
         persons
     }
 
-    /// The same in words.
     fn whose_scores(&self) -> String {
         let names: Vec<String> = self.person_numbers().into_iter().map(|person| self.name_of(person)).collect();
         if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
     }
 
-    /// Who a person is, for people: the name where there is one.
+    /// The person's name, or `person` and the number.
     #[must_use]
     pub fn name_of(&self, person: PersonId) -> String {
         self.names.get(&person).cloned().unwrap_or_else(|| format!("person {person}"))
     }
 
-    /// The number of a name or of a number: also of the one person whose name differs by accents or a title alone.
+    /// The person's number by name or number. A name may differ in accents or a title if only one person fits.
     ///
     /// # Errors
-    /// When nobody has that name, or several may be meant.
+    /// If the name fits no person, or several.
     pub fn find(&self, who: &str) -> Result<PersonId, MomentError> {
         let of = |is_meant: &dyn Fn(&str) -> bool| -> Vec<PersonId> {
             self.names.iter().filter(|(_, name)| is_meant(name)).map(|(number, _)| *number).collect()
@@ -321,10 +318,10 @@ impl Moment {
         }
     }
 
-    /// The moment as it is for one person alone.
+    /// The moment for one person alone.
     ///
     /// # Errors
-    /// When nothing of them is known.
+    /// If the person has no scores.
     pub fn of_person(&self, person: PersonId) -> Result<Self, MomentError> {
         let labels = match self.persons.iter().find(|own| own.person == person) {
             Some(own) => own.labels.clone(),
@@ -336,7 +333,7 @@ impl Moment {
         Ok(Self { labels, narration, habits, persons: Vec::new(), alone: Some(person), ..self.clone() })
     }
 
-    /// What was learned of a person.
+    /// The learned habits of a person.
     #[must_use]
     pub fn habits_of(&self, person: PersonId) -> Option<&PersonHabits> {
         self.habits.iter().find(|own| own.person == person)
@@ -350,7 +347,7 @@ impl Moment {
         BindingSequence::built_in(&self.binding_name).map_or_else(|| BindingSequence::custom(&self.binding), Ok)
     }
 
-    /// Grounds the labels' scores in the map once more, and explains every room by its `most_labels` largest contributions.
+    /// Grounds the labels' scores in the map again, and explains every room by its `most_labels` largest contributions.
     ///
     /// # Errors
     /// When the map is malformed, or the scores are not of its labels.
@@ -400,7 +397,7 @@ mod tests {
 
     use super::*;
 
-    /// Of several persons each can be explained, by the scores that they have alone.
+    /// With several persons, each person's scores are explained as if the person were alone.
     #[test]
     fn each_persons_scores_can_be_explained() {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();
@@ -439,7 +436,7 @@ mod tests {
         assert!(refused.contains("person 4") && !refused.contains('\u{1b}') && !refused.contains('\n'), "{refused}");
         assert!(Moment::from_json(&serde_json::to_string(&named).unwrap()).is_ok());
         assert!(named.find("ben").unwrap_err().to_string().contains("\"ben\""));
-        // By the names that other commands know them by, too.
+        // Other commands accept these forms of names, too.
         let names = [(4, "Zoë"), (5, "Mrs. Novak"), (6, "Mr. Novak"), (7, "Grandma Edith"), (8, "Edith")];
         let called =
             Moment { names: names.map(|(number, name)| (PersonId(number), name.to_owned())).into(), ..moment.clone() };
@@ -454,7 +451,7 @@ mod tests {
         assert!(unnamed.contains("called \"Tom\"; there are scores of person 0, Zoë"), "{unnamed}");
     }
 
-    /// As a home of sensors has it: somebody is told to be in a room, and no sentence is said.
+    /// A home of sensors: a person's room is reported, and there are no sentences.
     #[test]
     fn whoever_is_told_by_presence_alone_can_be_explained() {
         let map = SemanticMap::from_json(include_str!("../../tests/data/two_rooms.json")).unwrap();

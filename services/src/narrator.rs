@@ -1,8 +1,7 @@
-//! The narrator: publishes observations from activity programs, JSON lines or plain lines.
+//! The narrator: publishes events from activity programs, JSON lines or plain lines.
 //!
-//! While a narrator runs, none of its narrations are lost: it has at most as many under way as the service keeps in its history
-//! (32), so a restarted daemon gets each narration that it has not confirmed yet. Room scores confirm: they name the newest
-//! narration of each source that they contain.
+//! While a narrator runs, none of its narrations are lost. Unconfirmed ones are at most as many as the service's history holds (32), so a
+//! restarted daemon receives each of them. Room scores confirm narrations: they name the newest one of each source that they contain.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -12,10 +11,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
-use roomcast_ipc::{
-    Domain, IpcError, Message, MessageError, NAME_BYTES, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber,
-    narration_kind, sequence, text,
-};
+use roomcast_ipc::raw::{Message, NAME_BYTES, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::{Domain, IpcError, MessageError, Node, Publisher, Subscriber, sequence, text};
 use sd_notify::NotifyState;
 
 use crate::clock;
@@ -32,16 +29,16 @@ use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::narration::Program;
 use roomcast_core::text::odd_name;
 
-/// Narrations that may be under way unconfirmed: what the service's history holds for a daemon that restarts.
+/// Most unconfirmed narrations: the size of the service's history, which a restarted daemon receives.
 const UNDER_WAY: u64 = NarrationV1::SERVICE.history as u64;
 const TICK: Duration = Duration::from_millis(100);
-/// The log names this many refused lines at once, for files that a person writes, and then one in this time: a broker has any number of them.
+/// The log names this many rejected lines at once, for files that a person writes, and then one in this time, since a broker may send any
+/// number.
 const REFUSALS_AT_ONCE: u64 = 32;
 const REFUSAL_NS: u64 = 1_000_000_000;
-/// The log says once in this time that a person's name is odd.
+/// The log mentions an odd name of a person once in this time.
 const ODD_NAME_NS: u64 = 60_000_000_000;
 
-/// The items of a program, each with the duration that its action takes.
 #[must_use]
 fn program_items(program: &Program, person: &Who) -> Vec<Item> {
     let items = program.steps.iter().map(|action| Item {
@@ -51,18 +48,18 @@ fn program_items(program: &Program, person: &Who) -> Vec<Item> {
     items.collect()
 }
 
-/// The next item of the input, and the time at which it was read, if it is live.
+/// The next item of the input, and the time when it was read, if it is live.
 type Told = (Option<BootNs>, Result<Item, InputError>);
 
-/// Where narration comes from.
+/// The source of the narration.
 pub enum Input {
-    /// Everything is there.
+    /// All items are known.
     Items(Vec<Item>),
     /// All items, and the faults of malformed lines.
     Log {
         /// The items.
         items: Vec<Item>,
-        /// The lines that are not.
+        /// The faults of the other lines.
         faults: Faults,
     },
     /// Lines, as they come.
@@ -71,20 +68,20 @@ pub enum Input {
         name: String,
         /// The stream.
         stream: Box<dyn Read + Send>,
-        /// The person when a line names none.
+        /// The person of lines without one.
         person: Who,
-        /// Hears how many lines from the first on are settled; `None` if not needed.
+        /// Called with the number of settled lines, if needed.
         settled: Option<Settled>,
     },
 }
 
-/// Takes the number of lines, from the first on, that are settled: the daemon has confirmed or dropped them, or they are no narration. The
-/// sender of a settled line need not keep it.
+/// Receives the number of settled lines from the first on. The daemon has confirmed or dropped them, or they are not narrations. Their
+/// sender may discard them.
 pub type Settled = Box<dyn FnMut(u64) + Send>;
 
 impl Input {
-    /// `-` is standard input, line by line; a FIFO is read for ever; a file that begins with a title and holds actions is a
-    /// program, any other file is read line by line; a shipped program goes by its bare name.
+    /// `-` is standard input, line by line. A FIFO is read for ever. A file with a title and actions is a program; any other file is read
+    /// line by line. The bare name of a shipped program opens that.
     ///
     /// # Errors
     ///
@@ -102,7 +99,7 @@ impl Input {
         }
         let read = |source| InputError::Read { name: name.clone(), source };
         if std::fs::metadata(path).map_err(read)?.file_type().is_fifo() {
-            // With a writer of its own the stream does not end with its last other writer.
+            // An own writer keeps the stream open after its last other writer has left.
             let stream = File::options().read(true).write(true).open(path).map_err(read)?;
             return Ok(Self::lines(name, stream, person));
         }
@@ -134,14 +131,14 @@ impl Input {
 }
 
 impl Input {
-    /// Gives each item, and each fault in words, to `take`, until that gives false. It publishes no events.
+    /// Gives each item, and each fault in words, to `take` until it returns false. It publishes no events.
     pub fn each(self, mut take: impl FnMut(Result<Item, String>) -> bool) {
         let (items, faults) = match self {
             Self::Items(items) => (items, Faults::default()),
             Self::Log { items, faults } => (items, faults),
             Self::Lines { name, stream, person, .. } => {
                 let (sender, items) = bounded(1);
-                // The reader may wait for a line for ever; it ends with its stream or with the program.
+                // The reader may wait for a line for ever. It ends with its stream or with the program.
                 let _reader = std::thread::spawn(move || read_lines(&name, stream, &person, &sender));
                 let _all = items.iter().all(|(_, item)| take(item.map_err(|error| error.to_string())));
                 return;
@@ -152,12 +149,12 @@ impl Input {
     }
 }
 
-/// How fast.
+/// The pace of the narration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// So many seconds before each narration; 0 is as fast as the daemon takes and confirms it.
+    /// Seconds before each narration; 0 is as fast as the daemon confirms.
     Seconds(f64),
-    /// So many times faster than the actions' real durations.
+    /// A factor on the speed of the actions' real durations.
     Speed(f64),
 }
 
@@ -167,7 +164,7 @@ impl Pace {
             Self::Seconds(seconds) => seconds,
             Self::Speed(speed) => item.duration_s / speed,
         };
-        // Longer than anybody waits, and a clock can still be so far ahead.
+        // Longer than any wait, and still within the range of a clock.
         const LONGEST_S: f64 = 1e9;
         match seconds.is_nan() {
             true => Duration::ZERO,
@@ -183,11 +180,11 @@ pub struct Outcome {
     pub sent: u64,
     /// Of these, contained in the daemon's scores.
     pub confirmed: u64,
-    /// Of these, received by the daemon or lost before it, and not taken: too costly, too fast, or said by somebody else in this name.
+    /// Of these, rejected: too costly, too fast, lost, or sent by another process under this name.
     pub dropped: u64,
-    /// Lines that were no narration.
+    /// Lines that were not narrations.
     pub refused: u64,
-    /// The input was read to its end, and each sent narration is settled or was waited for: no signal stopped it before.
+    /// The input was read to its end and each narration is settled or was waited for, without a signal before.
     #[serde(skip)]
     pub is_whole: bool,
     /// The source and the epoch of this start.
@@ -195,19 +192,19 @@ pub struct Outcome {
     pub start: (u64, u64),
 }
 
-/// Numbers narrations and keeps track of the confirmed ones. Pure: time comes in as a number.
+/// Numbers narrations and tracks confirmations. Pure: time is an argument.
 #[derive(Debug, Clone)]
 pub struct Account {
     source: u64,
     source_name: [u8; NAME_BYTES],
     epoch: u64,
     outcome: Outcome,
-    /// The newest that scores named: their epoch, the highest number dealt with, and how many narrations of this epoch they contain.
+    /// The newest confirmation: epoch, highest processed number, and the number of narrations of this epoch in the scores.
     named: Option<(u64, u64, u64)>,
 }
 
 impl Account {
-    /// Nothing sent yet, by the narrator of this name; `epoch` is random per start.
+    /// A new account for the narrator of this name; `epoch` is random per start.
     #[must_use]
     pub fn new(name: &str, epoch: u64) -> Self {
         Self {
@@ -219,7 +216,11 @@ impl Account {
         }
     }
 
-    /// The next message, observed at this moment unless the item has a time.
+    /// The next message, observed now unless the item has a time.
+    ///
+    /// # Errors
+    ///
+    /// [`MessageError`] if the text does not fit a message; the number is not used then.
     ///
     /// # Errors
     ///
@@ -227,9 +228,9 @@ impl Account {
     pub fn next(&mut self, item: &Item, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<NarrationV1, MessageError> {
         let message = item.message()?;
         let observed_unix_ns = item.observed_unix_ns.unwrap_or(now_unix_ns);
-        // If the input's clock is fast, both times say so: the daemon corrects and counts it.
+        // If the input's clock is fast, both times are ahead: the daemon corrects and counts that.
         let ahead_ns = observed_unix_ns.since(now_unix_ns);
-        // An observation from before the machine's start has no monotonic time: 0, as in the contract.
+        // An event from before the machine's start has no monotonic time: 0, as in the contract.
         let age_ns = now_unix_ns.since(observed_unix_ns);
         self.outcome.sent += 1;
         Ok(NarrationV1 {
@@ -243,7 +244,7 @@ impl Account {
         })
     }
 
-    /// Takes the confirmations of checked scores.
+    /// Processes the confirmations of checked scores.
     pub fn confirm(&mut self, scores: &RoomScoresV1) {
         for included in scores.included() {
             if (included.source, included.epoch) != (self.source, self.epoch) {
@@ -256,8 +257,8 @@ impl Account {
                 continue;
             }
             let (dealt_with, dropped) = (sequence - before, sequence.saturating_sub(included.accepted));
-            // Narrations that scores have named before are settled. A restarted daemon may know less of it than it did: then it is only known that all
-            // since was taken.
+            // Narrations that earlier scores have named are settled. A restarted daemon may know fewer of them. Then only later narrations
+            // are known to be taken.
             let dropped = dropped.saturating_sub(before.saturating_sub(taken_before));
             let dropped = if same_daemon || dropped <= dealt_with { dropped.min(dealt_with) } else { 0 };
             self.outcome.dropped += dropped;
@@ -272,27 +273,27 @@ impl Account {
         self.outcome
     }
 
-    /// Narrations sent that the daemon has not dealt with.
+    /// Narrations that the daemon has not processed.
     #[must_use]
     pub fn under_way(&self) -> u64 {
         self.outcome.sent - self.outcome.confirmed - self.outcome.dropped
     }
 
-    /// Whether one more may be under way without being lost when the daemon restarts.
+    /// Whether one more would survive a restart of the daemon.
     #[must_use]
     pub fn may_send(&self) -> bool {
         self.under_way() < UNDER_WAY
     }
 }
 
-/// Keeps a narrator below the daemon's rate for one source: the daemon drops narrations above it. Pure: time comes in as a number.
+/// Keeps a narrator below the daemon's rate limit for one source, since the daemon drops the excess. Pure: time is an argument.
 ///
 /// It allows half of the daemon's burst and nine tenths of its rate: messages need not arrive as evenly as they are sent.
 #[derive(Debug, Clone)]
 pub struct Throttle(TokenBucket);
 
 impl Throttle {
-    /// For a daemon with these limits, as full as it gets.
+    /// A full bucket for a daemon with these limits.
     #[must_use]
     pub fn new(limits: IntakeLimits, now_ns: BootNs) -> Self {
         let (rate_per_s, burst) = (0.9 * limits.rate_per_s, (0.5 * limits.burst).max(1.0));
@@ -300,32 +301,32 @@ impl Throttle {
         Self(TokenBucket::full(limits, now_ns))
     }
 
-    /// How long to wait until one more may be sent; zero is now. A rate of 0 is no limit.
+    /// The wait before the next narration; zero is now. A rate of 0 is no limit.
     pub fn wait(&mut self, now_ns: BootNs) -> Duration {
         self.0.wait(now_ns)
     }
 
-    /// Takes note that one was sent.
+    /// Notes that one was sent.
     pub fn sent(&mut self) {
         self.0.take();
     }
 }
 
-/// The settled lines. Pure: the account comes in as numbers.
+/// Tracks settled lines. Pure: the account's numbers are arguments.
 #[derive(Debug, Default)]
 struct Lines {
-    /// For each line that is not: so many narrations are settled when it is, those before it included.
+    /// For each open line, the number of settled narrations at which it is settled.
     open: VecDeque<u64>,
     settled: u64,
 }
 
 impl Lines {
-    /// Takes note of the next line: it is settled when `narrations` are, its own included if it is one.
+    /// Adds the next line: it is settled when `narrations` are, with its own if it has one.
     fn take(&mut self, narrations: u64) {
         self.open.push_back(narrations);
     }
 
-    /// How many lines from the first on are settled, if they have become more: `narrations` are.
+    /// The number of settled lines, if it has grown, when `narrations` are settled.
     fn settle(&mut self, narrations: u64) -> Option<u64> {
         let before = self.settled;
         while self.open.front().is_some_and(|needs| *needs <= narrations) {
@@ -336,7 +337,6 @@ impl Lines {
     }
 }
 
-/// The narrator's ports.
 struct Narrator {
     narration: Publisher<NarrationV1>,
     scores: Subscriber<RoomScoresV1>,
@@ -354,7 +354,7 @@ impl Narrator {
         Ok(Self { narration, scores, account, throttle, lines: Lines::default(), settled: None })
     }
 
-    /// Adds a line that was sent or that is no narration, and reports the settled lines.
+    /// Adds a line that was sent or is not a narration, and reports the settled lines.
     fn take_line(&mut self) {
         if self.settled.is_some() {
             self.lines.take(self.account.outcome.sent);
@@ -370,7 +370,6 @@ impl Narrator {
         }
     }
 
-    /// Sends an item observed at that time.
     fn send(&mut self, item: &Item, observed_ns: BootNs) -> Result<(), IpcError> {
         let waited_ns = clock::monotonic_ns().since(observed_ns);
         let message = self.account.next(item, observed_ns, clock::unix_ns().saturating_sub(waited_ns));
@@ -393,7 +392,7 @@ impl Narrator {
     }
 }
 
-/// Publishes all of `input`, no faster than a daemon with these limits takes it, and stays until it is confirmed or `linger_s` is over.
+/// Publishes all of `input`, no faster than a daemon with these limits accepts, and stays until it is confirmed or `linger_s` is over.
 ///
 /// # Errors
 ///
@@ -421,7 +420,7 @@ pub fn run(
             tracing::warn!(further, "skipped further lines");
         }
     }
-    // Reading may block for ever; the thread ends with its stream, or with the process.
+    // A read may block for ever. The thread ends with its stream, or with the process.
     let reader = move || match input {
         Input::Items(items) | Input::Log { items, .. } => {
             items.into_iter().try_for_each(|item| items_in.send((None, Ok(item)))).is_ok()
@@ -459,7 +458,7 @@ pub fn run(
         while !stop.requested() && Instant::now() < due {
             sender.confirm(due.saturating_duration_since(Instant::now()))?;
         }
-        // However long it then waits for the daemon: that is no later observation. The item of a recorded input is observed at its turn.
+        // A wait for the daemon must not delay the time of the event. An item of a recorded input is observed at its turn.
         let observed_ns = read_ns.filter(|_| pause.is_zero()).unwrap_or_else(clock::monotonic_ns);
         loop {
             let wait = sender.throttle.wait(clock::monotonic_ns());
@@ -491,7 +490,7 @@ pub fn run(
         sender.confirm(TICK)?;
     }
     sender.account.outcome.is_whole = is_read && (sender.account.under_way() == 0 || !stop.requested());
-    // The daemon has every narration. A recorder reads seldom, and sent messages leave with their publisher: wait for it.
+    // The daemon has every narration. A slow recorder may not, and sent messages are lost when their publisher leaves, so this waits.
     if sender.account.outcome.sent > 0 && !stop.requested() {
         sender.confirm(Duration::ZERO)?;
         std::thread::sleep(TICK);
@@ -500,7 +499,7 @@ pub fn run(
     Ok(sender.account.outcome)
 }
 
-/// The next item; `None` at the end. It keeps the ports up while it waits.
+/// The next item; `None` at the end. It keeps the ports alive while it waits.
 fn next(items: &Receiver<Told>, sender: &mut Narrator, stop: &Stop) -> Result<Option<Told>, IpcError> {
     while !stop.requested() {
         match items.recv_timeout(TICK) {
@@ -545,7 +544,7 @@ fn read_lines(name: &str, stream: Box<dyn Read + Send>, person: &Who, items: &Se
     true
 }
 
-/// Makes a FIFO that only this user can write to; one that is there stays.
+/// Creates a FIFO that only this user can write to; an existing one stays.
 ///
 /// # Errors
 ///
@@ -569,7 +568,7 @@ mod tests {
 
     use super::*;
 
-    /// A clock can be ahead by any of them.
+    /// A clock can add any of them.
     #[test]
     fn no_pace_is_too_slow_for_a_clock() {
         let item = Item { duration_s: 3600.0, ..Item::new(narration_kind::SENTENCE, "They sit.", Who::Somebody) };
@@ -605,7 +604,7 @@ mod tests {
             }
             throttle.sent();
             let message = account.next(&item, BootNs(now_ns), UnixNs(0)).unwrap();
-            // The daemon gets them up to a second late and 32 at once.
+            // The daemon receives them up to a second late and 32 at once.
             arrived_ns =
                 u64::max(arrived_ns, now_ns + if number < 64 { 1_000_000_000 } else { (31 - number % 32) * 900_000 });
             let taken = intake.take(&message, Sender::simulated(1), BootNs(arrived_ns));
@@ -618,7 +617,7 @@ mod tests {
         );
     }
 
-    /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: a refused narration is not confirmed.
+    /// Rows "sequence 2^64 - 1" and "a sentence of one kilobyte" of the attacks: a rejected narration is not confirmed.
     #[test]
     fn what_the_daemon_dropped_is_not_confirmed() {
         let mut account = Account::new("test", 5);
@@ -626,7 +625,7 @@ mod tests {
         let scores = |daemon, sequence, accepted| {
             let mut scores = RoomScoresV1 { epoch: daemon, source_count: 1, ..Default::default() };
             let source = sequence::source_of_name("test");
-            scores.included[0] = roomcast_ipc::IncludedV1 { source, epoch: 5, sequence, accepted, observed_ns: 0 };
+            scores.included[0] = roomcast_ipc::raw::IncludedV1 { source, epoch: 5, sequence, accepted, observed_ns: 0 };
             scores
         };
         let figures = |account: &Account| (account.outcome.confirmed, account.outcome.dropped, account.under_way());
@@ -638,7 +637,7 @@ mod tests {
         account.confirm(&scores(1, 4, 3));
         account.confirm(&scores(1, 6, 5));
         assert_eq!(figures(&account), (5, 1, 4));
-        // A restarted daemon with all of the journal, and another with a journal that has dropped most.
+        // A restarted daemon with the whole state database, and another one that has dropped most of it.
         account.confirm(&scores(2, 8, 6));
         assert_eq!(figures(&account), (6, 2, 2));
         account.confirm(&scores(3, 9, 1));
@@ -660,12 +659,12 @@ mod tests {
         };
         assert_eq!(times(&sat(None), BootNs(500), UnixNs(10_000)), (500, 10_000));
         assert_eq!(times(&sat(Some(UnixNs(9_900))), BootNs(500), UnixNs(10_000)), (400, 9_900));
-        // Before the machine's start, and by a clock that is fast, which the daemon corrects.
+        // Before the machine's start, and by a fast clock, which the daemon corrects.
         assert_eq!(times(&sat(Some(UnixNs(1_000))), BootNs(500), UnixNs(10_000)), (0, 1_000));
         assert_eq!(times(&sat(Some(UnixNs(10_001))), BootNs(500), UnixNs(10_000)), (501, 10_001));
     }
 
-    /// Gives a line at a time, and counts them.
+    /// Gives one line per read, and counts them.
     struct Given(std::sync::Arc<std::sync::atomic::AtomicU64>);
 
     impl Read for Given {
@@ -677,7 +676,7 @@ mod tests {
         }
     }
 
-    /// Without a daemon a narrator waits with items that it has read: their time is that of reading, and not that of sending.
+    /// Without a daemon, a narrator waits with items that it has read. Their time is when they were read, not when they are sent.
     #[test]
     fn what_waited_for_a_daemon_was_observed_before() {
         use std::sync::atomic::Ordering::SeqCst;
@@ -697,7 +696,7 @@ mod tests {
         let (own_stop, own_domain) = (stop.clone(), domain.clone());
         let thread =
             std::thread::spawn(move || run(&config, limits, &own_domain, input, Pace::Seconds(0.0), &own_stop));
-        // One is in hand, one on its way, and the one behind them was read after both.
+        // One item is in hand, one is in the channel, and the next was read after both.
         while given.load(SeqCst) < UNDER_WAY + 3 {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -722,7 +721,7 @@ mod tests {
                 let mut confirms = RoomScoresV1 { epoch: 1, sequence: newest.sequence, ..Default::default() };
                 (confirms.room_count, confirms.source_count) = (1, 1);
                 confirms.room[0].id = text::encode("id", "kitchen").unwrap();
-                confirms.included[0] = roomcast_ipc::IncludedV1 {
+                confirms.included[0] = roomcast_ipc::raw::IncludedV1 {
                     source: newest.source,
                     epoch: newest.epoch,
                     sequence: newest.sequence,
@@ -740,7 +739,7 @@ mod tests {
         let _left = domain.clean_up();
     }
 
-    /// Editors on Windows put one before a file.
+    /// Editors on Windows put one at the start of a file.
     #[test]
     fn a_byte_order_mark_is_no_part_of_the_first_line() {
         let (items_in, items) = bounded(16);

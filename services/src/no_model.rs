@@ -1,5 +1,5 @@
-//! No language model at all: every word is as likely as every other. With it a step costs only what is ours around the model, which
-//! is what `roomcast latency` measures with `--scorer none`.
+//! A scorer without a language model: all words are equally likely. A step then costs only Roomcast's own work around the model, which
+//! `roomcast latency --scorer none` measures.
 
 use roomcast_core::label_trie::TokenTree;
 use roomcast_core::scorer::correction::Correction;
@@ -9,7 +9,7 @@ use roomcast_ipc::clock;
 /// Words that are equally likely to come next.
 const WORDS: usize = 128;
 
-/// The absence of a model. See the module's documentation.
+/// See the module's documentation.
 #[derive(Debug, Clone)]
 pub struct NoModel {
     info: ModelInfo,

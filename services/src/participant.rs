@@ -1,24 +1,24 @@
-//! How services take part in a domain, and the names of those that each robot has.
+//! Services as participants of a domain, and the names of each robot's services.
 
 use roomcast_ipc::{Domain, IpcError, Node, sequence};
 
-/// Joins as a service, whose log says for whom it waits: a place that somebody else has makes it fail only after seconds.
+/// Joins as a service. If another participant has its place, joining takes up to 8 s to fail, so the log warns first.
 pub(crate) fn join(domain: &Domain, name: &str) -> Result<Node, IpcError> {
     let tell = |error: &IpcError| tracing::warn!(reason = %error, "waiting up to 8 s for another to end");
     Ok(domain.open(name)?.telling_of_waits(tell))
 }
 
-/// A kind of service of which each robot has one.
+/// A kind of service that each robot has.
 #[derive(Debug, Clone, Copy)]
 pub struct OfRobot(&'static str);
 
 /// Planners.
 pub const PLANNER: OfRobot = OfRobot("roomcast-planner");
-/// What drives robots.
+/// Drivers of robots.
 pub const DRIVER: OfRobot = OfRobot("roomcast-robot");
 
 impl OfRobot {
-    /// The name of a robot's service: for people the robot's name, and behind it its number.
+    /// The name of a robot's service: the robot's name for people, and its number.
     ///
     /// ```
     /// use roomcast_ipc::sequence::source_of_name;
@@ -33,13 +33,13 @@ impl OfRobot {
         format!("{} {robot} {:016x}", self.0, sequence::source_of_name(robot))
     }
 
-    /// The number of the robot whose service takes part by this name; none where it is no such service.
+    /// The number of the robot with the service `participant`; `None` for another participant.
     #[must_use]
     pub fn robot_of(self, participant: &str) -> Option<u64> {
         self.read(participant).map(|(_, number)| number)
     }
 
-    /// The robot's name, where it is whole: among participants a name has question marks for what is not ASCII.
+    /// The robot's name, if it is complete: participants' names have question marks in place of characters that are not ASCII.
     #[must_use]
     pub fn robot_name(self, participant: &str) -> Option<&str> {
         let (name, number) = self.read(participant)?;

@@ -1,17 +1,17 @@
-//! Whether the machine runs on battery, as Linux says below `/sys/class/power_supply`.
+//! Whether the machine runs on battery, by Linux's `/sys/class/power_supply`.
 
 use std::fs;
 use std::path::Path;
 
-/// Where Linux lists batteries and what charges them.
+/// Linux's list of batteries and chargers.
 pub(crate) const SUPPLIES: &str = "/sys/class/power_supply";
 
-/// Whether a battery of the machine itself is being used up. No where there is none, or nothing says so.
+/// Whether a battery of the machine itself is discharging. False without one, or if Linux does not report it.
 pub(crate) fn is_on_battery(supplies: &Path) -> bool {
     let Ok(entries) = fs::read_dir(supplies) else { return false };
     entries.flatten().any(|entry| {
         let says = |what: &str| fs::read_to_string(entry.path().join(what)).unwrap_or_default();
-        // A mouse or a headset has one too, of the scope "Device".
+        // A mouse or a headset has a battery with the scope "Device".
         says("type").trim() == "Battery" && says("scope").trim() != "Device" && says("status").trim() == "Discharging"
     })
 }

@@ -1,11 +1,12 @@
-//! Messages from a port, one after the other; what is malformed is logged.
+//! Receives messages from a port one after the other, and logs malformed ones.
 
-use roomcast_ipc::{IpcError, Message, Subscriber};
+use roomcast_ipc::raw::Message;
+use roomcast_ipc::{IpcError, Subscriber};
 
 use crate::clock;
 use crate::logging::Limiter;
 
-/// Takes the next good message that waits, if any; malformed ones are left out, and logged as often as `log` lets through.
+/// Takes the next good message, if any. Malformed ones are skipped, and logged as often as `log` allows.
 ///
 /// # Errors
 /// [`IpcError::Port`] when the port fails.

@@ -1,8 +1,9 @@
-//! The reporter: what a robot says of itself, as lines of JSON or word by word, as messages for its planner.
+//! The reporter turns a robot's reports, as lines of JSON or word by word, into messages for its planner.
 
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::parsing::{Keyed, json_of_one_line_says, word};
-use roomcast_ipc::{Message, MessageError, RobotReportV1, report_flags, report_kind, sequence, text};
+use roomcast_ipc::raw::{Message, RobotReportV1, report_flags, report_kind};
+use roomcast_ipc::{MessageError, sequence, text};
 
 /// Longest line of input, in bytes.
 pub const LINE_BYTES_MAX: u64 = 8192;
@@ -56,26 +57,26 @@ impl Kind {
     }
 }
 
-/// One report, in a robot's words.
+/// A report of a robot.
 #[derive(Debug, Clone, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Report {
-    /// What.
+    /// The kind.
     #[serde(rename = "report", deserialize_with = "word")]
     pub kind: Kind,
-    /// The room that it speaks of, by its id or its name in the map.
+    /// The room, by its id or its name in the map.
     #[serde(default)]
     pub room: Option<String>,
-    /// How full the battery is, 0 to 1.
+    /// The battery's level, 0 to 1.
     #[serde(default)]
     pub battery: Option<f64>,
-    /// Where the robot is, in the map's metres.
+    /// The position of the robot, in the map's metres.
     #[serde(default)]
     pub position: Option<[f64; 3]>,
-    /// The sequence of the decision that it answers.
+    /// The sequence of the decision that the report answers.
     #[serde(default)]
     pub decision: Option<u64>,
-    /// Why, in words.
+    /// The reason, in words.
     #[serde(default)]
     pub note: Option<String>,
     /// Seconds until a hold ends.
@@ -83,36 +84,36 @@ pub struct Report {
     pub for_s: Option<f64>,
 }
 
-/// Why a report is none.
+/// A report is malformed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReporterError {
-    /// No JSON, an unknown key, or a value of the wrong kind.
+    /// The text is not JSON, or has an unknown key or a value of the wrong kind.
     #[error(
         "{reason}; expected {{\"report\": \"finished\"}}, with \"room\": text, \"battery\": 0 to 1, \"position\": [x, y, z] in metres, \
          \"decision\": number and \"note\": text if you like, and \"for_s\": seconds with \"hold\""
     )]
     Json {
-        /// What is wrong, and at which key.
+        /// The fault and its key.
         reason: String,
     },
-    /// A report of this kind needs more.
+    /// A report of this kind needs another key.
     #[error("a report of the kind {kind} needs `{key}`: {remedy}")]
     Missing {
         /// The kind.
         kind: Kind,
-        /// The key that is missing.
+        /// The missing key.
         key: &'static str,
-        /// What to give.
+        /// The remedy.
         remedy: &'static str,
     },
-    /// A report of this kind has no such key.
+    /// A report of this kind must not have `for_s`.
     #[error("a report of the kind {kind} has no `for_s`: give it with hold, 1 to 1000000000 seconds")]
     NoHold {
         /// The kind.
         kind: Kind,
     },
-    /// A value that the contract refuses.
+    /// The contract rejects a value.
     #[error("the report is refused: {0}")]
     Message(#[from] MessageError),
 }
@@ -141,7 +142,7 @@ impl Report {
         let json_error = |reason: String| ReporterError::Json { reason };
         let Keyed(report) = serde_path_to_error::deserialize::<_, Keyed<Self>>(&mut json).map_err(|error| {
             let said = json_of_one_line_says(error.inner());
-            // The path of what is no key's fault is a point.
+            // An error without a key has the path ".".
             json_error(if error.path().iter().next().is_some() { format!("{}: {said}", error.path()) } else { said })
         })?;
         json.end().map_err(|error| json_error(json_of_one_line_says(&error)))?;
@@ -153,7 +154,7 @@ impl Report {
 #[derive(Debug)]
 pub struct Reporter {
     robot: u64,
-    name: [u8; roomcast_ipc::NAME_BYTES],
+    name: [u8; roomcast_ipc::raw::NAME_BYTES],
     epoch: u64,
     sequence: u64,
 }
@@ -168,10 +169,10 @@ impl Reporter {
         Ok(Self { robot: sequence::source_of_name(robot), name, epoch, sequence: 0 })
     }
 
-    /// The next message: a report of what is so at `now_ns`.
+    /// The next message: a report about the time `now_ns`.
     ///
     /// # Errors
-    /// [`ReporterError`] names what is missing, or what the contract refuses.
+    /// [`ReporterError`] names the missing key, or the value that the contract rejects.
     pub fn message(
         &mut self,
         report: &Report,

@@ -18,22 +18,18 @@ const QUIET_S_MAX: f64 = 604_800.0;
 /// The kind of a line with values in its text: a device's state, in any words. A line of this kind never sets presence.
 const FILLED_KIND: &str = "device";
 
-/// The presence that a rule reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Whereabouts {
-    /// In the house.
     Present,
     /// Out of the house, and expected back.
     Away,
     /// Out of the house, and not expected back.
     Gone,
-    /// The room has no people in it.
     Empty,
 }
 
 impl Whereabouts {
-    /// As it stands in a line of JSON.
     fn word(self) -> &'static str {
         match self {
             Self::Present => "present",
@@ -57,7 +53,6 @@ pub(crate) struct Keys<'a> {
     pub(crate) device: Device<'a>,
 }
 
-/// The keys of a rule with a sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Device<'a> {
     pub(crate) id: Option<&'a str>,
@@ -67,7 +62,7 @@ pub(crate) struct Device<'a> {
     pub(crate) only_on: bool,
 }
 
-/// The class of a rule's event. A value gives one event of each class.
+/// The class of a rule's event. A value gives at most one event of each class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) enum Class {
     Sentence,
@@ -75,15 +70,15 @@ pub(crate) enum Class {
     Sensor(SensorKind),
 }
 
-/// The event of a rule: a sentence, a presence or the state of a sensor, with names in braces for values of its message or interval.
+/// The event of a rule: a sentence, a presence or the state of a sensor. Names in braces are placeholders for values of its message or
+/// interval.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Saying {
     pub(crate) class: Class,
-    /// The device reports no "off".
     pub(crate) only_on: bool,
     keys: Map<String, Value>,
     quiet: Option<Duration>,
-    /// The presence form of a sentence with placeholders that all stand for a name or a room.
+    /// The presence form of a sentence if all its placeholders stand for a name or a room.
     form: Option<&'static str>,
 }
 
@@ -153,7 +148,7 @@ impl Saying {
         });
         let form = say.and_then(|say| form_of(&filled(say, usize::MAX, &|_| "value".to_owned())?));
         let saying = Self { class, only_on: device.only_on, keys: written, quiet: quiet.transpose()?, form };
-        // Checked here, since the error can name the rule.
+        // Checked here, since this error can name the rule.
         let line = match class {
             Class::Sensor(_) => saying.report(Some(true), "1", |_| "1".to_owned()).unwrap_or_default(),
             _ => saying.line(|_| "1".to_owned()),
@@ -162,36 +157,35 @@ impl Saying {
         Ok(saying)
     }
 
-    /// The silence before it is sent; `None` for at once.
     pub(crate) fn quiet(&self) -> Option<Duration> {
         self.quiet
     }
 
-    /// A key's text as it was given, placeholders and all.
+    /// A key's text as given, with placeholders.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn text(&self, key: &str) -> Option<&str> {
         self.keys.get(key).and_then(Value::as_str)
     }
 
-    /// The keys as they were given, placeholders and all, as JSON.
+    /// The keys as given, with placeholders, as JSON.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn template(&self) -> String {
         Value::Object(self.keys.clone()).to_string()
     }
 
-    /// The line of JSON that says it, with the value of each name in braces.
+    /// The event's line of JSON, with the value of each name in braces.
     pub(crate) fn line(&self, value_of: impl Fn(&str) -> String) -> String {
         self.line_within(usize::MAX, &value_of).unwrap_or_default()
     }
 
-    /// As [`Self::line`], but `None` if the line has more bytes than a line of narration may have. It is given up before it grows.
+    /// As [`Self::line`], but `None` if the line exceeds the limit of a line of narration. It stops before the line grows.
     #[cfg_attr(not(feature = "mqtt"), allow(dead_code, reason = "only MQTT asks"))]
     pub(crate) fn short_line(&self, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
         self.line_within(most, &value_of).filter(|line| line.len() <= most)
     }
 
-    /// The line of JSON for a sensor's state. `None` if it has more bytes than a line may have. A rule without an id has the default one.
+    /// The line of JSON for a sensor's state; `None` if it exceeds the limit of a line. A rule without an id has the default one.
     pub(crate) fn report(&self, on: State, id: &str, value_of: impl Fn(&str) -> String) -> Option<String> {
         let most = usize::try_from(LINE_BYTES_MAX).unwrap_or(usize::MAX);
         let mut keys = self.filled_keys(most, &value_of)?;
@@ -227,7 +221,6 @@ impl Saying {
     }
 }
 
-/// Checks the keys of a sensor's rule that its report does not have.
 fn check_sensor(kind: SensorKind, keys: &Keys<'_>) -> Result<(), String> {
     let has_person = keys.person.is_some_and(|person| !person.is_somebody());
     if kind == SensorKind::Phone && !has_person {
@@ -239,7 +232,7 @@ fn check_sensor(kind: SensorKind, keys: &Keys<'_>) -> Result<(), String> {
     Ok(())
 }
 
-/// A number of persons in a message. More than a line may count are the most that it may.
+/// A number of persons in a message, limited to the most that a line may count.
 fn counted(text: String) -> Value {
     match text.trim().parse::<u64>() {
         Ok(number) if number > 0 => number.min(COUNT_MAX.into()).into(),
@@ -279,7 +272,8 @@ fn inside(value: &str) -> String {
     out
 }
 
-/// The next name in braces: the text before it, the name, the text after it. `None` if no brace is left, an error for a brace without its partner.
+/// The next name in braces: the text before it, the name, and the text after it. `None` without a brace, an error for a brace without its
+/// partner.
 fn next_name(text: &str) -> Option<Result<(&str, &str, &str), ()>> {
     let (before, rest) = text.split_at(text.find(['{', '}'])?);
     let inner = rest.strip_prefix('{').and_then(|rest| rest.split_once('}')).filter(|(name, _)| !name.contains('{'));
@@ -298,7 +292,7 @@ fn check_names(mut text: &str, names: &[String]) -> Result<(), String> {
     Ok(())
 }
 
-/// A checked text with the names' values; a brace in a value stays. `None` if the text would have more bytes than `most`.
+/// A checked text with the names' values. A brace in a value stays. `None` if the text would exceed `most` bytes.
 fn filled(mut text: &str, most: usize, value_of: &impl Fn(&str) -> String) -> Option<String> {
     let mut out = String::with_capacity(text.len());
     while let Some(Ok((before, name, after))) = next_name(text) {

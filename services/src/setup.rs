@@ -1,4 +1,4 @@
-//! From a configuration to a pipeline that is ready: model, map, labels.
+//! Builds a ready pipeline from a configuration: model, map, labels.
 
 use std::path::Path;
 
@@ -14,14 +14,14 @@ use roomcast_core::scorer::{LanguageModel, ModelError};
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
 use roomcast_llama::{LlamaModel, LlamaOptions, file_sha256};
 
-/// What kept the service from becoming ready.
+/// The service cannot become ready.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SetupError {
-    /// The configuration.
+    /// The configuration failed.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The scene.
+    /// The scene failed.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// Neither a file nor the name of a shipped scene.
@@ -30,7 +30,7 @@ pub enum SetupError {
         embedded::scene_names()
     )]
     NoScene {
-        /// What was given.
+        /// The given path.
         path: String,
     },
     /// Neither a file nor the name of a shipped activity program.
@@ -39,22 +39,22 @@ pub enum SetupError {
         embedded::program_names()
     )]
     NoProgram {
-        /// What was given.
+        /// The given path.
         path: String,
     },
-    /// An activity program.
+    /// An activity program failed.
     #[error(transparent)]
     Program(#[from] ProgramError),
-    /// The scene's grounding.
+    /// The scene's grounding failed.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
-    /// The model.
+    /// The model failed.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The embedded model.
+    /// The embedded model failed.
     #[error("failed to put the embedded model into an anonymous memory file: {0}; give a model file instead")]
     Embedded(std::io::Error),
-    /// The pipeline.
+    /// The pipeline failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// The model is not the one that the configuration pins.
@@ -64,9 +64,9 @@ pub enum SetupError {
     Pin {
         /// The file.
         path: String,
-        /// What it has.
+        /// The SHA-256 of the file.
         found: String,
-        /// What it must have.
+        /// The pinned SHA-256.
         pinned: String,
     },
 }
@@ -81,7 +81,7 @@ pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaMo
         None => {
             let file = ModelFile::create().map_err(SetupError::Embedded)?;
             LlamaModel::load(&file.path(), options).map_err(|error| match error {
-                // Its path means something to this process alone.
+                // This path has a meaning only in this process.
                 ModelError::Load { reason, .. } => ModelError::Load { path: embedded::MODEL_NAME.to_owned(), reason },
                 error => error,
             })?
@@ -89,7 +89,7 @@ pub fn load_model(path: Option<&Path>, options: &LlamaOptions) -> Result<LlamaMo
     })
 }
 
-/// Loads the scene file at `path`, a shipped scene when `path` is its bare name, or the studio flat.
+/// Loads the scene file at `path`, a shipped scene if `path` is its bare name, or by default the studio flat.
 ///
 /// # Errors
 /// When the file is missing or malformed.
@@ -108,7 +108,7 @@ pub fn load_map(path: Option<&Path>) -> Result<SemanticMap, SetupError> {
     })
 }
 
-/// Loads the activity program at `path`, or a shipped program when `path` is its bare name.
+/// Loads the activity program at `path`, or a shipped program if `path` is its bare name.
 ///
 /// # Errors
 /// When the file is missing or malformed.
@@ -122,16 +122,16 @@ pub fn load_program(path: &Path) -> Result<Program, SetupError> {
     Ok(Program::load(path)?)
 }
 
-/// The shipped program that `path` is the bare name of, unless there is a file of that name.
+/// The shipped program with the bare name `path`, unless a file has that name.
 ///
 /// # Errors
-/// When it is malformed, which a test of the shipped programs excludes.
+/// If the program is malformed; a test of the shipped programs excludes that.
 pub fn shipped_program(path: &Path) -> Option<Result<Program, ProgramError>> {
     let shipped = path.to_str().filter(|_| !path.exists()).and_then(embedded::program)?;
     Some(Program::parse(shipped.text))
 }
 
-/// Sets up everything that the configuration names.
+/// Sets up the pipeline and the map of a configuration.
 ///
 /// # Errors
 /// The first part that cannot be set up.
@@ -140,8 +140,7 @@ pub fn open(config: &Config) -> Result<(Pipeline<LlamaModel>, SemanticMap), Setu
     Ok((open_with(config, &map, configured_model)?, map))
 }
 
-/// Sets up everything that the configuration names, with another map than the one it names, and with the model that `model`
-/// gives ([`configured_model`]).
+/// Sets up the pipeline of a configuration with another map, and with the model that `model` loads ([`configured_model`]).
 ///
 /// # Errors
 /// The first part that cannot be set up.
@@ -155,19 +154,19 @@ pub fn open_with<M: LanguageModel>(
     Ok(Pipeline::new(model(config)?, grounding, pipeline_options(config)?)?)
 }
 
-/// The model that the configuration names, or the embedded one.
+/// The model of the configuration, or the embedded one.
 ///
 /// # Errors
-/// When it cannot be loaded, or is not the one that is pinned.
+/// If it cannot be loaded, or does not match the pin.
 pub fn configured_model(config: &Config) -> Result<LlamaModel, SetupError> {
     check_pin(config)?;
     let model = load_model(config.model.path.as_deref(), &config.model.llama_options())?;
-    // The file may have been exchanged between the check and the loading.
+    // The file may have been replaced between the check and the load.
     compare_pin(config, model.info().fingerprint)?;
     Ok(model)
 }
 
-/// Holds the model file to the checksum that the configuration pins, before llama.cpp sees any of it.
+/// Compares the model file with the pinned checksum before llama.cpp reads it.
 ///
 /// # Errors
 /// When it cannot be read, or is another file.
@@ -220,7 +219,7 @@ mod tests {
         compare_pin(&config, [7; 32]).unwrap();
         config.model.sha256 = Some("07".repeat(32));
         compare_pin(&config, [7; 32]).unwrap();
-        // As when the file was exchanged after it was checked.
+        // As if the file was replaced after the check.
         let error = compare_pin(&config, [8; 32]).unwrap_err().to_string();
         assert!(
             error.contains("(embedded) has the SHA-256 0808") && error.contains("model.sha256 pins 0707"),

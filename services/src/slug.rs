@@ -2,23 +2,22 @@
 
 use sha2::{Digest, Sha256};
 
-/// Most characters that are taken of a name.
 const LENGTH_MAX: usize = 40;
-/// Characters of the sum that tells names apart which would look alike.
+/// Characters of the checksum that keeps similar names apart.
 const SUM: usize = 8;
 
 fn is_safe(character: char) -> bool {
     character.is_ascii_lowercase() || character.is_ascii_digit() || character == '-' || character == '_'
 }
 
-/// Whether a name looks like one that has its sum at its end.
+/// Whether a name appears to end with a checksum.
 fn has_sum(name: &str) -> bool {
     let sum = name.rsplit('_').next().unwrap_or_default();
     sum.len() == SUM && sum.bytes().all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte))
 }
 
-/// A name that is safe in a topic and in an id, the same at every start: the name itself where it is safe, else what is left of it
-/// with a sum of the whole name. No name becomes what another one is.
+/// A name that is safe in a topic and in an id, and the same at every start. A safe name stays. From any other name the safe characters
+/// stay, with a checksum of the whole name. Two names never give the same result.
 ///
 /// ```
 /// use roomcast_services::slug::slug;
@@ -32,7 +31,7 @@ pub fn slug(name: &str) -> String {
     if is_plain { name.to_owned() } else { summed(name, name) }
 }
 
-/// What is safe of a name, with a sum of a text that stands for it: for names that are safe, and mean something else where they stand.
+/// The safe characters of a name, with a checksum of `text`. It is for safe names that would have another meaning in their place.
 #[must_use]
 pub fn summed(name: &str, text: &str) -> String {
     let lower = name.to_lowercase();
@@ -76,7 +75,7 @@ mod tests {
         ];
         let long = ["x".repeat(41), format!("{}y", "x".repeat(41))];
         let mut names: Vec<String> = odd.into_iter().map(str::to_owned).chain(long).collect();
-        // Names that are what others become, and what those become.
+        // These are the slugs of other names, and the slugs of those.
         for _ in 0..2 {
             names.extend(names.iter().map(|name| slug(name)).collect::<Vec<_>>());
         }

@@ -1,4 +1,4 @@
-//! Small files in the state directory and outputs of commands: read with a limit, replaced whole or not at all.
+//! Small files in the state directory, and outputs of commands. They are read with a limit, and replaced atomically.
 
 use std::ffi::OsString;
 use std::fs::{DirBuilder, File, OpenOptions, Permissions};
@@ -12,10 +12,10 @@ use serde::Serialize;
 use crate::clock;
 use crate::logging::Limiter;
 
-/// How often a file that cannot be written is complained of.
+/// The interval of warnings about a file that cannot be written.
 const COMPLAINT_NS: u64 = 60_000_000_000;
 
-/// Makes the state directory and the folders above it if they are missing. Other users may not read it.
+/// Creates the state directory and its missing parents. Other users may not read it.
 ///
 /// # Errors
 /// When it cannot be made.
@@ -23,7 +23,7 @@ pub(crate) fn make_folder(path: &Path) -> io::Result<()> {
     DirBuilder::new().recursive(true).mode(0o700).create(path)
 }
 
-/// What a file of text holds; none where there is none.
+/// The content of a text file; `None` if it is missing.
 ///
 /// # Errors
 /// As [`read_bytes`], and [`io::ErrorKind::InvalidData`] when it is not UTF-8.
@@ -33,7 +33,7 @@ pub(crate) fn read(path: &Path, bytes_max: u64) -> io::Result<Option<String>> {
     read_bytes(path, bytes_max)?.map(text).transpose()
 }
 
-/// What a file holds; none where there is none.
+/// The content of a file; `None` if it is missing.
 ///
 /// # Errors
 /// When it cannot be read, or [`require_own`] refuses it; [`io::ErrorKind::FileTooLarge`] when it has more than `bytes_max` bytes.
@@ -55,30 +55,30 @@ pub(crate) fn read_bytes(path: &Path, bytes_max: u64) -> io::Result<Option<Vec<u
 #[derive(Debug)]
 pub(crate) struct Kept<T> {
     path: PathBuf,
-    /// What the file is known to hold.
+    /// The known content of the file.
     written: Option<T>,
-    /// The file outlives a loss of power.
+    /// The file survives a power loss.
     for_good: bool,
     log: Limiter,
 }
 
 impl<T: PartialEq + Serialize> Kept<T> {
-    /// Of nothing yet: whatever the file holds is replaced by the first value.
+    /// The first value replaces the file.
     pub(crate) fn new(path: PathBuf) -> Self {
         Self { path, written: None, for_good: false, log: Limiter::new(COMPLAINT_NS) }
     }
 
-    /// The same; each value outlives a loss of power.
+    /// As [`Self::new`], and each value survives a power loss.
     pub(crate) fn for_good(path: PathBuf) -> Self {
         Self { for_good: true, ..Self::new(path) }
     }
 
-    /// The file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with `loss`, the cost and the remedy, once a minute.
+    /// Replaces the file if the value has changed. After a failure the next call tries again. The log warns with `loss`, the cost and the
+    /// remedy, once a minute.
     pub(crate) fn keep(&mut self, value: T, loss: &str) {
         if self.written.as_ref() == Some(&value) {
             return;
@@ -96,8 +96,7 @@ impl<T: PartialEq + Serialize> Kept<T> {
     }
 }
 
-/// Puts a new file, which its owner alone may read, in place of the old one, which stays whole until then. It outlives a crash of this process,
-/// and may not outlive a loss of power.
+/// Replaces a file atomically. Only its owner may read it. It survives a crash of this process, but perhaps not a power loss.
 ///
 /// # Errors
 /// When the directory cannot be written or [`require_own`] refuses the file; the old file is as it was.
@@ -106,7 +105,7 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write(path, bytes, OWNER_ALONE, false)
 }
 
-/// The same, and it outlives a loss of power.
+/// As [`replace`], and the file survives a power loss.
 ///
 /// # Errors
 /// As [`replace`], or when the disk refuses.
@@ -115,21 +114,21 @@ pub(crate) fn replace_for_good(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write(path, bytes, OWNER_ALONE, true)
 }
 
-/// Writes an output. A plain file is replaced whole, and all users may read it as far as the umask allows. A symbolic link and a FIFO are refused: another
-/// user may have put them there. A file of `/dev` gets the bytes.
+/// Writes an output. A plain file is replaced atomically, and all users may read it if the umask allows. A symbolic link and a FIFO are
+/// rejected: another user may have put them there. A file of `/dev` gets the bytes.
 ///
 /// # Errors
 /// When it cannot be written or is refused; an old file is as it was.
 pub fn write_out(path: &Path, bytes: &[u8]) -> io::Result<()> {
     if path.starts_with("/dev") && !path.starts_with("/dev/shm") {
-        // By the given name: an open pipe has no path of its own.
+        // The given name is opened: an open pipe has no path.
         return OpenOptions::new().write(true).open(path)?.write_all(bytes);
     }
     require_out(path)?;
     write(path, bytes, EVERYBODY, false)
 }
 
-/// Refuses a place for a new file where a symbolic link, a FIFO or a device is.
+/// Rejects a path of a symbolic link, a FIFO or a device as the place of a new file.
 ///
 /// # Errors
 /// When one is there, or the place cannot be looked at.
@@ -143,7 +142,7 @@ pub fn require_out(path: &Path) -> io::Result<()> {
     }
 }
 
-/// What a file's permissions are before the umask takes some.
+/// Permissions of a file before the umask.
 const OWNER_ALONE: u32 = 0o600;
 const EVERYBODY: u32 = 0o666;
 
@@ -158,7 +157,7 @@ fn write(path: &Path, bytes: &[u8], mode: u32, for_good: bool) -> io::Result<()>
     if for_good { sync_folder(path) } else { Ok(()) }
 }
 
-/// What the names of files begin with that are to take the place of one, until they are whole.
+/// The prefix of the names of temporary files that are to replace a file.
 fn unfinished(path: &Path) -> OsString {
     let mut prefix = OsString::from(".");
     prefix.push(path.file_name().unwrap_or_default());
@@ -166,7 +165,7 @@ fn unfinished(path: &Path) -> OsString {
     prefix
 }
 
-/// Removes the unfinished files that a killed process left beside a file. No other process may write the file now.
+/// Removes the temporary files of a killed process. No other process may write the file now.
 ///
 /// # Errors
 /// When the directory cannot be read or written.
@@ -181,7 +180,7 @@ pub(crate) fn remove_unfinished(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Syncs a file's folder, so that new and renamed files in it outlive a loss of power.
+/// Syncs a file's folder, so that new and renamed files in it survive a power loss.
 ///
 /// # Errors
 /// When the folder cannot be opened, or the disk refuses.
@@ -222,7 +221,7 @@ mod tests {
         make_folder(path.parent().unwrap()).unwrap();
         kept.keep(7, "it is not kept");
         assert_eq!(read(&path, 9).unwrap().as_deref(), Some("7"));
-        // What the file holds already is not written again.
+        // An unchanged value is not written again.
         std::fs::remove_file(&path).unwrap();
         kept.keep(7, "it is not kept");
         assert!(!path.exists());
@@ -244,7 +243,7 @@ mod tests {
                 .iter()
                 .all(|name| at(name).exists())
         );
-        // A file that is replaced leaves nothing.
+        // A replaced file leaves no temporary file.
         replace(&at("habits"), b"new").unwrap();
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 5);
         assert!(remove_unfinished(&at("none/habits")).is_err());
@@ -296,7 +295,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(at("victim")).unwrap(), "drawing");
     }
 
-    /// Other users may read a drawing and no state file.
+    /// Other users may read a drawing, but no state file.
     #[test]
     fn what_is_asked_for_is_for_others_and_what_is_kept_is_not() {
         let directory = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! A clean stop on ctrl-C and on a termination signal; one more, from somebody who has waited, ends at once.
+//! A clean stop on ctrl-C and on a termination signal. A further signal after a while ends the process at once.
 
 use std::convert::Infallible;
 use std::io::{self, Read};
@@ -16,11 +16,11 @@ use signal_hook::low_level::{self, pipe};
 /// Signals closer together are one request: `timeout` and terminals send theirs to a process and again to its group.
 const SAME_REQUEST: Duration = Duration::from_millis(500);
 
-/// Whether somebody has asked this process to stop.
+/// Whether a stop was requested.
 #[derive(Debug, Clone)]
 pub struct Stop {
     asked: Arc<AtomicBool>,
-    /// Gone once it was asked: that wakes whoever waits for [`Stop::woken`].
+    /// `None` after a request: dropping the sender wakes the receivers of [`Stop::woken`].
     awake: Arc<Mutex<Option<Sender<Infallible>>>>,
     woken: Receiver<Infallible>,
 }
@@ -32,34 +32,33 @@ impl Default for Stop {
 }
 
 impl Stop {
-    /// One that only [`Stop::request`] sets.
+    /// A stop that only [`Stop::request`] sets.
     #[must_use]
     pub fn new() -> Self {
         let (awake, woken) = bounded(0);
         Self { asked: Arc::default(), awake: Arc::new(Mutex::new(Some(awake))), woken }
     }
 
-    /// One that SIGINT and SIGTERM set; a further signal half a second later or more ends the process with the exit code
-    /// `second_signal`.
+    /// A stop on SIGINT and SIGTERM. A further signal at least half a second later ends the process with the exit code `second_signal`.
     ///
     /// # Errors
     ///
-    /// When the system refuses the handlers, or the thread that waits for further signals.
+    /// If the system rejects the handlers, or the thread that waits for further signals.
     pub fn on_signals(second_signal: u8) -> io::Result<Self> {
         let stop = Self::new();
-        // Where a limit on files' sizes is reached the call fails, as on a full disk; without a handler the signal would end the process.
+        // At a limit on file sizes, a write then fails as on a full disk. Without a handler the signal would end the process.
         flag::register(SIGXFSZ, Arc::default())?;
         for signal in [SIGINT, SIGTERM] {
             flag::register(signal, Arc::clone(&stop.asked))?;
         }
-        // A byte for each signal. The library's own way of waiting for them ends by a panic where the system fails a read.
+        // A byte for each signal. The library's own way of waiting panics if a read fails.
         let (mut signals, given) = UnixStream::pair()?;
         for signal in [SIGINT, SIGTERM] {
             pipe::register(signal, given.try_clone()?)?;
         }
         let asked = stop.clone();
         let wait = move || {
-            // Kept, so that there is an end to read from whatever becomes of the handlers.
+            // This keeps the pipe open, so that reading does not end if the handlers are gone.
             let _given = given;
             let mut first = None;
             loop {
@@ -83,13 +82,13 @@ impl Stop {
         drop(self.awake.lock().unwrap_or_else(PoisonError::into_inner).take());
     }
 
-    /// Never gives anything, and is disconnected once somebody has asked: for a thread that waits for that among other things.
+    /// A channel without messages that disconnects at a request: for a thread that waits for several things.
     #[must_use]
     pub fn woken(&self) -> &Receiver<Infallible> {
         &self.woken
     }
 
-    /// Whether it was asked.
+    /// Whether a stop was requested.
     #[must_use]
     pub fn requested(&self) -> bool {
         self.asked.load(Ordering::SeqCst)

@@ -1,11 +1,11 @@
-//! Limits a rate: so many at once, so many a second. Pure: time comes in as a number.
+//! Limits a rate with a burst. Pure: time is an argument.
 
 use std::time::Duration;
 
 use crate::config::IntakeLimits;
 use roomcast_core::ids::BootNs;
 
-/// Tokens that come at a rate and are taken one by one.
+/// A token bucket.
 #[derive(Debug, Clone)]
 pub struct TokenBucket {
     limits: IntakeLimits,
@@ -14,13 +14,12 @@ pub struct TokenBucket {
 }
 
 impl TokenBucket {
-    /// As full as it gets. A rate of 0 is no limit.
+    /// A full bucket. A rate of 0 is no limit.
     #[must_use]
     pub fn full(limits: IntakeLimits, now_ns: BootNs) -> Self {
         Self { limits, tokens: limits.burst, refilled_ns: now_ns }
     }
 
-    /// Whether a token is there.
     pub(crate) fn has_one(&mut self, now_ns: BootNs) -> bool {
         let IntakeLimits { rate_per_s, burst } = self.limits;
         if rate_per_s <= 0.0 {
@@ -32,7 +31,7 @@ impl TokenBucket {
         self.tokens >= 1.0
     }
 
-    /// How long until a token is there; at least a nanosecond when there is none.
+    /// The wait for the next token, at least a nanosecond if there is none.
     pub fn wait(&mut self, now_ns: BootNs) -> Duration {
         if self.has_one(now_ns) {
             return Duration::ZERO;
@@ -41,7 +40,7 @@ impl TokenBucket {
         wait.max(Duration::from_nanos(1))
     }
 
-    /// Takes a token, whether it is there or not.
+    /// Takes a token, even if there is none.
     pub fn take(&mut self) {
         self.tokens -= 1.0;
     }

@@ -1,8 +1,8 @@
-//! Which item of a map an activity program means by an object.
+//! Binds the objects of an activity program to items of a map.
 //!
-//! An object's name binds to a label through the map's aliases and the built-in table of names
-//! ([`SemanticMap::find_label`]), or to a room if it is the name of one. Which of the label's items is meant, a program does
-//! not say: [`ItemChoice`] does. One identifier (name and number) keeps its item throughout a program.
+//! An object's name binds to a label through the map's aliases and the built-in table of names ([`SemanticMap::find_label`]), or to a room
+//! of that name. A program does not say which of the label's items it means: [`ItemChoice`] decides. One identifier (name and number) keeps
+//! its item throughout a program.
 
 use std::collections::HashMap;
 
@@ -28,16 +28,16 @@ roomcast_core::choices! {
     }
 }
 
-/// What an object was bound to.
+/// The place of an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// Index of its label among [`Grounding::scored_labels`]; `None` for a room while room names are no labels.
     pub label: Option<usize>,
     /// The item; `None` for a room.
     pub item: Option<ItemId>,
-    /// The partition it lies in, if any.
+    /// The partition that contains it, if any.
     pub partition: Option<PartitionId>,
-    /// Where it is; a room's place is the middle of its floor.
+    /// Its position; for a room, the middle of its floor.
     pub position_m: [f64; 3],
 }
 
@@ -61,7 +61,7 @@ pub struct Binder<'a> {
 }
 
 impl<'a> Binder<'a> {
-    /// A binder that has bound nothing yet. `grounding` must be of `map`.
+    /// A new binder. `grounding` must be of `map`.
     #[must_use]
     pub fn new(map: &'a SemanticMap, grounding: &'a Grounding, choice: ItemChoice) -> Self {
         let labels = grounding.scored_labels().iter().enumerate();
@@ -76,19 +76,18 @@ impl<'a> Binder<'a> {
         }
     }
 
-    /// Forgets what was bound and begins another program, whose draws follow from `seed` and `name` alone.
+    /// Forgets all bindings and begins another program. Its draws follow from `seed` and `name` alone.
     pub fn begin(&mut self, seed: u64, name: &str) {
         self.bound.clear();
         self.stream = stable_hash(&[&seed.to_le_bytes(), name.as_bytes()]);
     }
 
-    /// The label that a name means, as an index of [`Grounding::scored_labels`].
+    /// The label of a name, as an index of [`Grounding::scored_labels`].
     pub fn label(&mut self, name: &str) -> Option<usize> {
         self.candidates(name).and_then(|candidates| candidates.label)
     }
 
-    /// The place that an object means; `None` when the map has no such label. `from_m` is where the person is, for
-    /// [`ItemChoice::Nearest`].
+    /// The place of an object; `None` if the map has no label for it. `from_m` is the person's position, for [`ItemChoice::Nearest`].
     pub fn bind(&mut self, object: &ObjectRef, from_m: [f64; 3]) -> Option<Place> {
         if let Some(known) = self.bound.get(object) {
             return *known;
@@ -113,7 +112,7 @@ impl<'a> Binder<'a> {
         place
     }
 
-    /// All places that may be meant by an object's name; by somebody at `from_m`, where that is given.
+    /// All possible places of an object's name, for a person at `from_m` if that is given.
     pub fn places(&mut self, name: &str, from_m: Option<[f64; 3]>) -> Vec<Place> {
         let (choice, map, grounding) = (self.choice, self.map, self.grounding);
         let Some(candidates) = self.candidates(name) else { return Vec::new() };
@@ -184,13 +183,13 @@ fn room_place(map: &SemanticMap, grounding: &Grounding, room: RoomId, label: Opt
     }
 }
 
-/// Distance in the plane: people walk on floors.
+/// Distance in the plane, since people walk on floors.
 #[must_use]
 pub fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// A number that depends on the parts alone, the same on every machine and in every run.
+/// A hash of the parts, the same on every machine and in every run.
 #[must_use]
 pub fn stable_hash(parts: &[&[u8]]) -> u64 {
     let mut hasher = Sha256::new();

@@ -1,18 +1,18 @@
 //! The clairvoyant optimum: the least disturbance of a robot that knows the person's whole timeline.
 //!
-//! By dynamic programming over (slot, set of rooms still to do). Under the feature `solver` the mixed-integer program that the paper
-//! mentions (`mixed_integer.rs`) checks it.
+//! It is computed by dynamic programming over (slot, set of rooms still to do). With the feature `solver` the paper's mixed-integer program
+//! (`mixed_integer.rs`) checks it.
 
 use roomcast_core::policy::plan;
 
 use super::world::Cost;
 
-/// The best that a robot that begins in one room can do.
+/// The optimum of a robot that begins in one room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optimum {
-    /// Least D_T that does every room; `None` if there are too few slots.
+    /// Least D_T with every room done; `None` if there are too few slots.
     pub covering_s: Option<f64>,
-    /// Least D_T of all.
+    /// Least D_T without that condition.
     pub free_s: f64,
 }
 
@@ -31,7 +31,7 @@ pub fn by_dynamic_program(cost: &Cost, room_time_s: usize) -> Vec<Optimum> {
             let total = |weight_s| {
                 plan(left, &covered, weight_s, 0.0).map_or((0.0, rooms == 1), |plan| (plan.shared_s, plan.undone == 0))
             };
-            // Dearer than any plan, so that whatever can be covered is.
+            // Higher than the cost of any plan, so that every room that can be covered is covered.
             let (covering_s, covers) = total(1e12);
             let (free_s, _) = total(0.0);
             Optimum { covering_s: covers.then_some(begin_s + covering_s + last_s), free_s: begin_s + free_s + last_s }
@@ -39,14 +39,14 @@ pub fn by_dynamic_program(cost: &Cost, room_time_s: usize) -> Vec<Optimum> {
         .collect()
 }
 
-/// What the slot that the horizon cuts short costs at least, if there is one.
+/// The least cost of the slot that the horizon cuts short, if there is one.
 fn cheapest_after(slots: &[f64], rooms: usize, whole: usize) -> f64 {
     let last = &slots[(whole * rooms).min(slots.len())..];
     last.iter().copied().reduce(f64::min).unwrap_or(0.0)
 }
 
-/// The least mean D_T over runs, given what is possible in each, at a given share of failed coverage: the front of the
-/// clairvoyant robot. To fail is bought where it saves most. `None` if coverage cannot be had that often.
+/// The least mean D_T over runs at a given share of failed coverage: the front of the clairvoyant robot. Failures are spent on the runs
+/// with the greatest saving. `None` if coverage is not possible that often.
 #[must_use]
 pub fn bound_s(optima: &[Optimum], failure_rate: f64) -> Option<f64> {
     let n = optima.len().max(1) as f64;
@@ -85,7 +85,7 @@ mod tests {
     use proptest::prelude::*;
     use roomcast_core::policy::{CoverageAware, PolicyName};
 
-    /// Knows the future: the true cost of every slot.
+    /// The true cost of every slot.
     fn perfect(cost: &Cost, room_time_s: usize) -> Knowledge {
         let (slots, rooms) = (cost.slots(room_time_s), cost.rooms());
         let count = slots.len() / rooms;
@@ -119,7 +119,7 @@ mod tests {
             let free = run(&cost, room_time_s, &knowledge, &mut never, &mut restart_rng(1, restart)).unwrap();
             let optimum = optima[covered.start];
             prop_assert_eq!(covered.coverage_s.is_some(), optimum.covering_s.is_some());
-            // Where not every room can be done, it does as many as it can.
+            // If not every room can be done, the robot does as many as it can.
             prop_assert!(optimum.covering_s.is_none_or(|covering_s| covered.disturbance_s == covering_s));
             prop_assert_eq!(free.disturbance_s, optimum.free_s);
         }

@@ -1,4 +1,4 @@
-//! The map from above, as SVG: rooms, doors, furniture and small things; with scores, the heat of each.
+//! The map from above, as SVG: rooms, doors, furniture and small things. With scores, it shows the heat of each.
 //!
 //! Drawing is a pure function of map, grounding and scores.
 
@@ -11,21 +11,20 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::semantic_map::{Box3, Footprint, PartitionId, SemanticMap, Space, Storeys};
 use roomcast_core::text::count;
 
-/// The font of all drawings; `png.rs` has it compiled in.
+/// The font of all drawings; `png.rs` compiles it in.
 pub const FONT: &str = "DejaVu Sans";
-/// Sizes that a room's name may have, in pixels: the first that its room is wide enough for; where there are many rooms, from the third on.
+/// Sizes of a room's name, in pixels; the first that fits the room's width is used. With many rooms, the first two are left out.
 const NAME_PX: [f64; 5] = [17.0, 14.0, 12.0, 10.5, 9.0];
-/// What a room must be wider than the name in it, in pixels.
+/// Least space between a room's width and its name, in pixels.
 const NAME_MARGIN_PX: f64 = 24.0;
-/// How much wider bold letters are.
+/// Factor of the width of bold letters.
 const BOLDER: f64 = 1.17;
-/// Largest size of the plan itself, in pixels.
 const PLAN_PX: [f64; 2] = [1_120.0, 860.0];
 const MARGIN_PX: f64 = 36.0;
 const TITLE_PX: f64 = 76.0;
 const PANEL_PX: f64 = 300.0;
 const FOOT_PX: f64 = 56.0;
-/// What the names of storeys take above them, where there are several.
+/// Height of the names of storeys, in pixels.
 const STOREY_PX: f64 = 26.0;
 
 const INK: &str = "#20242b";
@@ -37,7 +36,6 @@ const FURNITURE: &str = "#fffdf8";
 const RUG: &str = "#e6dcc6";
 const EDGE: &str = "#a9a292";
 const DOT: &str = "#8b8574";
-/// From no heat to all heat.
 const HEAT: [[f64; 3]; 6] = [
     [253.0, 248.0, 238.0],
     [254.0, 226.0, 172.0],
@@ -47,30 +45,30 @@ const HEAT: [[f64; 3]; 6] = [
     [139.0, 10.0, 26.0],
 ];
 
-/// Items that shape the building; they are drawn as what they are part of and not as things in it.
+/// Items of the building itself. They are not drawn as things.
 const STRUCTURE: [&str; 6] = ["wall", "floor", "ceiling", "door jamb", "doorjamb", "door"];
-/// Things whose longest side on the floor is at least this are drawn as boxes, others as dots; metres.
+/// Things with at least this longest side are drawn as boxes, others as dots; metres.
 const FURNITURE_FROM_M: f64 = 0.42;
 /// Width of a door; metres.
 const DOOR_M: f64 = 0.84;
-/// How far from a door a wall may be that the door is a gap in; metres. Between two rooms of a robot's map lies what it could not see.
+/// Largest distance between a door and the wall with its gap; metres. A robot's map has unseen space between two rooms.
 const WALL_M: f64 = 0.4;
-/// What begins above this height hangs from the ceiling; drawn as a dot, so that no lamp or cupboard hides the floor; metres.
+/// Things that begin above this height hang from the ceiling; metres. They are drawn as dots, so that no lamp or cupboard hides the floor.
 const OVERHEAD_M: f64 = 1.85;
 
-/// What a drawing shows besides the map.
+/// The scores that a drawing shows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Heat {
-    /// Per partition its probability.
+    /// The probability of each partition.
     pub partition_probability: Vec<f64>,
-    /// Per item its share of all items' scores.
+    /// The share of each item in the scores of all items.
     pub item_share: Vec<f64>,
     /// A line under the title, such as the last sentence of the narration; may be empty.
     pub caption: String,
 }
 
 impl Heat {
-    /// Heat from log scores: per item ln s_i in nats, relative to one another.
+    /// Heat from log scores of items: ln s_i in nats, relative to one another.
     #[must_use]
     pub fn new(partition_probability: &[f64], item_log_score_nats: &[f64], caption: &str) -> Self {
         let largest = item_log_score_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -85,11 +83,11 @@ impl Heat {
     }
 }
 
-/// Why a drawing failed.
+/// A drawing failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DrawingError {
-    /// The heat is of another map or another level.
+    /// The scores are from another map or another level.
     #[error(
         "the scores are of {partitions} partitions and {items} items, the map has {expected_partitions} and \
          {expected_items}; draw the scene and the level that were scored"
@@ -144,7 +142,7 @@ impl Area {
     }
 }
 
-/// Width in pixels of a text in DejaVu Sans, near enough to keep labels apart.
+/// The approximate width in pixels of a text in DejaVu Sans, to keep labels apart.
 fn width_px(text: &str, size_px: f64) -> f64 {
     let em = |character: char| match character {
         'i' | 'j' | 'l' | '.' | ',' | '\'' | '|' | ':' => 0.31,
@@ -203,7 +201,6 @@ impl<'a> Label<'a> {
         Self { text, size_px, colour: INK, bold: false, anchor: "start", halo: false }
     }
 
-    /// The text with its baseline so that it is centred on `y`.
     fn at(&self, x: f64, y: f64) -> Text {
         let text = Text::new(self.text)
             .set("x", rounded(x))
@@ -227,7 +224,6 @@ fn rounded(pixels: f64) -> f64 {
     (pixels * 10.0).round() / 10.0
 }
 
-/// A thing as it lies on the plan.
 struct Thing {
     /// Heights are above the floor of its storey.
     bounds: Box3,
@@ -235,11 +231,10 @@ struct Thing {
     storey: usize,
 }
 
-/// A door as it lies on the plan.
 enum Door {
-    /// In the walls of two rooms, by their numbers.
+    /// The numbers of the rooms.
     Wall { position_m: [f64; 2], rooms: [usize; 2] },
-    /// Between storeys: a place on each.
+    /// A place on each storey.
     Stairs([[f64; 2]; 2]),
 }
 
@@ -259,19 +254,16 @@ struct Plan<'a> {
     heat: Option<&'a Heat>,
     largest_share: f64,
     storeys: Storeys,
-    /// What the map and its partitions consist of, as it lies on the plan: storeys beside each other.
+    /// The spaces of the map and of its partitions on the plan, with the storeys side by side.
     rooms: Vec<Space>,
     parts: Vec<Space>,
     things: Vec<Thing>,
     doors: Vec<Door>,
     partitions: Vec<Vec<Space>>,
-    /// Pixels per metre.
     scale: f64,
     /// West and north end of the plan, in metres.
     origin_m: [f64; 2],
-    /// The pixel where the plan begins.
     top_px: f64,
-    /// Pixels that the plan takes.
     size_px: [f64; 2],
     taken: Vec<Area>,
 }
@@ -279,7 +271,7 @@ struct Plan<'a> {
 impl<'a> Plan<'a> {
     fn new(map: &'a SemanticMap, grounding: &'a Grounding, heat: Option<&'a Heat>) -> Self {
         let storeys = Storeys::of(map);
-        // The rooms set the frame; an item far outside would shrink them to nothing.
+        // Only rooms set the frame: an item far outside would make them tiny.
         let (mut min_m, mut max_m) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for storey in storeys.all() {
             for axis in 0..2 {
@@ -352,7 +344,6 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// What a storey's rooms take up.
     fn frame(&self, storey: usize) -> Area {
         let storey = &self.storeys.all()[storey];
         Area {
@@ -372,7 +363,7 @@ impl<'a> Plan<'a> {
             .set("height", rounded(area.bottom - area.top))
     }
 
-    /// The outline of a room, a part or a group, its holes left out.
+    /// The outline of a room, part or group, without its holes.
     fn outline(&self, space: &Space) -> Path {
         let mut steps = String::new();
         for ring in space.rings() {
@@ -429,7 +420,6 @@ impl<'a> Plan<'a> {
             .add(Label { colour: QUIET, ..Label::new(&line, 13.0) }.at(MARGIN_PX, 54.0))
     }
 
-    /// The partitions' floors, warm where a person is expected.
     fn floors(&self) -> Group {
         let mut floors = Group::new();
         for room in &self.rooms {
@@ -471,7 +461,6 @@ impl<'a> Plan<'a> {
         if self.storeys.all().len() > 1 { walls.add(self.storey_names()) } else { walls }
     }
 
-    /// Above each storey which one it is.
     fn storey_names(&self) -> Group {
         let mut names = Group::new();
         for storey in self.storeys.all() {
@@ -535,28 +524,26 @@ impl<'a> Plan<'a> {
 
     fn heat_of(&self, index: usize) -> Option<f64> {
         let share = self.heat?.item_share[index];
-        // A square root, because a few items hold nearly all of the score and the others should still be told apart.
+        // A few items have nearly all of the score; the square root keeps the others distinguishable.
         Some(if self.largest_share > 0.0 { (share / self.largest_share).sqrt() } else { 0.0 })
     }
 
-    /// Indices of large things, what stands or lies higher after what bears it.
+    /// Indices of large things; a thing follows the thing that it stands on.
     fn furniture_order(&self) -> Vec<usize> {
         let things = &self.things;
         let mut order: Vec<usize> = (0..things.len()).filter(|&index| self.is_furniture(index)).collect();
-        // A headboard is higher than the blanket on its bed, so where a thing begins counts first, in steps that forgive a
-        // millimetre.
+        // A headboard is higher than the blanket on its bed, so the lower edge counts first, in steps that tolerate a millimetre.
         let key = |index: usize| ((things[index].bounds.min_m[2] * 20.0).round(), things[index].bounds.max_m[2]);
         let compare = |(a0, a1): (f64, f64), (b0, b1): (f64, f64)| a0.total_cmp(&b0).then(a1.total_cmp(&b1));
         order.sort_by(|&a, &b| compare(key(a), key(b)));
         order
     }
 
-    /// Boxes of large things, the lower under the higher.
     fn furniture(&self) -> Group {
         let mut furniture = Group::new().set("stroke-width", 1);
         for index in self.furniture_order() {
             let bounds = &self.things[index].bounds;
-            // A rug lies under everything and hides nothing.
+            // A rug is below everything and hides nothing.
             let flat = bounds.max_m[2] < 0.1;
             let cold = if flat { RUG } else { FURNITURE };
             furniture = furniture.add(
@@ -594,7 +581,7 @@ impl<'a> Plan<'a> {
         dots
     }
 
-    /// Names of rooms or other partitions, each where it covers least, with its probability.
+    /// Names of partitions with their probabilities, each in the place with the fewest things.
     fn partition_names(&mut self) -> Group {
         let mut names = Group::new();
         let called = self.grounding.partition_names();
@@ -604,7 +591,7 @@ impl<'a> Plan<'a> {
             let area = self.area(&space.bounds);
             let probability = self.heat.map(|heat| percent(heat.partition_probability[index]));
             let beside_px = |size_px: f64| probability.as_ref().map_or(0.0, |text| width_px(text, size_px) + 12.0);
-            // A name is written small before it is cut off.
+            // A name is set smaller before it is cut off.
             let sizes = if self.grounding.partitions().len() <= 8 { &NAME_PX[..] } else { &NAME_PX[2..] };
             let most_px = area.right - area.left - NAME_MARGIN_PX;
             let whole = |size_px: &&f64| width_px(&called[index], **size_px) * BOLDER + beside_px(**size_px) <= most_px;
@@ -681,7 +668,7 @@ impl<'a> Plan<'a> {
         best.1
     }
 
-    /// Names on the furniture that is large enough for them, from the top down, each where it hides least.
+    /// Names on large furniture, from the top down, each in the place that hides least.
     fn furniture_names(&mut self) -> Group {
         let items = self.map.items();
         let order = self.furniture_order();
@@ -714,7 +701,7 @@ impl<'a> Plan<'a> {
         names
     }
 
-    /// With heat: names beside the small things that hold most of it.
+    /// With heat: names of the small things that have most of it.
     fn marked_items(&mut self) -> Group {
         let mut marks = Group::new();
         let Some(heat) = self.heat else { return marks };
@@ -766,7 +753,6 @@ impl<'a> Plan<'a> {
             .add(Label { colour: QUIET, anchor: "end", ..Label::new("north", 12.0) }.at(north - 12.0, y - 5.0))
     }
 
-    /// The panel at the right and the pixel where it ends.
     fn panel(&self, left: f64) -> (Group, f64) {
         let mut panel = Group::new();
         let mut y = TITLE_PX + 8.0;
@@ -896,19 +882,16 @@ fn floor_m2(space: &Space) -> f64 {
     space.footprint.as_ref().map_or(size_m[0] * size_m[1], Footprint::area_m2)
 }
 
-/// A straight piece of a room's wall, seen from a door.
 struct Wall {
-    /// How far it is from the door.
     distance_m: f64,
     from_m: [f64; 2],
     /// Its direction, of length 1.
     way: [f64; 2],
     length_m: f64,
-    /// How far along it is nearest to the door.
+    /// Distance from its start to the point nearest to the door.
     along_m: f64,
 }
 
-/// The wall of a room that is nearest to a place.
 fn wall(space: &Space, position_m: &[f64; 2]) -> Wall {
     let mut nearest =
         Wall { distance_m: f64::INFINITY, from_m: [0.0; 2], way: [1.0, 0.0], length_m: 0.0, along_m: 0.0 };
@@ -930,7 +913,6 @@ fn wall(space: &Space, position_m: &[f64; 2]) -> Wall {
     nearest
 }
 
-/// Indices of the largest values above zero, the largest first.
 fn warmest(values: &[f64], count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..values.len()).filter(|&index| values[index] > 0.0).collect();
     order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
@@ -959,17 +941,17 @@ fn heat_scale(left: f64, y: f64) -> Group {
         .add(end("certain", "end").at(left + PANEL_PX, y + 22.0))
 }
 
-/// A text broken into lines, and turned where its place is narrow.
+/// A text in lines, turned if its place is narrow.
 struct TextBlock {
     lines: Vec<String>,
     size_px: f64,
     upright: bool,
-    /// Pixels that it takes across and down the page.
+    /// Width and height on the page, in pixels.
     extent_px: [f64; 2],
 }
 
 impl TextBlock {
-    /// The largest way to write the text into the given width and height; none when it could not be read there.
+    /// The largest legible way to write the text into the given width and height; `None` if there is none.
     fn fit(text: &str, width: f64, height: f64) -> Option<Self> {
         let by_word: Vec<String> = text.split(' ').map(str::to_owned).collect();
         let layouts = [vec![text.to_owned()], by_word];
@@ -988,7 +970,7 @@ impl TextBlock {
         None
     }
 
-    /// The cheapest place in the area, among equal ones the nearest to its centre.
+    /// The cheapest place in the area; of several, the nearest to its centre.
     fn best_place(&self, area: &Area, cost: impl Fn(&Area) -> usize) -> (Area, usize) {
         let [width, height] = self.extent_px;
         let (x, y) = ((area.left + area.right) / 2.0, (area.top + area.bottom) / 2.0);
@@ -1073,7 +1055,7 @@ mod tests {
         assert_eq!(Heat::new(&[1.0], &[f64::NEG_INFINITY], "").item_share, [0.0]);
     }
 
-    /// A map of boxes with these labels, side by side from west to east, so many metres wide each.
+    /// A map of rooms with these labels and widths in metres, from west to east.
     fn row_of_rooms(rooms: &[(&str, &str, f64)]) -> SemanticMap {
         let mut west = 0.0;
         let mut json = Vec::new();
@@ -1088,7 +1070,7 @@ mod tests {
 
     #[test]
     fn a_small_rooms_name_is_written_small_before_it_is_cut_off() {
-        // A probability beside the name takes place, too.
+        // A probability after the name also takes space.
         for (heat, small_m) in [(None, 1.2), (Some(Heat::new(&[0.2, 0.2, 0.6], &[0.0], "")), 1.8)] {
             let map = row_of_rooms(&[
                 ("wide", "dining room", 9.0),
@@ -1120,7 +1102,7 @@ mod tests {
             svg(&map, &Grounding::new(&map, &GroundingOptions::default()).unwrap(), None).unwrap()
         };
         let text = drawn(&[("hallway-12", "hallway", 3.0), ("hallway-13", "hallway", 3.0)]);
-        // On the plan and beside it.
+        // Once on the plan and once in the panel.
         assert_eq!(["hallway-12", "hallway-13"].map(|name| text.matches(name).count()), [2, 2]);
         assert!(drawn(&[("home", "home", 3.0)]).contains("1 item, 1 label, 1 room "), "{text}");
     }
@@ -1143,7 +1125,7 @@ mod tests {
         let ways: Vec<f64> = (gaps
             .map(|node| (place(node, "y2") - place(node, "y1")) / (place(node, "x2") - place(node, "x1"))))
         .collect();
-        // One in each wall, and the one of the legend, which is level.
+        // One in each wall, and the level one of the legend.
         assert_eq!(ways.len(), 3, "{text}");
         assert!(ways[..2].iter().all(|way| (way - 1.0).abs() < 0.05), "{ways:?}");
     }
@@ -1180,7 +1162,6 @@ mod tests {
         for name in ["floor at 0 m", "floor at 3 m", "bench", "bathtub", "way to another storey"] {
             assert_eq!(said.iter().filter(|own| **own == name).count(), 1, "{name} in {said:?}");
         }
-        // Each thing lies in its own room.
         let things = drawing
             .descendants()
             .filter(|node| node.has_tag_name("rect") && node.attribute("fill-opacity") == Some("0.9"));

@@ -14,11 +14,11 @@ pub const DAY_BYTES_MAX: usize = 16 * PROGRAM_BYTES_MAX;
 /// An action of a day.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TimedAction {
-    /// Which activity it belongs to ("wake_up-00").
+    /// The activity ("wake_up-00").
     pub activity: String,
     /// The action.
     pub action: Action,
-    /// When it was complete, in minutes since midnight; grows through the day, beyond 1440 after midnight.
+    /// The time when it was complete, in minutes since midnight. It does not decrease, and exceeds 1440 after midnight.
     pub done_min: f64,
 }
 
@@ -30,13 +30,13 @@ pub struct Day {
 }
 
 impl Day {
-    /// Whether the text is a day rather than a program.
+    /// Whether the text is a day and not a program.
     #[must_use]
     pub fn recognise(text: &str) -> bool {
         program::looks_like_a_day(text)
     }
 
-    /// Reads a day. An action without a time gets that of the action before it; the first one has one.
+    /// Reads a day. An action without a time gets the time of the previous action; the first action needs one.
     ///
     /// # Errors
     /// [`ProgramError`] names the line.
@@ -56,7 +56,7 @@ impl Day {
                 if actions.len() == STEPS_MAX {
                     return Err(ProgramError::TooManySteps { line });
                 }
-                // The count at the line's end is not part of VirtualHome's notation.
+                // The count at the end of the line is not part of VirtualHome's notation.
                 let notation = match text.rfind(" [") {
                     Some(at) => &text[..at],
                     None => text,
@@ -153,7 +153,7 @@ mod tests {
             Day::parse("### a\n[FLY] <x> (1) [1]\n").unwrap_err().to_string().starts_with("line 2: unknown action")
         );
         assert!(Day::parse("### a\n").unwrap_err().to_string().contains("no step"));
-        // A program of one activity says nothing of when.
+        // A program of one activity has no times.
         for steps in ["[SIT] <x> (1)", "[SIT] <x> (1) [1]\n[SIT] <y> (2) [2]\n370.0"] {
             let fault = Day::parse(&format!("Sit\nOn a chair.\n\n{steps}\n")).unwrap_err().to_string();
             assert!(fault.starts_with("line 4: the first action has no time"), "{fault}");

@@ -39,13 +39,13 @@ use world::WorldError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StudyError {
-    /// More days than somebody is forecast in minute by minute.
+    /// The trace has too many days for a forecast of every minute.
     #[error("{days} days, more than {}: give the first of them in a folder of their own", trace::DAYS_MAX)]
     TooManyDays {
-        /// How many.
+        /// The number of days.
         days: usize,
     },
-    /// A log of more days than that, as one with a wrong year.
+    /// The log spans too many days, for example because of a wrong year.
     #[error(
         "the log reaches from {from} to {to}, over more than {} days: correct the times that are wrong, or give a part of it",
         trace::DAYS_MAX
@@ -56,59 +56,59 @@ pub enum StudyError {
         /// The date of its last time.
         to: String,
     },
-    /// The scorer or its cache.
+    /// The scorer or its cache failed.
     #[error(transparent)]
     Scores(#[from] ScoresError),
-    /// The model.
+    /// The model failed.
     #[error(transparent)]
     Model(Box<dyn std::error::Error + Send + Sync>),
-    /// A person.
+    /// A person's timeline failed.
     #[error(transparent)]
     Timeline(#[from] TimelineError),
-    /// A simulation.
+    /// A simulation failed.
     #[error(transparent)]
     World(#[from] WorldError),
-    /// The mixed-integer solver.
+    /// The mixed-integer solver failed.
     #[cfg(feature = "solver")]
     #[error(transparent)]
     Solver(#[from] mixed_integer::SolverError),
-    /// More rooms than the dynamic program holds.
+    /// The map has more rooms than the dynamic program can hold.
     #[cfg(not(feature = "solver"))]
     #[error(
         "a map of {rooms} rooms needs the mixed-integer solver for the clairvoyant bound: build with `--features optimum`, or give a map of at most {} rooms",
         study::ROOMS_PROGRAMMED_MAX
     )]
     NeedsSolver {
-        /// How many.
+        /// The number of rooms.
         rooms: usize,
     },
-    /// A run that no robot can have had.
+    /// A run is better than the least possible disturbance.
     #[error(
         "{decider} disturbed for {found_s} s, less than the clairvoyant bound of {bound_s} s: this is a fault of the simulation, please report it"
     )]
     BelowBound {
-        /// Who decided.
+        /// The decider.
         decider: String,
         /// D_T of the run.
         found_s: f64,
         /// The least possible.
         bound_s: f64,
     },
-    /// Two exact methods with different results.
+    /// Two exact methods have different results.
     #[cfg(feature = "solver")]
     #[error(
         "dynamic programming gives {dynamic_s:?} s and HiGHS {solver_s:?} s for the clairvoyant optimum: this is a fault of the simulation, please report it"
     )]
     SolversDisagree {
-        /// One of them.
+        /// The result of dynamic programming.
         dynamic_s: Option<f64>,
-        /// The other.
+        /// The result of HiGHS.
         solver_s: Option<f64>,
     },
-    /// The map.
+    /// The map's grounding failed.
     #[error(transparent)]
     Grounding(#[from] GroundingError),
-    /// An action that makes no sentence.
+    /// An action makes no sentence.
     #[error(transparent)]
     Sentence(#[from] SentenceError),
 }

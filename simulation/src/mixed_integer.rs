@@ -1,17 +1,17 @@
-//! The clairvoyant optimum as the mixed-integer program that the paper mentions, solved by HiGHS.
+//! The clairvoyant optimum as the paper's mixed-integer program, solved by HiGHS.
 
 use highs::{HighsModelStatus, RowProblem, Sense};
 
 use super::world::Cost;
 
-/// Why the solver gives no optimum.
+/// The solver found no optimum.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SolverError {
     /// The solver gave up.
     #[error("HiGHS ended with {status} on a program of {slots} slots and {rooms} rooms")]
     Solver {
-        /// Its last word.
+        /// Its status.
         status: String,
         /// Slots.
         slots: usize,
@@ -23,8 +23,8 @@ pub enum SolverError {
     Refused(String),
 }
 
-/// The optimum as a mixed-integer program: binary x(k, r) says that slot k is spent in room r; every slot has one room, the
-/// first is where the robot begins, and every room has at least one whole slot if `cover`. `None` if that cannot be.
+/// The optimum as a mixed-integer program. Binary x(k, r) says that the robot spends slot k in room r. Every slot has one room, the first
+/// is in the start room, and with `cover` every room has at least one whole slot. `None` if that is not possible.
 ///
 /// # Errors
 /// When the solver fails.
@@ -54,8 +54,8 @@ pub fn optimum_s(cost: &Cost, room_time_s: usize, start: usize, cover: bool) -> 
     let mut model =
         problem.try_optimise(Sense::Minimise).map_err(|status| SolverError::Refused(format!("{status:?}")))?;
     model.make_quiet();
-    // The relaxation is nearly whole-numbered, so a search for a first solution costs more than the program itself; neither it nor the
-    // solver's own threads (the cells are already solved side by side) change the optimum.
+    // The relaxation is nearly whole-numbered, so a search for a first solution takes longer than the program itself. The cells already run
+    // in parallel. Neither option changes the optimum.
     let _faster = model.try_set_option("mip_heuristic_run_feasibility_jump", false);
     let _faster = model.try_set_option("parallel", "off");
     let solved = model.solve();

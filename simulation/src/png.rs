@@ -1,6 +1,6 @@
-//! An SVG as a PNG. The letters come from a font that is compiled in, so that the same drawing gives the same bytes on every machine.
+//! An SVG as a PNG. The font is compiled in, so that the same drawing gives the same bytes on every machine.
 //!
-//! What shapes letters is a tenth of a first build, so it is behind the feature `png`.
+//! The text shaper takes a tenth of a first build, so it is behind the feature `png`.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use resvg::{tiny_skia, usvg};
 
 use crate::drawing::FONT;
 
-/// Why a PNG cannot be made.
+/// A PNG cannot be made.
 #[derive(Debug, thiserror::Error)]
 #[error("the drawing cannot become a PNG: {0}; draw it as SVG instead")]
 pub struct PngError(String);

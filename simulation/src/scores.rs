@@ -1,8 +1,7 @@
-//! Label scores for experiments: the product's own scorer behind a cache on disk.
+//! Label scores for experiments: the product's scorer with a cache on disk.
 //!
-//! A score depends on the model, the labels, how they are scored, and the prompt; the cache has a file per model, labels
-//! and way of scoring, and in it a record per prompt. Records carry a checksum, so that a run cut short leaves a cache that
-//! the next one continues.
+//! A score depends on the model, the labels, the scoring options, and the prompt. The cache has a file per model, labels and scoring
+//! options, and in it a record per prompt. Records have a checksum, so that a run can continue the cache of an interrupted one.
 
 use std::collections::HashMap;
 use std::fs::{File, OpenOptions};
@@ -19,28 +18,27 @@ use roomcast_core::scorer::{
     LabelScores, LanguageModel, Method, ModelInfo, PreparedLabels, ScoreError, Scorer, TextStart, Tokenisation,
 };
 
-/// What scores can fail by.
+/// Label scores are not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScoresError {
-    /// The scorer.
+    /// The scorer failed.
     #[error(transparent)]
     Score(#[from] ScoreError),
-    /// The cache.
+    /// The cache failed.
     #[error(
         "failed to use the cache of scores {path}: {source}; choose another place with --cache, or none with --no-cache"
     )]
     Cache {
         /// The file or folder.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
 }
 
 type Key = [u8; 32];
 
-/// Label scores on disk.
 #[derive(Debug)]
 struct Cache {
     file: BufWriter<File>,
@@ -64,7 +62,7 @@ impl Cache {
             scores.insert(key, values);
             valid += record.len() as u64;
         }
-        // What follows the last whole record is the remains of a run cut short.
+        // The bytes after the last complete record are from an interrupted run.
         file.set_len(valid).map_err(failed)?;
         std::io::Seek::seek(&mut file, std::io::SeekFrom::End(0)).map_err(failed)?;
         Ok(Self { file: BufWriter::new(file), path, scores })
@@ -103,7 +101,7 @@ fn read_record(record: &[u8]) -> Option<(Key, Vec<f64>)> {
     Some((*key, values.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()))
 }
 
-/// Scores the labels of one map behind any narration and binding sequence.
+/// Scores the labels of one map after any narration and binding sequence.
 #[derive(Debug)]
 pub struct ScoreSource<M> {
     scorer: Scorer<M>,
@@ -120,7 +118,7 @@ pub struct ScoreSource<M> {
 }
 
 impl<M: LanguageModel> ScoreSource<M> {
-    /// A source for `labels`, in their order; `cache` is the folder of the cache, if one is wanted.
+    /// A source for `labels`, in their order. `cache` is the folder of the cache, if there is one.
     ///
     /// # Errors
     /// When the cache cannot be opened.
@@ -157,24 +155,24 @@ impl<M: LanguageModel> ScoreSource<M> {
         })
     }
 
-    /// What the model says of itself.
+    /// The model's description.
     pub fn model(&self) -> &ModelInfo {
         self.scorer.info()
     }
 
-    /// How scores are corrected.
+    /// The correction of the scores.
     #[must_use]
     pub fn correction(&self) -> Correction {
         self.correction
     }
 
-    /// How many scores came from the model and not from the cache.
+    /// The number of scores that came from the model and not from the cache.
     #[must_use]
     pub fn computed(&self) -> usize {
         self.computed
     }
 
-    /// Per label ln s_c in nats (Equation 1, corrected) behind the sentences of a window and the binding sequence.
+    /// ln s_c in nats for each label (Equation 1, corrected) after the sentences of a window and the binding sequence.
     ///
     /// # Errors
     /// When the model fails or the cache cannot be written.
@@ -185,7 +183,7 @@ impl<M: LanguageModel> ScoreSource<M> {
     ) -> Result<Vec<f64>, ScoresError> {
         let paper = self.tokenisation == Tokenisation::Paper;
         write_prompt(sentences, binding, paper, &mut self.prompt);
-        // The labels' tokens depend on the binding sequence, which the prompt ends with.
+        // The labels' tokens depend on the binding sequence at the end of the prompt.
         let key: Key = Sha256::digest(format!("{}\n{}", binding.text(), self.prompt)).into();
         let cached = self.cache.as_ref().map_or(&self.known, |cache| &cache.scores).get(&key);
         if let Some(scores) = cached {
@@ -207,8 +205,8 @@ impl<M: LanguageModel> ScoreSource<M> {
         Ok(scores)
     }
 
-    /// Scores after nothing and after each of `sentences`, one by one, as the daemon would with these limits:
-    /// `sentences.len() + 1` rows.
+    /// Scores after no sentence and after each of `sentences`, one by one, as the daemon computes them with these limits: `sentences.len()
+    /// + 1` rows.
     ///
     /// # Errors
     /// As [`ScoreSource::score`].
@@ -231,7 +229,7 @@ impl<M: LanguageModel> ScoreSource<M> {
         Ok(rows)
     }
 
-    /// Writes what the cache holds in memory.
+    /// Writes the cached scores from memory.
     ///
     /// # Errors
     /// When the disk refuses.

@@ -1,4 +1,4 @@
-//! What every table of the paper is made of: activities in homes, policies, restarts.
+//! The runs behind every table of the paper: activities in homes, policies, restarts.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -30,27 +30,27 @@ pub enum Activity {
     Day(Day),
 }
 
-/// How activities are carried out and narrated.
+/// Options of activities and their narration.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The window of narration.
     pub history: HistoryLimits,
-    /// Which of a label's items an object means.
+    /// The choice among a label's items.
     pub items: ItemChoice,
-    /// How the person moves.
+    /// The person's pace.
     pub person: PersonOptions,
-    /// When the robot disturbs.
+    /// The rule for a disturbance.
     pub disturbance: Disturbance,
-    /// What the forecast assumes.
+    /// The assumptions of the forecast.
     pub forecast: ForecastOptions,
     /// Restarts per cell and policy.
     pub restarts: u64,
-    /// Of every draw.
+    /// The seed of every draw.
     pub seed: u64,
 }
 
 impl Default for Options {
-    /// The person takes the nearest item, where the paper's takes any. Restarts are as many as make a mean that can be compared.
+    /// The person takes the nearest item; the paper's person takes any. The restarts are enough for a mean that can be compared.
     fn default() -> Self {
         Self {
             history: HistoryLimits::default(),
@@ -64,7 +64,7 @@ impl Default for Options {
     }
 }
 
-/// One person's activity in a map, with what is known of it at each time.
+/// One person's activity in a map, with the scores at each time.
 #[derive(Debug, Clone)]
 struct Track {
     timeline: Timeline,
@@ -72,11 +72,10 @@ struct Track {
     scores: Vec<Vec<f64>>,
     /// After each number of completed actions: ln s_c per label, in nats.
     labels: Vec<Vec<f64>>,
-    /// Per completed action what its sentence mentions.
     mentions: Vec<Option<Mention>>,
 }
 
-/// One or several persons in a map: all that a robot can meet, and all that it can know.
+/// One or several persons in a map: everything that a robot can meet or know.
 #[derive(Debug, Clone)]
 pub struct Home<'a> {
     /// The map's name.
@@ -89,7 +88,7 @@ pub struct Home<'a> {
 }
 
 impl<'a> Home<'a> {
-    /// Carries out activities at the same time, one person each, and scores what is narrated of each.
+    /// Carries out activities at the same time, one person each, and scores the narration of each.
     ///
     /// # Errors
     /// When an activity cannot be carried out in the map, or the model fails.
@@ -132,13 +131,13 @@ impl<'a> Home<'a> {
         Ok(Self { scene: map.name().to_owned(), program, grounding, tracks, cost })
     }
 
-    /// What robots may cost.
+    /// The disturbance of a robot in each room at each step.
     #[must_use]
     pub fn cost(&self) -> &Cost {
         &self.cost
     }
 
-    /// Where each person is, and what is observed when.
+    /// The persons' timelines.
     pub fn timelines(&self) -> impl Iterator<Item = &Timeline> {
         self.tracks.iter().map(|track| &track.timeline)
     }
@@ -148,9 +147,9 @@ impl<'a> Home<'a> {
         self.tracks.iter().flat_map(|track| &track.timeline.skipped).map(String::as_str)
     }
 
-    /// Room probabilities at a time: that anybody is there, 1 - prod(1 - p) over the persons, as the daemon gives them.
+    /// For each room the probability that anybody is there, 1 - prod(1 - p) over the persons, as the daemon gives it.
     fn probability(&self, at_s: f64) -> Vec<f64> {
-        // In logarithms it is exact for small p, too.
+        // In logarithms it is also exact for small p.
         let mut ln_nobody = vec![0.0_f64; self.cost.rooms()];
         for track in &self.tracks {
             let own = normalised(track.scores[track.timeline.done_by(at_s)].clone());
@@ -159,7 +158,7 @@ impl<'a> Home<'a> {
         normalised(ln_nobody.into_iter().map(|sum| -sum.exp_m1()).collect())
     }
 
-    /// The forecaster of a person at a time: all that was observed until then.
+    /// The forecaster of a person with all events until this time.
     fn forecaster(&self, track: &Track, options: ForecastOptions, at_s: f64) -> Forecaster {
         let mut forecaster = Forecaster::new(self.cost.rooms(), options, 0.0);
         for (index, done) in track.timeline.done.iter().take(track.timeline.done_by(at_s)).enumerate() {
@@ -169,7 +168,7 @@ impl<'a> Home<'a> {
         forecaster
     }
 
-    /// What the robot knows at the beginning of each slot.
+    /// The robot's knowledge at the beginning of each slot.
     #[must_use]
     pub fn knowledge(&self, room_time_s: usize, forecast: ForecastOptions) -> Knowledge {
         let (rooms, steps) = (self.cost.rooms(), self.cost.steps());
@@ -198,7 +197,7 @@ impl<'a> Home<'a> {
         Knowledge { scores, expected_shared_s }
     }
 
-    /// What a clairvoyant robot knows: the cost itself.
+    /// A clairvoyant robot's knowledge: the cost itself.
     fn truth(&self, room_time_s: usize) -> Knowledge {
         let (rooms, slots) = (self.cost.rooms(), self.cost.slots(room_time_s));
         let count = slots.len() / rooms;
@@ -216,14 +215,14 @@ fn normalised(mut scores: Vec<f64>) -> Vec<f64> {
     scores
 }
 
-/// Who decides.
+/// The decider.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Decider {
-    /// A policy that a robot can have, coverage-aware with its default weight.
+    /// A policy of a real robot; coverage-aware has its default weight.
     Policy(PolicyName),
-    /// Coverage-aware avoidance with a weight of its own, in seconds of disturbance per failure.
+    /// Coverage-aware avoidance with this weight, in seconds of disturbance per failure.
     CoverageAware(f64),
-    /// The clairvoyant optimum, covering whenever that is possible.
+    /// The clairvoyant optimum. It covers whenever that is possible.
     Clairvoyant,
 }
 
@@ -256,11 +255,11 @@ pub struct Cell {
     pub program: String,
     /// T_r.
     pub room_time_s: usize,
-    /// Who decided.
+    /// The decider.
     pub decider: Decider,
-    /// In the order of the restarts, so that cells of one home and T_r are paired.
+    /// The runs in the order of the restarts, so that cells of one home and T_r are paired.
     pub runs: Vec<Run>,
-    /// What the clairvoyant robot could do, per starting room.
+    /// The clairvoyant optimum, per starting room.
     pub optima: Vec<Optimum>,
     /// T.
     pub horizon_s: usize,
@@ -308,7 +307,7 @@ pub fn run(
     Ok(cells)
 }
 
-/// All restarts of one decider that knows what is given, in their order: the same starts and draws for every decider.
+/// All restarts of one decider with the given knowledge, in their order. Every decider has the same starts and draws.
 ///
 /// # Errors
 /// When T_r does not fit or the policy refuses.
@@ -327,7 +326,7 @@ pub fn restarts(
     restarts.map(run).collect()
 }
 
-/// What runs come to on average.
+/// Averages of runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Means {
     /// Mean and standard deviation of D_T.
@@ -339,7 +338,7 @@ pub struct Means {
 }
 
 impl Means {
-    /// Of any runs.
+    /// The averages of some runs.
     #[must_use]
     pub fn of<'a>(runs: impl Iterator<Item = &'a Run> + Clone) -> Self {
         let count = runs.clone().count();
@@ -358,7 +357,7 @@ fn bound_of(optima: &[Optimum], run: &Run) -> f64 {
     if run.coverage_s.is_some() { optimum.covering_s.unwrap_or(f64::INFINITY) } else { optimum.free_s }
 }
 
-/// Rooms of a map up to which the dynamic program is exact: the robot's own is covered from the start.
+/// Most rooms for which the dynamic program is exact; the robot's own is covered from the start.
 pub const ROOMS_PROGRAMMED_MAX: usize = DP_PARTITIONS_MAX + 1;
 
 #[cfg(not(feature = "solver"))]
@@ -405,9 +404,9 @@ pub struct Figures {
     pub program: String,
     /// T_r in seconds; 0 over several.
     pub room_time_s: usize,
-    /// Who decided.
+    /// The decider.
     pub policy: String,
-    /// Runs.
+    /// The number of runs.
     pub restarts: usize,
     /// Mean D_T.
     pub disturbance_mean: f64,
@@ -421,15 +420,15 @@ pub struct Figures {
     pub failure_rate: f64,
     /// Shares of runs with a D_T smaller, equal and larger than the naive policy's from the same start.
     pub disturbance_against_naive: Option<[f64; 3]>,
-    /// The same of t_c; a run that failed counts as later than any that did not.
+    /// Shares of runs with a smaller, equal and larger t_c. A failed run counts as later than all others.
     pub coverage_time_against_naive: Option<[f64; 3]>,
-    /// Least mean D_T of a clairvoyant robot that fails as often; absent where the task cannot be covered that often.
+    /// Least mean D_T of a clairvoyant robot that fails as often; absent if the task cannot be covered that often.
     pub bound_s: Option<f64>,
-    /// Mean D_T over that bound.
+    /// Mean D_T minus that bound.
     pub regret_s: Option<f64>,
 }
 
-/// Sums up cells of one decider; `naive` are those of the naive policy in the same order.
+/// Summarises cells of one decider; `naive` are the cells of the naive policy in the same order.
 #[must_use]
 pub fn figures(cells: &[&Cell], naive: Option<&[&Cell]>) -> Figures {
     let runs = || cells.iter().flat_map(|cell| &cell.runs);
@@ -453,7 +452,7 @@ pub fn figures(cells: &[&Cell], naive: Option<&[&Cell]>) -> Figures {
         }
         Some(counts.map(|count| count as f64 / restarts.max(1) as f64))
     };
-    // From the starts that were drawn, so that chance in the draw is no regret.
+    // The bound uses the starts that were drawn, so that the luck of the draw is no regret.
     let of_run = |cell: &&Cell| -> Vec<Optimum> { cell.runs.iter().map(|run| cell.optima[run.start]).collect() };
     let bounds = cells.iter().map(|cell| clairvoyant::bound_s(&of_run(cell), failure_rate(cell)));
     let bound_s = bounds.sum::<Option<f64>>().map(|sum| sum / cells.len().max(1) as f64);
@@ -487,12 +486,12 @@ fn moments(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
     (mean, (values.map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt())
 }
 
-/// How well the forecast says where the person is a time ahead, next to simpler ones.
+/// The quality of the forecast at a horizon, next to simpler forecasts.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HorizonRow {
-    /// Who forecasts: `joined` (the forecast module), `persistence` (who is here stays here) or `scores` (the paper's).
+    /// The predictor: `joined` (the forecast module), `persistence` (each person stays in place) or `scores` (the paper's).
     pub predictor: &'static str,
-    /// How far ahead, in seconds.
+    /// The horizon in seconds.
     pub horizon_s: usize,
     /// Cases: one per completed action, person and horizon within the timeline.
     pub cases: usize,
@@ -502,15 +501,15 @@ pub struct HorizonRow {
     pub nll_nats: f64,
 }
 
-/// Who is here stays here: 0.95, and the rest evenly over the other rooms. Where there is none, all.
+/// A person who stays in place: 0.95 here, and the rest evenly over the other rooms. Without other rooms, 1 here.
 fn persistence(rooms: usize, here: usize) -> Vec<f64> {
     let others = rooms.saturating_sub(1);
     let other = if others > 0 { 0.05 / others as f64 } else { 0.0 };
     (0..rooms).map(|room| if room == here { 1.0 - other * others as f64 } else { other }).collect()
 }
 
-/// Evaluates the forecast after every completed action at each horizon. Persistence puts 0.95 on the likeliest present room,
-/// since a certain forecast that is wrong once has no finite likelihood.
+/// Evaluates the forecast after every completed action at each horizon. Persistence puts 0.95 on the likeliest present room, since a
+/// certain forecast that is wrong once has no finite likelihood.
 #[must_use]
 pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usize]) -> Vec<HorizonRow> {
     const PREDICTORS: [&str; 3] = ["joined", "persistence", "scores"];
@@ -540,7 +539,7 @@ pub fn horizons(homes: &[Home<'_>], forecast: ForecastOptions, horizons_s: &[usi
             }
         }
     }
-    // Of no case there is nothing to say: no timeline lasts so long.
+    // A horizon beyond all timelines has no cases.
     let with_cases = sums.iter().enumerate().filter(|(_, [cases, ..])| *cases > 0.0);
     with_cases
         .map(|(index, [cases, brier, nll])| HorizonRow {
@@ -605,7 +604,7 @@ mod tests {
             assert!(cells.iter().all(|cell| figures(&[cell], None).regret_s.is_none_or(|regret| regret > -1e-6)));
             let shares = best.disturbance_against_naive.unwrap();
             assert_eq!(shares.iter().sum::<f64>(), 1.0, "{shares:?}");
-            // A plan with the true costs always covers when the weight is high, and so does the forecast's.
+            // With a high weight, a plan with the true costs always covers, and so does one with the forecast's.
             assert_eq!(figures(&[&cells[2]], None).failure_rate, 0.0);
             let again = run(homes, &[25, 50], &ALL, &options(), || {}).unwrap();
             assert!(cells.iter().zip(&again).all(|(a, b)| a.runs == b.runs), "one seed, one table");
@@ -642,7 +641,7 @@ mod tests {
     fn horizons_are_scored_for_each_predictor() {
         with_homes(&[2], |homes| {
             let rows = horizons(homes, ForecastOptions::default(), &[1, 30, 1_000_000]);
-            // Nobody is simulated for a million seconds.
+            // No timeline lasts a million seconds.
             assert_eq!(rows.len(), 6);
             assert!(rows.iter().all(|row| row.cases > 0 && row.horizon_s < 60));
             assert!(rows[0].cases == 42 || rows[0].cases == 41);

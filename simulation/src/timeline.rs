@@ -1,9 +1,8 @@
 //! The person: an activity program carried out in a map, second by second.
 //!
-//! The person begins in the middle of a room, walks to what each action needs along straight lines through doors, and
-//! acts there for the time that `src/narration/actions.toml` gives. What is held needs no walk; looking at, pointing at or
-//! listening to something is done from anywhere in its room. An action whose first object the map lacks is skipped. An action becomes
-//! observable when it is complete.
+//! The person begins in the middle of a room, walks to the place of each action along straight lines through doors, and acts there for the
+//! time in `src/narration/actions.toml`. An object in the hand needs no walk. Looking at, pointing at or listening to something is possible
+//! from anywhere in its room. An action is skipped if the map lacks its first object. An action becomes observable when it is complete.
 
 use std::collections::HashMap;
 
@@ -16,7 +15,7 @@ use roomcast_core::semantic_map::{PartitionId, RoomId, SemanticMap};
 /// Longest timeline, in time steps of a second: four days.
 pub const STEPS_MAX: usize = 4 * 24 * 3600;
 
-/// Why there is no timeline.
+/// There is no timeline.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TimelineError {
@@ -27,7 +26,7 @@ pub enum TimelineError {
         title: String,
         /// The map.
         scene: String,
-        /// What is missing.
+        /// The missing objects.
         missing: String,
     },
     /// Longer than [`STEPS_MAX`].
@@ -44,48 +43,48 @@ pub enum TimelineError {
         /// The map.
         scene: String,
     },
-    /// An object's name is no text.
+    /// An object's name is not a text.
     #[error(transparent)]
     Sentence(#[from] SentenceError),
 }
 
-/// How the person moves and how long they take.
+/// The person's pace.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PersonOptions {
     /// Walking speed in metres per second.
     pub speed_m_s: f64,
-    /// Longest time of one action in seconds, walking and stretching not counted: a demonstration shows an act in
-    /// seconds, whatever it takes in life, as VirtualHome's animations do.
+    /// Longest time of one action in seconds, without walking and stretching. A demonstration shows an act in seconds, as VirtualHome's
+    /// animations do, however long it takes in life.
     pub action_s_max: f64,
-    /// Stretches or shortens the timeline so that an action takes this long on average, walking counted; `None` leaves it.
+    /// Stretches or shortens the timeline to this mean time of an action, with walking; `None` leaves it.
     pub mean_action_s: Option<f64>,
 }
 
 impl Default for PersonOptions {
-    /// The pace of the paper: it does not give T, but its naive policy shares 205.1 s with the person on average over three
-    /// programs of 18, 16 and 42 actions in homes of three rooms, so T is 615 s on average, 24 s per action.
+    /// The paper's pace. The paper does not give T. Its naive policy shares 205.1 s with the person on average over three programs of 18,
+    /// 16 and 42 actions in homes of three rooms. So T is 615 s on average, 24 s per action.
     fn default() -> Self {
         Self { speed_m_s: 1.0, action_s_max: 10.0, mean_action_s: Some(24.0) }
     }
 }
 
-/// An action that was carried out.
+/// A completed action.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
-    /// When it was complete and so observable, in seconds.
+    /// The time in seconds when it was complete and so observable.
     pub at_s: f64,
     /// Its narration.
     pub sentence: Sentence,
 }
 
-/// Where one person is, and what is observed when.
+/// A person's positions and completed actions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Timeline {
     /// The activity.
     pub title: String,
-    /// Per time step of one second the room, as a partition of the grounding.
+    /// The room at each time step of one second, as a partition of the grounding.
     pub rooms: Vec<PartitionId>,
-    /// Per time step the position on the floor.
+    /// The position on the floor at each time step.
     pub positions_m: Vec<[f64; 2]>,
     /// Completed actions, by time.
     pub done: Vec<Done>,
@@ -95,12 +94,12 @@ pub struct Timeline {
 
 /// Actions that need their object in sight, not in reach.
 const FROM_AFAR: [&str; 8] = ["lookat", "watch", "pointat", "turnto", "listen", "greet", "talk", "speak"];
-/// Actions after which the first object is in the hand.
+/// The first object is in the hand after these actions.
 const TAKES: [&str; 6] = ["grab", "pickup", "take", "hold", "carry", "bring"];
-/// Actions after which the first object is no longer in the hand.
+/// The first object is no longer in the hand after these actions.
 const RELEASES: [&str; 10] =
     ["put", "putback", "putin", "putobjback", "drop", "release", "throw", "throwaway", "give", "puton"];
-/// Actions that are nothing but the walk.
+/// These actions are only the walk.
 const WALKS: [&str; 7] = ["walk", "walktowards", "walkforward", "run", "enter", "leave", "crawl"];
 
 struct Person<'a, 'b> {
@@ -112,7 +111,7 @@ struct Person<'a, 'b> {
     at_m: [f64; 3],
     room: RoomId,
     held: HashMap<ObjectRef, ()>,
-    /// (until when, from, to, room): straight walks and waits.
+    /// (end, from, to, room) of straight walks and waits.
     legs: Vec<(f64, [f64; 3], [f64; 3], RoomId)>,
 }
 
@@ -130,7 +129,7 @@ impl Person<'_, '_> {
 
     fn walk(&mut self, place: &Place) {
         let to = self.room_of(place);
-        // Rooms that no door joins are reached in a straight line: a map need not list its doors.
+        // Without a connecting door, the person goes in a straight line: a map need not list its doors.
         for next in self.map.path(self.room, to).unwrap_or_else(|| vec![self.room, to]).into_iter().skip(1) {
             let between = |door: &&roomcast_core::semantic_map::Door| {
                 door.rooms == [self.room, next] || door.rooms == [next, self.room]
@@ -154,7 +153,7 @@ impl Person<'_, '_> {
         self.legs.push((self.now_s, self.at_m, self.at_m, self.room));
     }
 
-    /// Goes where the action is done. `false` if its first object is not in the map.
+    /// Goes to the place of the action. `false` if the map lacks its first object.
     fn approach(&mut self, action: &Action) -> bool {
         let from_afar = FROM_AFAR.contains(&action.verb());
         for (index, object) in action.objects().iter().enumerate() {
@@ -182,19 +181,19 @@ impl Person<'_, '_> {
     }
 }
 
-/// The room that is nearest to a point; the first of several.
+/// The room nearest to a point; the first of several.
 fn nearest_room(map: &SemanticMap, position_m: [f64; 3]) -> RoomId {
     let far = |index: &usize| map.rooms()[*index].space.distance_m(&position_m);
     let nearest = (0..map.rooms().len()).min_by(|a, b| far(a).total_cmp(&far(b)));
     RoomId(nearest.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
 }
 
-/// How long the person is at an action, once they stand where it is done.
+/// The duration of an action, from the person's arrival.
 #[derive(Debug, Clone, Copy)]
 enum Lasts {
-    /// So many seconds.
+    /// Seconds.
     For(f64),
-    /// Up to so many seconds after the begin.
+    /// Until this many seconds after the begin.
     Until(f64),
 }
 
@@ -213,7 +212,7 @@ impl Timeline {
     ) -> Result<Self, TimelineError> {
         let steps = program.steps.iter().map(|action| {
             let walks = WALKS.contains(&action.verb()) && !action.objects().is_empty();
-            // Even who already stands there takes a moment.
+            // A walk takes a moment even if the person is there already.
             let natural_s = if walks { 1.0 } else { action.entry().duration_s };
             (action, Lasts::For(natural_s.min(options.action_s_max)))
         });
@@ -221,8 +220,8 @@ impl Timeline {
         person.carry_out(steps, program.title.clone(), options.mean_action_s)
     }
 
-    /// Carries out a household's day at its own times, from its first action on. An action begins when the one before it is
-    /// complete, and the walk to it takes the beginning of that time.
+    /// Carries out a household's day at its own times, from its first action on. An action begins when the previous one is complete, and
+    /// its time includes the walk to it.
     ///
     /// # Errors
     /// As [`Timeline::of_program`].
@@ -247,13 +246,13 @@ impl Timeline {
         self.rooms.len()
     }
 
-    /// Never: a timeline has at least one step.
+    /// Always false: a timeline has at least one step.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rooms.is_empty()
     }
 
-    /// How many actions are complete, and so observable, at `at_s`.
+    /// The number of actions that are complete, and so observable, at `at_s`.
     #[must_use]
     pub fn done_by(&self, at_s: f64) -> usize {
         self.done.partition_point(|done| done.at_s <= at_s)
@@ -278,8 +277,8 @@ fn person<'a, 'b>(
 }
 
 impl Person<'_, '_> {
-    /// Does one action after the other, as far as the map has what they need; stretched so that each takes `mean_action_s` on average,
-    /// walking counted, if that is given.
+    /// Carries out the actions that the map allows, one after the other. With `mean_action_s`, it stretches them to that mean time, with
+    /// walking.
     fn carry_out<'s>(
         mut self,
         steps: impl Iterator<Item = (&'s Action, Lasts)>,
@@ -322,7 +321,7 @@ impl Person<'_, '_> {
             return Err(TimelineError::TooLong { title, steps: end_s });
         }
         done.iter_mut().for_each(|done| done.at_s *= factor);
-        // A room lies in one partition at the level of rooms, and in one at the level of groups.
+        // A room is in one partition at the level of rooms, and in one at the level of groups.
         let partition = |room: RoomId| {
             let found = self.grounding.partitions().iter().position(|p| p.rooms.contains(&room));
             PartitionId(found.and_then(|index| u32::try_from(index).ok()).unwrap_or(0))
@@ -372,7 +371,7 @@ mod tests {
             "T\nd\n\n[Walk] <bed> (1)\n[Sleep]\n[Walk] <fridge> (1)\n[Open] <fridge> (1)\n[Fold] <spaceship> (1)\n";
         let natural = PersonOptions { mean_action_s: None, ..PersonOptions::default() };
         let (timeline, visited) = timeline(text, &natural).unwrap();
-        // From the kitchen, where the person begins, to bed and back, both ways through the living room.
+        // From the kitchen, the start, to bed and back, both ways through the living room.
         assert_eq!(visited, ["kitchen", "living-room", "bedroom", "living-room", "kitchen"]);
         assert_eq!(timeline.done.len(), 4);
         assert_eq!(timeline.skipped, ["[fold] <spaceship> (1)"]);

@@ -1,4 +1,4 @@
-//! What was done in a home, with times: from days of activities, or from a sensor log.
+//! The events of a home, with times: from days of activities, or from a sensor log.
 
 use std::collections::HashSet;
 
@@ -12,53 +12,53 @@ use crate::homer::Day;
 
 /// Seconds of a day.
 pub const DAY_S: f64 = 86_400.0;
-/// The longest time that is watched, in days: somebody is forecast in every minute of it. A wrong year in a log would make it decades.
+/// The longest watched time, in days: every minute of it has a forecast. A wrong year in a log would make it decades.
 pub const DAYS_MAX: usize = 1_100;
 
-/// One sentence.
+/// One event.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
-    /// When it was observed, in seconds since 1970, local time.
+    /// The time of the event, in seconds since 1970, local time.
     pub at_s: f64,
-    /// What is narrated.
+    /// The sentence.
     pub sentence: Sentence,
-    /// The label that it mentions, as an index of [`Grounding::scored_labels`].
+    /// The label in the sentence, as an index of [`Grounding::scored_labels`].
     pub label: Option<usize>,
-    /// The room in which that is.
+    /// The room of that label.
     pub room: Option<usize>,
-    /// Whether it is about a thing that the map lacks.
+    /// Whether the map lacks the thing.
     pub lacking: bool,
-    /// Whether it belongs to an activity that was never done in just this way before.
+    /// Whether the activity was never done in exactly this way before.
     pub unseen: bool,
 }
 
-/// An interval in a place.
+/// A stay in a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
-    /// When it began, in seconds since 1970, local time.
+    /// The start, in seconds since 1970, local time.
     pub from_s: f64,
-    /// When it ended; not before it began.
+    /// The end; not before the start.
     pub to_s: f64,
-    /// A room of the map; none for elsewhere.
+    /// A room of the map; `None` for elsewhere.
     pub room: Option<usize>,
 }
 
-/// Everything that happened.
+/// All events and places of a person.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Trace {
-    /// What was narrated, in the order of time.
+    /// The events, by time.
     pub steps: Vec<Step>,
-    /// From when the person is where; the rooms of the map, then elsewhere.
+    /// The start of each stay, and the place; elsewhere is the number after the last room.
     pub places: Vec<(f64, usize)>,
-    /// When the home was watched, in order; none begins before another ends.
+    /// The times when the home was watched, in order and without overlap.
     pub watched: Vec<(f64, f64)>,
-    /// When each day begins, in order: each of those given, or each of the calendar.
+    /// The start of each day, in order: of each given day, or of each calendar day.
     days: Vec<f64>,
 }
 
 impl Trace {
-    /// Days of activities, one after the other. An object with the number of an item of the map is that item; others are bound as
-    /// `items` says, the same for all days. The person is in the room of the last thing until the next one.
+    /// Days of activities, one after the other. An object with the number of an item of the map is that item. Others are bound as `items`
+    /// says, the same for all days. The person is in the room of the last thing until the next one.
     ///
     /// # Errors
     /// When an action makes no sentence, or there are more than [`DAYS_MAX`] days.
@@ -89,8 +89,8 @@ impl Trace {
                 unseen.extend(activity.iter().map(|_| new));
             }
             for (timed, unseen) in day.actions.iter().zip(unseen) {
-                // A day may end after the next one has begun; times do not go back. Of several things at one time each is later by
-                // the least there is: where the person goes next is not known before it is said.
+                // A day may end after the next one has begun, but times must not decrease. Simultaneous events get the smallest possible
+                // difference: an event does not reveal the next place before its own time.
                 let at_s =
                     (begin_s + 60.0 * timed.done_min).max(trace.steps.last().map_or(0.0, |step| step.at_s.next_up()));
                 let place = timed.action.objects().first().and_then(|object| {
@@ -124,19 +124,18 @@ impl Trace {
                 }
                 span = Some((span.map_or(at_s, |(from_s, _)| from_s), at_s));
             }
-            // A day that goes on after midnight is one day all the same.
+            // A day that continues after midnight is one day.
             trace.days.extend(span.map(|(from_s, _)| from_s));
             trace.watched.extend(span);
         }
         Ok(trace)
     }
 
-    /// A sensor log: what it narrates, and where somebody was by its intervals. At a moment the person is in the room of the interval
-    /// that covers it (of several, that which began last), else elsewhere if `away` covers it, else in that of the last one that began.
-    /// The home is watched from the first sentence or interval to the last; absences before and after that count for nothing.
+    /// A sensor log: its sentences, and a person's places by its intervals. At each moment the person is in the room of the interval that
+    /// covers it (of several, the one that began last), else elsewhere if `away` covers it, else in the room of the last interval that
+    /// began. The home is watched from the first sentence or interval to the last; absences before and after that do not count.
     ///
-    /// # Errors
-    /// When it lasts longer than [`DAYS_MAX`].
+    /// # Errors When it lasts longer than [`DAYS_MAX`].
     pub fn of_sensors(
         mut steps: Vec<Step>,
         intervals: &[Interval],
@@ -183,14 +182,14 @@ impl Trace {
         Ok(Self { steps, places, watched, days })
     }
 
-    /// Where the person is at a moment, and since when: a room of the map, or elsewhere after the last one.
+    /// The person's place at a moment, and the start of the stay: a room of the map, or elsewhere after the last one.
     #[must_use]
     pub fn place_at(&self, at_s: f64) -> Option<(f64, usize)> {
         let after = self.places.partition_point(|(from_s, _)| *from_s <= at_s);
         after.checked_sub(1).map(|at| self.places[at])
     }
 
-    /// For how long the person is in a place between two moments, in seconds.
+    /// The person's time in a place between two moments, in seconds.
     pub fn time_in(&self, place: usize, from_s: f64, to_s: f64) -> f64 {
         let first = self.places.partition_point(|(at_s, _)| *at_s <= from_s).saturating_sub(1);
         let stays = self.places[first..].iter().take_while(|(at_s, _)| *at_s < to_s).enumerate();
@@ -207,7 +206,6 @@ impl Trace {
     }
 }
 
-/// The date of a time.
 fn date(at_s: f64) -> String {
     match tz::UtcDateTime::from_timespec(at_s.floor() as i64, 0) {
         Ok(time) => format!("{}-{:02}-{:02}", time.year(), time.month(), time.month_day()),
@@ -239,7 +237,7 @@ mod tests {
         assert_eq!((trace.time_in(3, 100.0, 1_000.0), trace.time_in(2, 2_000.0, 2_010.0)), (600.0, 10.0));
     }
 
-    /// Absences in weeks before and after the log are no forecasts that came true.
+    /// Absences in weeks before and after the log are not correct forecasts.
     #[test]
     fn a_home_is_watched_as_long_as_its_log_lasts() {
         let intervals = [Interval { from_s: 1_000.0, to_s: 4_600.0, room: Some(0) }];
@@ -267,7 +265,7 @@ mod tests {
             actions: vec![
                 timed("[OPEN] <fridge> (1)", 480.0),
                 timed("[SIT] <bed> (1)", 1_500.0),
-                // At the same time in another room.
+                // The same time, another room.
                 timed("[OPEN] <fridge> (1)", 1_500.0),
             ],
         };

@@ -1,4 +1,4 @@
-//! The robot among people: disturbance D_T, time of coverage t_c, failure F, exactly as the paper counts them.
+//! The robot among people: disturbance D_T, time of coverage t_c, failure F, as the paper defines them.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,11 +8,11 @@ use roomcast_core::grounding::Grounding;
 use roomcast_core::policy::{Policy, PolicyError, RobotState};
 use roomcast_core::semantic_map::SemanticMap;
 
-/// Why a simulation cannot be run.
+/// A simulation cannot be run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WorldError {
-    /// Nobody there.
+    /// There are no persons.
     #[error("no person is in the simulation: give at least one activity program")]
     NoPersons,
     /// The robot cannot finish a single room.
@@ -25,35 +25,35 @@ pub enum WorldError {
         /// T.
         horizon_s: usize,
     },
-    /// The robot would never finish.
+    /// T_r is zero.
     #[error("T_r must be at least 1 s")]
     NoRoomTime,
-    /// No room.
+    /// There are no rooms.
     #[error("the scene has no rooms: the robot has nowhere to work")]
     NoRooms,
-    /// The policy refused.
+    /// The policy failed.
     #[error(transparent)]
     Policy(#[from] PolicyError),
 }
 
-/// When a robot in a room disturbs a person.
+/// The rule for when a robot disturbs a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Disturbance {
-    /// Both are in the same room: the paper's.
+    /// Both are in the same room: the paper's rule.
     SameRoom,
-    /// They are nearer than this, in metres; the robot works in the middle of its room.
+    /// They are closer than this, in metres; the robot works in the middle of its room.
     Near(f64),
-    /// The person sees the robot: both are in the same room, or the line between them passes within half a metre of a door
-    /// that joins their rooms.
+    /// The person sees the robot: both are in the same room, or the line between them passes within half a metre of a door that joins their
+    /// rooms.
     InSight,
 }
 
-/// What a robot may cost: the number of people that it disturbs in each room at each time step.
+/// The number of people that a robot disturbs in each room at each time step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cost {
     rooms: usize,
     steps: usize,
-    /// `before[t * rooms + r]` is the sum over the steps before t in room r; steps plus one times rooms.
+    /// `before[t * rooms + r]` is the sum over the steps before t in room r; its length is (steps + 1) times rooms.
     before: Vec<f64>,
 }
 
@@ -61,10 +61,9 @@ pub struct Cost {
 const DOOR_M: f64 = 0.5;
 
 impl Cost {
-    /// Adds up several persons; the horizon T is the longest of their timelines, and who is done stays away.
+    /// Adds up several persons. The horizon T is the longest of their timelines. After the end of a timeline its person is away.
     ///
-    /// # Errors
-    /// When there is nobody or no room.
+    /// # Errors When there are no persons or no rooms.
     pub fn new(
         persons: &[&Timeline],
         map: &SemanticMap,
@@ -139,7 +138,7 @@ impl Cost {
         at(to) - at(from)
     }
 
-    /// Disturbance per slot of `room_time_s` steps and room, slot by slot; the last slot may be cut short by the horizon.
+    /// Disturbance per slot of `room_time_s` steps and room, slot by slot. The horizon may cut the last slot short.
     #[must_use]
     pub fn slots(&self, room_time_s: usize) -> Vec<f64> {
         let starts = (0..self.steps).step_by(room_time_s.max(1));
@@ -164,8 +163,8 @@ fn distance_to_line_m(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     (from[0] + share * dx - point[0]).hypot(from[1] + share * dy - point[1])
 }
 
-/// F of the naive policy in closed form: the chance that `slots` rooms drawn alike out of `rooms` do not include them all,
-/// by inclusion and exclusion over the rooms left out.
+/// F of the naive policy in closed form: the chance that `slots` uniform draws out of `rooms` do not include all, by inclusion and
+/// exclusion over the missing rooms.
 #[cfg(test)]
 fn naive_failure(rooms: usize, slots: usize) -> f64 {
     let mut binomial = 1.0;
@@ -178,12 +177,12 @@ fn naive_failure(rooms: usize, slots: usize) -> f64 {
     (1.0 - covered).clamp(0.0, 1.0)
 }
 
-/// What is known at the beginning of each slot, whatever the robot did: the person acts independently of it.
+/// The robot's knowledge at the beginning of each slot. The person acts independently of the robot.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Knowledge {
-    /// Per slot the room probabilities.
+    /// The room probabilities of each slot.
     pub scores: Vec<Vec<f64>>,
-    /// Per slot the expected disturbance of the slots from it on: slots left times rooms. Empty rows where none is made.
+    /// For each slot, the expected disturbance of the slots from it on: slots left times rooms. Rows are empty without a forecast.
     pub expected_shared_s: Vec<Vec<f64>>,
 }
 
@@ -192,25 +191,25 @@ pub struct Knowledge {
 pub struct Run {
     /// D_T in time steps.
     pub disturbance_s: f64,
-    /// t_c: when every room had its T_r, if it came to that.
+    /// t_c: the time when every room had its T_r, if that happened.
     pub coverage_s: Option<usize>,
-    /// The room in which it began.
+    /// The start room.
     pub start: usize,
 }
 
-/// Where a robot is from a time step on, until its next stay.
+/// The robot's place from a time step until its next stay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stay {
     /// The time step.
     pub from_s: usize,
     /// The room; `None` outside all.
     pub room: Option<usize>,
-    /// It works there.
+    /// Whether it works there.
     pub works: bool,
 }
 
-/// D_T and t_c of a robot that was where `stays` say, in their order: a simulated one's, or one's that ran. Rooms cut short by the next
-/// stay or by the horizon are not done.
+/// D_T and t_c of a robot with these `stays`, in their order, simulated or real. A room that the next stay or the horizon cuts short is not
+/// done.
 #[must_use]
 pub fn tally(cost: &Cost, room_time_s: usize, stays: &[Stay]) -> (f64, Option<usize>) {
     let ends = stays.iter().skip(1).map(|next| next.from_s).chain([cost.steps]);
@@ -235,8 +234,8 @@ pub fn restart_rng(seed: u64, restart: u64) -> ChaCha8Rng {
     rng
 }
 
-/// Runs the robot through the horizon: it begins in a random room, works T_r in it, asks its policy, and goes on. Rooms
-/// cut short by the horizon are not done.
+/// Runs the robot through the horizon: it begins in a random room, works T_r in it, asks its policy, and goes on. A room that the horizon
+/// cuts short is not done.
 ///
 /// # Errors
 /// When T_r does not fit the horizon or the policy refuses.
@@ -257,7 +256,7 @@ pub fn run(
         if slot > 0 {
             let whole = from + room_time_s <= cost.steps;
             let expected = knowledge.expected_shared_s.get(slot).map_or(&[][..], Vec::as_slice);
-            // A last slot that is too short to do a room in is no reason to plan for coverage.
+            // A last slot that is too short for a room does not count for coverage.
             let slots = if whole { (cost.steps - from) / room_time_s } else { 1 };
             let state = RobotState {
                 covered: if whole { &covered } else { &all_done },
@@ -276,7 +275,7 @@ pub fn run(
     Ok(Run { disturbance_s, coverage_s, start })
 }
 
-/// Whether a robot can do at least one room.
+/// Fails if the robot cannot do at least one room.
 ///
 /// # Errors
 /// When it cannot.
@@ -294,7 +293,7 @@ pub(super) mod tests {
     use proptest::prelude::*;
     use roomcast_core::policy::PolicyName;
 
-    /// A person who is in the given room at each step.
+    /// The room of the person at each step.
     pub fn cost_of(rooms: usize, at: &[usize]) -> Cost {
         let mut cost = vec![0.0; rooms * at.len()];
         at.iter().enumerate().for_each(|(step, room)| cost[step * rooms + room] = 1.0);
@@ -354,7 +353,7 @@ pub(super) mod tests {
         let stay = |from_s, room, works| Stay { from_s, room, works };
         let both = [stay(0, Some(1), true), stay(3, Some(0), true), stay(7, Some(1), false)];
         assert_eq!(tally(&cost, 3, &both), (2.0, Some(6)));
-        // Nothing is done in a room without work, in a stay cut short, or outside all rooms.
+        // A room is not done without work, in a stay cut short, or outside all rooms.
         assert_eq!(tally(&cost, 3, &[stay(0, Some(1), false), stay(3, Some(0), true)]), (3.0, None));
         assert_eq!(tally(&cost, 3, &[stay(0, Some(1), true), stay(2, Some(0), true)]), (4.0, None));
         assert_eq!(

@@ -13,10 +13,10 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, ItemScoresSubscriber, NarrationV1, Node, RobotReportV1, RoomScoresV1, Subscriber,
-    action, decision_flags, report_kind, score_flags,
+use roomcast_ipc::raw::{
+    DecisionV1, NarrationV1, RobotReportV1, RoomScoresV1, action, decision_flags, report_kind, score_flags,
 };
+use roomcast_ipc::{Domain, IpcError, ItemScoresSubscriber, Node, Subscriber};
 use roomcast_services::clock;
 
 use super::demo_robot::DemoRobot;
@@ -575,7 +575,7 @@ impl<'a> Show<'a> {
 const INDENT: usize = 10;
 
 /// The likeliest labels. A label's score is split among its items.
-fn top_labels(items: &[roomcast_ipc::ItemScoreV1]) -> Vec<(String, f64)> {
+fn top_labels(items: &[roomcast_ipc::raw::ItemScoreV1]) -> Vec<(String, f64)> {
     let mut best = std::collections::BTreeMap::new();
     for item in items {
         let probability = item.log_score_nats.exp() * f64::from(item.label_items.max(1));

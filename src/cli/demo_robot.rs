@@ -6,7 +6,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, Domain, IpcError, Publisher, RobotReportV1, action, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action};
+use roomcast_ipc::{Domain, IpcError, Publisher, sequence};
 use roomcast_services::clock;
 
 use super::{CommandResult, Failure};

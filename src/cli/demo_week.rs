@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::PersonForecastV1;
+use roomcast_ipc::raw::PersonForecastV1;
 
 use super::{CommandResult, Failure};
 use crate::bar::bar;

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use comfy_table::Table;
-use roomcast_ipc::{Domain, NarrationV1};
+use roomcast_ipc::Domain;
+use roomcast_ipc::raw::NarrationV1;
 use rustix::process::{Resource, getrlimit};
 
 mod finding;

@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "simulation")]
-use roomcast_ipc::narration_kind;
 use roomcast_ipc::question;
+#[cfg(feature = "simulation")]
+use roomcast_ipc::raw::narration_kind;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;

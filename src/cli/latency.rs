@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use hdrhistogram::Histogram;
 use indicatif::ProgressBar;
-use roomcast_ipc::{DecisionV1, Domain, Node, RoomScoresV1};
+use roomcast_ipc::raw::{DecisionV1, RoomScoresV1};
+use roomcast_ipc::{Domain, Node};
 use serde::Serialize;
 
 use super::stage::Stage;

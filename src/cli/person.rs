@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use roomcast_ipc::{narration_kind, question};
+use roomcast_ipc::question;
+use roomcast_ipc::raw::narration_kind;
 
 use super::{CommandResult, Failure, print, service, table};
 use crate::exit_code;

@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::bounded;
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     DecisionV1, ForecastV1, IncludedV1, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1,
-    RoomScoresV1, Subscriber, limits, question, score_flags,
+    RoomScoresV1, score_flags,
 };
+use roomcast_ipc::{Subscriber, limits, question};
 use roomcast_services::clock;
 
 use super::choice::choice;

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, MAX_SOURCES, NarrationV1, Node, PersonForecastsV1, PersonScoresV1,
-    Publisher, RobotReportV1, RoomScoresV1,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, MAX_SOURCES, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
 };
+use roomcast_ipc::{Domain, IpcError, Node, Publisher};
 
 use super::{CommandResult, Failure, ranges, record, service};
 use crate::exit_code;
@@ -239,7 +239,7 @@ fn sleep_until(started: Instant, due: Duration, publishers: &Publishers, stop: &
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::IncludedV1;
+    use roomcast_ipc::raw::IncludedV1;
     use roomcast_services::participant::{DRIVER, PLANNER};
 
     #[test]

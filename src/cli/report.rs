@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{DecisionV1, IpcError, Node, Publisher, RobotReportV1, RoomScoresV1, RoomV1, Subscriber, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1, RoomV1};
+use roomcast_ipc::{IpcError, Node, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
 use strum::{EnumMessage, VariantArray};
 

@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use roomcast_core::ids::{BootNs, PersonId};
-use roomcast_ipc::{
-    Action, DecisionV1, Domain, ForecastV1, LEARNED_SHARE_S, NarrationV1, Node, PersonForecastV1, PersonForecastsV1,
-    PersonScoresV1, PersonV1, Presence, RobotReportV1, RoomScoresV1, Subscriber, narration_kind, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, LEARNED_SHARE_S, NarrationV1, PersonForecastV1, PersonForecastsV1, PersonScoresV1,
+    PersonV1, RobotReportV1, RoomScoresV1, narration_kind,
 };
+use roomcast_ipc::{Action, Domain, Node, Presence, Subscriber, sequence};
 use roomcast_services::clock;
 use serde_json::{Value, json};
 
@@ -425,7 +426,8 @@ fn decision_json(told: &DecisionV1, scores: &RoomScoresV1, robot: &str) -> Value
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{action, text};
+    use roomcast_ipc::raw::action;
+    use roomcast_ipc::text;
 
     use super::*;
 

@@ -3,10 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, Presence, RobotReportV1, RoomScoresV1,
-    StatusResponseV1, decision_flags, forecast_flags, person_flags, presence, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, PersonForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1, StatusResponseV1,
+    decision_flags, forecast_flags, person_flags, presence,
 };
+use roomcast_ipc::{Action, Presence, sequence};
 use serde_json::{Value, json};
 
 use super::discovery::Discovery;
@@ -326,7 +327,7 @@ fn name_of(person: &PersonForecastV1) -> String {
 /// A person's place at a horizon: the likeliest room, or "away". Null if it is unknown.
 fn likely(all: &PersonForecastsV1, person: &PersonForecastV1, horizon: usize) -> Value {
     let elsewhere = person.elsewhere.get(horizon).copied().map_or(0.0, f64::from);
-    let chance = |row: &[f32; roomcast_ipc::MAX_HORIZONS]| row.get(horizon).copied().map_or(0.0, f64::from);
+    let chance = |row: &[f32; roomcast_ipc::raw::MAX_HORIZONS]| row.get(horizon).copied().map_or(0.0, f64::from);
     let rooms = all.rooms().zip(person.probability.iter().map(chance));
     let best = rooms.reduce(|best, room| if room.1 > best.1 { room } else { best });
     let (place, probability) = match best {

@@ -6,10 +6,8 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber,
-    sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, Publisher, Subscriber, sequence};
 use roomcast_services::clock;
 use roomcast_services::config::Config;
 use roomcast_services::logging::Limiter;

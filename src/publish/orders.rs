@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{RobotReportV1, sequence};
+use roomcast_ipc::raw::RobotReportV1;
+use roomcast_ipc::sequence;
 use roomcast_services::reporter::{Kind, Report, Reporter};
 
 use super::names::{Named, of_room};
@@ -97,7 +98,7 @@ impl Orders {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use roomcast_ipc::report_kind;
+    use roomcast_ipc::raw::report_kind;
 
     #[test]
     fn messages_become_orders_to_the_robot_of_their_topic() {

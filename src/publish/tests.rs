@@ -2,7 +2,8 @@ use super::known::ROBOTS_MAX;
 use super::*;
 use proptest::prelude::*;
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{StatusResponseV1, action, decision_flags, forecast_flags, presence, text};
+use roomcast_ipc::raw::{StatusResponseV1, action, decision_flags, forecast_flags, presence};
+use roomcast_ipc::text;
 use roomcast_services::config::BridgeConfig;
 use roomcast_services::participant::PLANNER;
 use serde_json::{Value, json};
@@ -40,7 +41,7 @@ fn persons(of: &RoomScoresV1, names: &[&str]) -> PersonForecastsV1 {
     for (person, name) in persons.person.iter_mut().zip(names) {
         person.name = text::encode("name", name).unwrap();
         person.presence = presence::PRESENT;
-        person.probability[0] = [0.7; roomcast_ipc::MAX_HORIZONS];
+        person.probability[0] = [0.7; roomcast_ipc::raw::MAX_HORIZONS];
         person.elsewhere[2] = 0.9;
     }
     persons
@@ -343,7 +344,7 @@ fn names() -> impl Strategy<Value = String> {
         };
         (0..times).fold(name, becomes)
     });
-    names.prop_filter("a name fits into a message", |name| name.len() <= roomcast_ipc::NAME_BYTES)
+    names.prop_filter("a name fits into a message", |name| name.len() <= roomcast_ipc::raw::NAME_BYTES)
 }
 
 proptest::proptest! {

@@ -22,10 +22,11 @@ use rand_chacha::ChaCha8Rng;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Presence, Sentence, person_number};
 use roomcast_core::pipeline::Pipeline;
-use roomcast_ipc::{
-    DecisionV1, Domain, IncludedV1, NarrationV1, Node, Publisher, QuestionPort, RobotReportV1, RoomScoresV1,
-    StatusResponseV1, Subscriber, action, clock, decision_flags, narration_kind, question, score_flags, sequence, text,
+use roomcast_ipc::raw::{
+    DecisionV1, IncludedV1, NarrationV1, RobotReportV1, RoomScoresV1, StatusResponseV1, action, decision_flags,
+    narration_kind, score_flags,
 };
+use roomcast_ipc::{Domain, Node, Publisher, QuestionPort, Subscriber, clock, question, sequence, text};
 use roomcast_llama::LlamaModel;
 use roomcast_services::config::Config;
 use roomcast_services::daemon::{PersonAnswer, PersonQuestion, journal};

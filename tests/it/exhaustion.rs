@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::StatusResponseV1;
+use roomcast_ipc::raw::StatusResponseV1;
 use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 

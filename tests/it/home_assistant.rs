@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Domain, NarrationV1, Subscriber, action};
+use roomcast_ipc::raw::{DecisionV1, NarrationV1, action};
+use roomcast_ipc::{Domain, Subscriber};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};

@@ -5,7 +5,8 @@ use std::io::Write as _;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, Node, PersonForecastsV1, Publisher, RobotReportV1, RoomScoresV1, Subscriber, clock};
+use roomcast_ipc::raw::{DecisionV1, PersonForecastsV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Node, Publisher, Subscriber, clock};
 
 use crate::eventually::eventually;
 use crate::household_day::{BEGIN_MIN, House, Robot, configuration, live};

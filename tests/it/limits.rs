@@ -9,10 +9,11 @@ use roomcast_core::narration::history::{KEPT_NS, OBSERVATIONS_MAX};
 use roomcast_core::narration::{self, DAY_MINUTES_MAX, PERSONS_MAX, PROGRAM_BYTES_MAX, SENTENCE_BYTES_MAX, STEPS_MAX};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_core::{grounding, guess, habits, prepared, prompt, semantic_map};
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     DecisionV1, MAX_HORIZONS, MAX_ITEMS, MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, Message, NAME_BYTES, NarrationV1,
-    RoomScoresV1, question, sequence,
+    RoomScoresV1,
 };
+use roomcast_ipc::{question, sequence};
 use roomcast_llama::{SEQUENCES_MAX, THREADS_MAX};
 use roomcast_services::config::{self, Config};
 use roomcast_services::daemon::{

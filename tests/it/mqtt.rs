@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, decision_flags};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, decision_flags};
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::Packet;
 use rumqttc::v5::{Client, Event, MqttOptions};

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::{DecisionV1, Domain};
+use roomcast_ipc::Domain;
+use roomcast_ipc::raw::DecisionV1;
 use roomcast_services::daemon::journal;
 use rustix::process::{Pid, Signal, kill_process};
 

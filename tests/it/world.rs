@@ -2,7 +2,8 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
-use roomcast_ipc::{Domain, Node, StatusResponseV1};
+use roomcast_ipc::raw::StatusResponseV1;
+use roomcast_ipc::{Domain, Node};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::eventually::{PATIENCE, eventually};

@@ -1,7 +1,7 @@
 //! A day of two robots and one person in four rooms: the narration, the configuration, and the count of the robots' work. Its first hours run with
 //! real processes and bridges; the whole day runs without them.
 
-use roomcast_ipc::{DecisionV1, action};
+use roomcast_ipc::raw::{DecisionV1, action};
 
 pub(crate) const ROBOTS: [&str; 2] = ["robot-1", "robot-2"];
 const ROOMS: [&str; 4] = ["kitchen", "living-room", "bedroom", "bathroom"];

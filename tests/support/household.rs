@@ -3,10 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     DecisionV1, PersonForecastsV1, RobotReportV1, RoomScoresV1, action, decision_flags, report_kind, score_flags,
-    sequence, text,
 };
+use roomcast_ipc::{sequence, text};
 
 /// 6:30 to 7:00 on the next day.
 pub(crate) const BEGIN_MIN: u32 = 390;

@@ -14,7 +14,8 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-use roomcast_ipc::{DecisionV1, Domain, Publisher, action, clock, sequence, text};
+use roomcast_ipc::raw::{DecisionV1, action};
+use roomcast_ipc::{Domain, Publisher, clock, sequence, text};
 use roomcast_zenoh::config::Router;
 use roomcast_zenoh::link::client;
 use zenoh::qos::CongestionControl;

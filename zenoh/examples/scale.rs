@@ -13,7 +13,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, text};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1};
+use roomcast_ipc::text;
 use roomcast_zenoh::config::Router;
 use roomcast_zenoh::keys::Keys;
 use roomcast_zenoh::link::client;

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::parsing::{keyed, list_of_keyed, toml_says};
-use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use roomcast_ipc::raw::NAME_BYTES;
+use roomcast_ipc::{Domain, IpcError};
 use roomcast_ros2::content::HORIZONS_S;
 use serde::Deserialize;
 

@@ -151,7 +151,8 @@ mod tests {
     use super::*;
     use crate::relay::{Offered, Relay};
     use crate::wire::Hex;
-    use roomcast_ipc::{IncludedV1, NarrationV1, RoomScoresV1, sequence};
+    use roomcast_ipc::raw::{IncludedV1, NarrationV1, RoomScoresV1};
+    use roomcast_ipc::sequence;
 
     const S: u64 = 1_000_000_000;
 

@@ -4,7 +4,8 @@
 use std::time::{Duration, Instant};
 
 use roomcast_core::habits::PARTS;
-use roomcast_ipc::{Domain, IpcError, MAX_ROOMS, NAME_BYTES, QuestionPort, clock, question};
+use roomcast_ipc::raw::{MAX_ROOMS, NAME_BYTES};
+use roomcast_ipc::{Domain, IpcError, QuestionPort, clock, question};
 use serde::Deserialize;
 
 use crate::config::Config;

@@ -3,7 +3,8 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-use roomcast_ipc::{Domain, IpcError, NarrationV1, Publisher, RoomScoresV1, Subscriber, clock, sequence};
+use roomcast_ipc::raw::{NarrationV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, Publisher, Subscriber, clock, sequence};
 use roomcast_ros2::types;
 use zenoh::bytes::ZBytes;
 

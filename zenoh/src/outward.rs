@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, IpcError, Message, Node, PersonForecastsV1, RoomScoresV1, StatusResponseV1,
-    Subscriber, clock, decision_flags, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, Message, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags,
 };
+use roomcast_ipc::{Domain, IpcError, Node, Subscriber, clock, sequence};
 use zenoh::Wait;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
@@ -308,7 +308,8 @@ fn topic<M: Message>(node: &Node, wanted: bool, key: String) -> Result<Option<To
 mod tests {
     use std::sync::mpsc::channel;
 
-    use roomcast_ipc::{action, text};
+    use roomcast_ipc::raw::action;
+    use roomcast_ipc::text;
     use zenoh::Session;
 
     use super::*;

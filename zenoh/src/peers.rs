@@ -8,9 +8,8 @@ use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use roomcast_ipc::{
-    Action, DecisionV1, Domain, IpcError, Message, NAME_BYTES, Sender, action, clock, decision_flags, sequence, text,
-};
+use roomcast_ipc::raw::{DecisionV1, Message, NAME_BYTES, action, decision_flags};
+use roomcast_ipc::{Action, Domain, IpcError, Sender, clock, sequence, text};
 use serde::Deserialize;
 use zenoh::query::Reply;
 use zenoh::sample::Sample;

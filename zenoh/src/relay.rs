@@ -10,7 +10,8 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use roomcast_ipc::{IncludedV1, Message, NarrationV1, RoomScoresV1, sequence};
+use roomcast_ipc::raw::{IncludedV1, Message, NarrationV1, RoomScoresV1};
+use roomcast_ipc::sequence;
 
 // By `super`, so that the daemon's tests can include this file.
 use super::delay::Delay;
@@ -308,7 +309,7 @@ impl Pace {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::IncludedV1;
+    use roomcast_ipc::raw::IncludedV1;
 
     use super::*;
 

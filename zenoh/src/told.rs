@@ -6,9 +6,8 @@
 use std::io::Write;
 
 use roomcast_core::habits::{PART_HOURS, PARTS};
-use roomcast_ipc::{
-    Action, DecisionV1, ForecastV1, PersonForecastsV1, Presence, RoomScoresV1, StatusResponseV1, clock, decision_flags,
-};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, PersonForecastsV1, RoomScoresV1, StatusResponseV1, decision_flags};
+use roomcast_ipc::{Action, Presence, clock};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -226,7 +225,7 @@ pub fn status(robot: &str, silence_ns: Option<u64>, status: Option<&StatusRespon
 mod tests {
     use roomcast_ipc::text;
 
-    use roomcast_ipc::{action, presence};
+    use roomcast_ipc::raw::{action, presence};
 
     use super::*;
 

@@ -3,7 +3,8 @@
 
 use roomcast_core::narration::line::AHEAD_NS;
 pub use roomcast_core::narration::line::{Kind, Who};
-use roomcast_ipc::{Message, NarrationV1, sequence, text};
+use roomcast_ipc::raw::{Message, NarrationV1};
+use roomcast_ipc::{sequence, text};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Largest message of a peer in bytes. A narration's text has 1024 bytes, each at most six in JSON.
@@ -188,7 +189,7 @@ pub struct Said {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::{ALL_PERSONS, narration_kind};
+    use roomcast_ipc::raw::{ALL_PERSONS, narration_kind};
 
     use super::*;
 

@@ -5,11 +5,12 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, Layout, Message, NarrationV1,
     PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1, RobotReportV1, RoomScoresV1, RoomV1,
-    StatusRequestV1, StatusResponseV1, action, clock, report_kind, sequence, text,
+    StatusRequestV1, StatusResponseV1, action, report_kind,
 };
+use roomcast_ipc::{clock, sequence, text};
 
 use crate::skipped::skipped;
 

@@ -7,10 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, Message, NarrationV1, Node, RoomScoresV1, StatusResponseV1, Subscriber,
-    narration_kind, question,
-};
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, Message, NarrationV1, RoomScoresV1, StatusResponseV1, narration_kind};
+use roomcast_ipc::{Domain, Node, Subscriber, question};
 
 use crate::Private;
 use crate::eventually::eventually;

@@ -5,10 +5,11 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
-use roomcast_ipc::{
-    DecisionV1, Domain, Field, IpcError, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, MessageError,
-    NarrationV1, RobotReportV1, RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind, question, text,
+use roomcast_ipc::raw::{
+    DecisionV1, Field, ItemScoreV1, ItemScoresHeaderV1, Layout, MAX_ITEMS, Message, NarrationV1, RobotReportV1,
+    RoomScoresV1, ServiceQuality, StatusResponseV1, narration_kind,
 };
+use roomcast_ipc::{Domain, IpcError, MessageError, question, text};
 
 use crate::Private;
 use crate::eventually::eventually;

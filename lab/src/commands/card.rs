@@ -8,7 +8,6 @@ use super::{Args, BINDINGS};
 use roomcast_cli::exit_code;
 use roomcast_cli::{CommandResult, Failure, print};
 
-/// Arguments of `roomcast-lab card`.
 #[derive(Debug, clap::Args)]
 pub(super) struct CardArgs {
     /// The folder with virtualhome/ that the model was trained from.
@@ -17,36 +16,36 @@ pub(super) struct CardArgs {
     /// The project's folder, for models/manifest.json and training/unseen/.
     #[arg(long, value_name = "DIR", default_value = ".")]
     project: PathBuf,
-    /// The routines as programs, which `training/routines.py --out` writes: the baselines of the development places count them beside VirtualHome's.
+    /// The routines as programs, from `training/routines.py --out`: the baselines of the development places count them together with
+    /// VirtualHome's.
     #[arg(long, value_name = "DIR")]
     routines: Option<PathBuf>,
-    /// What `training/run.py --folds` wrote, for the table of folds, which is left out without it.
+    /// The output of `training/run.py --folds`, for the table of folds, which is left out without it.
     #[arg(long, value_name = "DIR")]
     folds: Option<PathBuf>,
     /// Draw the curves of disturbance against coverage into folders below this one.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Only tables whose title has this in it.
+    /// Only tables with this text in their title.
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
 }
 
 const GRAPHS: [&str; 3] = ["TestScene1", "TestScene2", "TestScene5"];
-/// Those on which the planner was tried with the calibration split.
+/// The graphs on which the planner was tried with the calibration split.
 const CALIBRATION_GRAPHS: [&str; 2] = ["TestScene1", "TestScene5"];
-/// Scenes that are no homes, with their programs.
+/// Scenes other than homes, with their programs.
 const WORKPLACES: [(&str, [&str; 3]); 2] = [
     ("ward", ["w0-medication-round", "w1-cleaning-and-fresh-beds", "w2-patients-morning"]),
     ("warehouse", ["g0-receiving-a-delivery", "g1-picking-and-packing", "g2-end-of-shift"]),
 ];
-/// Of each household of HOMER+.
 const DAYS: [&str; 3] = ["000", "001", "002"];
 const PLACES: [&str; 4] = ["house", "ward", "warehouse", "office"];
 
-/// The paper takes any of several like things, and the whole narration.
+/// In the paper, a person takes any thing of a kind, and the window is the whole narration.
 const OF_THE_PAPER: [&str; 4] = ["--items", "uniform", "--history", "1000"];
 
-/// A table's title, and the arguments behind `roomcast-lab` that print it alone.
+/// A table's title, and the arguments of `roomcast-lab` that print it.
 type Table = (String, Vec<String>);
 
 fn tables(args: &CardArgs) -> Vec<Table> {
@@ -148,7 +147,7 @@ fn tables(args: &CardArgs) -> Vec<Table> {
 fn parsed((title, command): &Table) -> Result<Args, Failure> {
     let line = ["roomcast-lab".to_owned()].into_iter().chain(command.clone()).chain(["--markdown".to_owned()]);
     let parsed = Args::try_parse_from(line);
-    // A title and the folders that were given make no other arguments than these.
+    // Only a title or a given folder can make these arguments wrong.
     parsed.map_err(|error| Failure::new(exit_code::FAILURE, format!("{title}: {error}")))
 }
 
@@ -164,7 +163,7 @@ pub(super) fn run(args: &CardArgs) -> CommandResult {
             ));
         }
     }
-    // All before the first: a whole run takes an hour.
+    // Parse all commands first: a whole run takes an hour.
     let commands = tables.iter().map(parsed).collect::<Result<Vec<_>, _>>()?;
     for ((title, command), parsed) in tables.iter().zip(&commands) {
         print(&format!("### {title}\n\n    roomcast-lab {} --markdown\n\n", command.join(" ")))?;

@@ -1,4 +1,4 @@
-//! `roomcast-lab folds | sealed`: forecasts by models that were trained without what they are asked about.
+//! `roomcast-lab folds | sealed`: forecasts about programs that the models were not trained on.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -24,16 +24,16 @@ use roomcast_services::state_file;
 use roomcast_simulation::ScoreSource;
 use roomcast_simulation::binding::ItemChoice;
 
-/// What both ask about.
+/// Arguments of both commands.
 #[derive(Debug, clap::Args)]
 struct Asked {
-    /// The folder of activity programs that the models were trained on parts of.
+    /// The folder of activity programs that the models were trained on in part.
     #[arg(long, value_name = "DIR")]
     programs: PathBuf,
     /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated.
     #[arg(long, value_name = "FILE", required = true)]
     scene: Vec<PathBuf>,
-    /// Which of a label's items an object of a program means; may be repeated.
+    /// The choice among a label's items for an object of a program; may be repeated.
     #[arg(long, value_parser = choice::<ItemChoice>(), default_values_t = BINDINGS)]
     items: Vec<ItemChoice>,
     /// Print one JSON object.
@@ -44,11 +44,11 @@ struct Asked {
     markdown: bool,
 }
 
-/// Arguments of `roomcast-lab folds`. The models that were trained for it are the only ones.
+/// Arguments of `roomcast-lab folds`. It uses only the models that were trained for it.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct FoldsArgs {
-    /// What `training/run.py --folds` wrote: a folder per fold, with model, manifest and statistics.
+    /// The output of `training/run.py --folds`: a folder per fold, with model, manifest and statistics.
     #[arg(long, value_name = "DIR")]
     folds: PathBuf,
     #[command(flatten)]
@@ -57,21 +57,21 @@ pub(super) struct FoldsArgs {
     model: ModelArgs,
 }
 
-/// Arguments of `roomcast-lab sealed`. The models that were trained for it are the only ones.
+/// Arguments of `roomcast-lab sealed`. It uses only the models that were trained for it.
 #[derive(Debug, clap::Args)]
 #[command(mut_arg("model", |arg| arg.hide(true)))]
 pub(super) struct SealedArgs {
-    /// A folder with model, manifest and statistics, as `training/run.py --fold` writes it.
+    /// A folder with model, manifest and statistics, from `training/run.py --fold`.
     #[arg(long, value_name = "DIR")]
     trained: PathBuf,
-    /// Where it is written down that the split was opened; a file that holds an entry ends the command before it looks.
+    /// The record of the opening of the split; if the file has an entry, the command ends before it reads the split.
     #[arg(long, value_name = "FILE", default_value = "models/sealed.json")]
     record: PathBuf,
     /// Places that are opened together with the split: a folder for each, with map.json and programs/.
     #[arg(long, value_name = "DIR", default_value = "training/sealed")]
     places: PathBuf,
-    /// Programs that the baselines of these places count beside those that the model was trained on; may be repeated. Without what is sealed:
-    /// `training/routines.py --fold sealed` writes such.
+    /// Programs for the baselines of these places, in addition to the model's training programs; may be repeated. They must not contain the
+    /// sealed ones: `training/routines.py --fold sealed` writes such programs.
     #[arg(long, value_name = "DIR")]
     fit: Vec<PathBuf>,
     #[command(flatten)]
@@ -80,7 +80,6 @@ pub(super) struct SealedArgs {
     model: ModelArgs,
 }
 
-/// A model, and what was held out when it was trained.
 struct Trained {
     folder: PathBuf,
     manifest: Manifest,
@@ -166,7 +165,7 @@ impl Asked {
     }
 }
 
-/// The models take their names from the folds.
+/// The folds give the models.
 fn refuse_model(model: &ModelArgs, instead: &str) -> CommandResult {
     match model.model {
         Some(_) => Err(Failure::new(exit_code::USAGE, format!("--model has no effect here: give {instead}"))),
@@ -198,7 +197,6 @@ pub(super) fn run_folds(args: &FoldsArgs) -> CommandResult {
     args.asked.print(&[report])
 }
 
-/// The folders below `folder` that have such a file, in order.
 fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
     let failed = |error: std::io::Error| Failure::new(exit_code::INPUT, format!("{}: {error}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(failed)?;
@@ -208,7 +206,7 @@ fn folders(folder: &Path, file: &str) -> Result<Vec<PathBuf>, Failure> {
     Ok(found)
 }
 
-/// What the command has that trains a model for the sealed split alone.
+/// An option in the command that trains a model only for the sealed split.
 const ONLY_SEALED: &str = " --fold sealed";
 
 pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
@@ -231,7 +229,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
             |error| failed(format!("what is found cannot be written down: {error}; name a file with --record"));
         state_file::write_out(record, (text + "\n").as_bytes()).map_err(no_record)
     };
-    // Before the split is looked at: what is found in it is written down.
+    // Write before the split is read, since the result will be recorded in this file.
     write(&entries)?;
     let trained = [Trained::read(&args.trained)?];
     if !trained[0].manifest.command.contains(ONLY_SEALED) {
@@ -241,7 +239,7 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
         );
         return Err(trained[0].manifest.failed(fault));
     }
-    // All that may fail comes before the split is opened.
+    // Everything that may fail comes before the split is opened.
     let part = trained[0].part(&args.asked.load()?, SEALED)?;
     let mut opened = vec![(maps(&args.asked.scene)?, part.clone())];
     let statistics = fitted(&part.trained, &args.fit, &part.statistics)?;
@@ -258,13 +256,13 @@ pub(super) fn run_sealed(args: &SealedArgs) -> CommandResult {
     let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let model = json!({ "sha256": hex::encode(sha256), "trained_by": trained[0].manifest.command });
     let entry = |reports: &[Report]| json!({ "opened_unix_s": now_s, "model": model, "reports": reports });
-    // Whoever ends this command from here on has opened the split, too.
+    // A command that is interrupted from here on has opened the split.
     write(&[entry(&[])])?;
     let reports = opened
         .iter()
         .map(|(maps, part)| args.asked.measure_in(&trained, std::slice::from_ref(part), maps, &args.model))
         .collect::<Result<Vec<_>, _>>()?;
-    // Written first: nobody sees what is not written down.
+    // Record the result before it is shown.
     write(&[entry(&reports)])?;
     args.asked.print(&reports)
 }

@@ -1,4 +1,4 @@
-//! `roomcast-lab guesses`: how often the next sentence is among those that are scored ahead.
+//! `roomcast-lab guesses`: how often the next sentence is among the prefetched ones.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,6 @@ use roomcast_core::prompt::BindingSequence;
 use roomcast_lab::experiment::guesses::{self, Hits, Report};
 use roomcast_lab::experiment::{Progress, prediction};
 
-/// Arguments of `roomcast-lab guesses`.
 #[derive(Debug, clap::Args)]
 pub(super) struct GuessesArgs {
     /// A folder of activity programs (VirtualHome) or of days (HOMER+), or one such file.
@@ -35,7 +34,7 @@ pub(super) struct GuessesArgs {
     json: bool,
 }
 
-/// How many guesses are shown side by side.
+/// The numbers of guesses in the table.
 const K: [usize; 4] = [8, 16, 32, 64];
 
 pub(super) fn run(args: &GuessesArgs) -> CommandResult {

@@ -12,7 +12,7 @@ use roomcast_core::narration::Event;
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::narration_kind;
+use roomcast_ipc::raw::narration_kind;
 use roomcast_lab::experiment::Progress;
 use roomcast_lab::experiment::baselines::Statistics;
 use roomcast_lab::experiment::chart::{Chart, Mark, Series};
@@ -25,7 +25,6 @@ use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::homer::Day;
 use roomcast_simulation::trace::{Interval, Step, Trace};
 
-/// Arguments of `roomcast-lab habits`.
 #[derive(Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("watched").required(true).args(["days", "sensors"])))]
 pub(super) struct HabitsArgs {
@@ -35,20 +34,20 @@ pub(super) struct HabitsArgs {
     /// A log of sensors, as docs/sensors.md describes it.
     #[arg(long, value_name = "LOG", requires = "rules")]
     sensors: Option<PathBuf>,
-    /// What the sensors' intervals are in words.
+    /// The rules that give the sensors' intervals in words.
     #[arg(long, value_name = "RULES", requires = "sensors")]
     rules: Option<PathBuf>,
-    /// Intervals in which nobody was at home: when each began, when it ended and, if others are among them, which say so ("away", "leave
-    /// house", "going out to work").
+    /// Intervals of absence from home: start, end and, if the log has other intervals as well, a label ("away", "leave house", "going out
+    /// to work").
     #[arg(long, value_name = "INTERVALS", requires = "sensors")]
     presence: Option<PathBuf>,
     /// A scene file, or the name of a shipped scene.
     #[arg(long, value_name = "FILE")]
     scene: PathBuf,
-    /// Which of a label's items an object of a day means, where the map has none with its number.
+    /// The choice among a label's items for an object of a day, if the map has no item of its number.
     #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = ItemChoice::First, conflicts_with_all = ["sensors", "rules", "presence"])]
     items: ItemChoice,
-    /// Days after which what was seen counts half; 0 for never.
+    /// Days after which an observation has half its weight; 0 for never.
     #[arg(long, value_name = "DAYS", default_value_t = HabitsOptions::default().half_life_days, value_parser = ranges::time_s)]
     half_life: f64,
     /// The binding sequence: default, p0 to p5, or a text of your own.
@@ -66,7 +65,6 @@ pub(super) struct HabitsArgs {
     json: bool,
 }
 
-/// Learns a home and says how well.
 pub(super) fn run(args: &HabitsArgs) -> CommandResult {
     let (map, grounding) = maps(std::slice::from_ref(&args.scene))?.remove(0);
     let statistics = Statistics::from_json(roomcast_services::embedded::STATISTICS)
@@ -76,7 +74,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
         (None, Some(log), Some(rules)) => sensors(log, rules, args.presence.as_deref(), &map, &grounding)?,
         _ => return Err(Failure::new(exit_code::USAGE, "give --days, or --sensors with --rules")),
     };
-    // A folder that cannot be written is said before the work is done.
+    // An unwritable folder is reported before the work.
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder).map_err(|error| {
             let text = format!("failed to make {}: {error}; choose another folder with --out", folder.display());
@@ -125,7 +123,7 @@ fn read(path: &Path) -> Result<Vec<u8>, Failure> {
         .map_err(|error| Failure::new(exit_code::INPUT, format!("failed to read {}: {error}", path.display())))
 }
 
-/// Says which words a scene has no place for, and how often they come, the most frequent first.
+/// Reports words without a place in the scene, and their counts, the most frequent first.
 fn report_unknown(what: &str, of: usize, unknown: &BTreeMap<String, usize>) {
     const SHOWN: usize = 5;
     let times: usize = unknown.values().sum();
@@ -159,7 +157,7 @@ fn sensors(
         return Err(fault(log, fault_text.to_owned()));
     }
     let mut unknown = BTreeMap::new();
-    // Where a sensor has no place, none is unknown.
+    // A sensor without a place has no unknown place.
     for interval in read_intervals.iter().filter(|own| !own.place.is_empty() && place(&own.place).is_none()) {
         *unknown.entry(format!("{:?}", interval.place)).or_default() += 1;
     }
@@ -195,7 +193,7 @@ fn sensors(
     Ok(Trace::of_sensors(steps, &intervals, &away.intervals, grounding.partitions().len())?)
 }
 
-/// What rules say of several people, or of who is out, and a log that is taken for one person's does not have.
+/// A remark on rules about several people or absences: the log is treated as one person's.
 fn taken_for_one<'a>(items: impl Iterator<Item = &'a Item>) -> Option<&'static str> {
     let (mut persons, mut is_out) = (HashSet::new(), false);
     for item in items {
@@ -214,7 +212,7 @@ fn taken_for_one<'a>(items: impl Iterator<Item = &'a Item>) -> Option<&'static s
     }
 }
 
-/// What cannot be measured of a home whose sensors say so little in words, and what would help.
+/// The measure that is impossible with these steps, and a remedy.
 fn missing(steps: &[Step]) -> Option<&'static str> {
     if steps.is_empty() {
         return Some(
@@ -226,7 +224,6 @@ fn missing(steps: &[Step]) -> Option<&'static str> {
     )
 }
 
-/// Says what was taken for an absence.
 fn tell_absences(Absences { intervals, labels, others }: &Absences) {
     if labels.is_empty() {
         return;
@@ -236,7 +233,6 @@ fn tell_absences(Absences { intervals, labels, others }: &Absences) {
     roomcast_cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
 }
 
-/// How a stretch of days is called.
 fn called(day: Days) -> String {
     match day {
         Days::One(day) => day.to_string(),
@@ -301,7 +297,6 @@ fn tables(report: &Report) -> Vec<Table> {
     vec![all, sets, cleaning(report)]
 }
 
-/// What the forecasts are worth to a robot.
 fn cleaning(report: &Report) -> Table {
     let header = ["forecast", "policy", "disturbance (s/h)", "less", "coverage", "less"];
     let title = "Rounds of a robot, planned against the forecast without habits (model) and with them (mixture)";
@@ -328,7 +323,6 @@ fn cleaning(report: &Report) -> Table {
     cleaning
 }
 
-/// The loss of each day, for those whom it is worth to follow.
 fn curve(report: &Report, target: &str) -> Chart {
     let shown = ["mixture", "without-model", "model", "counts", "stay", "persistence"];
     let series = PREDICTORS.iter().filter(|name| shown.contains(name)).map(|name| {
@@ -386,7 +380,7 @@ fn show(report: &Report) -> CommandResult {
 mod tests {
     use super::*;
 
-    /// What a log says of several people, and who is out by its rules, is not dropped in silence.
+    /// Several people and absences in a log's rules give a remark.
     #[test]
     fn a_log_of_several_people_is_told_to_be_measured_as_one() {
         let remark = |rules: &str| {

@@ -20,7 +20,6 @@ const RESIDENTS_MAX: usize = 4;
 /// Most days of one row.
 const DAYS_MAX: usize = 10_000;
 
-/// Arguments of `roomcast-lab persons`.
 #[derive(Debug, clap::Args)]
 pub(super) struct PersonsArgs {
     /// Days per row. A home lives for ten days, then another begins.
@@ -89,7 +88,6 @@ pub(super) fn run(args: &PersonsArgs) -> CommandResult {
     if args.json { print_json(&serde_json::json!({"seed": args.seed, "rows": rows})) } else { print(&text(&rows)) }
 }
 
-/// Days from elsewhere, if a folder names them.
 fn recorded(args: &PersonsArgs, residents: usize) -> Result<Option<Recorded>, Failure> {
     let Some(scene) = args.scene.as_ref().filter(|_| args.programs.is_some() || !args.household.is_empty()) else {
         return Ok(None);

@@ -33,36 +33,35 @@ use roomcast_simulation::timeline::{PersonOptions, TimelineError};
 use roomcast_simulation::world::Disturbance;
 use roomcast_simulation::{ScoreSource, StudyError};
 
-/// The paper's pace, in seconds per action.
 const PACE_S: f64 = 24.0;
 
-/// What all simulations share, with a robot or without.
+/// Arguments of all simulations, with a robot or without.
 #[derive(Debug, clap::Args)]
 pub(super) struct StudyArgs {
-    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated. The three apartments when left out.
+    /// A scene file, the name of a shipped scene, or a VirtualHome graph (*_graph.json); may be repeated. By default the three apartments.
     #[arg(long, value_name = "FILE")]
     scene: Vec<PathBuf>,
-    /// An activity program (VirtualHome), a day (HOMER+), a folder of either, or the name of a shipped program; may be
-    /// repeated. The three shipped programs when left out. What a scene has nothing of is skipped and reported, and so is what is too short in a
-    /// folder.
+    /// An activity program (VirtualHome), a day (HOMER+), a folder of either, or the name of a shipped program; may be repeated. By default
+    /// the three shipped programs. An activity is skipped and reported if a scene lacks all its objects, or if it is in a folder and too
+    /// short.
     #[arg(long, value_name = "FILE")]
     program: Vec<PathBuf>,
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
-    /// Which of a label's items the person goes to for an object of a program.
+    /// The choice among a label's items for an object of a program.
     #[arg(long, value_parser = choice::<ItemChoice>(), default_value_t = Options::default().items)]
     items: ItemChoice,
-    /// Seconds per action, to which programs are stretched; 0 leaves them as long as actions.toml says.
+    /// Seconds per action, to which programs are stretched; 0 leaves the durations of actions.toml.
     #[arg(long, value_name = "SECONDS", default_value_t = PACE_S, value_parser = ranges::act_s_or_none)]
     pace: f64,
     /// Longest time of one act before stretching, in seconds: a demonstration shows an act, it does not wait for its end.
     #[arg(long, value_name = "SECONDS", default_value_t = PersonOptions::default().action_s_max, value_parser = ranges::act_s)]
     longest_act: f64,
-    /// Mean time from one object to the next that the forecast assumes before it has watched, in seconds.
+    /// The forecast's initial mean time from one object to the next, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().object_s, value_parser = ranges::act_s)]
     object_time: f64,
-    /// Mean stay in a room that the forecast assumes before it has watched, in seconds.
+    /// The forecast's initial mean stay in a room, in seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = ForecastOptions::default().stay_s, value_parser = ranges::act_s)]
     stay_time: f64,
     #[command(flatten)]
@@ -84,12 +83,12 @@ pub(super) struct StudyArgs {
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
-    /// Print the tables in Markdown, but for those of single cells.
+    /// Print the tables in Markdown, without the tables of single cells.
     #[arg(long, conflicts_with = "json")]
     markdown: bool,
 }
 
-/// What the robot does.
+/// Arguments of the robot.
 #[derive(Debug, clap::Args)]
 struct RobotArgs {
     /// T_r, the time the robot works in each room, in seconds; may be repeated.
@@ -122,10 +121,9 @@ impl FromStr for DisturbanceArg {
     }
 }
 
-/// Arguments of `roomcast-lab table1`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Table1Args {
-    /// Who decides, given the prompts' scores.
+    /// The policy that uses the prompts' scores.
     #[arg(long, value_name = "POLICY", value_parser = policy(), default_value_t = PolicyName::InformedAvoidance)]
     policy: PolicyName,
     #[command(flatten)]
@@ -134,14 +132,14 @@ pub(super) struct Table1Args {
     study: StudyArgs,
 }
 
-/// What `--setups` varies. What requires it names them as well: clap lets a requirement drop where something given excludes it.
+/// The arguments that `--setups` varies. An argument that requires it also lists them: clap drops a requirement if a given argument
+/// excludes it.
 const OF_ONE_SETUP: [&str; 3] = ["items", "longest_act", "history"];
 
-/// Arguments of `roomcast-lab table2`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Table2Args {
-    /// Also under every set-up that the paper leaves open, with intervals and at the naive policy's share of failures: any thing of a kind or the
-    /// nearest, acts up to 10, 20 and 60 s, a window of 16 observations or the whole narration.
+    /// Also under every set-up that the paper leaves open, with intervals and at the naive policy's share of failures: any thing of a kind
+    /// or the nearest, acts up to 10, 20 and 60 s, a window of 16 observations or the whole narration.
     #[arg(long, conflicts_with_all = OF_ONE_SETUP)]
     setups: bool,
     /// With --setups, further models, such as trainings with other seeds; may be repeated. Intervals are over them, too.
@@ -153,13 +151,12 @@ pub(super) struct Table2Args {
     study: StudyArgs,
 }
 
-/// Arguments of `roomcast-lab ablation`.
 #[derive(Debug, clap::Args)]
 pub(super) struct AblationArgs {
     /// Further models to compare; may be repeated.
     #[arg(long, value_name = "FILE")]
     also_model: Vec<PathBuf>,
-    /// Binding sequences to compare; may be repeated. The default and p0 to p5 when left out.
+    /// Binding sequences to compare; may be repeated. By default the default one and p0 to p5.
     #[arg(long, value_name = "TEXT")]
     prompt: Vec<BindingSequence>,
     /// Window lengths to compare; may be repeated.
@@ -171,7 +168,6 @@ pub(super) struct AblationArgs {
     study: StudyArgs,
 }
 
-/// Arguments of `roomcast-lab pareto`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ParetoArgs {
     /// Weights of coverage-aware avoidance, in seconds of disturbance per failed coverage; may be repeated.
@@ -184,27 +180,24 @@ pub(super) struct ParetoArgs {
 }
 
 type Scene = (SemanticMap, Grounding);
-/// Names of files and SVG text.
 type Pictures = Vec<(String, String)>;
 
-/// An activity with its names.
 struct Named {
-    /// The file; the name of what the program ships.
+    /// The file; for a shipped program its name.
     path: PathBuf,
-    /// What it is called in results. No two are called the same: they would be taken for one.
+    /// The name in results. Names are unique, since results of one name would be merged.
     name: String,
-    /// What its draws go by. It says nothing of where the files lie, so that these can be moved.
+    /// The seed of its draws. It does not depend on the folder, so that files can be moved.
     drawn_by: String,
     activity: Activity,
 }
 
-/// The last so many parts of a path.
 fn last_parts(path: &Path, count: usize) -> String {
     let parts: Vec<_> = path.components().collect();
     parts[parts.len().saturating_sub(count)..].iter().collect::<PathBuf>().display().to_string()
 }
 
-/// Gives activities that are called the same as much of their paths as tells them apart.
+/// Extends equal names by as much of the paths as makes them different.
 fn tell_apart(activities: &mut [Named]) -> CommandResult {
     for parts in 2.. {
         let mut called = HashMap::<&str, usize>::new();
@@ -222,21 +215,19 @@ fn tell_apart(activities: &mut [Named]) -> CommandResult {
     Ok(())
 }
 
-/// Everything that was loaded for a study.
 struct Setup<'a> {
     args: &'a StudyArgs,
     scenes: Vec<Scene>,
     activities: Vec<Named>,
-    /// What the robot meets and does is what the paper's figures are of: places, activities, T_r, disturbance and pace.
+    /// Whether the paper's figures apply: places, activities, T_r, disturbance and pace are the paper's.
     is_of_the_paper: bool,
-    /// Some activities come from folders: those too short for every room are left out.
+    /// Some activities come from folders: activities too short for every room are skipped.
     folders: bool,
     room_times_s: Vec<usize>,
     options: Options,
 }
 
 impl StudyArgs {
-    /// The activities of a file, of a folder, or of the binary.
     fn load(&self, path: &Path) -> Result<Vec<Named>, Failure> {
         let input = |error: roomcast_core::narration::ProgramError| Failure::new(exit_code::INPUT, error);
         if let Some(shipped) = setup::shipped_program(path) {
@@ -255,7 +246,7 @@ impl StudyArgs {
         files.iter().for_each(|file| *names.entry(stem(&file.path)).or_default() += 1);
         for file in files {
             let mut name = stem(&file.path);
-            // Files of one name in several folders are told apart by these.
+            // The folders distinguish files of the same name.
             if names[&name] > 1 {
                 let below = file.path.strip_prefix(path).unwrap_or(&file.path);
                 name = below.with_extension("").display().to_string();
@@ -271,7 +262,7 @@ impl StudyArgs {
         Ok(activities)
     }
 
-    /// Loads what was given, or in its place the paper's: its T_r, scenes and programs.
+    /// Loads the given T_r, scenes and programs, or by default the paper's.
     fn setup(
         &self,
         robot: Option<&RobotArgs>,
@@ -346,7 +337,7 @@ impl Setup<'_> {
                     home.cost().steps(),
                     shortest_s / map.rooms().len().max(1)
                 )),
-                // A scene that has nothing of an activity says nothing of the others.
+                // A scene may lack all objects of an activity without effect on the others.
                 Err(StudyError::Timeline(error @ TimelineError::Empty { .. })) => skipped.push(error.to_string()),
                 Err(StudyError::Timeline(error)) if self.folders => skipped.push(error.to_string()),
                 Err(error) => return Err(error.into()),
@@ -355,7 +346,6 @@ impl Setup<'_> {
         Ok(homes)
     }
 
-    /// Every home of every scene, under one binding sequence.
     fn all_homes(
         &self,
         sources: &mut [ScoreSource<LlamaModel>],
@@ -398,7 +388,7 @@ impl Setup<'_> {
         Ok(study::run(homes, &self.room_times_s, deciders, &self.options, || progress.step())?)
     }
 
-    /// What was computed, for reports of runs; `bindings` are the binding sequences that it was computed with.
+    /// Notes for reports about the computation; `bindings` are its binding sequences.
     fn notes(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> Vec<String> {
         let rooms = homes.iter().map(|home| home.cost().rooms()).max().unwrap_or(0);
         let bound = if rooms > study::ROOMS_PROGRAMMED_MAX {
@@ -422,7 +412,6 @@ impl Setup<'_> {
         )]
     }
 
-    /// Where scores and activities are from.
     fn origin(&self, sources: &[ScoreSource<LlamaModel>], homes: &[Home<'_>], bindings: &str) -> String {
         let computed: usize = sources.iter().map(ScoreSource::computed).sum();
         let model = sources.first().map(|source| source.model().name.clone()).unwrap_or_default();
@@ -436,19 +425,20 @@ impl Setup<'_> {
         )
     }
 
-    /// The paper's rows, where the set-up is as there: the person takes any thing of a kind, too, and the window is the whole narration.
+    /// The paper's rows, if the whole set-up is the paper's: the person also takes any thing of a kind, and the window is the whole
+    /// narration.
     fn paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
         let whole = |own: &Named| matches!(&own.activity, Activity::Program(program) if program.steps.len() <= self.options.history.observations);
         let same = self.options.items == ItemChoice::Uniform && self.activities.iter().all(whole);
         if same { self.of_the_paper(rows) } else { &[] }
     }
 
-    /// The paper's rows, where all but what [`setups`] varies is as there.
+    /// The paper's rows, if the set-up is the paper's except for the parts that [`setups`] varies.
     fn of_the_paper<'p>(&self, rows: &'p [PaperRow]) -> &'p [PaperRow] {
         if self.is_of_the_paper { rows } else { &[] }
     }
 
-    /// In what the paper's set-up differs, where it is the one that is meant.
+    /// The differences from the paper's set-up, if the set-up is meant to be the paper's.
     fn differences(&self) -> Option<String> {
         self.is_of_the_paper.then(|| DIFFERENCES.to_owned())
     }
@@ -486,7 +476,6 @@ fn as_text(part: &Table) -> comfy_table::Table {
     table
 }
 
-/// Tables with a row per cell.
 const CELLS: [&str; 3] = ["table2", "pareto-cells", "domination"];
 
 const APARTMENTS: [&str; 3] = ["apartment-e0", "apartment-e1", "apartment-e2"];
@@ -500,7 +489,6 @@ const POLICIES: [Decider; 6] = [
     Decider::Clairvoyant,
 ];
 
-/// The paper's Table II.
 pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
     let Table2Args { study, robot, .. } = args;
     let setup = study.setup(Some(robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
@@ -536,7 +524,7 @@ pub(super) fn run_table2(args: &Table2Args) -> CommandResult {
 
 /// Longest acts of the set-ups, in seconds.
 const LONGEST_ACTS_S: [f64; 3] = [10.0, 20.0, 60.0];
-/// Windows of the set-ups: the length that the model was trained on, and all.
+/// Windows of the set-ups: the length of the model's training, and the whole narration.
 const WINDOWS: [Option<usize>; 2] = [Some(16), None];
 /// Longer than any narration.
 const WHOLE: usize = 1000;
@@ -550,7 +538,6 @@ fn refuse_binding(args: &StudyArgs, instead: &str) -> CommandResult {
     Err(Failure::new(exit_code::USAGE, format!("--binding has no effect here: {instead}")))
 }
 
-/// The paper's Table I.
 pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
     refuse_binding(&args.study, "table1 scores with P0 to P5")?;
     let setup = args.study.setup(Some(&args.robot), &[25, 50], &APARTMENTS[..1], &PROGRAMS[2..])?;
@@ -575,7 +562,7 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
         args.policy
     ));
     notes.extend(setup.differences());
-    // The paper's Table I is of informed avoidance.
+    // The paper's Table I uses informed avoidance.
     let paper = if args.policy == PolicyName::InformedAvoidance { setup.paper(&PAPER_TABLE1) } else { &[] };
     let report = Report {
         title: "Disturbance by prompt (the paper's Table I)".into(),
@@ -586,7 +573,6 @@ pub(super) fn run_table1(args: &Table1Args) -> CommandResult {
     setup.finish(&report, json!({ "rows": rows, "paper": paper }))
 }
 
-/// Models, prompts, windows.
 pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     refuse_binding(&args.study, "give --prompt")?;
     if args.study.model.history.is_some() {
@@ -619,7 +605,7 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
         let plain = tokenisations.map(|tokenisation| (tokenisation, CorrectionChoice::EQUATION_1, true));
         for (tokenisation, correction, again) in as_given.into_iter().chain(plain) {
             if again && !corrected {
-                // The first two were Equation 1 already.
+                // The first two rows were plain Equation 1 already.
                 break;
             }
             let model_args = ModelArgs {
@@ -672,7 +658,6 @@ pub(super) fn run_ablation(args: &AblationArgs) -> CommandResult {
     setup.finish(&report, json!({ "rows": rows }))
 }
 
-/// Disturbance against coverage.
 pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
     let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.study.model)?;
@@ -717,7 +702,6 @@ pub(super) fn run_pareto(args: &ParetoArgs) -> CommandResult {
     setup.finish(&report, json!({ "rows": table.rows, "overall": table.overall, "domination": domination }))
 }
 
-/// The forecast by horizon.
 pub(super) fn run_horizon(args: &StudyArgs) -> CommandResult {
     let setup = args.setup(None, &[], &APARTMENTS, &PROGRAMS)?;
     let mut sources = setup.sources(&args.model)?;
@@ -767,8 +751,7 @@ impl Setup<'_> {
         Ok((rows, curves))
     }
 
-    /// The grounding picture of the paper's Figure 3: each scene with the heat of its scores, half-way through the first
-    /// program.
+    /// The paper's Figure 3: each scene with the heat of its scores, half-way through the first program.
     fn pictures(&self, sources: &mut [ScoreSource<LlamaModel>]) -> Result<Pictures, Failure> {
         let Some(Named { activity: Activity::Program(program), .. }) = self.activities.first() else {
             return Ok(Vec::new());
@@ -814,7 +797,7 @@ mod tests {
         Ok(activities.into_iter().map(|own| own.name).collect())
     }
 
-    /// Results go by the names of activities: two of one name would be one home.
+    /// Results name activities: two with the same name would be merged.
     #[test]
     fn no_two_activities_are_called_the_same() {
         let days = ["d/HouseholdA/test/000.txt", "d/HouseholdA/test/001.txt", "d/HouseholdB/test/000.txt"];
@@ -844,7 +827,7 @@ mod tests {
         Table2Args::from_arg_matches(&matches).unwrap()
     }
 
-    /// How many of the paper's rows stand beside what this command line gives.
+    /// The number of the paper's rows next to the results of this command line.
     fn rows_of_the_paper(line: &str) -> usize {
         let args = parsed(line);
         let setup = args.study.setup(Some(&args.robot), &[25, 50, 100], &APARTMENTS, &PROGRAMS).unwrap();

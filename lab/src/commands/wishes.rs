@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use roomcast_cli::{CommandResult, Failure, exit_code, print, print_json, ranges};
 use roomcast_lab::experiment::wishes::{Sums, Way, play};
 
-/// Arguments of `roomcast-lab wishes`.
 #[derive(Debug, clap::Args)]
 pub(super) struct WishesArgs {
     /// Households, each with its seed.
@@ -22,10 +21,8 @@ pub(super) struct WishesArgs {
     json: bool,
 }
 
-/// A column: its head and its number.
 type Column = (&'static str, fn(&Sums) -> usize);
 
-/// What the table shows of sums.
 const COLUMNS: [Column; 6] = [
     ("minutes near people", |sums| sums.near_people_min),
     ("minutes in quiet hours", |sums| sums.in_quiet_hours_min),

@@ -1,4 +1,4 @@
-//! Forecasts that need no language model: what the model must beat.
+//! Forecasts without a language model, which the model must beat.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,50 +9,50 @@ use roomcast_core::names::Names;
 use roomcast_core::narration::Program;
 use roomcast_simulation::binding::Binder;
 
-/// How often objects follow one another in activity programs, in words and bound to no map. Immediate repeats of an object
-/// are not counted, as they are no targets either.
+/// Counts of the order of objects in activity programs, in words and without a map. Immediate repeats of an object do not count, since they
+/// are not targets either.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statistics {
-    /// What the numbers are and where they come from.
+    /// A description of the counts and their origin.
     pub about: String,
     /// Number of programs counted.
     pub programs: usize,
-    /// How often each object is turned to.
+    /// Uses of each object.
     pub frequency: BTreeMap<String, f64>,
-    /// How often each object is next after another.
+    /// Uses of each object after another.
     pub markov1: BTreeMap<String, BTreeMap<String, f64>>,
-    /// How often each object is next after two others, written `before>last`.
+    /// Uses of each object after two others, written `before>last`.
     pub markov2: BTreeMap<String, BTreeMap<String, f64>>,
-    /// How often each object is next after three others; `^` stands for what lies before the first.
+    /// Uses of each object after three others; `^` stands for places before the first.
     #[serde(default)]
     pub markov3: BTreeMap<String, BTreeMap<String, f64>>,
-    /// What was fitted besides.
+    /// The fitted parameters of smoothing.
     #[serde(default)]
     pub kneser_ney: KneserNeyFit,
 }
 
-/// Stands in a context for what lies before the first object.
+/// Stands in a context for places before the first object.
 const START: &str = "^";
 /// The longest context of Kneser-Ney smoothing.
 const ORDER: usize = 3;
-/// Counts that have discounts of their own: one, two, and more.
+/// Counts with separate discounts: one, two, and more.
 const KINDS: usize = 3;
 
-/// What Kneser-Ney smoothing and its recency cache are fitted to.
+/// The fitted parameters of Kneser-Ney smoothing and its recency cache.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KneserNeyFit {
-    /// What is taken from each count after 0 to 3 objects: from one, from two, and from each greater one.
+    /// The discount of each count after 0 to 3 objects: of one, of two, and of each greater one.
     pub discounts: [[f64; KINDS]; ORDER + 1],
-    /// The share of what was turned to in this activity.
+    /// The cache's share: objects of this activity.
     pub cache_weight: f64,
-    /// How much less each earlier object of it counts.
+    /// Decay of the weight of each earlier object.
     pub cache_decay: f64,
 }
 
 impl Default for KneserNeyFit {
-    /// Without a split to fit them on.
+    /// The values without a split to fit them on.
     fn default() -> Self {
         Self { discounts: [[0.75; KINDS]; ORDER + 1], cache_weight: 0.15, cache_decay: 0.9 }
     }
@@ -67,7 +67,7 @@ impl Statistics {
         serde_json::from_str(text)
     }
 
-    /// Counts over programs.
+    /// Counts the objects of programs.
     #[must_use]
     pub fn fit<'a>(programs: impl IntoIterator<Item = &'a Program>) -> Self {
         let mut counts = Self { about: "counted from the programs given".into(), ..Self::default() };
@@ -101,7 +101,6 @@ impl Statistics {
     }
 }
 
-/// Counts of labels after one context.
 #[derive(Debug, Clone, Default)]
 struct Counts {
     total: f64,
@@ -114,7 +113,7 @@ impl Counts {
         *self.of_label.entry(label).or_default() += count;
     }
 
-    /// The mean of the counts and `strength` imagined ones that follow `prior`.
+    /// The mean of the counts and `strength` pseudo-counts from `prior`.
     fn smoothed(counts: Option<&Self>, prior: &[f64], strength: f64) -> Vec<f64> {
         let Some(counts) = counts else { return prior.to_vec() };
         let mut smoothed: Vec<f64> = prior.iter().map(|p| strength * p / (strength + counts.total)).collect();
@@ -125,13 +124,13 @@ impl Counts {
     }
 }
 
-/// Strengths of a prior that are tried; leave-one-out likelihood chooses.
+/// Candidates for the strength of a prior; leave-one-out likelihood chooses.
 const STRENGTHS: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
-/// Pseudo-count of each label in the frequencies: a label that was never seen is possible.
+/// Pseudo-count of each label in the frequencies, so that an unseen label is possible.
 const UNSEEN: f64 = 0.5;
 
-/// The baselines, bound to one map's labels. All give a probability per scored label.
+/// The baselines for one map's labels. Each gives a probability per scored label.
 #[derive(Debug, Clone)]
 pub struct Baselines {
     frequency: Vec<f64>,
@@ -145,7 +144,7 @@ pub struct Baselines {
 }
 
 impl Baselines {
-    /// Binds the statistics to the labels of a map. Objects that the map lacks are left out as targets and kept as context.
+    /// Binds the statistics to the labels of a map. Objects that the map lacks are not targets, but still context.
     #[must_use]
     pub fn new(statistics: &Statistics, binder: &mut Binder<'_>, grounding: &Grounding) -> Self {
         let labels = grounding.scored_labels().len();
@@ -167,7 +166,7 @@ impl Baselines {
                 let in_hand = context.rsplit('>').next().and_then(|last| binder.label(last));
                 let counts = contexts.entry(words.join(">")).or_default();
                 for (words, count) in next {
-                    // Two words of one label are no turn to another thing.
+                    // Two words of one label are not two things.
                     if let Some(label) = binder.label(words).filter(|label| Some(*label) != in_hand) {
                         counts.add(label, *count);
                     }
@@ -194,25 +193,24 @@ impl Baselines {
         self.kneser_ney.after(context)
     }
 
-    /// The same with what was turned to in this activity, by label, the latest last; `here` is in hand and is not next.
+    /// The same with the objects of this activity, by label, the latest last; `here` is in hand and is not next.
     #[must_use]
     pub(crate) fn with_cache(&self, chain: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
         self.kneser_ney.with_cache(chain, visited, here)
     }
 
-    /// How often each label is turned to at all.
     #[must_use]
     pub(crate) fn frequency(&self) -> &[f64] {
         &self.frequency
     }
 
-    /// After the last object, given as a [`key`]; frequencies where it was never seen.
+    /// After the last object, given as a [`key`]; frequencies if it was never seen.
     #[must_use]
     pub(crate) fn markov1(&self, last: Option<&str>) -> Vec<f64> {
         Counts::smoothed(last.and_then(|last| self.first.get(last)), &self.frequency, self.first_strength)
     }
 
-    /// After the last two objects; as [`Baselines::markov1`] where the pair was never seen.
+    /// After the last two objects; as [`Baselines::markov1`] if the pair was never seen.
     #[must_use]
     pub(crate) fn markov2(&self, before: Option<&str>, last: Option<&str>) -> Vec<f64> {
         let prior = self.markov1(last);
@@ -220,8 +218,8 @@ impl Baselines {
         Counts::smoothed(context.and_then(|context| self.second.get(&context)), &prior, self.second_strength)
     }
 
-    /// Per partition: the present one with the fitted probability of staying, the others alike. Uniform when the present
-    /// one is unknown.
+    /// For each partition: the fitted probability of staying in the present one, and equal parts for the others. Uniform without a present
+    /// one.
     #[must_use]
     pub fn stay(&self, partition: Option<usize>, partitions: usize) -> Vec<f64> {
         match partition {
@@ -234,11 +232,10 @@ impl Baselines {
     }
 }
 
-/// Modified Kneser-Ney smoothing, interpolated and of third order (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the distinct longer
-/// ones that a label followed, and counts of one, two and more have discounts of their own.
+/// Modified Kneser-Ney smoothing, interpolated and of third order (Kneser and Ney 1995; Chen and Goodman 1999): shorter contexts count the
+/// distinct longer ones before a label, and counts of one, two and more have separate discounts.
 #[derive(Debug, Clone)]
 struct KneserNey {
-    /// By the length of their contexts.
     tables: [HashMap<String, Counts>; ORDER + 1],
     labels: usize,
     fit: KneserNeyFit,
@@ -283,22 +280,23 @@ impl KneserNey {
     }
 }
 
-/// What was turned to in this activity, the latest most.
+/// The objects of this activity, with the largest weight for the latest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Cache {
     /// Its share of a forecast.
     weight: f64,
-    /// How much less each earlier object counts.
+    /// Decay of the weight of each earlier object.
     decay: f64,
 }
 
-/// The cache beside the model, to show what it has not learned: weight and decay make the calibration split likeliest with the shipped model.
+/// The cache for the model, which shows what the model has not learned. With this weight and decay, the calibration split is likeliest
+/// under the shipped model.
 pub(crate) const MODEL_CACHE: Cache = Cache { weight: 0.25, decay: 0.3 };
-/// The chain's share beside the model and that cache, chosen likewise.
+/// The chain's share in the mixture with the model and that cache, chosen in the same way.
 const CHAIN_SHARE: f64 = 0.15;
 
-/// The model with the chain and the cache beside it, to show what it has learned of neither. All are given that another thing is next than the one in
-/// hand.
+/// The model mixed with the chain and the cache, which shows what it has not learned of them. All three assume that the next thing is not
+/// the one in hand.
 #[must_use]
 pub(crate) fn mixture(model: &[f64], chain: &[f64], visited: &[usize], in_hand: Option<usize>) -> Vec<f64> {
     let both = |(model, chain): (&f64, &f64)| (1.0 - CHAIN_SHARE) * model + CHAIN_SHARE * chain;
@@ -307,7 +305,7 @@ pub(crate) fn mixture(model: &[f64], chain: &[f64], visited: &[usize], in_hand: 
 }
 
 impl Cache {
-    /// A forecast of labels with the cache mixed in; `here` is in hand and is not next.
+    /// A forecast of labels, mixed with the cache; `here` is in hand and is not next.
     pub(crate) fn mixed(self, forecast: &[f64], visited: &[usize], here: Option<usize>) -> Vec<f64> {
         let mut cache = vec![0.0; forecast.len()];
         let mut weight = 1.0;
@@ -326,14 +324,14 @@ impl Cache {
     }
 }
 
-/// The name under which an object is a context: its label in the map, so that synonyms count together, else its words.
+/// The name of an object in a context: its label in the map, so that synonyms count together, else its words.
 #[must_use]
 pub fn key(name: &str, binder: &mut Binder<'_>, grounding: &Grounding) -> String {
     let label = binder.label(name);
     label.map_or_else(|| Names::built_in().words(name), |label| grounding.scored_labels()[label].text.clone())
 }
 
-/// The strength under which every count is likeliest when it is left out.
+/// The strength with the greatest leave-one-out likelihood of all counts.
 fn best_strength(contexts: &HashMap<String, Counts>, prior: impl Fn(&str) -> Vec<f64>) -> f64 {
     let mut likelihood = [0.0; STRENGTHS.len()];
     for (context, counts) in contexts {
@@ -349,8 +347,8 @@ fn best_strength(contexts: &HashMap<String, Counts>, prior: impl Fn(&str) -> Vec
     best.map_or(STRENGTHS[0], |(_, strength)| strength)
 }
 
-/// Probability that two objects that follow one another are in the same partition, where whoever turns to the second takes it as the binder does: any of
-/// several like things, or the nearest to the first.
+/// Probability that two consecutive objects are in the same partition, if the person chooses the second as the binder does: any of several
+/// things of a kind, or the nearest to the first.
 fn stay(statistics: &Statistics, binder: &mut Binder<'_>) -> f64 {
     let (mut same, mut all) = (1.0, 2.0);
     for (last, next) in &statistics.markov1 {
@@ -414,7 +412,7 @@ mod tests {
         assert!((baselines.stay(Some(1), 3).iter().sum::<f64>() - 1.0).abs() < 1e-9);
     }
 
-    /// Whoever takes the nearest of several like things leaves the room less often than one who takes any.
+    /// A person who takes the nearest of several things of a kind leaves the room less often than one who takes any.
     #[test]
     fn staying_is_fitted_to_which_thing_is_taken() {
         let map = SemanticMap::from_json(include_str!("../../../scenes/apartment-e0.json")).unwrap();

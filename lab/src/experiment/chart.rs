@@ -1,13 +1,13 @@
-//! Charts as SVG text: points, lines and steps over two axes. Drawn by hand, so that a report needs nothing beside it.
+//! Charts as SVG text: points, lines and steps over two axes. They need no other files.
 
 use std::fmt::Write;
 
-/// How a series is drawn.
+/// The form of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
     /// Dots.
     Points,
-    /// Dots joined by a line; the line alone where there are more than 60 of them.
+    /// Dots joined by a line; with more than 60 of them the line alone.
     Line,
     /// A histogram's outline: each y holds from its x to the next.
     Steps,
@@ -16,24 +16,24 @@ pub enum Mark {
 /// Numbers with a name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// In the legend.
+    /// The name in the legend.
     pub name: String,
-    /// (x, y); others than finite ones are left out.
+    /// (x, y); points that are not finite are skipped.
     pub points: Vec<(f64, f64)>,
-    /// How they are drawn.
+    /// The form.
     pub mark: Mark,
 }
 
 /// A chart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
-    /// Above it.
+    /// The title above the chart.
     pub title: String,
-    /// Below it, with the unit.
+    /// The label of the x axis, with the unit.
     pub x: String,
-    /// Beside it, with the unit.
+    /// The label of the y axis, with the unit.
     pub y: String,
-    /// What it shows.
+    /// The series.
     pub series: Vec<Series>,
 }
 
@@ -44,10 +44,9 @@ const RIGHT: f64 = 210.0;
 const TOP: f64 = 44.0;
 const BOTTOM: f64 = 58.0;
 
-/// Most dots on a line.
 const DOTS_MAX: usize = 60;
 
-/// Colours that stay apart for people who do not tell red from green, in the order of the series.
+/// Colours that colour-blind people can distinguish, in the order of the series.
 const COLOURS: [&str; 8] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#b8860b", "#444444", "#7b4fa6"];
 
 impl Chart {
@@ -80,7 +79,7 @@ impl Chart {
         }
         line(&mut svg, [LEFT, bottom, right, bottom], "#444444");
         line(&mut svg, [LEFT, TOP, LEFT, bottom], "#444444");
-        // The first one lies above the others.
+        // The first one is drawn last, above the others.
         for (index, series) in self.series.iter().enumerate().rev() {
             let colour = COLOURS[index % COLOURS.len()];
             let shown: Vec<(f64, f64)> = series
@@ -101,7 +100,7 @@ impl Chart {
                 }
                 let _ = write!(svg, "<path d=\"{path}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>");
             }
-            // So many dots on a line are a band in which nothing can be told apart.
+            // More dots on a line would merge into a band.
             if series.mark == Mark::Points || (series.mark == Mark::Line && shown.len() <= DOTS_MAX) {
                 for (x, y) in &shown {
                     let _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>");
@@ -133,7 +132,7 @@ fn line(svg: &mut String, [x1, y1, x2, y2]: [f64; 4], colour: &str) {
     let _ = write!(svg, "<line x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\" stroke=\"{colour}\"/>");
 }
 
-/// Text within XML or HTML; names come from files of other people.
+/// Escapes text for XML or HTML; names may come from other people's files.
 #[must_use]
 pub(crate) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
@@ -146,7 +145,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// Round limits around the values, from 0 where they are near it.
+    /// Round limits around the values, from 0 if they are near it.
     fn covering(values: impl Iterator<Item = f64> + Clone) -> Self {
         let low = values.clone().fold(f64::INFINITY, f64::min);
         let high = values.fold(f64::NEG_INFINITY, f64::max);
@@ -206,7 +205,7 @@ mod tests {
         let svg = chart.svg();
         assert!(svg.contains("a &lt; b &amp; c") && svg.contains("three") && !svg.contains("NaN"));
         roxmltree::Document::parse(&svg).unwrap();
-        // The first one is drawn last, and the third's legend stands below it.
+        // The first one is drawn last, and the third's legend is below it.
         assert!(svg.find(">three<").unwrap() < svg.find(">one<").unwrap());
         let dots = |number: u32| {
             let points = (0..number).map(|at| (f64::from(at), 1.0)).collect();

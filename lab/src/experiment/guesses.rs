@@ -1,4 +1,4 @@
-//! How often the next sentence is among the guesses that the daemon scores ahead, by how many it makes.
+//! How often the next sentence is among the guesses that the daemon prefetches, by the number of guesses.
 
 use std::collections::BTreeMap;
 
@@ -15,12 +15,12 @@ use super::prediction::{NamedProgram, sentences};
 use super::{ExperimentError, Progress};
 use roomcast_simulation::ScoreSource;
 
-/// Of so many steps, how many had their sentence among the first K guesses.
+/// The number of steps with their sentence among the first K guesses.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Hits {
-    /// Sentences that could be guessed: all but a program's first.
+    /// Sentences that could be guessed: all except a program's first.
     pub steps: usize,
-    /// Per K of [`Report::k`].
+    /// Steps for each K of [`Report::k`].
     pub among: Vec<usize>,
 }
 
@@ -36,26 +36,26 @@ impl Hits {
         }
     }
 
-    /// The shares of the steps, per K.
+    /// The shares of the steps for each K.
     pub fn shares(&self) -> impl Iterator<Item = f64> {
         self.among.iter().map(|among| *among as f64 / self.steps.max(1) as f64)
     }
 }
 
-/// What the experiment found.
+/// The results of the experiment.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
-    /// How many guesses were made, ascending.
+    /// The numbers of guesses, ascending.
     pub k: Vec<usize>,
-    /// With what the training split's programs say alone.
+    /// With the training split's programs alone.
     pub seed: Hits,
-    /// Learning each sentence after it was guessed, from the first program to the last.
+    /// With learning of each sentence after its guess, from the first program to the last.
     pub learning: Hits,
     /// The same by the action's name.
     pub learning_by_action: BTreeMap<String, Hits>,
 }
 
-/// Tells each program from its start, once with a guesser that only follows and once with one that learns.
+/// Plays each program from its start, once with a guesser that only follows and once with one that learns.
 ///
 /// # Errors
 /// When the model fails, an object's name makes no sentence, or nothing that is said is about a thing of the map.

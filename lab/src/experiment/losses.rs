@@ -1,4 +1,4 @@
-//! Scores of probabilistic forecasts, added up per group, with bootstrap intervals over groups.
+//! Scores of probabilistic forecasts, summed per group, with bootstrap intervals over groups.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -8,10 +8,9 @@ use super::resampling::{ci95, drawn};
 
 /// Bins of the expected calibration error, of equal width over the probability of the likeliest outcome.
 pub(crate) const ECE_BINS: usize = 15;
-/// Resamples of the bootstrap.
 pub(super) const RESAMPLES: usize = 1000;
 
-/// Sums over cases: additive, so that a bootstrap resamples groups of cases by adding their sums.
+/// Sums over cases. They are additive, so a bootstrap resamples groups of cases by adding their sums.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sums {
     cases: f64,
@@ -20,13 +19,13 @@ pub struct Sums {
     top5: f64,
     reciprocal_rank: f64,
     brier: f64,
-    /// Per bin: cases, sum of the greatest probability, cases in which the likeliest outcome was right.
+    /// For each bin: cases, sum of the greatest probability, cases with a correct likeliest outcome.
     bins: [[f64; 3]; ECE_BINS],
 }
 
 impl Sums {
-    /// Adds a case: `probabilities` sum to one, `truth` is what happened. Equal probabilities share their ranks, so that a
-    /// forecast that knows nothing gains nothing by the order of outcomes.
+    /// Adds a case: `probabilities` sum to one, `truth` is the outcome. Equal probabilities share their ranks, so that a forecast without
+    /// knowledge gains nothing from the order of outcomes.
     pub fn add(&mut self, probabilities: &[f64], truth: usize) {
         let Some(p) = probabilities.get(truth).copied() else { return };
         let greater = probabilities.iter().filter(|q| **q > p).count();
@@ -57,7 +56,6 @@ impl Sums {
         }
     }
 
-    /// How many cases.
     pub(crate) fn len(&self) -> usize {
         self.cases as usize
     }
@@ -66,7 +64,7 @@ impl Sums {
         self.cases == 0.0
     }
 
-    /// The same means from one case's weight; nothing of no case.
+    /// The same means with the weight of one case; empty without cases.
     fn as_one_case(&self) -> Self {
         let n = self.cases.max(1.0);
         let mut one = Self::default();
@@ -95,42 +93,42 @@ const METRICS: [&str; 7] = ["nll_nats", "top1", "top5", "mrr", "brier", "confide
 /// 95 % intervals, each `[low, high]`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Intervals {
-    /// Of the mean negative log-likelihood.
+    /// For the mean negative log-likelihood.
     pub nll_nats: [f64; 2],
-    /// Of the share in which the likeliest outcome happened.
+    /// For the share of cases with the likeliest outcome.
     pub top1: [f64; 2],
-    /// Of the share in which one of the five likeliest happened.
+    /// For the share of cases with one of the five likeliest outcomes.
     pub top5: [f64; 2],
-    /// Of the mean reciprocal rank.
+    /// For the mean reciprocal rank.
     pub mrr: [f64; 2],
-    /// Of the Brier score.
+    /// For the Brier score.
     pub brier: [f64; 2],
-    /// Of the mean confidence.
+    /// For the mean confidence.
     pub confidence: [f64; 2],
-    /// Of the expected calibration error.
+    /// For the expected calibration error.
     pub ece: [f64; 2],
 }
 
 /// Means over all cases, with intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Summary {
-    /// How many cases.
+    /// The number of cases.
     pub cases: usize,
     /// Mean negative log-likelihood in nats.
     pub nll_nats: f64,
-    /// Share in which the likeliest outcome happened.
+    /// Share of cases with the likeliest outcome.
     pub top1: f64,
-    /// Share in which one of the five likeliest happened.
+    /// Share of cases with one of the five likeliest outcomes.
     pub top5: f64,
     /// Mean reciprocal rank.
     pub mrr: f64,
     /// Mean Brier score over all outcomes, 0 to 2.
     pub brier: f64,
-    /// Mean probability of the likeliest outcome: above `top1`, the forecast is too sure of itself.
+    /// Mean probability of the likeliest outcome: above `top1`, the forecast is overconfident.
     pub confidence: f64,
     /// Expected calibration error of the likeliest outcome's probability, over 15 bins.
     pub ece: f64,
-    /// Bootstrap intervals over groups; none where fewer than two have cases.
+    /// Bootstrap intervals over groups; `None` if fewer than two have cases.
     pub ci95: Option<Intervals>,
 }
 
@@ -145,13 +143,13 @@ impl Summary {
         self.with(self.nll_nats, |ci95| ci95.nll_nats)
     }
 
-    /// The share in which the likeliest outcome happened, and its interval.
+    /// The share of cases with the likeliest outcome, and its interval.
     #[must_use]
     pub fn top1(&self) -> (f64, Option<[f64; 2]>) {
         self.with(self.top1, |ci95| ci95.top1)
     }
 
-    /// The share in which one of the five likeliest happened, and its interval.
+    /// The share of cases with one of the five likeliest outcomes, and its interval.
     #[must_use]
     pub fn top5(&self) -> (f64, Option<[f64; 2]>) {
         self.with(self.top5, |ci95| ci95.top5)
@@ -182,13 +180,13 @@ impl Summary {
     }
 }
 
-/// Sums up groups of cases; resamples whole groups, because the cases of one program depend on one another.
+/// Summarises groups of cases. It resamples whole groups, because the cases of one program depend on one another.
 #[must_use]
 pub(crate) fn summarise(groups: &[Sums], seed: u64) -> Summary {
     bootstrap([groups], seed, |[all]| all.means())
 }
 
-/// Groups that belong together as one, in the order of their first member; `of` says which group belongs where.
+/// Merges groups, in the order of their first member; `of` gives the merged group of each.
 #[must_use]
 pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
     let mut merged = vec![Sums::default(); of.iter().max().map_or(0, |most| most + 1)];
@@ -198,13 +196,13 @@ pub(crate) fn merged(groups: &[Sums], of: &[usize]) -> Vec<Sums> {
     merged
 }
 
-/// As [`summarise`], where each group counts alike, however many cases it has.
+/// As [`summarise`], with equal weights of the groups, however many cases they have.
 #[must_use]
 pub(crate) fn macro_average(groups: &[Sums], seed: u64) -> Summary {
     summarise(&alike(groups), seed)
 }
 
-/// As [`difference`], where each group counts alike.
+/// As [`difference`], with equal weights of the groups.
 #[must_use]
 pub(crate) fn macro_difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     difference(&alike(groups), &alike(others), seed)
@@ -214,9 +212,9 @@ fn alike(groups: &[Sums]) -> Vec<Sums> {
     groups.iter().filter(|group| !group.is_empty()).map(Sums::as_one_case).collect()
 }
 
-/// The means of one forecast less those of another on the same cases in the same groups. Both are resampled together, so that how hard the
-/// cases happen to be, which is most of what makes the intervals of each wide, cancels: an interval on one side of zero tells
-/// them apart even where their own intervals overlap.
+/// The means of one forecast minus those of another on the same cases in the same groups. Both are resampled together, so the difficulty of
+/// the cases cancels, which is most of the width of each interval. So an interval on one side of zero separates them even if their own
+/// intervals overlap.
 #[must_use]
 pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     bootstrap([groups, others], seed, |[own, other]| {
@@ -225,10 +223,11 @@ pub fn difference(groups: &[Sums], others: &[Sums], seed: u64) -> Summary {
     })
 }
 
-/// Draws groups that have cases. The draws depend on `seed` and the number of these alone. One group drawn again and again is always the same:
-/// that is no interval without width, but none.
+/// Draws groups with cases. The draws depend only on `seed` and the number of these groups. A single group always gives the same draw, so
+/// it has no interval.
 ///
-/// The calibration error is a mean of absolute values, which grows when cases are drawn again. So its samples are less what that adds on average.
+/// The calibration error is a mean of absolute values, which grows when cases are drawn again. So the mean of that growth is subtracted
+/// from its samples.
 fn bootstrap<const ROWS: usize>(
     rows: [&[Sums]; ROWS],
     seed: u64,
@@ -255,7 +254,7 @@ fn bootstrap<const ROWS: usize>(
     let [nll_nats, top1, top5, mrr, brier, confidence, ece] = value(all);
     let [.., drawn] = &mut samples;
     let added = drawn.iter().sum::<f64>() / drawn.len() as f64 - ece;
-    // Of one forecast it is never negative; of a difference it may be.
+    // For one forecast it is never negative; for a difference it may be.
     let least = if ROWS == 1 { 0.0 } else { f64::NEG_INFINITY };
     drawn.iter_mut().for_each(|sample| *sample = (*sample - added).max(least));
     let ci95 = match samples.map(ci95) {
@@ -331,7 +330,7 @@ mod tests {
         assert!(low <= forecast.ece && forecast.ece <= high, "{forecast:?}");
     }
 
-    /// A program without a case is none that was drawn, and one program has no interval.
+    /// A program without a case is never drawn, and one program has no interval.
     #[test]
     fn groups_without_cases_change_nothing_and_one_group_has_no_interval() {
         let mut sums = [Sums::default(); 2];
@@ -345,7 +344,7 @@ mod tests {
         assert_eq!(difference(&[one, none], &[one, none], 1).ci95, None);
     }
 
-    /// An activity with many programs does not speak for the others.
+    /// An activity with many programs does not dominate the others.
     #[test]
     fn a_macro_average_counts_groups_alike() {
         let group = |right: usize, wrong: usize| {
@@ -365,7 +364,7 @@ mod tests {
 
     #[test]
     fn a_difference_on_the_same_cases_is_surer_than_either_forecast() {
-        // Hard and easy groups make both means unsure; one forecast is better in every group by nearly the same.
+        // Hard and easy groups widen both intervals; one forecast is better in every group by nearly the same amount.
         let groups = |bonus: f64| -> Vec<Sums> {
             (0..40)
                 .map(|i| {

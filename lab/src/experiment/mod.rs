@@ -1,4 +1,4 @@
-//! The paper's tables and figures, and the project's own, by the pipeline's own scorer, grounding and policies.
+//! The paper's tables and figures, and the project's own, with the pipeline's scorer, grounding and policies.
 
 use std::path::PathBuf;
 
@@ -26,23 +26,23 @@ pub mod wishes;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ExperimentError {
-    /// A file or folder.
+    /// A file or folder cannot be read.
     #[error("failed to read {path}: {source}")]
     Read {
-        /// Which.
+        /// The path.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// No program.
+    /// There are no programs.
     #[error("no activity program in {path}{}: give a folder of .txt files in VirtualHome's format", .fault.as_ref().map(|f| format!(" ({f})")).unwrap_or_default())]
     NoPrograms {
-        /// Where one was looked for.
+        /// The path of the search.
         path: PathBuf,
         /// The first fault, if files were there.
         fault: Option<String>,
     },
-    /// The programs and the scene have nothing in common.
+    /// The scene has none of the things in the programs.
     #[error(
         "the scene `{scene}` has none of the things that are narrated: give programs, days or rules for it, or aliases in the scene"
     )]
@@ -50,7 +50,7 @@ pub enum ExperimentError {
         /// The scene's name.
         scene: String,
     },
-    /// The simulation or the scorer.
+    /// The simulation or the scorer failed.
     #[error(transparent)]
     Study(#[from] StudyError),
 }
@@ -82,7 +82,7 @@ impl From<ExperimentError> for Failure {
     }
 }
 
-/// Progress of a long run, on standard error and only where a person watches.
+/// Progress of a long run, on standard error, shown only on a terminal.
 #[derive(Debug)]
 pub struct Progress(ProgressBar);
 
@@ -97,7 +97,7 @@ impl Progress {
         Self(bar)
     }
 
-    /// None at all.
+    /// Hidden progress.
     #[must_use]
     pub fn hidden() -> Self {
         Self(ProgressBar::hidden())

@@ -17,17 +17,14 @@ use roomcast_core::tracker::{
     Forecast, Observation, Options as TrackerOptions, SensorKind, SensorSpec, Tracker, TrackerError,
 };
 
-/// Days of one home.
 const HOME_DAYS: usize = 10;
-/// Trust in the captioner.
 const TRUST: f64 = 0.9;
-/// Bins of the calibration error.
 const BINS: usize = 20;
 /// How far ahead the forecast is scored, in seconds, and how many minutes apart.
 const AHEAD_S: usize = 900;
 const FORECAST_EVERY: usize = 15;
 
-/// One row's conditions.
+/// The conditions of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setup {
     /// Residents, one to four.
@@ -46,7 +43,7 @@ pub struct Setup {
     pub recorded: Option<Arc<Recorded>>,
 }
 
-/// Who answers.
+/// The method that answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
@@ -61,7 +58,7 @@ pub enum Method {
 /// One row of the table. Shares are of all scored minutes.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Row {
-    /// Who answers.
+    /// The method.
     pub method: Method,
     /// Residents.
     pub residents: usize,
@@ -89,7 +86,6 @@ pub struct Row {
     pub report_us: f64,
 }
 
-/// Sums of one method.
 #[derive(Debug, Clone, Default)]
 struct Sums {
     persons: f64,
@@ -150,7 +146,6 @@ impl Sums {
     }
 }
 
-/// Belief about persons and rooms, by any method.
 trait Believer {
     fn report(&mut self, report: &Report);
     fn advance(&mut self, now_s: f64);
@@ -184,7 +179,6 @@ pub fn run(setup: &Setup, methods: &[Method], done: impl Fn() + Sync) -> Result<
     Ok(methods.iter().zip(&all).map(|(method, sums)| sums.row(setup, *method)).collect())
 }
 
-/// One home.
 fn home(setup: &Setup, block: usize, methods: &[Method]) -> Result<Vec<Sums>, TrackerError> {
     let mut random = ChaCha8Rng::seed_from_u64(setup.seed);
     random.set_stream(block as u64);
@@ -204,7 +198,7 @@ fn home(setup: &Setup, block: usize, methods: &[Method]) -> Result<Vec<Sums>, Tr
     methods.iter().map(score).collect()
 }
 
-/// The recorded days from one on; after the last, the first comes again.
+/// The recorded days from one on; the first follows the last.
 fn recorded_days(recorded: &Recorded, first: usize, days: usize) -> Truth {
     let own = |lives: &Vec<Life>| {
         let mut all = Life::default();
@@ -231,7 +225,6 @@ fn believer(plan: &Plan, setup: &Setup, method: Method) -> Result<Box<dyn Believ
     })
 }
 
-/// Plays the reports of one home and scores each minute.
 fn play(
     plan: &Plan,
     truth: &Truth,
@@ -458,7 +451,7 @@ struct LastSensor {
     at: Vec<Option<usize>>,
 }
 
-/// A point answer counts as this sure.
+/// The probability of a definite answer.
 const POINT: f64 = 0.9;
 
 impl LastSensor {

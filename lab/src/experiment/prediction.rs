@@ -1,11 +1,12 @@
-//! How well the next object and the next room are forecast, next to baselines on the same cases.
+//! The quality of the forecast of the next object and the next room, next to baselines on the same cases.
 //!
-//! A case is a step of a program: after action k, the *next object* is that of the next action which names an object other
-//! than the last one named (its first object, by its words), so that "walk to the cup, find the cup" earns nothing. Cases
-//! whose object the map lacks are left out. Another object is asked for than the one in hand, so that one is taken out of
-//! every forecast of objects. The *next room* is that of the item which the object is bound to ([`ItemChoice`]);
-//! *room-change* cases are those in which it is not the room of the last object that was bound. In these,
-//! *room-if-changed* asks every forecast where to, given that the person leaves: the current room is taken out of it.
+//! A case is a step of a program. After action k, the *next object* is the first object of the next action that names another object than
+//! the last one (by its words). So "walk to the cup, find the cup" gives no case. There is no case if the map lacks the object. The object
+//! in hand is removed from every forecast of objects, since it is not next.
+//!
+//! The *next room* is the room of the item that the object is bound to ([`ItemChoice`]). *Room-change* cases are the cases with another
+//! room than that of the last bound object. In these, *room-if-changed* asks every forecast for the next room given that the person leaves:
+//! the current room is removed.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -27,29 +28,29 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_simulation::ScoreSource;
 use roomcast_simulation::binding::{Binder, ItemChoice};
 
-/// A program and where it was read.
+/// A program and its file.
 #[derive(Debug, Clone)]
 pub struct NamedProgram {
     /// Its file; a day of a household counts as one program.
     pub path: PathBuf,
     /// The program.
     pub program: Program,
-    /// The activity that it is one way of: its title, unless a manifest says which titles are near one another.
+    /// The activity of the program: its title, unless a manifest groups similar titles.
     pub activity: String,
 }
 
-/// Programs that one model is asked about, and what it and the baselines have learned from.
+/// Programs for one model, with the training data of the model and of the baselines.
 #[derive(Debug, Clone)]
 pub struct Part {
-    /// Those asked about.
+    /// The programs of the evaluation.
     pub programs: Vec<NamedProgram>,
-    /// Those of the model's training split, to say how near the others are; may be empty.
+    /// The programs of the model's training split, for the nearness of the others; may be empty.
     pub trained: Vec<NamedProgram>,
-    /// What the baselines know.
+    /// The knowledge of the baselines.
     pub statistics: Statistics,
 }
 
-/// What a forecast is of.
+/// The outcome of a forecast.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Target {
@@ -59,50 +60,50 @@ pub enum Target {
     Room,
     /// The next room, over the cases in which the room changes.
     RoomChange,
-    /// The next room among the others than the current one, over the cases in which the room changes.
+    /// The next room among the rooms other than the current one, over the cases in which the room changes.
     RoomIfChanged,
 }
 
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// Who forecasts.
+    /// The predictor.
     pub predictor: &'static str,
-    /// What.
+    /// The target.
     pub target: Target,
-    /// In which map; "all" over several.
+    /// The map; "all" over several.
     pub scene: String,
-    /// How an object was bound to one of several like things; none where that makes no difference.
+    /// The choice among several things of a kind; `None` if it makes no difference.
     pub items: Option<&'static str>,
-    /// How well.
+    /// The figures.
     #[serde(flatten)]
     pub summary: Summary,
-    /// The model's figures less these, on the same cases resampled together; none for the model itself.
+    /// The model's figures minus these, on the same cases resampled together; `None` for the model itself.
     pub model_less_this: Option<Summary>,
     /// The same means, with intervals over activities.
     pub by_activity: Summary,
-    /// Means in which every activity counts alike; its cases are activities.
+    /// Means with equal weights of the activities; its cases are activities.
     pub macro_average: Summary,
     /// As `model_less_this`, with intervals over activities.
     pub model_less_this_by_activity: Option<Summary>,
-    /// As `model_less_this_by_activity`, of the means in which every activity counts alike.
+    /// As `model_less_this_by_activity`, for the means with equal weights of the activities.
     pub model_less_this_macro: Option<Summary>,
 }
 
-/// The table, and what was left out of it.
+/// The table, and the counts of its omissions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Report {
     /// Cases of the target `object`, over all scenes.
     pub cases: usize,
     /// Programs evaluated: those with a case in any of the scenes.
     pub programs: usize,
-    /// Programs without one, which are left out.
+    /// Programs without a case.
     pub programs_without_case: usize,
-    /// Activities that they are ways of.
+    /// Activities of the evaluated programs.
     pub activities: usize,
-    /// Next objects with the label of the last one, which are no cases, over all scenes.
+    /// Next objects with the label of the last one, which give no cases, over all scenes.
     pub same_label: usize,
-    /// The model's lead by how near the nearest program of its training split is; empty if that is not known.
+    /// The model's lead by the nearness of the closest program of its training split; empty if that is unknown.
     pub nearness: Vec<Near>,
     /// Next objects that the maps lack, the most frequent first, over all scenes.
     pub unbound: Vec<(String, usize)>,
@@ -110,37 +111,38 @@ pub struct Report {
     pub bound_share: f64,
     /// Scores that the model computed and the cache did not have.
     pub computed: usize,
-    /// How scores were corrected; models of different folds may recommend different ways.
+    /// The corrections of the scores; models of different folds may recommend different ones.
     pub corrections: Vec<Correction>,
     /// The table.
     pub rows: Vec<Row>,
 }
 
-/// The model's lead over Kneser-Ney with its cache, next object, over programs that are about as near to the training split.
+/// The model's lead over Kneser-Ney with its cache, next object, over programs of similar nearness to the training split.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Near {
-    /// Least and greatest nearness: the share of objects that a program has in common with the most similar one of the training split (Jaccard).
+    /// Least and greatest nearness: the share of objects that a program has in common with the most similar one of the training split
+    /// (Jaccard).
     pub nearness: [f64; 2],
-    /// How many programs.
+    /// The number of programs.
     pub programs: usize,
-    /// The model's figures less Kneser-Ney's with its cache.
+    /// The model's figures minus Kneser-Ney's with its cache.
     pub model_less_kneser_ney_cache: Summary,
     /// The same, with intervals over activities.
     pub by_activity: Summary,
 }
 
-/// How the evaluation is done.
+/// Options of the evaluation.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The window of narration.
     pub history: HistoryLimits,
     /// The binding sequence.
     pub binding: BindingSequence,
-    /// Which of a label's items an object means; each is a table of its own.
+    /// The choices among a label's items; each has a table.
     pub items: Vec<ItemChoice>,
-    /// What the forecast of `model-near` assumes.
+    /// The assumptions of the forecast `model-near`.
     pub forecast: ForecastOptions,
-    /// Of the draws of items and of the bootstrap.
+    /// The seed of the draws of items and of the bootstrap.
     pub seed: u64,
 }
 
@@ -160,8 +162,8 @@ const PREDICTORS: [&str; 12] = [
 ];
 const TARGETS: [Target; 4] = [Target::Object, Target::Room, Target::RoomChange, Target::RoomIfChanged];
 
-/// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one
-/// program. Files that are none are given back with their faults.
+/// Reads every program below `folder` in the order of their paths; `folder` may be a single file. A household's day is read as one program.
+/// Other files are returned with their faults.
 ///
 /// # Errors
 /// When the folder cannot be read or holds no program at all.
@@ -196,31 +198,27 @@ pub fn load_programs(folder: &Path) -> Result<(Vec<NamedProgram>, Vec<String>), 
     Ok((programs, faults))
 }
 
-/// A title as manifests and groups of activities have it.
+/// A title in the form of manifests and groups of activities.
 #[must_use]
 pub(crate) fn plain_title(title: &str) -> String {
     title.split_whitespace().map(str::to_lowercase).collect::<Vec<_>>().join(" ")
 }
 
-/// Next objects that are no cases.
 #[derive(Debug, Default)]
 struct LeftOut {
-    /// The map lacks them.
     unbound: BTreeMap<String, usize>,
-    /// They have the label of the last one.
     same_label: usize,
 }
 
-/// The cases of one program, after binding.
 struct Case {
-    /// The number of actions done.
+    /// The number of completed actions.
     done: usize,
     object: usize,
     room: Option<usize>,
     here: Option<usize>,
     /// The last three objects, the latest last.
     context: [Option<String>; 3],
-    /// The labels turned to so far, the latest last, and the one in hand, where the map has it. That one is not next.
+    /// The labels used so far, the latest last, and the label in hand, if the map has it. That one is not next.
     visited: Vec<usize>,
     in_hand: Option<usize>,
 }
@@ -272,7 +270,6 @@ fn cases(program: &Program, binder: &mut Binder<'_>, grounding: &Grounding, left
     cases
 }
 
-/// Numbers from 0 for the activities of programs.
 fn activities<'a>(programs: impl Iterator<Item = &'a NamedProgram>) -> Vec<usize> {
     let mut known = BTreeMap::new();
     let number = |named: &'a NamedProgram| {
@@ -282,14 +279,14 @@ fn activities<'a>(programs: impl Iterator<Item = &'a NamedProgram>) -> Vec<usize
     programs.map(number).collect()
 }
 
-/// How near a program is to the most similar one of others: the share of objects that two have in common.
+/// The nearness of a program to the most similar one of others: the share of objects that two have in common.
 fn nearness(program: &Program, trained: &[BTreeSet<String>]) -> f64 {
     let own = objects(program);
     let shared = |other: &BTreeSet<String>| {
         let common = own.intersection(other).count() as f64;
         common / (own.len() + other.len()) as f64
     };
-    // Of a union of a + b - c things c are common.
+    // The union of a and b objects with c in common has a + b - c.
     trained.iter().map(shared).map(|share| share / (1.0 - share)).fold(0.0, f64::max)
 }
 
@@ -297,7 +294,7 @@ fn objects(program: &Program) -> BTreeSet<String> {
     program.steps.iter().filter_map(|step| step.objects().first()).map(|object| object.words()).collect()
 }
 
-/// Follows a person by what is narrated of them alone, every action as long as it takes typically.
+/// Follows one person's narration alone; every action takes its typical time.
 struct Listener {
     forecaster: Forecaster,
     heard: usize,
@@ -309,7 +306,7 @@ impl Listener {
         Self { forecaster: Forecaster::new(rooms, options, 0.0), heard: 0, at_s: 0.0 }
     }
 
-    /// Up to the `done`-th action; `rows` are the model's scores after each.
+    /// Follows up to the `done`-th action; `rows` are the model's scores after each.
     fn hear(
         &mut self,
         program: &Program,
@@ -327,10 +324,9 @@ impl Listener {
     }
 }
 
-/// Sums per predictor and target, and per program of a part.
+/// Sums by predictor and target, and by program of a part.
 type Groups = Vec<Vec<Sums>>;
 
-/// Evaluates one part in one map under one way of binding.
 fn evaluate<M: LanguageModel>(
     (map, grounding): &(SemanticMap, Grounding),
     source: &mut ScoreSource<M>,
@@ -370,7 +366,7 @@ fn evaluate<M: LanguageModel>(
             let chain = baselines.kneser_ney(context);
             let stay_rooms = baselines.stay(case.here, rooms);
             let (visited, in_hand) = (case.visited.as_slice(), case.in_hand);
-            // Rooms are those of the labels, unless they are given.
+            // Rooms are those of the labels unless they are given.
             let forecasts: [(Vec<f64>, Option<&[f64]>); PREDICTORS.len()] = [
                 (model.clone(), None),
                 (model.clone(), Some(&near_rooms)),
@@ -405,7 +401,7 @@ fn evaluate<M: LanguageModel>(
     Ok(sums)
 }
 
-/// The rows of one scene and one way of binding, from the sums of all programs.
+/// The rows of one scene and one binding, from the sums of all programs.
 fn rows(scene: &str, items: ItemChoice, sums: &Groups, of_activity: &[usize], seed: u64) -> Vec<Row> {
     let by_activity: Groups = sums.iter().map(|groups| merged(groups, of_activity)).collect();
     let rows = sums.iter().zip(&by_activity).enumerate().map(|(index, (groups, activities))| {
@@ -459,8 +455,8 @@ fn by_nearness(sums: &Groups, parts: &[Part], of_activity: &[usize], seed: u64) 
     order.chunks(third).map(of).collect()
 }
 
-/// Evaluates in several maps; `open` gives the source of scores for a part, by its number, and a map's labels. Programs of several parts are pooled, as
-/// where each part is a fold with a model of its own.
+/// Evaluates in several maps. `open` gives the source of scores for a part, by its number, and a map's labels. Programs of several parts
+/// are pooled, for example if each part is a fold with another model.
 ///
 /// # Errors
 /// When a model, a map or the cache fails, or no case is left.
@@ -474,7 +470,7 @@ pub fn run<M: LanguageModel>(
     let mut report = Report::default();
     let of_activity = activities(parts.iter().flat_map(|part| &part.programs));
     let mut unbound: BTreeMap<String, usize> = BTreeMap::new();
-    // Per way of binding, over all maps.
+    // By binding, over all maps.
     let mut all: Vec<Groups> = Vec::new();
     for scene in maps {
         let mut of_scene: Vec<Groups> = vec![vec![Vec::new(); PREDICTORS.len() * TARGETS.len()]; options.items.len()];
@@ -526,7 +522,7 @@ pub fn run<M: LanguageModel>(
 }
 
 impl Report {
-    /// The rows of a scene under every way of binding; what does not depend on that, once.
+    /// The rows of a scene with every binding; rows that do not depend on it appear once.
     fn add_rows(&mut self, scene: &str, of_items: &[Groups], of_activity: &[usize], options: &Options) {
         for (index, (items, sums)) in options.items.iter().zip(of_items).enumerate() {
             let rows = rows(scene, *items, sums, of_activity, options.seed);
@@ -543,7 +539,6 @@ pub fn sentences(steps: &[Action]) -> Result<Vec<Sentence>, ExperimentError> {
     steps.iter().map(|step| Ok(Sentence::new(&step.sentence())?)).collect()
 }
 
-/// Probabilities over the labels, from ln s_c.
 fn probabilities(log_prob_nats: &[f64]) -> Vec<f64> {
     let greatest = log_prob_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let mut labels: Vec<f64> = log_prob_nats.iter().map(|l| (l - greatest).exp()).collect();
@@ -552,7 +547,7 @@ fn probabilities(log_prob_nats: &[f64]) -> Vec<f64> {
     labels
 }
 
-/// Probabilities given that it is not this outcome.
+/// Probabilities given that the outcome is another one.
 fn without(probabilities: &[f64], outcome: usize) -> Vec<f64> {
     let mut others = probabilities.to_vec();
     others[outcome] = 0.0;
@@ -562,13 +557,13 @@ fn without(probabilities: &[f64], outcome: usize) -> Vec<f64> {
 }
 
 fn rooms_of(labels: &[f64], grounding: &Grounding, grounded: &mut GroundedScores) -> Result<Vec<f64>, ExperimentError> {
-    // Rounding may leave a probability above one, which is no log-probability.
+    // Rounding may leave a probability above one, which is not a log-probability.
     let log_prob_nats: Vec<f64> = labels.iter().map(|p| p.ln().min(0.0)).collect();
     grounding.ground(&log_prob_nats, grounded)?;
     Ok(grounded.partition_probability.clone())
 }
 
-/// A forecast of rooms as one of labels: each room's probability in equal parts to the items in it.
+/// A forecast of rooms as a forecast of labels: each room's probability in equal parts for its items.
 fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
     let items = |room: usize| -> Vec<f64> {
         grounding
@@ -578,7 +573,7 @@ fn labels_in(rooms: &[f64], grounding: &Grounding) -> Vec<f64> {
             .map(|(c, label)| grounding.weights()[(c, room)] * label.count)
             .collect()
     };
-    // Labels all of whose items lie outside every room keep a little, since they can still be next.
+    // Labels with all items outside every room keep a little, since they can still be next.
     let mut labels = vec![1e-6; grounding.scored_labels().len()];
     for (room, probability) in rooms.iter().enumerate() {
         let items = items(room);
@@ -615,7 +610,7 @@ mod tests {
         let program = Program::parse(text).unwrap();
         let mut left_out = LeftOut::default();
         let cases = cases(&program, &mut binder, &grounding, &mut left_out);
-        // After walk and open the spaceship is next and cannot be bound; after it, the sofa; then nothing.
+        // After walk and open, the spaceship is next and cannot be bound; after it, the sofa; then nothing.
         assert_eq!(left_out.unbound, BTreeMap::from([("spaceship".to_owned(), 2)]));
         assert_eq!(cases.len(), 1);
         assert_eq!(
@@ -626,7 +621,7 @@ mod tests {
         assert_ne!(cases[0].room, cases[0].here);
     }
 
-    /// A couch is a sofa to this map: nobody turns to another thing there.
+    /// A couch is a sofa to this map, so it is not another thing.
     #[test]
     fn the_same_label_again_is_no_case() {
         let (map, grounding) = studio();
@@ -681,7 +676,7 @@ mod tests {
             .unwrap()
         };
         let report = run_with(std::slice::from_ref(&part));
-        // Twelve predictors: of the object once, of three targets of rooms under each way of binding.
+        // Twelve predictors: of the object once, of three targets of rooms with each binding.
         assert_eq!(report.rows.len(), 84);
         assert_eq!((report.nearness.len(), report.activities), (3, 3));
         assert!(report.nearness.iter().all(|near| near.nearness == [1.0, 1.0]));
@@ -691,20 +686,20 @@ mod tests {
         assert_eq!(find("stay", Target::RoomChange).summary.top1, 0.0);
         let uniform = find("uniform", Target::Room).summary;
         assert!((uniform.nll_nats - 3f64.ln()).abs() < 1e-9 && (uniform.top1 - 1.0 / 3.0).abs() < 1e-9);
-        // One thing is in hand, and is none of those that may be next.
+        // The thing in hand is not among the next ones.
         let labels = studio().1.scored_labels().len() as f64;
         let even = find("uniform", Target::Object).summary.nll_nats;
         assert!(even < labels.ln() - 1e-6 && even > (labels - 1.0).ln() - 1e-9);
-        // Of three rooms two are left to somebody who leaves one of them.
+        // A person who leaves one of three rooms has two left.
         let chance = find("uniform", Target::RoomIfChanged).summary;
         assert!((chance.nll_nats - 2f64.ln()).abs() < 1e-9 && (chance.top1 - 0.5).abs() < 1e-9);
         assert!(find("model", Target::RoomIfChanged).summary.top1 >= find("model", Target::RoomChange).summary.top1);
-        // Fitted on the very programs, a chain of second order is better than one of first, and that than frequencies.
+        // Fitted on the evaluated programs, a chain of second order beats one of first order, and that beats frequencies.
         let nll = |predictor| find(predictor, Target::Object).summary.nll_nats;
         assert!(nll("markov2") <= nll("markov1") && nll("markov1") < nll("frequency"));
         assert!(nll("kneser-ney") < nll("markov1") && nll("kneser-ney-cache") < nll("frequency"));
         assert_eq!(report, run_with(std::slice::from_ref(&part)));
-        // A program of nothing that is there is no case, and no program that was drawn.
+        // A program of missing things has no case, and is never drawn.
         let mut more = part.clone();
         let text = "T\nd\n\n[Walk] <spaceship> (1)\n[Grab] <antenna> (1)\n";
         let nothing = Program::parse(text).unwrap();

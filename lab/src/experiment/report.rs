@@ -1,4 +1,4 @@
-//! What an experiment leaves in its folder: tables as CSV, charts as SVG and PNG, and one HTML page that holds them all.
+//! The output folder of an experiment: tables as CSV, charts as SVG and PNG, and one HTML page with all of them.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -10,11 +10,11 @@ use super::chart::escape;
 pub struct Table {
     /// Name of its CSV file, without ending.
     pub name: String,
-    /// Above it.
+    /// Its title.
     pub title: String,
     /// Names of the columns.
     pub header: Vec<String>,
-    /// Rows of as many cells.
+    /// The rows.
     pub rows: Vec<Vec<String>>,
 }
 
@@ -58,12 +58,12 @@ impl Table {
     }
 }
 
-/// Everything that one experiment has to show.
+/// The report of one experiment.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Report {
     /// The page's title.
     pub title: String,
-    /// Paragraphs: how it was done and what to make of it.
+    /// Paragraphs about method and result.
     pub notes: Vec<String>,
     /// Tables.
     pub tables: Vec<Table>,
@@ -75,12 +75,12 @@ pub struct Report {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportError {
-    /// The disk refused.
+    /// A file could not be written.
     #[error("failed to write {path}: {source}; choose another folder with --out")]
     Write {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A figure could not become a PNG.
@@ -90,7 +90,7 @@ pub enum ReportError {
 }
 
 impl Report {
-    /// The page, with all figures inside: one file that can be sent to somebody.
+    /// The page with all figures inside, as a single file.
     #[must_use]
     pub fn html(&self) -> String {
         let title = escape(&self.title);
@@ -108,7 +108,7 @@ impl Report {
         html + "</body></html>\n"
     }
 
-    /// Writes every file into `folder`, which is made if it is missing.
+    /// Writes every file into `folder`, which is created if it is missing.
     ///
     /// # Errors
     /// When the disk refuses or a figure cannot be rendered.
@@ -132,7 +132,7 @@ impl Report {
     }
 }
 
-/// Refuses a place for a file where a symbolic link, a FIFO or a device is: a link may lead out of the folder, and a FIFO waits.
+/// Rejects the place of a symbolic link, a FIFO or a device: a link may lead out of the folder, and a FIFO blocks.
 fn require_file(path: &Path) -> std::io::Result<()> {
     match std::fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => Err(std::io::Error::other("it is no plain file; remove it")),

@@ -1,14 +1,14 @@
-//! The bootstrap (Efron, 1979): how far a figure moves when what was measured is drawn again, with replacement.
+//! The bootstrap (Efron, 1979): the variation of a figure when the measurements are drawn again, with replacement.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-/// As many of them as there are, each drawn by chance.
+/// Draws as many values as there are, with replacement.
 pub(crate) fn drawn<T: Copy>(of: &[T], rng: &mut ChaCha8Rng) -> Vec<T> {
     of.iter().map(|_| of[rng.random_range(0..of.len())]).collect()
 }
 
-/// Between which two of the values the middle 95 % of them lie; none where there are no values.
+/// The middle 95 % of the values; `None` without values.
 pub(crate) fn ci95(mut values: Vec<f64>) -> Option<[f64; 2]> {
     values.sort_by(f64::total_cmp);
     let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();

@@ -1,9 +1,9 @@
-//! Table II under several set-ups side by side: what the paper leaves open (which of several like things a person takes, how long an act
-//! lasts, how much narration is the window) decides more than the policy does, so every answer is shown, and none is chosen.
+//! Table II under several set-ups side by side. The paper leaves open which of several things of a kind a person takes, how long an act
+//! lasts, and how much narration is the window. These decide more than the policy does, so every combination is shown and none is chosen.
 //!
-//! Policies differ in how often they leave a room undone, and who covers less disturbs less. So each is also compared *at the naive
-//! policy's share of failures*: a policy that fails more often is mixed, run by run, with `uncovered-first`, which always
-//! covers; one that fails less often counts as it is. Coverage-aware avoidance takes the best mixture of its weights.
+//! Policies differ in how often they leave a room undone, and a policy that covers less also disturbs less. So each is also compared *at
+//! the naive policy's share of failures*: a policy that fails more often is mixed, run by run, with `uncovered-first`, which always covers.
+//! One that fails less often counts as it is. Coverage-aware avoidance takes the best mixture of its weights.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -18,19 +18,19 @@ use roomcast_core::policy::PolicyName;
 use roomcast_simulation::binding::ItemChoice;
 use roomcast_simulation::study::{Cell, Decider};
 
-/// What the paper leaves open.
+/// The choices that the paper leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Setup {
-    /// Which of several like things the person takes.
+    /// The choice among several things of a kind.
     pub items: &'static str,
     /// Longest time of one act before stretching, in seconds.
     pub longest_act_s: f64,
-    /// Observations in the window; the whole narration where none.
+    /// Observations in the window; `None` for the whole narration.
     pub window: Option<usize>,
 }
 
-/// A share with its 95 % interval by bootstrap over homes, over activities, and over models where there are several, each drawn apart: what an activity
-/// does in one home it does in the others too (Owen, 2007, the pigeonhole bootstrap).
+/// A share with its 95 % interval by bootstrap over homes, over activities, and over models if there are several, each drawn separately: an
+/// activity behaves alike in all homes (Owen, 2007, the pigeonhole bootstrap).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Share {
     /// The share.
@@ -45,21 +45,21 @@ pub struct SetupRow {
     /// The set-up.
     #[serde(flatten)]
     pub setup: Setup,
-    /// How many models are pooled.
+    /// The number of pooled models.
     pub models: usize,
-    /// Who decided.
+    /// The decider.
     pub policy: String,
     /// Mean D_T in seconds.
     pub disturbance_mean: f64,
     /// F.
     pub failure_rate: Share,
-    /// How much less it disturbs than the naive policy.
+    /// The reduction of disturbance relative to the naive policy.
     pub less: Share,
-    /// The same at the naive policy's share of failures.
+    /// The same reduction at the naive policy's share of failures.
     pub less_at_naive_failures: Share,
 }
 
-/// What one decider's runs come to in one home, over T_r.
+/// The sums of one decider's runs in one home, over T_r.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Total {
     runs: f64,
@@ -81,7 +81,7 @@ impl Total {
     }
 }
 
-/// Totals by decider and pair of home and activity, of one model.
+/// Totals by decider and pair of home and activity, for one model.
 struct Totals {
     deciders: Vec<Decider>,
     /// The numbers of home and activity.
@@ -89,7 +89,7 @@ struct Totals {
     of: Vec<Vec<Total>>,
 }
 
-/// The number of a name, which is a new one's where it is not known.
+/// The number of a name; a new name gets the next one.
 fn number_of<'a>(known: &mut Vec<&'a str>, name: &'a str) -> usize {
     known.iter().position(|other| *other == name).unwrap_or_else(|| {
         known.push(name);
@@ -125,13 +125,12 @@ impl Totals {
         Self { deciders, pairs, of }
     }
 
-    /// How many homes, or activities, there are.
     fn count(&self, which: usize) -> usize {
         self.pairs.iter().map(|pair| pair[which] + 1).max().unwrap_or(0)
     }
 }
 
-/// What is shown of a decider: F, D_T over the naive policy's, and the same at the naive policy's F.
+/// The figures of a decider: F, D_T relative to the naive policy's, and the same at the naive policy's F.
 fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
     let find = |wanted: Decider| points.iter().find(|(other, _)| *other == wanted).map(|(_, point)| *point);
     let (naive_f, naive_s) = find(Decider::Policy(PolicyName::Naive)).unwrap_or_default();
@@ -148,7 +147,7 @@ fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
             .map(|(f, d)| (0.0, f, d))
             .collect(),
     };
-    // Who fails less often than the naive policy has no use for more failures.
+    // A decider that fails less often than the naive policy gains nothing from more failures.
     let at_naive_s = if own.0 <= naive_f && !matches!(decider, Decider::Policy(PolicyName::CoverageAware)) {
         own.1
     } else {
@@ -158,8 +157,8 @@ fn shown(points: &[(Decider, (f64, f64))], decider: Decider) -> [f64; 3] {
     [own.0, less(own.1), less(at_naive_s)]
 }
 
-/// The rows of one set-up; `models` are the cells of each model, of the same homes in the same order. Coverage-aware avoidance with other than its
-/// default weight is no row of its own.
+/// The rows of one set-up; `models` are the cells of each model, for the same homes in the same order. Coverage-aware avoidance has a row
+/// only for its default weight.
 #[must_use]
 pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
     let totals: Vec<Totals> = models.iter().map(|cells| Totals::new(cells)).collect();
@@ -175,7 +174,7 @@ pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
             }
             (*decider, sum.point())
         };
-        // Homes and activities may be drawn that were never paired.
+        // The draw may contain only homes and activities without a common cell.
         times.iter().any(|times| *times > 0.0).then(|| first.deciders.iter().enumerate().map(of_decider).collect())
     };
     let every: [Vec<usize>; 3] = [totals.len(), first.count(0), first.count(1)].map(|count| (0..count).collect());
@@ -205,13 +204,13 @@ pub fn rows(setup: Setup, models: &[Vec<Cell>], seed: u64) -> Vec<SetupRow> {
     named.map(row).collect()
 }
 
-/// The paper's row, where the set-up is the paper's; how long an act lasts there is not published.
+/// The paper's row, if the set-up is the paper's; its duration of an act is not published.
 fn paper<'p>(row: &SetupRow, papers: &'p [PaperRow]) -> Option<&'p PaperRow> {
     let same = row.setup.items == <&str>::from(ItemChoice::Uniform) && row.setup.window.is_none();
     papers.iter().find(|paper| same && paper.name == row.policy)
 }
 
-/// The rows as a table; `papers` are the paper's, none where homes and robot are others.
+/// The rows as a table; `papers` are the paper's, empty if homes and robot differ.
 #[must_use]
 pub fn table(rows: &[SetupRow], papers: &[PaperRow]) -> Table {
     let header = [
@@ -322,7 +321,7 @@ mod tests {
         }
     }
 
-    /// What depends on the activity alone is no surer for being tried in three homes.
+    /// An effect of the activity alone is not surer after three homes.
     #[test]
     fn homes_and_activities_are_drawn_apart() {
         let failures = [("p", 0), ("q", 1), ("r", 3)];
@@ -370,7 +369,7 @@ mod tests {
         // A quarter of the runs at weight 1: 0.25 * 4 + 0.75 * 8 = 7 of 20 s.
         assert!((of("coverage-aware").less_at_naive_failures.value - 0.65).abs() < 1e-12);
         assert!((of("uncovered-first").less_at_naive_failures.value - 0.3).abs() < 1e-12);
-        // Homes that are all alike leave nothing unsure.
+        // Identical homes leave no uncertainty.
         assert!(rows.iter().all(|row| row.less.ci95 == [row.less.value; 2]));
         let two = super::rows(SETUP, &[cells.clone(), cells.clone()], 1);
         assert_eq!(two[1].models, 2);

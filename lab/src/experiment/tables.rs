@@ -1,4 +1,4 @@
-//! Tables I and II of the paper beside ours, the front of disturbance against coverage, and ablations.
+//! Tables I and II of the paper next to ours, the front of disturbance against coverage, and ablations.
 
 use serde::Serialize;
 
@@ -58,7 +58,8 @@ pub const PAPER_TABLE2: [PaperRow; 3] = [
     paper("greedy-avoidance", [100.6, 50.0], Some([251.6, 124.8]), 0.933),
 ];
 
-/// Why our figures differ from the paper's, also where the person takes any thing of a kind and the window is the whole narration, as there.
+/// The differences between our figures and the paper's, for the paper's set-up: the person takes any thing of a kind, and the window is the
+/// whole narration.
 pub const DIFFERENCES: &str = "What differs from the paper: its apartments, programs and action durations are not published. Ours have \
     its sizes (three rooms; 443, 357 and 324 items of 115, 98 and 100 labels; 18, 16 and 42 actions) and its pace: T is not given there, but \
     its naive policy shares 205.1 s with the person in homes of three rooms, so T is 615 s on average, 24 s per action, to which our \
@@ -84,23 +85,22 @@ const COLUMNS: [&str; 16] = [
     "paper t_c, F",
 ];
 
-/// Figures per cell, and pooled per decider.
+/// Figures by cell, and pooled by decider.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Table2 {
-    /// One per scene, program, T_r and policy.
+    /// One for each scene, program, T_r and policy.
     pub rows: Vec<Figures>,
-    /// The same per policy over everything.
+    /// One for each policy, over everything.
     pub overall: Vec<Figures>,
-    /// The paper's; none where the set-up is another.
+    /// The paper's rows; empty if the set-up differs.
     pub paper: Vec<PaperRow>,
 }
 
-/// Cells of one decider, in order.
 fn of(cells: &[Cell], decider: Decider) -> Vec<&Cell> {
     cells.iter().filter(|cell| cell.decider == decider).collect()
 }
 
-/// The deciders in the order in which they first occur.
+/// In the order of their first cells.
 fn deciders(cells: &[Cell]) -> Vec<Decider> {
     let mut found = Vec::new();
     for cell in cells {
@@ -113,7 +113,7 @@ fn deciders(cells: &[Cell]) -> Vec<Decider> {
 
 const NAIVE: Decider = Decider::Policy(PolicyName::Naive);
 
-/// Sums up cells as Table II does; `paper` are its rows, where the set-up is the paper's.
+/// Summarises cells as Table II does; `paper` are its rows, if the set-up is the paper's.
 #[must_use]
 pub fn table2(cells: &[Cell], paper: &[PaperRow]) -> Table2 {
     let naive = of(cells, NAIVE);
@@ -168,7 +168,7 @@ fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
 }
 
-/// Rows as a table for people and CSV, beside the paper's if there are any.
+/// Rows as a table for people and CSV, next to the paper's if there are any.
 #[must_use]
 pub fn table_of(name: &str, title: &str, rows: &[Figures], paper: &[PaperRow]) -> Table {
     let columns = if paper.is_empty() { COLUMNS.len() - 2 } else { COLUMNS.len() };
@@ -177,7 +177,7 @@ pub fn table_of(name: &str, title: &str, rows: &[Figures], paper: &[PaperRow]) -
     table
 }
 
-/// How much less than the naive policy each decider disturbs, in words.
+/// The reduction of each decider's disturbance relative to the naive policy, in words.
 #[must_use]
 pub fn headline(overall: &[Figures]) -> String {
     let Some(naive) = overall.iter().find(|row| row.policy == PolicyName::Naive.as_str()) else { return String::new() };
@@ -192,7 +192,7 @@ pub fn headline(overall: &[Figures]) -> String {
     )
 }
 
-/// Histograms of D_T per decider, as in the paper's Figures 4 and 5, over all cells and per T_r.
+/// Histograms of D_T by decider, as in the paper's Figures 4 and 5, over all cells and by T_r.
 #[must_use]
 pub fn histograms(cells: &[Cell]) -> Vec<(String, String)> {
     let mut room_times: Vec<usize> = cells.iter().map(|cell| cell.room_time_s).collect();
@@ -234,15 +234,15 @@ pub struct Domination {
     pub program: String,
     /// T_r.
     pub room_time_s: usize,
-    /// The policy that is to be dominated.
+    /// The policy.
     pub policy: String,
-    /// Its point.
+    /// Its mean D_T.
     pub disturbance_mean: f64,
     /// Its F.
     pub failure_rate: f64,
-    /// The weight whose point has no more of both and less of one, if any does.
+    /// The weight with a point that is at least as good in both and better in one, if there is one.
     pub weight_s: Option<f64>,
-    /// Else: what the front has at that F, weights mixed run by run.
+    /// Otherwise the front's D_T at that F, with weights mixed run by run.
     pub front_s: Option<f64>,
     /// The clairvoyant bound at that F.
     pub bound_s: Option<f64>,
@@ -475,7 +475,7 @@ mod tests {
         assert!(headline(&table.overall).contains("informed-avoidance 25.0 % less"));
         let report = table2_report(&table, &cells, vec![DIFFERENCES.into()], Vec::new());
         assert!(report.html().contains("paper D_T"));
-        // Beside another set-up there are none of the paper's.
+        // Another set-up has no rows of the paper.
         let own = table2_report(&table2(&cells, &[]), &cells, Vec::new(), Vec::new());
         assert!(!own.html().contains("paper D_T"));
     }

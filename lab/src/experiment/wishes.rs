@@ -9,10 +9,10 @@ use roomcast_core::grounding::PartitionLevel;
 use roomcast_core::ids::{BootNs, UnixNs};
 use roomcast_core::policy::PolicyError;
 use roomcast_core::semantic_map::{SceneError, SemanticMap};
-use roomcast_ipc::{
-    ForecastV1, MAX_HORIZONS, MessageError, PersonForecastsV1, RoomScoresV1, action, forecast_flags, person_flags,
-    presence, text,
+use roomcast_ipc::raw::{
+    ForecastV1, MAX_HORIZONS, PersonForecastsV1, RoomScoresV1, action, forecast_flags, person_flags, presence,
 };
+use roomcast_ipc::{MessageError, text};
 use roomcast_services::config::{OnlyWhen, PlannerConfig, QuietHours, RoomNeeds, WhileAsleep};
 use roomcast_services::daemon::Zone;
 use roomcast_services::planner::Planner;
@@ -33,22 +33,22 @@ const STAY: usize = 10;
 const HORIZONS_MIN: [usize; 8] = [0, 5, 10, 20, 30, 60, 120, 240];
 /// From lying down to sleep, in minutes.
 const FALLS_ASLEEP: usize = 20;
-/// Days from which the forecast knows the household.
+/// The number of days that the forecast learns from.
 const KNOWN_DAYS: usize = 60;
 
-/// Why no day can be played.
+/// A day cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum WishesError {
-    /// The map.
+    /// The map failed.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A message.
+    /// A message failed.
     #[error(transparent)]
     Message(#[from] MessageError),
-    /// The policy.
+    /// The policy failed.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// Quiet hours.
+    /// The quiet hours are malformed.
     #[error("{0}")]
     Quiet(String),
 }
@@ -56,7 +56,6 @@ pub enum WishesError {
 /// The minutes of one person: the room, none outside, and whether they sleep.
 type Minutes = Vec<(Option<usize>, bool)>;
 
-/// Days of the household, person by person.
 fn household(days: usize, seed: u64) -> [Minutes; 2] {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     std::array::from_fn(|person| (0..days).flat_map(|day| a_day(person, day % 7 >= 5, &mut rng)).collect())
@@ -154,11 +153,11 @@ impl Known {
 pub enum Way {
     /// Every day at ten.
     Schedule,
-    /// When the house is empty, and back when it is not.
+    /// Goes when the house is empty, and returns when it is not.
     EmptyHouse,
     /// The planner without rules.
     Before,
-    /// The planner with quiet hours, sleep, knowing before moving, and each room once a day.
+    /// The planner with quiet hours, sleep, a wait for residents, and each room once a day.
     Rules,
     /// The same, and only in an empty house that stays empty.
     RulesEmptyHouse,
@@ -168,7 +167,7 @@ impl Way {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::Schedule, Self::EmptyHouse, Self::Before, Self::Rules, Self::RulesEmptyHouse];
 
-    /// For a table.
+    /// The name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -217,15 +216,15 @@ pub struct Sums {
     pub near_people_min: usize,
     /// Minutes of work from 22:00 to 7:00.
     pub in_quiet_hours_min: usize,
-    /// Minutes of work in a sleeper's room, or in a room beside it.
+    /// Minutes of work in a sleeper's room, or in a room next to it.
     pub near_sleeper_min: usize,
     /// Starts in an empty house less than half an hour before a person comes home.
     pub starts_in_short_absence: usize,
     /// The first order, before each resident was observed.
     pub orders_before_knowing: usize,
-    /// Rooms and days on which the room was not cleaned.
+    /// Pairs of a room and a day without its cleaning.
     pub undone_room_days: usize,
-    /// Rooms and days on which it was.
+    /// Pairs of a room and a day with it.
     pub done_room_days: usize,
 }
 
@@ -338,7 +337,6 @@ fn map() -> Result<SemanticMap, SceneError> {
     SemanticMap::from_json(&scene.to_string())
 }
 
-/// Sends the messages that the daemon would send.
 fn tell(
     planner: &mut Planner,
     (minute, map_fingerprint): (usize, [u8; 32]),
@@ -414,7 +412,7 @@ fn tell(
         scores.room[room].probability = f64::from(whole.probability[room][0]);
     }
     whole.elsewhere = if count == 0 { [0.0; MAX_HORIZONS] } else { out };
-    // All of it is dated now.
+    // All messages are dated now.
     let taken = [
         planner.take(&scores, BootNs(at_ns)).is_ok(),
         planner.take_forecast(&whole, BootNs(at_ns)).is_ok(),

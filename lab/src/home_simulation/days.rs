@@ -6,7 +6,6 @@ use super::plan::Plan;
 use super::{Act, DAY_S, Life, Truth, lognormal, normal};
 use roomcast_core::tracker::RoomUse;
 
-/// What keeps a resident out on weekdays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Job {
     Outside,
@@ -28,7 +27,6 @@ struct Character {
     bedroom: u8,
 }
 
-/// An appointment of a day.
 #[derive(Debug, Clone, Copy)]
 enum What {
     Out(usize),
@@ -95,7 +93,6 @@ fn character(number: usize, bedroom: u8, random: &mut impl RngExt) -> Character 
     }
 }
 
-/// Appointments per resident of a day, by time.
 fn agendas(characters: &[Character], day: usize, random: &mut impl RngExt) -> Vec<Vec<(usize, What)>> {
     let is_weekday = day % 7 < 5;
     let mut agendas: Vec<Vec<(usize, What)>> = vec![Vec::new(); characters.len()];
@@ -130,7 +127,6 @@ fn agendas(characters: &[Character], day: usize, random: &mut impl RngExt) -> Ve
     agendas
 }
 
-/// Crosses the home to a room, then to the next; each room takes some seconds.
 struct Body<'a> {
     plan: &'a Plan,
     life: Life,
@@ -165,7 +161,6 @@ impl<'a> Body<'a> {
         self.stay(random.random_range(5..60), Act::Busy);
     }
 
-    /// Free time until a second: one activity after another.
     fn pass(&mut self, until: usize, own: &Character, random: &mut impl RngExt) {
         while self.life.len() + 60 < until {
             let left = until - self.life.len();
@@ -203,7 +198,6 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// Sleeps until a second, with visits of the bathroom.
     fn sleep(&mut self, until: usize, bedroom: u8, random: &mut impl RngExt) {
         self.go(bedroom, random);
         self.stay(random.random_range(30..240), Act::Busy);
@@ -223,7 +217,6 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// One day from the end of the last.
     fn live(&mut self, own: &Character, midnight: usize, agenda: &[(usize, What)], random: &mut impl RngExt) {
         self.pace_s = random.random_range(2..=5);
         let wakes = midnight + normal(random, own.wakes, 1_200.0).clamp(4.0 * HOUR, 11.0 * HOUR) as usize;

@@ -9,9 +9,9 @@ use roomcast_core::tracker::{RoomUse, SensorKind, SensorSpec};
 /// One report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// When, in seconds.
+    /// The time, in seconds.
     pub at_s: f64,
-    /// What.
+    /// The content.
     pub said: Said,
 }
 
@@ -313,7 +313,6 @@ fn captions(plan: &Plan, truth: &Truth, reports: &mut Vec<Report>, random: &mut 
     }
 }
 
-/// The robot drives through all rooms each morning.
 fn robot(plan: &Plan, seconds: usize, random: &mut impl RngExt) -> Vec<Option<u8>> {
     let mut out = vec![None; seconds];
     for day in 0..seconds / DAY_S {

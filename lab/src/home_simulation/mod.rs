@@ -24,7 +24,7 @@ use rand::RngExt;
 /// Seconds of a day.
 pub const DAY_S: usize = 86_400;
 
-/// What a person does at one second.
+/// A person's activity in one second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
     /// Walks.

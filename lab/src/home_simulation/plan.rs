@@ -15,7 +15,7 @@ pub struct Plan {
     pub hall: u8,
 }
 
-/// Which devices a home lacks.
+/// A kind of device that a home may lack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::EnumString, strum::Display, strum::VariantNames)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Device {
@@ -37,6 +37,7 @@ impl Plan {
     /// A home for one to four residents: five, six, seven or ten rooms.
     ///
     /// # Errors
+    ///
     /// None for these plans.
     pub fn of_residents(residents: usize) -> Result<Self, TrackerError> {
         let mut names = vec!["bedroom", "hallway", "bathroom", "kitchen", "living room"];

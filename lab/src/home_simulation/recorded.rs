@@ -16,7 +16,7 @@ use roomcast_simulation::timeline::{PersonOptions, Timeline, TimelineError};
 /// A person who did not move for this long sits, in seconds.
 const SITS_AFTER: usize = 240;
 
-/// A home with days that were recorded or written elsewhere: per resident a list of days.
+/// A home with days that were recorded or written elsewhere: a list of days for each resident.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recorded {
     /// The home.
@@ -49,7 +49,7 @@ impl Recorded {
         self.plan.room(RoomUse::Bedroom)
     }
 
-    /// Adds a resident who lives HOMER+ days. A day without anything that the scene has is left out.
+    /// Adds a resident with HOMER+ days. A day is skipped if the scene has none of its objects.
     pub fn add_days(&mut self, days: &[Day], map: &SemanticMap, grounding: &Grounding) {
         let bedroom = self.bedroom();
         let mut lives = Vec::new();
@@ -91,7 +91,7 @@ impl Recorded {
         for _ in 0..days {
             let mut life = Life::default();
             life.stay(random.random_range(6 * 3_600..8 * 3_600), Some(bedroom), Act::Sleep);
-            // So many programs that do nothing here are tried at most.
+            // Limit on the number of programs without an effect here.
             let mut tries = 0;
             while life.len() < 22 * 3_600 && tries < 1_000 && !programs.is_empty() {
                 tries += 1;
@@ -136,7 +136,6 @@ fn walk(life: &mut Life, plan: &Plan, to: u8) {
     }
 }
 
-/// Goes to bed, and sleeps until the day is over.
 fn rest(life: &mut Life, plan: &Plan, bedroom: u8) {
     if life.len() < DAY_S {
         walk(life, plan, bedroom);

@@ -14,28 +14,27 @@ const EXPECTED: &str =
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct QuietHours {
-    /// The days on which the hours begin; Monday first.
+    /// The days when the hours begin; Monday first.
     days: [bool; 7],
     from_min: u32,
     to_min: u32,
-    /// The ids of the rooms; empty for the whole house.
     rooms: Vec<String>,
 }
 
 impl QuietHours {
-    /// The ids of the rooms in which it is quiet; empty for the whole house.
+    /// The ids of the quiet rooms; empty for the whole house.
     #[must_use]
     pub fn rooms(&self) -> &[String] {
         &self.rooms
     }
 
-    /// Whether the hours are those of a room.
+    /// Whether the hours apply to a room.
     #[must_use]
     pub fn are_of(&self, room: &str) -> bool {
         self.rooms.is_empty() || self.rooms.iter().any(|own| is_room(own, room))
     }
 
-    /// The end of the quiet hours that a stay of `stay_s` seconds from `local_s` on would meet. Times are seconds since 1970 in local time.
+    /// The end of the quiet hours that overlap a stay of `stay_s` seconds from `local_s` on. Times are seconds since 1970 in local time.
     #[must_use]
     pub fn meets(&self, local_s: f64, stay_s: f64) -> Option<f64> {
         let day = |at_s: f64| (at_s / DAY_S).floor() as i64;
@@ -49,7 +48,7 @@ impl QuietHours {
     }
 }
 
-/// Whether a room of the configuration is the one with this id: by the id, or by its words without the number that an import adds, so that
+/// Whether a room of the configuration is the room with this id: by the id, or by its words without the number that an import adds, so that
 /// "Living room" is `living-room-12`.
 #[must_use]
 pub fn is_room(own: &str, id: &str) -> bool {
@@ -58,7 +57,7 @@ pub fn is_room(own: &str, id: &str) -> bool {
     own == id || is_same(own, id) || has_base && is_same(own, base)
 }
 
-/// Whether two texts have the same words, in any case.
+/// Whether two texts have the same words in any case.
 fn is_same(a: &str, b: &str) -> bool {
     fn words(text: &str) -> impl Iterator<Item = &str> {
         text.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty())
@@ -69,7 +68,7 @@ fn is_same(a: &str, b: &str) -> bool {
     words(a).count() == words(b).count() && words(a).zip(words(b)).all(|(a, b)| letters(a).eq(letters(b)))
 }
 
-/// The place of a day, counted from 1 January 1970, in a week that begins on Monday.
+/// The weekday of a day that is counted from 1 January 1970; 0 is Monday.
 fn weekday(day: i64) -> usize {
     usize::try_from((day + 3).rem_euclid(7)).unwrap_or_default()
 }
@@ -163,7 +162,7 @@ roomcast_core::choices! {
 }
 
 roomcast_core::choices! {
-    /// What must be empty before the robot works.
+    /// The part of the house that must be empty before the robot works.
     pub enum OnlyWhen {
         /// The house.
         HouseEmpty,
@@ -172,20 +171,20 @@ roomcast_core::choices! {
     }
 }
 
-/// An entry of `[[planner.room]]`: what a room needs.
+/// An entry of `[[planner.room]]`: the needs of a room.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoomNeeds {
     /// The room's id.
     pub id: String,
-    /// Seconds from one cleaning to the next; without it, once a round.
+    /// Seconds from one cleaning to the next; by default once a round.
     pub every_s: Option<f64>,
-    /// How much more it costs to leave this room undone than another.
+    /// The weight of leaving this room undone, relative to others.
     #[serde(default = "one")]
     pub priority: f64,
-    /// Seconds of work there, in place of `planner.room_time_s`.
+    /// Seconds of work in the room, in place of `planner.room_time_s`.
     pub time_s: Option<f64>,
-    /// Whether the robot never works there by itself.
+    /// Whether the robot never works there on its own decision.
     #[serde(default)]
     pub exclude: bool,
 }

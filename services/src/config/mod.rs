@@ -1,12 +1,13 @@
-//! The configuration: one TOML file, the same for daemon, planner and narrator. `default.toml` beside this file is the
-//! manual: every key with its default, its limits and what it costs.
+//! The configuration: one TOML file for daemon, planner and narrator. `default.toml` in this folder is the manual: every key with its
+//! default, its limits and its cost.
 
 use std::fmt;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use roomcast_ipc::own_file::require_own_folder;
-use roomcast_ipc::{Domain, IpcError, NAME_BYTES};
+use roomcast_ipc::raw::NAME_BYTES;
+use roomcast_ipc::{Domain, IpcError};
 use rustix::fs::Access;
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
@@ -41,24 +42,24 @@ pub const DEFAULT_TOML: &str = include_str!("default.toml");
 
 /// Most bytes of a configuration file.
 pub const FILE_BYTES_MAX: u64 = 1 << 20;
-/// Most milliseconds that a step may take under `effort = "deadline"`.
+/// Longest step under `effort = "deadline"`, in milliseconds.
 pub const DEADLINE_MS_MAX: u64 = 60_000;
-/// Most microseconds that daemon and planner stay awake after a message.
+/// Longest time that daemon and planner poll after a message, in microseconds.
 pub const SPIN_US_MAX: u64 = 10_000_000;
-/// Most milliseconds between two heartbeats: views and bridges take a daemon for gone after 1.5 s of silence, three heartbeats at least.
+/// Longest time between two heartbeats, in milliseconds: views and bridges treat a daemon as gone after 1.5 s of silence, which is at least
+/// three heartbeats.
 const HEARTBEAT_MS_MAX: u64 = 500;
 
 /// Most entries of `[[daemon.narrator]]`.
 pub const KNOWN_NARRATORS_MAX: usize = 64;
 
-/// Most bytes of what topics begin with.
+/// Most bytes of the prefix of topics.
 pub const TOPIC_BYTES_MAX: usize = 64;
-/// Most bytes of the topic of a sensor: its name holds that of the robot.
+/// Most bytes of a sensor's topic, which contains the robot's topic.
 const SENSOR_TOPIC_BYTES_MAX: usize = 256;
-/// Most horizons that the bridge tells of.
+/// Most horizons of the bridge.
 pub const BRIDGE_HORIZONS_MAX: usize = 8;
 
-/// Most entries of `persons.not_persons`.
 const NOT_PERSONS_MAX: usize = 256;
 
 /// Least bytes of events: a few of the longest sentences fit.
@@ -73,7 +74,7 @@ pub enum ConfigError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
     /// The file is larger than [`FILE_BYTES_MAX`].
@@ -82,12 +83,12 @@ pub enum ConfigError {
         /// The file.
         path: PathBuf,
     },
-    /// Not TOML, an unknown key, or a value of the wrong kind.
+    /// The text is not TOML, or has an unknown key or a value of the wrong kind.
     #[error("the configuration {path} is malformed: {}\nsee `roomcast config` for every key with its default", toml_says(.error))]
     Parse {
         /// The file.
         path: PathBuf,
-        /// What, with line and column. No source: it would be told once more, in the parser's words.
+        /// The fault, with line and column. It is not a `source`, which would print the parser's message twice.
         error: Box<toml::de::Error>,
     },
     /// A value outside its limits.
@@ -95,28 +96,27 @@ pub enum ConfigError {
     Value {
         /// The key, with its section.
         key: &'static str,
-        /// What it holds.
+        /// The value.
         value: String,
-        /// What it may hold.
+        /// The allowed values.
         remedy: String,
     },
-    /// Several of the faults above or below.
+    /// Several of these faults.
     #[error("{} things are wrong:{}", .0.len(), .0.iter().map(|fault| format!("\n- {fault}")).collect::<String>())]
     Several(Vec<Self>),
-    /// The section `[ipc]` names no domain.
+    /// The section `[ipc]` does not name a domain.
     #[error("the configuration's section [ipc] cannot be used: {0}")]
     Domain(#[from] IpcError),
-    /// One of the faults above, with the file that it is in.
+    /// A fault in a file.
     #[error("{path}: {fault}")]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         fault: Box<Self>,
     },
 }
 
-/// One row of the table of limits.
 struct Limit {
     key: &'static str,
     value: String,
@@ -124,33 +124,32 @@ struct Limit {
     remedy: String,
 }
 
-/// The row of a value within a range.
 fn within<T: PartialOrd + fmt::Display>(key: &'static str, value: T, range: RangeInclusive<T>) -> Limit {
     let remedy = format!("give {} to {}", range.start(), range.end());
     Limit { key, holds: range.contains(&value), value: value.to_string(), remedy }
 }
 
-/// Why nothing can be kept in a folder.
+/// A folder cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NoFolder {
-    /// What is wrong.
+    /// The reason.
     pub reason: String,
-    /// What helps; none where only another folder does.
+    /// The remedy; `None` if only another folder helps.
     pub remedy: Option<&'static str>,
 }
 
-/// What of a path is there: the path itself, or the nearest folder above it. An error says why it can be no folder.
+/// The path, or its nearest parent that exists. An error gives the reason why it cannot be a folder.
 fn there(path: &Path) -> Result<&Path, String> {
     if path.as_os_str().as_encoded_bytes().contains(&0) {
         return Err("no path has a NUL byte".to_owned());
     }
-    // A path of one name lies in the current folder. Links that lead nowhere are in the way, too.
+    // A path of one name is in the current folder. A dangling link is in the way, too.
     let above = path.ancestors().map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
     let there = above.into_iter().find(|path| path.symlink_metadata().is_ok()).unwrap_or(Path::new("/"));
     if there.is_dir() { Ok(there) } else { Err(format!("{} is no folder", there.display())) }
 }
 
-/// Why nothing can be kept in a folder by this user; none where it is one, or may be made.
+/// The reason why this user cannot use a folder; `None` if it exists or can be created.
 #[must_use]
 pub fn no_folder(path: &Path) -> Option<NoFolder> {
     let there = match there(path) {
@@ -168,16 +167,14 @@ pub fn no_folder(path: &Path) -> Option<NoFolder> {
     Some(NoFolder { reason: format!("cannot write into {}: {error}", there.display()), remedy })
 }
 
-/// The fault of a key that names a folder.
 fn folder_fault(key: &'static str, folder: &Path, fault: NoFolder) -> ConfigError {
     let remedy = format!("{}; {}", fault.reason, fault.remedy.unwrap_or("give another folder"));
     ConfigError::Value { key, value: folder.display().to_string(), remedy }
 }
 
-/// Most seconds that a key may hold.
 const SECONDS_MAX: f64 = 1e9;
 
-/// All of the configuration; every section and key may be left out.
+/// The whole configuration; every section and key is optional.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
@@ -187,28 +184,28 @@ pub struct Config {
     /// The semantic map.
     #[serde(deserialize_with = "keyed")]
     pub scene: SceneConfig,
-    /// How labels are scored.
+    /// The scoring of labels.
     #[serde(deserialize_with = "keyed")]
     pub scoring: ScoringConfig,
-    /// How scores are grounded.
+    /// The grounding of scores.
     #[serde(deserialize_with = "keyed")]
     pub grounding: GroundingOptions,
     /// The history window of each person.
     #[serde(deserialize_with = "keyed")]
     pub history: HistoryLimits,
-    /// Where the processes meet.
+    /// The domain of the processes.
     #[serde(deserialize_with = "keyed")]
     pub ipc: IpcConfig,
     /// The daemon.
     #[serde(deserialize_with = "keyed")]
     pub daemon: DaemonConfig,
-    /// Who lives in the house.
+    /// The residents.
     #[serde(deserialize_with = "keyed")]
     pub persons: PersonsConfig,
-    /// What a forecast assumes before it has watched its person.
+    /// The forecast's assumptions about a new person.
     #[serde(deserialize_with = "keyed")]
     pub forecast: ForecastOptions,
-    /// What is learned of the home.
+    /// Learning of habits.
     #[serde(deserialize_with = "keyed")]
     pub habits: HabitsConfig,
     /// The planner.
@@ -223,10 +220,10 @@ pub struct Config {
     /// The MQTT broker.
     #[serde(deserialize_with = "keyed")]
     pub mqtt: MqttConfig,
-    /// What is published over MQTT.
+    /// The publication over MQTT.
     #[serde(deserialize_with = "keyed")]
     pub bridge: BridgeConfig,
-    /// The robot that is driven.
+    /// The robot that `roomcast robot` drives.
     #[serde(deserialize_with = "keyed")]
     pub robot: RobotConfig,
 }
@@ -235,11 +232,11 @@ pub struct Config {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IpcConfig {
-    /// The domain's root path; the user's own when empty.
+    /// The domain's root path; by default the user's own.
     pub root: Option<PathBuf>,
     /// The domain's name.
     pub domain: String,
-    /// For so many microseconds after a message daemon and planner look for the next one before they sleep.
+    /// Time for which daemon and planner poll after a message before they sleep, in microseconds.
     pub spin_us: u64,
 }
 
@@ -250,10 +247,10 @@ impl Default for IpcConfig {
 }
 
 impl IpcConfig {
-    /// The domain that this section names.
+    /// The domain of this section.
     ///
     /// # Errors
-    /// When root path or name cannot be a domain's.
+    /// If a domain cannot have the root path or name.
     pub fn domain(&self) -> Result<Domain, IpcError> {
         let root = self.root.clone().unwrap_or_else(Domain::default_root);
         Domain::new(root, &self.domain)
@@ -264,19 +261,19 @@ impl IpcConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelConfig {
-    /// A GGUF file; the embedded model when empty.
+    /// A GGUF file; by default the embedded model.
     pub path: Option<PathBuf>,
-    /// The SHA-256 that the file must have, in hexadecimal; any when empty.
+    /// The required SHA-256 of the file, in hexadecimal; by default any.
     pub sha256: Option<String>,
-    /// Threads of one decoder call; 0 chooses one per core of `cores`, or without these all cores but one.
+    /// Threads of one decoder call; 0 means one per core of `cores`, or all cores but one if that is empty.
     pub threads: usize,
-    /// Cores that the scorer runs on, by number; any when empty.
+    /// Cores for the scorer, by number; any if empty.
     pub cores: Vec<usize>,
     /// Positions of prompt and labels together.
     pub context_tokens: u32,
-    /// Paths of the label trie that one decoder call may hold.
+    /// Paths of the label trie in one decoder call.
     pub sequences: u32,
-    /// How the key-value cache is stored.
+    /// The type of the key-value cache.
     pub cache: CacheType,
     /// Lock the weights in memory.
     pub lock_memory: bool,
@@ -312,7 +309,7 @@ impl ModelConfig {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneConfig {
-    /// The scene file; the shipped studio flat when empty.
+    /// The scene file; by default the shipped studio flat.
     pub path: Option<PathBuf>,
 }
 
@@ -320,27 +317,27 @@ pub struct SceneConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScoringConfig {
-    /// A built-in binding sequence's name, or any text.
+    /// The name of a built-in binding sequence, or any text.
     pub binding: String,
-    /// How labels are scored.
+    /// The method of scoring.
     pub method: Method,
-    /// How prompt and label are cut into tokens.
+    /// The tokenisation of prompt and label.
     pub tokenisation: Tokenisation,
-    /// What a label's tokens after the first compete with; as the model file recommends when empty.
+    /// The competitors of a label's later tokens; by default as the model file recommends.
     pub continuation: Option<Continuation>,
-    /// The prior weight, 0 to 1; as the model file recommends when empty.
+    /// The prior weight, 0 to 1; by default as the model file recommends.
     pub prior: Option<f64>,
-    /// How far an answer goes.
+    /// When scoring stops.
     pub effort: Effort,
-    /// The time that a step may take under `effort = "deadline"`, in milliseconds.
+    /// Longest step under `effort = "deadline"`, in milliseconds.
     pub deadline_ms: u64,
-    /// So many likely next sentences are scored ahead; 0 for none.
+    /// Number of likely next sentences to prefetch; 0 for none.
     pub prepare: usize,
-    /// The share of one core that this may take while it runs.
+    /// Share of one core for the prefetcher.
     pub prepare_share: f64,
-    /// Whether it goes on while the machine runs on battery.
+    /// Whether to prefetch on battery power.
     pub prepare_on_battery: bool,
-    /// Whether the embedded model has a say in what is guessed, beside a configured one.
+    /// Whether the embedded model helps to guess next sentences for another model.
     pub draft: bool,
 }
 
@@ -363,7 +360,7 @@ impl Default for ScoringConfig {
 }
 
 impl Config {
-    /// Reads and checks a configuration file. Relative paths in it begin at its folder, wherever a service is started.
+    /// Reads and checks a configuration file. Relative paths in it start at its folder.
     ///
     /// # Errors
     /// When it cannot be read, has unknown keys, or a value outside its limits.
@@ -373,7 +370,7 @@ impl Config {
         Ok(config)
     }
 
-    /// As [`Self::load`], without a look at the values' limits.
+    /// As [`Self::load`], without the check of limits.
     ///
     /// # Errors
     /// When it cannot be read, or has unknown keys.
@@ -390,8 +387,8 @@ impl Config {
         Ok(config)
     }
 
-    /// Makes relative paths absolute. One key is left out: `ipc.root`, which is never relative. A state directory beside the file is that of
-    /// whoever starts Roomcast by hand: a service has one of its own, and may not write beside the file.
+    /// Makes relative paths absolute, except `ipc.root`, which is never relative. A state directory in the file's folder is for a start by
+    /// hand. A service has a directory from systemd, and may not write to the file's folder.
     fn begin_paths_at(&mut self, folder: &Path, state_of_service: Option<PathBuf>) {
         if let (Some(state), Some(of_service)) = (&mut self.daemon.state, state_of_service)
             && state.is_relative()
@@ -399,20 +396,20 @@ impl Config {
         {
             *state = of_service;
         }
-        // A shipped scene is named without a file.
+        // The name of a shipped scene is not a path.
         let is_shipped = |path: &Path| !folder.join(path).exists() && path.to_str().and_then(embedded::scene).is_some();
         let scene = Some(&mut self.scene.path).filter(|path| !path.as_deref().is_some_and(is_shipped));
         let MqttConfig { credentials, ca, rules, .. } = &mut self.mqtt;
         let others = [&mut self.model.path, &mut self.daemon.state, credentials, ca, rules];
         for path in scene.into_iter().chain(others).filter_map(Option::as_mut) {
-            // An empty one is refused as such.
+            // The check rejects an empty path.
             if !path.as_os_str().is_empty() {
                 *path = folder.join(&*path);
             }
         }
     }
 
-    /// Checks every limit that the types do not hold by themselves.
+    /// Checks every limit that the types do not enforce.
     ///
     /// # Errors
     /// All values outside their limits.
@@ -425,7 +422,7 @@ impl Config {
         }
     }
 
-    /// All values outside their limits, one by one.
+    /// All values outside their limits.
     #[must_use]
     pub fn faults(&self) -> Vec<ConfigError> {
         let limits = self.limits().into_iter().filter(|limit| !limit.holds);
@@ -436,8 +433,8 @@ impl Config {
         values.chain(others.into_iter().flatten()).collect()
     }
 
-    /// What is wrong with the domain's root path on this machine, as far as a look at it tells. Whether it may be made is not looked at: of a
-    /// service systemd makes it.
+    /// The fault of the domain's root path on this machine, as far as it can be seen. It does not check permission to create the path,
+    /// since systemd creates it for a service.
     #[must_use]
     pub fn root_fault(&self) -> Option<ConfigError> {
         let root = self.ipc.root.as_ref()?;
@@ -445,7 +442,7 @@ impl Config {
         Some(folder_fault("ipc.root", root, NoFolder { reason, remedy: None }))
     }
 
-    /// What is wrong with the state directory on this machine, as far as a look at it tells.
+    /// The fault of the state directory on this machine, as far as it can be seen.
     #[must_use]
     pub fn state_fault(&self) -> Option<ConfigError> {
         let folder = self.daemon.state_directory()?;
@@ -494,9 +491,9 @@ impl Config {
         let residents = format!("{:?}", persons.residents);
         let not_persons = format!("{:?}", persons.not_persons);
         let is_one_of = |name: &str, names: &[String]| names.iter().any(|other| same_but_for_accents(other, name));
-        // By number, or by a name as `person rename` takes it.
+        // A number, or a name that `person rename` accepts.
         let is_person = |name: &String| name.trim().parse::<u32>().is_ok() || check_name(name).is_ok();
-        // Each is compared with each.
+        // Each name is compared with each, so the number is limited first.
         let are_few = persons.residents.len() <= PERSONS_MAX && persons.not_persons.len() <= NOT_PERSONS_MAX;
         let each_name_once =
             !are_few || (1..).zip(&persons.residents).all(|(next, name)| !is_one_of(name, &persons.residents[next..]));
@@ -581,7 +578,7 @@ impl Config {
             within("planner.min_absence_s", planner.min_absence_s, 0.0..=86_400.0),
             row("planner.min_absence_s", &planner.min_absence_s, planner.min_absence_s == 0.0 || planner.only_when.is_some(), "give planner.only_when too: it says what is to be empty for so long"),
             within("planner.min_absence_at", planner.min_absence_at, 0.0..=1.0),
-            row("planner.room.id", &needs, planner.room.len() <= roomcast_ipc::MAX_ROOMS && each_room_once, &format!("give at most {} rooms, each once, with ids of {plain}", roomcast_ipc::MAX_ROOMS)),
+            row("planner.room.id", &needs, planner.room.len() <= roomcast_ipc::raw::MAX_ROOMS && each_room_once, &format!("give at most {} rooms, each once, with ids of {plain}", roomcast_ipc::raw::MAX_ROOMS)),
             row("planner.room.every_s", &every, of_needs(&|room| room.every_s.is_none_or(|every_s| (1.0..=SECONDS_MAX).contains(&every_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
             row("planner.room.priority", &priority, of_needs(&|room| (0.01..=100.0).contains(&room.priority)), "give 0.01 to 100"),
             row("planner.room.time_s", &time, of_needs(&|room| room.time_s.is_none_or(|time_s| (1.0..=SECONDS_MAX).contains(&time_s))), &format!("give 1 to {SECONDS_MAX}, or leave the key out")),
@@ -608,7 +605,7 @@ impl Config {
             within("robot.start_s", vacuum.start_s, 0.1..=3600.0),
             row("robot.least_s", &vacuum.least_s, (0.0..=vacuum.most_s).contains(&vacuum.least_s), "give 0 to robot.most_s"),
             within("robot.most_s", vacuum.most_s, 1.0..=86_400.0),
-            row("robot.segments", &vacuum.segments.len(), vacuum.segments.len() <= roomcast_ipc::MAX_ROOMS && vacuum.segments.iter().all(|(room, segment)| is_name(room) && is_name(segment)), &format!("give at most {} rooms, each with a segment of {plain}", roomcast_ipc::MAX_ROOMS)),
+            row("robot.segments", &vacuum.segments.len(), vacuum.segments.len() <= roomcast_ipc::raw::MAX_ROOMS && vacuum.segments.iter().all(|(room, segment)| is_name(room) && is_name(segment)), &format!("give at most {} rooms, each with a segment of {plain}", roomcast_ipc::raw::MAX_ROOMS)),
             within("bridge.interval_s", bridge.interval_s, 0.1..=3600.0),
             within("narrator.linger_s", narrator.linger_s, seconds),
         ];
@@ -668,7 +665,7 @@ mod tests {
         assert!(error.contains("quiet hours are \"10pm-7am\", expected such as"), "{error}");
     }
 
-    /// What the manual says that a key may be is what the check says.
+    /// The manual and the check state the same ranges.
     #[test]
     fn the_manual_states_the_ranges() {
         let (mut section, mut tried) = ("", 0);
@@ -693,13 +690,13 @@ mod tests {
         assert!(tried >= 10, "{tried}");
     }
 
-    /// Whoever is refused by a limit finds it in the manual: beside the key stand the ends of what it may be.
+    /// The manual states the limits of every rejected value next to its key.
     #[test]
     fn the_manual_states_every_limit() {
         let mut missing = Vec::new();
         for Limit { key, remedy, .. } in Config::default().limits() {
             let (section, name) = key.rsplit_once('.').unwrap();
-            // A section that is one key has its comment beside its name.
+            // A section that is one key has its comment next to its name.
             let own = DEFAULT_TOML.lines().find(|line| line.starts_with(&format!("[{key}]")));
             let of_section = [format!("\n[{section}]"), format!("\n# [[{section}]]")]
                 .iter()
@@ -717,7 +714,7 @@ mod tests {
                     comment.push_str(line);
                 }
             }
-            // 1 and 0 stand for "all" and "none" and need no word; a limit of a billion seconds is none.
+            // 1 and 0 mean "all" and "none"; a billion seconds means no limit.
             let numbers =
                 remedy.split([' ', ',', ';']).filter(|word| word.parse::<f64>().is_ok_and(|n| n > 1.0 && n < 1e9));
             missing.extend(
@@ -813,7 +810,7 @@ mod tests {
             let error = toml::from_str::<Config>(toml).unwrap().check().unwrap_err().to_string();
             assert!(error.contains(part), "{toml}: {error}");
         }
-        // A grandmother may live with her namesake.
+        // A grandmother may live with a person of the same name.
         let namesakes = "[persons]\nresidents = [\"Grandma Edith\", \"Edith\"]";
         toml::from_str::<Config>(namesakes).unwrap().check().unwrap();
         let fits = "[model]\ncores = [1, 0]\n[daemon]\njournal_bytes = 8192\n[ipc]\ndomain = \"a-1\"";
@@ -835,7 +832,7 @@ mod tests {
         );
         let MqttConfig { credentials, ca, rules, .. } = config.mqtt;
         assert_eq!([credentials, ca, rules], ["/etc/secret", "ca.pem", "../rules.toml"].map(at));
-        // A shipped scene goes by its bare name, unless there is a file of that name.
+        // A bare name is a shipped scene, unless a file has that name.
         std::fs::write(&file, "[scene]\npath = \"studio\"\n").unwrap();
         assert_eq!(Config::load(&file).unwrap().scene.path, Some("studio".into()));
         std::fs::write(folder.path().join("studio"), "{}").unwrap();
@@ -844,7 +841,7 @@ mod tests {
         assert!(Config::load(&file).unwrap_err().to_string().contains("daemon.state is empty"));
     }
 
-    /// One file serves who starts it by hand and the units, which may write into no other folder than theirs.
+    /// One file serves a start by hand and the units, which may write only to their own folder.
     #[test]
     fn a_services_own_state_directory_goes_before_one_beside_the_file() {
         let state_of = |toml: &str, of_service: Option<&str>| {
@@ -855,13 +852,13 @@ mod tests {
         let (beside, own) = ("[daemon]\nstate = \"state\"", Some("/var/lib/roomcast"));
         assert_eq!(state_of(beside, None), Some("/etc/roomcast/state".into()));
         assert_eq!(state_of(beside, own), own.map(PathBuf::from));
-        // Whoever names a folder in full means that one; whoever names none has systemd's by `state_directory`.
+        // An absolute folder is used as it is. Without one, `state_directory` returns systemd's.
         assert_eq!(state_of("[daemon]\nstate = \"/srv/roomcast\"", own), Some("/srv/roomcast".into()));
         assert_eq!(state_of("", own), None);
         assert_eq!(state_of("[daemon]\nstate = \"\"", own), Some("".into()));
     }
 
-    /// What the daemon could not begin with is found by whoever checks the file.
+    /// The check of the file finds a folder that the daemon could not start with.
     #[test]
     fn a_folder_that_can_be_none_is_found() {
         let outer = tempfile::tempdir().unwrap();
@@ -891,7 +888,7 @@ mod tests {
         assert!(none.root_fault().is_none());
     }
 
-    /// More than are ever known are refused before each is compared with each.
+    /// Too many residents are rejected before each name is compared with each.
     #[test]
     fn residents_whose_names_look_alike_are_told() {
         let mut persons =
@@ -921,7 +918,7 @@ mod tests {
         assert!(twice.check().unwrap_err().to_string().contains("once"));
     }
 
-    /// Whoever gives another file by mistake, of one line of megabytes perhaps, reads an error and not the file.
+    /// If the wrong file is given, perhaps with a line of megabytes, the error does not contain it.
     #[test]
     fn an_error_does_not_repeat_the_file() {
         let file = tempfile::NamedTempFile::new().unwrap();

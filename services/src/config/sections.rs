@@ -1,4 +1,4 @@
-//! The sections of the configuration that belong to one process each.
+//! The sections of the configuration for one process each.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -15,8 +15,8 @@ use roomcast_core::text::odd_name;
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaemonConfig {
-    /// The state directory with the state database; without one, systemd's `$STATE_DIRECTORY`, and without that no database. In a file a relative
-    /// one gives way to systemd's.
+    /// The state directory with the state database; by default systemd's `$STATE_DIRECTORY`, and without that no database. For a service,
+    /// systemd's directory replaces a relative one in a file.
     pub state: Option<PathBuf>,
     /// About how many bytes the events in the state database have at most.
     pub journal_bytes: u64,
@@ -24,12 +24,12 @@ pub struct DaemonConfig {
     pub journal_sync_ms: u64,
     /// Milliseconds between two heartbeats.
     pub heartbeat_ms: u64,
-    /// Seconds without a step of the loop after which the daemon gives itself up, for systemd to restart it.
+    /// Seconds without a step of the loop after which the daemon ends itself, so that systemd restarts it.
     pub hang_s: u64,
-    /// What one narrator may send.
+    /// Rate limits of one narrator.
     #[serde(deserialize_with = "keyed")]
     pub intake: IntakeLimits,
-    /// Narrators that are known by name.
+    /// Known narrators.
     #[serde(deserialize_with = "list_of_keyed")]
     pub narrator: Vec<KnownNarrator>,
 }
@@ -49,25 +49,24 @@ impl Default for DaemonConfig {
 }
 
 impl DaemonConfig {
-    /// The state directory: the one that is configured, else systemd's.
+    /// The configured state directory, else systemd's.
     #[must_use]
     pub fn state_directory(&self) -> Option<PathBuf> {
         self.state.clone().or_else(state_of_service)
     }
 }
 
-/// The state directory that systemd gives a service.
 pub(super) fn state_of_service() -> Option<PathBuf> {
     std::env::var_os("STATE_DIRECTORY").filter(|directory| !directory.is_empty()).map(PathBuf::from)
 }
 
-/// What one narrator may send: everything that comes by one port.
+/// Rate limits of one narrator, for all narrations of one port.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IntakeLimits {
-    /// Narrations per second that one narrator may send over time; 0 for no limit.
+    /// Narrations per second of one narrator over time; 0 for no limit.
     pub rate_per_s: f64,
-    /// Narrations that it may send at once after a silence.
+    /// Narrations at once after a silence.
     pub burst: f64,
 }
 
@@ -87,7 +86,6 @@ pub struct May {
     pub presence: bool,
 }
 
-/// A word of `may`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum Report {
@@ -98,7 +96,7 @@ enum Report {
 impl May {
     /// All events.
     pub const ALL: Self = Self { did: true, presence: true };
-    /// Actions only: a narrator that the configuration does not name, if it names any.
+    /// Actions only: an unknown narrator, if the configuration names any.
     pub const DID: Self = Self { did: true, presence: false };
 }
 
@@ -131,18 +129,18 @@ impl From<May> for Vec<Report> {
 pub struct KnownNarrator {
     /// The source's name.
     pub name: String,
-    /// Where places are short, what is remembered of less trusted ones goes first; 1 to 100, and 0 for whoever is not named.
+    /// If memory is short, the records of narrators with less trust go first; 1 to 100, and 0 for unknown narrators.
     #[serde(default = "one")]
     pub trust: u32,
-    /// Places in a person's window that it keeps for each one of a narrator of share 1, 1 to 100.
+    /// The narrator's part of a person's window, relative to a narrator of share 1; 1 to 100.
     #[serde(default = "one")]
     pub share: u32,
-    /// The events that it may send: `did`, `presence`, or both. A narrator that is not named may send `did` only, if any narrator is named.
+    /// The events that it may send: `did`, `presence`, or both. If any narrator is named, unknown narrators may send `did` only.
     #[serde(default)]
     pub may: May,
-    /// In place of `daemon.intake.rate_per_s`.
+    /// Replaces `daemon.intake.rate_per_s`.
     pub rate_per_s: Option<f64>,
-    /// Its narration comes through `roomcast-zenoh`: when that starts again, its port goes on where the closed one was.
+    /// Its narration comes through `roomcast-zenoh`. When that restarts, the new port continues where the closed one stopped.
     #[serde(default)]
     pub relayed: bool,
 }
@@ -155,26 +153,26 @@ fn one() -> u32 {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PersonsConfig {
-    /// Who lives in the house, by name or by number; everybody else is a visitor. When empty, nobody is a visitor.
+    /// Residents, by name or number. All other persons are visitors. If empty, no person is a visitor.
     pub residents: Vec<String>,
-    /// Names of pets, robots and devices: a plain sentence about one is about nobody.
+    /// Names of pets, robots and devices. A plain sentence about one is about no person.
     pub not_persons: Vec<String>,
     /// Seconds of silence after which a visitor counts as gone.
     pub visitor_s: f64,
-    /// Seconds of silence after which whoever was last on a bed is possibly asleep.
+    /// Seconds of silence after which a person last seen on a bed is possibly asleep.
     pub asleep_s: f64,
-    /// For so many seconds after a narrator that the configuration names has told of a person, nobody else is heard of that person; 0: everybody
-    /// is heard of everybody. Where it names none, everybody is heard of everybody, too.
+    /// Seconds after an event of a known narrator in which unknown narrators' events about that person are ignored; 0 for none. Without
+    /// known narrators, no events are ignored.
     pub guard_s: f64,
 }
 
 impl PersonsConfig {
-    /// Warnings about the names of residents, and about these: words of mixed alphabets, and names that look alike.
+    /// Warnings about the names of residents, and about `more`: words of mixed alphabets, and names that look alike.
     #[must_use]
     pub fn odd_names<'a>(&'a self, more: impl IntoIterator<Item = &'a str>) -> Vec<String> {
         let residents = || self.residents.iter().map(String::as_str);
         let odd = |(place, name): (usize, &str)| odd_name(name, residents().take(place));
-        // The warning names the later one of two names that look alike. Each is compared with each, so the number is bounded.
+        // The warning names the later one of two similar names. Each is compared with each, so the number is bounded.
         residents().take(PERSONS_MAX).chain(more.into_iter().take(PERSONS_MAX)).enumerate().filter_map(odd).collect()
     }
 }
@@ -195,13 +193,13 @@ impl Default for PersonsConfig {
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HabitsConfig {
-    /// Whether the daemon learns what the people of the home do; what it knows already is used either way.
+    /// Whether the daemon learns habits. It uses known habits in either case.
     pub learn: bool,
-    /// Days after which what was seen counts half; 0 for never.
+    /// Days after which an observation has half its weight; 0 for never.
     pub half_life_days: f64,
-    /// Seconds between two writes of what was learned, at least; it is also written when the daemon is stopped.
+    /// Least seconds between two writes of the habits. The daemon also writes them when it stops.
     pub save_s: f64,
-    /// Share of moments, 0 to 1, in which a person is to be in their room set.
+    /// Share of moments, 0 to 1, when a person is in their room set.
     pub coverage: f64,
 }
 
@@ -223,7 +221,7 @@ impl HabitsConfig {
 }
 
 roomcast_core::choices! {
-    /// Whose word the planner takes for what the robot has done.
+    /// The source of the robot's state for the planner.
     #[derive(Default)]
     pub enum Reports {
         /// The clock's until the robot first reports its work, then the robot's.
@@ -237,7 +235,7 @@ roomcast_core::choices! {
 }
 
 roomcast_core::choices! {
-    /// What the planner does where the round's deadline leaves no later time for a room that somebody is likely in.
+    /// The planner's action if the round's deadline leaves no later time for a room that is probably occupied.
     #[derive(Default)]
     pub enum Forced {
         /// The robot goes in where the policy says so.
@@ -252,64 +250,64 @@ roomcast_core::choices! {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlannerConfig {
-    /// The robot's name; its number on the decision service follows from it.
+    /// The robot's name. Its number on the decision service follows from the name.
     pub robot: String,
     /// The policy.
     pub policy: PolicyName,
     /// Seed of the policy's random choices.
     pub seed: u64,
-    /// T_r: seconds that the robot must spend in every room; 0 decides again with every new score, which `roomcast robot` refuses.
+    /// T_r: seconds that the robot must spend in every room. 0 decides again with every new score, which `roomcast robot` rejects.
     pub room_time_s: f64,
-    /// Seconds from the begin of a round to its deadline. When empty, two stays for each room, and a round that is done early ends.
+    /// Seconds from the start of a round to its deadline. By default two stays for each room, and a completed round ends early.
     pub round_s: Option<f64>,
-    /// Milliseconds after which scores that the daemon has not confirmed are not acted upon.
+    /// Milliseconds after which unconfirmed scores are stale for the planner.
     pub deadline_ms: u64,
-    /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the robot stays when
-    /// every room is covered.
+    /// Another round of all rooms follows. Otherwise rooms that are undone at the deadline are tried again, and the robot stays when every
+    /// room is covered.
     pub repeat: bool,
-    /// What the planner does where the deadline leaves no later time for a room that somebody is likely in.
+    /// The action if the deadline leaves no later time for a room that is probably occupied.
     pub forced: Forced,
-    /// No room is entered that is in the room set of a person at any time of the stay. Where nothing was learned there are no sets.
+    /// Rooms in a person's room set at any time of the stay are avoided. Without learned habits there are no sets.
     pub avoid_sets: bool,
-    /// Whether rooms that other robots are in or on their way to are not entered.
+    /// Whether rooms of other robots, present or on their way, are avoided.
     pub avoid_robots: bool,
-    /// Seconds that the planner waits at most, after a start of it or the daemon, until each resident was observed.
+    /// Longest wait of the planner, in seconds after its start or the daemon's, until each resident was observed.
     pub know_s: f64,
-    /// Hours in which the robot does not work.
+    /// Hours when the robot does not work.
     pub quiet: Vec<QuietHours>,
     /// The rooms in which the robot does not work while a person sleeps.
     pub while_asleep: WhileAsleep,
-    /// What must be empty before the robot works; without it, the policy weighs alone.
+    /// The part of the house that must be empty before the robot works; by default the policy alone decides.
     pub only_when: Option<OnlyWhen>,
     /// Seconds for which it must stay empty.
     pub min_absence_s: f64,
     /// ... with this probability.
     pub min_absence_at: f64,
-    /// What rooms need.
+    /// The needs of rooms.
     #[serde(deserialize_with = "list_of_keyed")]
     pub room: Vec<RoomNeeds>,
     /// A person who comes into the robot's room ends its work there.
     pub interrupt: bool,
-    /// How likely somebody must be in a room, 0 to 1, to interrupt the robot; and to keep it out under `forced = "skip"`.
+    /// The probability of people in a room, 0 to 1, that interrupts the robot, and that keeps it out under `forced = "skip"`.
     pub interrupt_at: f64,
-    /// Seconds for which that must hold before the robot is interrupted.
+    /// Seconds of that probability before the robot is interrupted.
     pub interrupt_after_s: f64,
-    /// The room is entered again when somebody is there with at most this probability; less than `interrupt_at`.
+    /// The robot returns to the room at this probability or less; less than `interrupt_at`.
     pub resume_at: f64,
-    /// Whose word is taken for what the robot has done.
+    /// The source of the robot's state.
     pub reports: Reports,
-    /// Seconds after the end of a stay and after the robot's last report from which a robot that reports counts as silent.
+    /// Seconds after the end of a stay and after the robot's last report until a reporting robot counts as silent.
     pub report_timeout_s: f64,
-    /// A robot whose battery is below this, 0 to 1, is not sent out.
+    /// A robot with a battery below this, 0 to 1, is not sent out.
     pub battery_low: f64,
-    /// It is sent out again when the battery is at this or above, 0 to 1.
+    /// It is sent out again at this level or above, 0 to 1.
     pub battery_ready: f64,
-    /// Seconds after the last report of a robot that charges from which it counts as charged.
+    /// Seconds after the last report of a charging robot until it counts as charged.
     pub charge_timeout_s: f64,
 }
 
 impl PlannerConfig {
-    /// What a room needs; none for a room without an entry.
+    /// The needs of a room; `None` without an entry.
     #[must_use]
     pub fn needs_of(&self, id: &str) -> Option<&RoomNeeds> {
         let exact = self.room.iter().find(|room| room.id == id);
@@ -354,9 +352,9 @@ impl Default for PlannerConfig {
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NarratorConfig {
-    /// The source's name; its number follows from it, so it must differ between narrators.
+    /// The source's name. Its number follows from the name, so narrators need different names.
     pub name: String,
-    /// Seconds to wait at the end until the daemon has confirmed everything.
+    /// Longest wait at the end for the daemon's confirmation, in seconds.
     pub linger_s: f64,
 }
 
@@ -370,12 +368,12 @@ impl Default for NarratorConfig {
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MetricsConfig {
-    /// Where to serve them: a loopback address with a port. None: not at all.
+    /// A loopback address with a port. `None`: no metrics.
     pub listen: Option<SocketAddr>,
 }
 
 roomcast_core::choices! {
-    /// How a robot speaks.
+    /// The interface of a robot.
     #[derive(Default)]
     pub enum RobotKind {
         /// Valetudo's topics.
@@ -387,7 +385,7 @@ roomcast_core::choices! {
 }
 
 roomcast_core::choices! {
-    /// What a robot at work does when it is to pause.
+    /// The action of a working robot on a pause.
     #[derive(Default)]
     pub enum OnPause {
         /// It goes to its dock.
@@ -400,29 +398,30 @@ roomcast_core::choices! {
     }
 }
 
-/// The section `[robot]`: what `roomcast robot` drives.
+/// The section `[robot]`: the robot that `roomcast robot` drives.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RobotConfig {
-    /// How it speaks.
+    /// The interface.
     pub kind: RobotKind,
-    /// Where it speaks: Valetudo's topic prefix and identifier, or Home Assistant's state topics of the vacuum.
+    /// Valetudo's topic prefix and identifier, or Home Assistant's state topics of the vacuum.
     pub topic: String,
-    /// A topic that says how full its battery is, in percent, where the robot's own ones do not.
+    /// A topic with the battery's level in percent, if the robot's own topics lack it.
     pub battery: Option<String>,
-    /// A battery of this or less, 0 to 1, says that a vacuum of Home Assistant that leaves its work has to charge and has not done the room.
+    /// If a vacuum of Home Assistant leaves its work with a battery at this level or less, 0 to 1, it has to charge and has not finished
+    /// the room.
     pub recharge_at: f64,
-    /// Whether it is told anything; otherwise what it would be told is only printed.
+    /// Whether the robot gets commands; otherwise they are only printed.
     pub obey: bool,
-    /// What it does when it is to pause.
+    /// The action on a pause.
     pub on_pause: OnPause,
-    /// Seconds after which an order that the robot does not follow is given again; the third time it has failed.
+    /// Seconds after which an ignored order is repeated. At the third time it has failed.
     pub start_s: f64,
-    /// How long a robot is at a room at least, in seconds: one that leaves sooner has not done it.
+    /// The shortest time in a room, in seconds: a robot that leaves sooner has not done it.
     pub least_s: f64,
-    /// Seconds that the robot may take for a room.
+    /// The longest time in a room, in seconds.
     pub most_s: f64,
-    /// Segments by the ids of rooms, where names and numbers do not tell.
+    /// Segments by the ids of rooms, if names and numbers do not match.
     pub segments: BTreeMap<String, String>,
 }
 
@@ -443,37 +442,37 @@ impl Default for RobotConfig {
     }
 }
 
-/// The section `[mqtt]`: the broker that everything meets at which speaks MQTT.
+/// The section `[mqtt]`: the broker for all uses of MQTT.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MqttConfig {
-    /// `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with `ca`. None: the command line says it.
+    /// `mqtt://HOST[:PORT]`, or `mqtts://HOST[:PORT]` with `ca`. `None`: the command line names it.
     pub broker: Option<String>,
-    /// A file with user name and password, a line each.
+    /// A file with user name and password on one line each.
     pub credentials: Option<PathBuf>,
-    /// A PEM file with the certificates that the broker's is signed by.
+    /// A PEM file with the certificates that signed the broker's.
     pub ca: Option<PathBuf>,
-    /// The rules by which `roomcast narrate --mqtt` makes narration of messages.
+    /// The rules of `roomcast narrate --mqtt`.
     pub rules: Option<PathBuf>,
 }
 
-/// The section `[bridge]`: what `roomcast publish mqtt` publishes.
+/// The section `[bridge]`, for `roomcast publish mqtt`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BridgeConfig {
-    /// What its topics begin with.
+    /// The prefix of its topics.
     pub topic: String,
-    /// What Home Assistant's discovery topics begin with; empty for no discovery.
+    /// The prefix of Home Assistant's discovery topics; empty for no discovery.
     pub discovery: String,
-    /// Seconds ahead that rooms and persons are told of, beside now: each takes the nearest horizon of the forecast.
+    /// Horizons of rooms and persons in seconds, in addition to now. Each takes the nearest horizon of the forecast.
     pub horizons_s: Vec<f64>,
-    /// "Somebody soon" means within so many seconds.
+    /// "Somebody soon" means within this many seconds.
     pub soon_s: f64,
     /// ... with this probability, more than 0.
     pub soon_at: f64,
     /// ... until the probability is below this, at most `soon_at`.
     pub soon_until: f64,
-    /// Seconds between two messages of a topic, at least.
+    /// Least seconds between two messages of a topic.
     pub interval_s: f64,
 }
 

@@ -22,7 +22,7 @@ use roomcast_core::habits::{
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_ipc::{MAX_HORIZONS, MAX_ROOMS};
+use roomcast_ipc::raw::{MAX_HORIZONS, MAX_ROOMS};
 
 /// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
 const CLOCK_SET_S: f64 = 30.0;

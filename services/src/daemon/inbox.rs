@@ -7,7 +7,8 @@ use std::time::Duration;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use crossbeam::select;
 use roomcast_core::ids::EventId;
-use roomcast_ipc::{IpcError, NarrationV1, Subscriber};
+use roomcast_ipc::raw::NarrationV1;
+use roomcast_ipc::{IpcError, Subscriber};
 
 use super::board::Entry;
 use super::intake::{Intake, IntakeCounters, Taken};

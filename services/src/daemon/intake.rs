@@ -11,8 +11,9 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use roomcast_ipc::raw::{Message, NarrationV1, narration_kind};
 use roomcast_ipc::sequence::{Arrival, Follower, source_of_name};
-use roomcast_ipc::{Message, MessageError, NarrationV1, Sender, narration_kind};
+use roomcast_ipc::{MessageError, Sender};
 
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Voice, check_name};
@@ -267,7 +268,7 @@ impl Intake {
         self.narrators.get(&source).is_some_and(|known| known.relayed)
     }
 
-    /// Judges what a port gave: a message that has passed [`roomcast_ipc::Message::check`], or why it has not.
+    /// Judges what a port gave: a message that has passed [`roomcast_ipc::raw::Message::check`], or why it has not.
     pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, sender: Sender, now_ns: BootNs) -> Taken {
         match received {
             Ok(message) => self.take(message, sender, now_ns),
@@ -279,7 +280,7 @@ impl Intake {
         }
     }
 
-    /// Judges a message that has passed [`roomcast_ipc::Message::check`].
+    /// Judges a message that has passed [`roomcast_ipc::raw::Message::check`].
     pub fn take(&mut self, message: &NarrationV1, sender: Sender, now_ns: BootNs) -> Taken {
         let taken = self.judge(message, sender, now_ns);
         let counters = &mut self.counters;
@@ -547,7 +548,7 @@ mod wire {
 #[cfg(test)]
 mod tests {
     use crate::config::May;
-    use roomcast_ipc::{IncludedV1, RoomScoresV1, narration_kind};
+    use roomcast_ipc::raw::{IncludedV1, RoomScoresV1, narration_kind};
 
     use super::relay::{Offered, Relay, STARTS_UNDER_WAY_MAX};
     use super::*;

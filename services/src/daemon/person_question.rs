@@ -70,7 +70,7 @@ pub struct PersonLine {
     /// Seconds since they were observed last.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub silent_s: Option<f64>,
-    /// Words for [`roomcast_ipc::person_flags`].
+    /// Words for [`roomcast_ipc::raw::person_flags`].
     pub flags: Vec<String>,
 }
 

@@ -8,7 +8,8 @@ use roomcast_core::ids::{EventId, PersonId};
 use roomcast_core::narration::{
     Event, Observation, PERSONS_MAX, Presence, ReadName, Voice, check_name, is_number, name_words, same_name,
 };
-use roomcast_ipc::{NAME_BYTES, person_flags, presence, text};
+use roomcast_ipc::raw::{NAME_BYTES, person_flags, presence};
+use roomcast_ipc::text;
 
 use super::journal::KeptPerson;
 use super::person_question::PersonLine;

@@ -5,7 +5,8 @@ use std::sync::atomic::AtomicUsize;
 use std::time::Duration;
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1, Sender};
+use roomcast_ipc::Sender;
+use roomcast_ipc::raw::{DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, RoomScoresV1};
 use roomcast_llama::LlamaModel;
 
 use super::{
@@ -32,8 +33,9 @@ impl Daemon {
     fn start(config: &Config, now_ns: BootNs, now_unix_ns: UnixNs) -> Self {
         let (journal, mut recovered) = Journal::open(&journal_options(&config.daemon).unwrap()).unwrap();
         let names = PersonsFile::new(std::mem::take(&mut recovered.persons), Some(journal.handle()));
+        let kept = (Some(journal.handle()), recovered.habits.take());
         let Loaded { board, token_counter, .. } =
-            load(config, names, setup::configured_model, Arc::new(|| true)).unwrap();
+            load(config, names, kept, setup::configured_model, Arc::new(|| true)).unwrap();
         let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
         let tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
         let mut intake = Intake::new(config.daemon.intake).with_cost(SentenceCost::new(token_counter, tokens_max));

@@ -1,4 +1,4 @@
-//! How a broker is reached: its address, its credentials and certificates.
+//! The address, the credentials and the certificates of a broker.
 
 use std::path::PathBuf;
 
@@ -11,15 +11,15 @@ use rustls::pki_types::pem::PemObject;
 use super::{KEEP_ALIVE, MESSAGES_AHEAD_MAX, MqttError, PACKET_BYTES_MAX};
 use crate::sensor_log::RULES_BYTES_MAX;
 
-/// How long the broker keeps what arrives while this process is away: for ever, as far as the broker agrees.
+/// The broker keeps the session of this process while it is away: for ever, if it agrees.
 const SESSION_EXPIRY_S: u32 = u32::MAX;
 
-/// How a broker is reached.
+/// A broker and the client's login.
 #[derive(Debug, Clone, Default)]
 pub struct Broker {
     /// `mqtt://HOST[:PORT]` or `mqtts://HOST[:PORT]`.
     pub address: String,
-    /// The client's name, which the broker keeps the session under.
+    /// The client's name, which is the broker's key of the session.
     pub client: String,
     /// A file with user name and password on one line each.
     pub credentials: Option<PathBuf>,
@@ -28,7 +28,7 @@ pub struct Broker {
 }
 
 impl Broker {
-    /// What the client needs to know, with the files read: whatever is wrong with the set-up shows here, before anything is connected.
+    /// The client's options, with the files read. It finds each fault of the set-up before a connection is made.
     ///
     /// # Errors
     ///
@@ -45,7 +45,7 @@ impl Broker {
         if rest.contains('@') {
             return Err(MqttError::Login);
         }
-        // An address of IPv6 stands in brackets, and has colons of its own.
+        // An IPv6 address is in brackets, and contains colons.
         let end = rest.rfind(']').map_or(0, |at| at + 1);
         let (host, port) = match rest[end..].rsplit_once(':') {
             Some((name, port)) => (&rest[..end + name.len()], port.parse().map_err(|_| wrong())?),
@@ -59,7 +59,7 @@ impl Broker {
         options.set_keep_alive(KEEP_ALIVE).set_clean_start(false);
         options.set_session_expiry_interval(Some(SESSION_EXPIRY_S));
         options.set_receive_maximum(Some(MESSAGES_AHEAD_MAX)).set_max_packet_size(Some(PACKET_BYTES_MAX));
-        // Nothing is published; the client would set aside room for so many.
+        // The client allocates memory for this many, and publishes none.
         options.set_outgoing_inflight_upper_limit(MESSAGES_AHEAD_MAX);
         if let Some(path) = &self.credentials {
             let text = read_text_at_most(path, RULES_BYTES_MAX)
@@ -78,7 +78,7 @@ impl Broker {
                 if !CertificateDer::pem_slice_iter(&ca).any(|certificate| certificate.is_ok()) {
                     return Err(MqttError::Authority { path: path.clone() });
                 }
-                // A second call finds one installed, and that is as good.
+                // A second call finds one installed, which is fine.
                 let _installed = rustls::crypto::ring::default_provider().install_default();
                 options.set_transport(Transport::tls_with_config(TlsConfiguration::Simple {
                     ca,
@@ -95,12 +95,11 @@ impl Broker {
     }
 }
 
-/// What to write in place of an address that is none.
 pub(super) fn address_remedy(given: &str) -> String {
     let remedy = "give mqtt://HOST[:PORT], or mqtts://HOST[:PORT] with a CA file";
     let meant = format!("mqtt://{given}");
     let meant = Broker { address: if given.contains(':') { meant } else { meant + ":1883" }, ..Broker::default() };
-    // The most frequent mistake: an address as other programs have it.
+    // The most frequent mistake: the form of other programs.
     match (given.contains("://"), meant.options()) {
         (false, Ok(_)) => format!("{remedy}, here {}", meant.address),
         _ => remedy.to_owned(),

@@ -1,12 +1,12 @@
-//! What the client needs beyond its library, whoever uses it.
+//! Additions to the MQTT library's client.
 
 use rumqttc::v5::mqttbytes::v5::{ConnAck, DisconnectReasonCode};
 use rumqttc::v5::{ConnectionError, EventLoop, MqttState, StateError};
 
 use super::{KEEP_ALIVE, MESSAGES_AHEAD_MAX};
 
-/// What to say of a connection that broke. A broker that gives it to another client of the same name says so by MQTT 5, or closes it only, as
-/// mosquitto 2.0.11 does.
+/// The text for a broken connection. A broker that gives it to another client of the same name reports that by MQTT 5, or only closes it,
+/// as mosquitto 2.0.11 does.
 pub(super) fn broken(error: &ConnectionError) -> String {
     const REMEDY: &str = "another client has this one's name: give each narrator a narrator.name of its own, and start one bridge, and one robot \
         service for each robot";
@@ -22,7 +22,6 @@ pub(super) fn broken(error: &ConnectionError) -> String {
     }
 }
 
-/// Why a connection is of no use; none for one that is.
 pub(super) fn fault_of(greeting: &ConnAck) -> Option<&'static str> {
     let properties = greeting.properties.as_ref()?;
     if properties.receive_max == Some(0) {
@@ -36,17 +35,16 @@ pub(super) fn fault_of(greeting: &ConnAck) -> Option<&'static str> {
     )
 }
 
-/// Makes the client ready to connect again, as if for the first time.
 pub(super) fn renew(events: &mut EventLoop) {
     events.clean();
     events.pending.clear();
-    // What the last broker wished holds for its connection only.
+    // The last broker's settings apply only to its connection.
     events.options.set_keep_alive(KEEP_ALIVE);
     let most = events.options.get_outgoing_inflight_upper_limit().unwrap_or(MESSAGES_AHEAD_MAX);
     events.state = MqttState::new(most, events.options.manual_acks());
 }
 
-/// A broker that wants no pings says 0, which the client takes for no pause at all between them.
+/// A broker without pings sends 0, which the client would take for no pause between them.
 pub(super) fn correct_keep_alive(events: &mut EventLoop) {
     if events.options.keep_alive().is_zero() {
         events.options.set_keep_alive(KEEP_ALIVE);

@@ -1,4 +1,4 @@
-//! A connection that listens.
+//! A connection that receives messages.
 
 use std::collections::VecDeque;
 use std::fmt::Display;
@@ -30,14 +30,12 @@ use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
-/// What a message that waits takes beside its topic and payload.
+/// Memory of a queued message in addition to its topic and payload.
 const HELD_BYTES_EACH: usize = 256;
-/// Complaints about the connection come at most so often.
 const QUIET_NS: u64 = 30_000_000_000;
-/// How long, at the end, what was read may take to be settled. A narrator has a little longer to publish it.
+/// The longest wait at the end until the last lines are settled. A narrator has a little longer to publish them.
 const SETTLING: Duration = Duration::from_secs(4);
 
-/// The client, what it has heard and where it says it.
 pub(super) struct Connection<'a, W> {
     broker: String,
     client: AsyncClient,
@@ -45,53 +43,45 @@ pub(super) struct Connection<'a, W> {
     listener: Listener,
     subscriptions: Subscriptions,
     probe: Probe,
-    /// The client has not sent the probe yet.
     probe_waits: bool,
-    /// Rules read the probe's topic, too.
+    /// Rules also read the probe's topic.
     probe_is_read: bool,
     recent: Recent,
     copies: Copies,
     pub(super) acknowledgements: Acknowledgements,
-    /// Messages that wait until others are acknowledged, oldest first, and their bytes.
+    /// Messages that wait for acknowledgements of others, oldest first, and their bytes.
     held: VecDeque<Held>,
     held_bytes: usize,
     connected: bool,
     log: Limiter,
     greetings: Limiter,
     oversized: Limiter,
-    /// The pause before the next connection.
     pause: Duration,
-    /// What comes is left to the next session.
+    /// New messages are left to the next session.
     leaves: bool,
-    /// Reports what would be said, with a remark, in place of saying it.
+    /// Reports lines with a remark instead of writing them.
     pub(super) rehearsal: Option<&'a mut Remark<'a>>,
-    /// Keeps how often each rule fits.
     pub(super) tally: Option<Tally>,
     out: W,
 }
 
-/// Why the connection that an event tells of is of no use; none for one that is, and for other events.
 pub(super) fn fault(event: &Event) -> Option<&'static str> {
     if let Event::Incoming(Packet::ConnAck(greeting)) = event { fault_of(greeting) } else { None }
 }
 
-/// What listening comes to.
 enum Turn {
-    /// More is to come.
     On,
-    /// Nobody reads any more.
     Unread,
 }
 
-/// A message that waits.
 struct Held {
     message: Publish,
-    /// The length of its payload. Of a payload that is too large only the beginning is kept.
+    /// Only the beginning of a payload that is too large is stored.
     payload_bytes: usize,
 }
 
 impl Held {
-    /// Copies a message out of the buffer that it came in, which would stay as large as the largest message in it.
+    /// Copies a message out of its receive buffer, which is as large as the largest message in it.
     fn of(message: &Publish) -> Self {
         let read = message.payload.len().min(PAYLOAD_BYTES_MAX + 1);
         let copy = Publish {
@@ -102,7 +92,6 @@ impl Held {
         Self { message: copy, payload_bytes: message.payload.len() }
     }
 
-    /// Its memory while it waits.
     fn bytes(&self) -> usize {
         self.message.topic.len() + self.message.payload.len() + HELD_BYTES_EACH
     }
@@ -176,8 +165,8 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(self.listener.heard)
     }
 
-    /// The next event; none when `is_over` or the broker did not answer a probe, an error when nobody reads any more. Looking at that, acknowledging what is settled, and saying what
-    /// it was quiet for long enough to say, breaks off nothing that is under way: a slow broker has the client's own limit to answer in.
+    /// The next event; `None` if `is_over` or the broker did not answer a probe, an error if the reader is gone. The checks, the
+    /// acknowledgements and the lines after a silence do not cancel the poll: a slow broker has the client's own time limit.
     async fn next(
         &mut self,
         is_over: impl Fn(&Acknowledgements) -> bool,
@@ -213,7 +202,7 @@ impl<'a, W: Write> Connection<'a, W> {
             if is_over(acknowledgements) || !*leaves && probe.is_unanswered(now) {
                 return Ok(None);
             }
-            // Without a connection nothing can be heard, which is no silence.
+            // Without a connection there is no silence, since nothing can arrive.
             let due = if *connected && !*leaves { listener.due(Instant::now()) } else { Vec::new() };
             let mut shown = |line: &String| match rehearsal {
                 Some(remark) => format!("after silence\n  says {}", remarked(line, *remark)),
@@ -251,7 +240,7 @@ impl<'a, W: Write> Connection<'a, W> {
                 if let Some(not_told) = self.greetings.pass(clock::monotonic_ns()) {
                     tracing::info!(broker = self.broker, connections, not_told, "connected");
                 }
-                // Again at every connection: a broker that lost its sessions would say nothing any more.
+                // At every connection: a broker that lost its sessions would send no messages.
                 self.subscriptions.start(greeting);
             }
             Event::Outgoing(Outgoing::Subscribe(_)) if self.probe_waits => self.probe_waits = false,
@@ -281,7 +270,8 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Says what waits, oldest first, while `may` allows it, which hears whether there is room for one more, and where too much waits.
+    /// Processes queued messages, oldest first, while `may` allows it. Its argument says whether there is room for one more, or the queue
+    /// is too large.
     fn say_held(&mut self, connections: u64, may: impl Fn(&Publish, bool) -> bool) -> Result<Turn, MqttError> {
         while let Some(held) = self.held.pop_front() {
             let room = self.acknowledgements.have_room() || self.held_bytes > HELD_BYTES_MAX;
@@ -306,7 +296,6 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Writes what a message says, or what becomes of it.
     fn hear(&mut self, message: &Publish, payload_bytes: usize) -> std::io::Result<()> {
         let (topic, payload, retained, now) = (&message.topic, &message.payload, message.retain, Instant::now());
         if topic == probe::TOPIC && !self.probe_is_read {
@@ -335,9 +324,10 @@ impl<'a, W: Write> Connection<'a, W> {
         lines.iter().try_for_each(|line| write_line(&mut self.out, line))
     }
 
-    /// Takes what was read before the connection broke: the broker sends it again and it is recognised. Then a pause.
+    /// Processes the messages that were read before the connection broke: the broker sends them again, and they are recognised. Then a
+    /// pause.
     async fn lost(&mut self, error: &impl Display, connections: &mut u64, stop: &Stop) -> Result<Turn, MqttError> {
-        // Whoever is asked to stop tries no more.
+        // After a request to stop there is no new try.
         if !stop.requested()
             && let Some(not_told) = self.log.pass(clock::monotonic_ns())
         {
@@ -347,7 +337,7 @@ impl<'a, W: Write> Connection<'a, W> {
         if matches!(turn, Turn::On) {
             turn = self.say_held(*connections, |_, _| true)?;
         }
-        // Subscriptions that were not sent are made again at the next connection.
+        // The next connection makes unsent subscriptions again.
         renew(&mut self.events);
         self.subscriptions.stop();
         self.probe.stop();
@@ -370,13 +360,13 @@ impl<'a, W: Write> Connection<'a, W> {
         Ok(Turn::On)
     }
 
-    /// Waits until what was said is settled and acknowledged, and sends a farewell behind that; then stays until the broker has closed the
-    /// connection: it has read all then. What it sends meanwhile, and what nobody settles, is not acknowledged and comes again in the next session.
+    /// Waits until the lines are settled and acknowledged, sends a farewell, and stays until the broker closes the connection, which shows
+    /// that it has read everything. Later or unsettled messages are not acknowledged, and come again in the next session.
     async fn leave(&mut self, connections: &mut u64) -> Result<(), MqttError> {
         if !self.connected {
             return Ok(());
         }
-        // What was read with an event before is said still: nobody has seen it yet. What waits comes again, but for what the broker does not keep.
+        // Messages read with an event are still processed. Queued messages come again, except messages that the broker does not store.
         if matches!(self.drain(connections)?, Turn::Unread) {
             return Ok(());
         }
@@ -393,7 +383,7 @@ impl<'a, W: Write> Connection<'a, W> {
             self.take(&event, connections)?;
         }
         let end = tokio::time::Instant::now() + FAREWELL;
-        // It finds no room while too many acknowledgements are on their way.
+        // The client has no room while too many acknowledgements are in its queue.
         let mut said = false;
         loop {
             said = said || self.client.try_disconnect().is_ok();

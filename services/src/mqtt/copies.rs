@@ -1,4 +1,4 @@
-//! Which messages are further copies of one that was read.
+//! Recognises further copies of a message.
 
 use std::collections::VecDeque;
 
@@ -6,16 +6,16 @@ use rumqttc::v5::mqttbytes::v5::Publish;
 
 use super::rules::{Fingerprint, fingerprint};
 
-/// Messages that are remembered. A broker sends the copies of one closely behind one another.
+/// Messages that are remembered. A broker sends the copies of one message in close succession.
 const REMEMBERED: usize = 256;
-/// Subscriptions that are remembered of a message. What comes by more of them is read again.
+/// Subscriptions that are remembered per message. Copies of more subscriptions are read again.
 const SUBSCRIPTIONS_MAX: usize = 64;
 
-/// The messages that were read lately, oldest first. Where filters overlap, a broker may send a message once for each filter that it fits; the
-/// subscription's identifier says for which. By one subscription the messages of a topic come in their order, and each of them once. So a message
-/// is a copy where an equal one was read after the last that came by its own subscription.
+/// The latest messages, oldest first. If filters overlap, a broker may send a message once for each matching filter, with the
+/// subscription's identifier. Each subscription delivers the messages of a topic in order, and each once. So a message is a copy if an
+/// equal one was read after the last message of its subscription.
 ///
-/// A copy that does not come harms nothing: nobody waits for it. Neither does a broker that sends one copy with all identifiers, or with none.
+/// A missing copy does no harm, since no code waits for it. Nor does a broker that sends one copy with all identifiers, or with none.
 #[derive(Debug, Default)]
 pub(super) struct Copies(VecDeque<Read>);
 
@@ -24,17 +24,16 @@ struct Read {
     topic: Fingerprint,
     payload: Fingerprint,
     retained: bool,
-    /// By which subscriptions it has come.
     by: Vec<usize>,
 }
 
 impl Copies {
-    /// Whether this message was read already, as it came by another subscription. Takes note of it.
+    /// Whether this message was read already through another subscription. Records it.
     pub(super) fn take(&mut self, message: &Publish) -> bool {
         let identifiers = message.properties.iter().flat_map(|properties| &properties.subscription_identifiers);
         let mut by: Vec<_> = identifiers.copied().take(SUBSCRIPTIONS_MAX).collect();
         if by.is_empty() {
-            // No subscription's identifier is 0: all that have none count as one.
+            // No subscription has the identifier 0: all without an identifier count as one.
             by.push(0);
         }
         let (topic, payload) = (fingerprint(&message.topic), fingerprint(&message.payload));
@@ -55,7 +54,7 @@ impl Copies {
         false
     }
 
-    /// A session begins: nothing that was sent before comes again.
+    /// A new session does not repeat earlier messages.
     pub(super) fn forget(&mut self) {
         self.0.clear();
     }
@@ -68,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// Of messages with a payload and the subscriptions that they come by, the payloads that are read.
+    /// The payloads that are read, for messages with a payload and subscriptions.
     fn read(messages: &[(&str, &[usize])]) -> String {
         let mut copies = Copies::default();
         let mut read = String::new();
@@ -84,7 +83,7 @@ mod tests {
 
     #[test]
     fn a_message_is_read_once_however_its_copies_come() {
-        // One behind the other; behind other messages; the other way round.
+        // In succession; after other messages; in reverse order.
         assert_eq!(read(&[("x", &[1]), ("x", &[2]), ("x", &[1]), ("x", &[2])]), "xx");
         assert_eq!(read(&[("x", &[1]), ("x", &[1]), ("y", &[1]), ("x", &[2]), ("x", &[2]), ("y", &[2])]), "xxy");
         assert_eq!(read(&[("x", &[1]), ("x", &[2]), ("x", &[2]), ("x", &[1])]), "xx");

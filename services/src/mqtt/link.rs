@@ -1,8 +1,8 @@
-//! A link to a broker for programs that speak and listen: in a thread of its own, with bounded memory, connected again for ever.
+//! A link to a broker for programs that send and receive. It runs in its own thread, with bounded memory, and reconnects for ever.
 //!
-//! What is said while there is no connection is refused, not kept: whoever speaks knows what is true then, and an order that is an hour
-//! old must not be carried out. What a broken connection had not delivered is dropped for the same reason, and the number of the
-//! connection changes, so that the speaker says again what still holds.
+//! Without a connection a message is rejected, not queued: the sender knows the current state, and an order must not be carried out an hour
+//! later. The undelivered messages of a broken connection are dropped for the same reason. The number of the connection then changes, so
+//! that the sender repeats current messages.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::fmt::Display;
@@ -26,17 +26,15 @@ use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
-/// Messages that may wait to be sent.
+/// Most messages in the send queue.
 pub const SAYING_MAX: usize = 128;
-/// Bytes of messages that may wait to be read; the oldest give way.
+/// Most bytes of unread messages; the oldest are dropped.
 pub const HEARING_BYTES_MAX: usize = 4 << 20;
-/// Messages on their way whose receipt the broker has not confirmed.
 const UNCONFIRMED_MAX: u16 = 32;
-/// What a packet has beside topic and payload: its head, the lengths, an identifier and how long it holds.
+/// Bytes of a packet in addition to topic and payload: its head, the lengths, an identifier and the expiry.
 const PACKET_BYTES: usize = 15;
-/// Topics of which it is said that a message is too large.
+/// Most topics in warnings about large messages.
 const TOO_LARGE_MAX: usize = 64;
-/// Complaints about the broker come at most so often.
 const QUIET_NS: u64 = 30_000_000_000;
 
 /// A message from the broker.
@@ -44,46 +42,44 @@ const QUIET_NS: u64 = 30_000_000_000;
 pub struct Heard {
     /// Its topic.
     pub topic: String,
-    /// What it says.
+    /// The payload.
     pub payload: Vec<u8>,
-    /// Whether the broker has kept it: it tells how things are, not what has just happened.
+    /// Whether the broker stored it: then it is a state, not an event.
     pub retained: bool,
 }
 
-/// What is told to whoever listens when this link is gone.
+/// The message that the broker publishes when this link is gone.
 #[derive(Debug, Clone)]
 pub struct Will {
     /// The topic, retained.
     pub topic: String,
-    /// What it says.
+    /// The payload.
     pub payload: String,
 }
 
-/// What both threads know.
+/// State of both threads.
 #[derive(Debug, Default)]
 struct Shared {
-    /// The number of the connection that stands, 0 for none.
+    /// The number of the current connection, 0 for none.
     connection: u64,
-    /// Connections until now.
     connections: u64,
     heard: VecDeque<Heard>,
     heard_bytes: usize,
-    /// Messages said over this connection, and those that the broker has.
+    /// Messages sent over this connection, and messages that the broker has confirmed.
     said: u64,
     confirmed: u64,
     refused: u64,
     disconnected: bool,
     turned_ns: BootNs,
-    /// The largest packet that this broker takes.
     packet_max: Option<u32>,
-    /// Topics of messages that were larger.
+    /// Topics with larger messages.
     too_large: BTreeSet<String>,
-    /// Messages with a payload that was too large.
+    /// Received messages with a payload that is too large.
     oversized: u64,
 }
 
 impl Shared {
-    /// Whether the broker would end the connection at a message; said once of a topic.
+    /// Whether the broker would end the connection at a message. Logged once per topic.
     fn is_too_large(&mut self, topic: &str, payload: &str) -> bool {
         let Some(packet_max) = self.packet_max else { return false };
         let bytes = PACKET_BYTES + topic.len() + payload.len();
@@ -100,7 +96,7 @@ impl Shared {
     }
 }
 
-/// The link. Dropped, it ends without a farewell, so that the broker publishes the will.
+/// The link. A drop ends it without a farewell, so the broker publishes the will.
 #[derive(Debug)]
 pub struct Link {
     client: AsyncClient,
@@ -114,19 +110,18 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 }
 
 impl Link {
-    /// Connects, and subscribes to `filters` at every connection. Whatever is wrong with the set-up shows here; a broker that is away is
-    /// waited for.
+    /// Connects, and subscribes to `filters` at every connection. A fault of the set-up is an error; the link waits for an absent broker.
     ///
     /// # Errors
     ///
     /// [`MqttError`] for an address or a file that cannot be used, and where the system has no thread.
     pub fn start(broker: &Broker, mut filters: Vec<String>, will: Option<Will>) -> Result<Self, MqttError> {
-        // First, so that it is answered before any message can be too large.
+        // It comes first, so that the broker answers it before any message can be too large.
         if !filters.is_empty() {
             filters.insert(0, probe::TOPIC.to_owned());
         }
         let mut options = broker.options()?;
-        // Nothing is to be kept for it while it is away.
+        // The broker need not keep messages while this process is away.
         options.set_clean_start(true).set_session_expiry_interval(Some(0));
         options.set_outgoing_inflight_upper_limit(UNCONFIRMED_MAX);
         if let Some(Will { topic, payload }) = will {
@@ -156,21 +151,21 @@ impl Link {
         Ok(Self { client, shared, stop, thread: Some(thread) })
     }
 
-    /// The number of the connection that stands, 0 for none. A new number means that what was said before may not have arrived.
+    /// The number of the current connection, 0 for none. After a new number, earlier messages may be lost.
     #[must_use]
     pub fn connection(&self) -> u64 {
         lock(&self.shared).connection
     }
 
-    /// When the thread last looked up, in monotonic nanoseconds.
+    /// The time of the thread's last turn, in monotonic nanoseconds.
     #[must_use]
     pub fn turned_ns(&self) -> BootNs {
         lock(&self.shared).turned_ns
     }
 
-    /// Says something; whether it was taken. Without a connection, or with too much under way, it is not. What is larger than the broker takes is
-    /// left out: it would end the connection, and all that is said with it. `keep` is MQTT's retain;
-    /// `for_s` is how long the broker may hold it for whoever is away.
+    /// Sends a message; returns whether it was accepted. Without a connection, or with a full queue, it is not. A message that exceeds the
+    /// broker's limit is left out, since it would end the connection and lose the others. `keep` is MQTT's retain; `for_s` is the time that
+    /// the broker may store it for absent clients.
     pub fn say(&self, topic: &str, payload: &str, keep: bool, for_s: Option<u32>) -> bool {
         let mut shared = lock(&self.shared);
         if shared.connection == 0 {
@@ -186,14 +181,14 @@ impl Link {
         said
     }
 
-    /// Messages of this connection that the broker has not confirmed.
+    /// Messages of this connection without the broker's confirmation.
     #[must_use]
     pub fn unconfirmed(&self) -> u64 {
         let shared = lock(&self.shared);
         shared.said - shared.confirmed
     }
 
-    /// What was heard since the last call.
+    /// Messages received since the last call.
     #[must_use]
     pub fn heard(&self) -> Vec<Heard> {
         let mut shared = lock(&self.shared);
@@ -201,7 +196,7 @@ impl Link {
         shared.heard.drain(..).collect()
     }
 
-    /// Waits until the broker has what was said, for two seconds at most, and leaves it: no will is published.
+    /// Waits for the broker's confirmations, at most two seconds, and leaves: no will is published.
     pub fn leave(mut self) {
         let start = Instant::now();
         while start.elapsed() < FAREWELL && self.connection() > 0 && self.unconfirmed() > 0 {
@@ -234,19 +229,17 @@ fn shown(options: &MqttOptions) -> String {
     format!("{host}:{port}")
 }
 
-/// The thread's side.
 struct Turning {
     broker: String,
     client: AsyncClient,
     events: EventLoop,
     shared: Arc<Mutex<Shared>>,
-    /// The first is the probe's, where there are any.
+    /// The first is the probe's, if there are any.
     filters: Vec<String>,
     probe: Probe,
     log: Limiter,
     large: Limiter,
     greetings: Limiter,
-    /// The pause before the next connection.
     pause: Duration,
     stop: Stop,
 }
@@ -255,7 +248,7 @@ impl Turning {
     async fn turn(mut self) {
         while !self.stop.requested() {
             let event = {
-                // Looking at the wish to stop breaks off nothing that is under way.
+                // The check for a stop must not cancel the poll.
                 let mut poll = pin!(self.events.poll());
                 loop {
                     lock(&self.shared).turned_ns = clock::monotonic_ns();
@@ -289,14 +282,13 @@ impl Turning {
                     None => self.greet(&greeting),
                 },
                 Ok(event) => self.take(event),
-                // It closes the connection of whoever has said farewell.
+                // The broker closes the connection after a farewell.
                 Err(_) if lock(&self.shared).disconnected => return,
                 Err(error) => self.lost(&broken(&error)).await,
             }
         }
     }
 
-    /// Drops the connection, and waits before the next.
     async fn lost(&mut self, error: &impl Display) {
         self.lose();
         if !self.stop.requested()
@@ -311,7 +303,7 @@ impl Turning {
         }
     }
 
-    /// Drops what a broken connection had under way. Under the lock, so that nothing is said into it meanwhile.
+    /// Drops the unfinished messages of a broken connection. The lock keeps new messages out in the process.
     fn lose(&mut self) {
         let mut shared = lock(&self.shared);
         (shared.connection, shared.said, shared.confirmed) = (0, 0, 0);
@@ -319,7 +311,6 @@ impl Turning {
         renew(&mut self.events);
     }
 
-    /// A connection stands.
     fn greet(&mut self, greeting: &ConnAck) {
         self.pause = RECONNECT;
         correct_keep_alive(&mut self.events);
@@ -328,7 +319,7 @@ impl Turning {
         shared.packet_max = greeting.properties.as_ref().and_then(|properties| properties.max_packet_size);
         let connections = shared.connections;
         let filters: Vec<_> = self.filters.iter().map(|path| Filter::new(path, QoS::AtLeastOnce)).collect();
-        // Before anything is said over this connection, so that an answer is not missed.
+        // The subscription precedes all messages, so that no answer is missed.
         if !filters.is_empty() {
             match self.client.try_subscribe_many(filters) {
                 Ok(()) => {
@@ -363,7 +354,7 @@ impl Turning {
                 shared.confirmed += 1;
                 if !matches!(answer.reason, PubAckReason::Success | PubAckReason::NoMatchingSubscribers) {
                     shared.refused += 1;
-                    // Each doubling of their number is one line.
+                    // The log has one line for each doubling of their number.
                     if shared.refused.is_power_of_two() {
                         tracing::error!(broker = self.broker, reason = ?answer.reason, refused = shared.refused, "the broker refuses what is published; give this client the right to write its topics");
                     }
@@ -415,7 +406,6 @@ mod tests {
     use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
     use crate::skipped::skipped;
 
-    /// Far longer than anything here takes.
     const PATIENCE: Duration = Duration::from_secs(60);
 
     fn eventually(what: &str, mut holds: impl FnMut() -> bool) {
@@ -433,7 +423,6 @@ mod tests {
         Link::start(&broker, vec![filter.to_owned()], Some(will)).unwrap()
     }
 
-    /// What a link hears until it has heard a payload.
     fn hear_until(link: &Link, payload: &str) -> Vec<Heard> {
         let mut all = Vec::new();
         eventually(payload, || {
@@ -456,7 +445,7 @@ mod tests {
         assert!(speaker.say("order/clean", "one", false, Some(30)));
         assert_eq!(hear_until(&ears, "one").len(), 1);
         eventually("the broker has it", || speaker.unconfirmed() == 0);
-        // The broker goes. What is said while nobody has noticed yet goes with it.
+        // The broker goes. A message sent before the link notices is lost.
         let first = speaker.connection();
         broker.stop();
         while speaker.connection() == first {
@@ -487,7 +476,7 @@ mod tests {
         assert_eq!(said, ["will/leaving", "will/dropped"], "{heard:?}");
     }
 
-    /// One message that the broker does not take ended the connection, again and again, and nothing was told at all.
+    /// One message beyond the broker's limit ended the connection again and again, and no message arrived.
     #[test]
     fn what_is_larger_than_the_broker_takes_is_left_out() {
         let port = free_port();

@@ -1,4 +1,4 @@
-//! Which messages are said.
+//! Decides which messages become narration.
 
 use std::collections::{HashMap, HashSet};
 use std::mem::{Discriminant, discriminant};
@@ -9,84 +9,79 @@ use super::rules::{Fingerprint, Rules, Said, Value, fingerprint};
 use super::{PAYLOAD_BYTES_MAX, TOPICS_MAX, WAITING_BYTES_MAX, WAITING_MAX};
 use crate::rule::Class;
 
-/// What Home Assistant says of a device that it does not hear: no state of the device, unless a rule speaks of it.
+/// Home Assistant's values for a device out of reach. They are not a state of the device, unless a rule names them.
 const NO_STATE: [&str; 2] = ["unknown", "unavailable"];
 
-/// Counts of what came and what was said.
+/// Counts of messages and lines.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Heard {
-    /// Lines of narration that messages became.
+    /// Lines of narration.
     pub said: u64,
-    /// Messages that no rule fits.
+    /// Messages without a matching rule.
     pub unfit: u64,
-    /// Messages that said nothing new, or how things are.
+    /// Messages that repeated a value, or only gave a state.
     pub silent: u64,
-    /// Messages of which a rule would say what is no narration.
+    /// Messages with a line that would not be narration.
     pub unsayable: u64,
     /// Messages that are larger than [`PAYLOAD_BYTES_MAX`].
     pub oversized: u64,
 }
 
-/// What becomes of a message by one rule.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Outcome {
     /// The rule's number, from 1.
     pub(super) number: usize,
-    /// What it read.
     pub(super) value: Rc<Value>,
     pub(super) what: What,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum What {
-    /// Said at once, as a line of JSON.
+    /// A line of JSON, sent at once.
     Said(String),
-    /// To be said after this silence.
+    /// A line to be sent after this silence.
     Waits(String, Duration),
-    /// A rule before it has spoken of this value.
+    /// An earlier rule has used this value.
     Later,
-    /// It speaks of other values.
+    /// The rule is for other values.
     OtherValue,
-    /// The topic's last value was the same.
     Repeated,
-    /// Retained: how things are, not what has just happened.
+    /// The message is retained: a state, not an event.
     State,
-    /// What it would say is no narration, for this reason.
+    /// The line is not narration, for this reason.
     Unfit(String),
 }
 
-/// What is said unless something else is said before.
+/// A line that is sent unless another line is sent before.
 #[derive(Debug)]
 pub(super) struct Waiting {
     pub(super) line: String,
     since: Instant,
     quiet: Duration,
-    /// It waits for its state to last, and for no silence: the rule, and the place and value of the state.
+    /// The line waits for a state to last instead of for silence.
     lasting: Option<Lasting>,
 }
 
-/// A rule's number, and the place and value of a state.
 type Lasting = (usize, Fingerprint, Fingerprint);
 
-/// Decides which messages are said. Pure: time comes in.
+/// Decides which messages become narration. Pure: time is an argument.
 #[derive(Debug)]
 pub struct Listener {
     pub(super) rules: Rules,
-    /// The last value of each topic.
     last: HashMap<Fingerprint, Fingerprint>,
-    /// What rules with `quiet_s` have to say, each line once.
+    /// Lines of rules with `quiet_s`, each once.
     pub(super) waiting: Vec<Waiting>,
-    /// Whether what is retained now was retained before this process first listened.
+    /// Whether retained messages precede the first connection of this process.
     pub(super) first_connection: bool,
     pub(super) heard: Heard,
-    /// Lines that rules would have said and that are no narration, and lines that found no room to wait for silence.
+    /// Rejected lines: lines that are not narration, and lines without room to wait.
     pub(super) refused: u64,
-    /// How often each rule fitted a message.
+    /// The number of messages that each rule matched.
     pub(super) fitted: Vec<u64>,
 }
 
 impl Listener {
-    /// One that has heard nothing yet.
+    /// A new listener.
     #[must_use]
     pub fn new(rules: Rules) -> Self {
         let fitted = vec![0; rules.0.len()];
@@ -94,14 +89,14 @@ impl Listener {
         Self { rules, last, waiting, first_connection: true, heard, refused: 0, fitted }
     }
 
-    /// The narration of a message that is to be said at once, as lines of JSON; `retained` is what the broker calls it.
+    /// The lines of JSON that a message gives at once; `retained` is the broker's flag.
     pub fn hear(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<String> {
         let outcomes = self.outcomes(topic, payload, retained, now).into_iter();
         let said = outcomes.filter_map(|outcome| if let What::Said(line) = outcome.what { Some(line) } else { None });
         said.collect()
     }
 
-    /// What becomes of a message by each rule that can read it, in their order; nothing where none can.
+    /// The result of each rule that can read a message, in order.
     pub(super) fn outcomes(&mut self, topic: &[u8], payload: &[u8], retained: bool, now: Instant) -> Vec<Outcome> {
         let Ok(topic) = std::str::from_utf8(topic) else {
             self.heard.unfit += 1;
@@ -127,7 +122,7 @@ impl Listener {
         let mut lasts: HashMap<usize, Lasting> = HashMap::new();
         for Said { number, rule, line, value, held } in readings {
             let field = rule.field.as_deref();
-            // Rules that read one field read one value there.
+            // Rules with the same field read the same value.
             let by_value = || (fingerprint(format!("{topic}\n{}", field.unwrap_or_default()).as_bytes()), value.own);
             let (place, own) = held.map_or_else(by_value, |held| (held.place, held.own));
             let known = *known.entry(place).or_insert_with(|| {
@@ -150,7 +145,7 @@ impl Listener {
             let quiet = rule.saying.quiet();
             let what = match line {
                 None => What::OtherValue,
-                // The first that speaks of a value at once.
+                // Only the first rule with an immediate line for a value is used.
                 Some(_) if quiet.is_none() && !spoken.insert((field, discriminant(&rule.saying.class))) => What::Later,
                 Some(_) if known == Some(own) && (retained || !rule.repeats) => What::Repeated,
                 Some(_) if retained && !rule.retained && unknown => What::State,
@@ -198,7 +193,7 @@ impl Listener {
         outcomes
     }
 
-    /// Begins to wait; the same line begins again. Whether there is room.
+    /// Adds a waiting line; the wait of an equal line starts again. Returns whether there was room.
     fn wait(&mut self, waiting: Waiting) -> bool {
         self.waiting.retain(|other| other.line != waiting.line);
         let has_room =
@@ -213,7 +208,7 @@ impl Listener {
         self.waiting.iter().map(|waiting| waiting.line.capacity()).sum()
     }
 
-    /// Each doubling of their number is one line of the log.
+    /// The log has one line for each doubling of their number.
     fn refuse(&mut self, topic: &str, rule: usize, reason: &str) {
         self.refused += 1;
         if self.refused.is_power_of_two() {
@@ -221,7 +216,7 @@ impl Listener {
         }
     }
 
-    /// What it was quiet for long enough to say, as lines of JSON.
+    /// The lines of JSON after their silence.
     pub fn due(&mut self, now: Instant) -> Vec<String> {
         let due = |waiting: &mut Waiting| now.saturating_duration_since(waiting.since) >= waiting.quiet;
         let lines: Vec<_> = self.waiting.extract_if(.., due).map(|waiting| waiting.line).collect();
@@ -229,7 +224,7 @@ impl Listener {
         lines
     }
 
-    /// Silence counts from now on: before, nothing could be heard.
+    /// Restarts all silences: before this time no message could arrive.
     pub(super) fn listen_from(&mut self, now: Instant) {
         self.waiting.iter_mut().for_each(|waiting| waiting.since = now);
     }

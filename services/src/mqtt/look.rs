@@ -1,6 +1,6 @@
-//! A look at a broker: whether it can be reached, whether it takes the login, and which topics are there or come within a time.
+//! Tests a broker: whether it can be reached, whether it accepts the login, and which topics it has or receives in a time.
 //!
-//! For commands that look once and end. The broker keeps no session of it, and what it takes is bounded in time, topics and bytes.
+//! For commands that look once and end. The broker keeps no session, and time, topics and bytes are bounded.
 
 use std::collections::BTreeMap;
 use std::io::ErrorKind;
@@ -15,42 +15,41 @@ use roomcast_core::text::is_hidden;
 
 use super::{Broker, MqttError};
 
-/// Topics that are remembered at most.
+/// Most topics in memory.
 pub const TOPICS_MAX: usize = 10_000;
-/// Bytes of payloads that are remembered at most, all together.
+/// Most bytes of payloads in memory, in all.
 pub const BYTES_MAX: usize = 32 << 20;
-/// How long a broker may take until it has accepted the connection.
 const CONNECT_MAX: Duration = Duration::from_secs(5);
 
-/// Why a broker cannot be looked at.
+/// The test of a broker failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LookError {
     /// The set-up cannot be used.
     #[error(transparent)]
     Setup(#[from] MqttError),
-    /// Nobody answers there.
+    /// There is no answer at the address.
     #[error("no broker answers at {broker} ({fault})")]
     Unreachable {
         /// Host and port.
         broker: String,
-        /// The system's word.
+        /// The system's error.
         fault: String,
     },
-    /// The login is refused.
+    /// The broker rejects the login.
     #[error("the broker {broker} refuses the login ({reason})")]
     Login {
         /// Host and port.
         broker: String,
-        /// The broker's word.
+        /// The broker's reason.
         reason: String,
     },
-    /// What answers speaks something else, or an older MQTT.
+    /// The other side speaks another protocol, or an older MQTT.
     #[error("what answers at {broker} is no MQTT 5 broker ({fault})")]
     Foreign {
         /// Host and port.
         broker: String,
-        /// What it does.
+        /// The fault.
         fault: String,
     },
     /// TLS fails.
@@ -58,13 +57,13 @@ pub enum LookError {
     Tls {
         /// Host and port.
         broker: String,
-        /// Why.
+        /// The fault.
         fault: String,
     },
 }
 
 impl LookError {
-    /// What to do.
+    /// The remedy.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {
@@ -83,28 +82,28 @@ impl LookError {
     }
 }
 
-/// What was last said under a topic.
+/// The last message of a topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Said {
-    /// The message; empty where there was no room for it.
+    /// The payload; empty if there was no room for it.
     pub payload: Vec<u8>,
-    /// Whether the broker had kept it.
+    /// Whether it was retained.
     pub retained: bool,
 }
 
-/// What was seen.
+/// The result of a test.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Seen {
-    /// Topics, and what was last said there.
+    /// Topics, and their last messages.
     pub topics: BTreeMap<String, Said>,
-    /// Filters that the broker refuses, with its reason.
+    /// Filters that the broker rejects, with its reason.
     pub refused: Vec<(String, String)>,
     bytes: usize,
 }
 
 impl Seen {
     fn take(&mut self, topic: String, payload: &[u8], retained: bool) {
-        // No configuration can have it, and a terminal would obey it.
+        // A configuration cannot contain it, and it could control a terminal.
         if topic.contains(is_hidden) {
             return;
         }
@@ -119,11 +118,11 @@ impl Seen {
     }
 }
 
-/// Looks at a broker for this long, or until `enough` has been seen.
+/// Tests a broker for this long, or until `enough` returns true.
 ///
 /// # Errors
 ///
-/// [`LookError`] when the broker cannot be reached or refuses; a connection that breaks later gives what was seen until then.
+/// [`LookError`] when the broker cannot be reached or refuses; a connection that breaks later gives a partial result.
 pub fn look(
     broker: &Broker,
     filters: &[String],
@@ -209,7 +208,7 @@ fn fault(broker: String, error: ConnectionError) -> LookError {
             }
             _ => LookError::Unreachable { broker, fault: format!("it refuses the connection: {code:?}") },
         },
-        // The end of the connection in place of an answer is how another protocol ends, too.
+        // Another protocol also ends the connection without an answer.
         ConnectionError::Io(error) | ConnectionError::Tls(rumqttc::TlsError::Io(error))
             if is_of_network(error.kind()) =>
         {
@@ -227,7 +226,7 @@ fn fault(broker: String, error: ConnectionError) -> LookError {
     }
 }
 
-/// Whether it is the network that fails, or the name of the host, and not what answers.
+/// Whether the fault is the network or the name of the host, and not the other side.
 fn is_of_network(kind: ErrorKind) -> bool {
     !matches!(
         kind,
@@ -249,7 +248,7 @@ mod tests {
         Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "look".to_owned(), ..Broker::default() }
     }
 
-    /// Answers the first bytes of a connection with these, and ends it.
+    /// Answers the first bytes of a connection with `answer`, and ends it.
     fn foreign(answer: &'static [u8]) -> u16 {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();

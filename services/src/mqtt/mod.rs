@@ -3,21 +3,21 @@
 //! ```toml
 //! [[rule]]
 //! topic = "home/binary_sensor/fridge_door/state"   # an MQTT filter; + and # as MQTT has them
-//! when = "on"                                      # the value that it speaks of; every value where left out
+//! when = "on"                                      # the value that the rule is for; by default every value
 //! say = "They open the fridge."
 //!
 //! [[rule]]
 //! topic = "home/+/+/state"
 //! field = "/state"                                 # a JSON pointer into the payload; without it the payload is the value
-//! say = "the {2} is {value}"                       # {1}, {2}: what the + stand for, underscores as spaces
-//! person = "ada"                                   # a name, a number or a placeholder; somebody where left out
+//! say = "the {2} is {value}"                       # {1}, {2}: the levels in place of the +, with underscores as spaces
+//! person = "ada"                                   # a name, a number or a placeholder; by default an unknown person
 //!
 //! [[rule]]
 //! topic = "doorbell/faces"
 //! field = "/event"
 //! when = "seen"
 //! presence = "present"
-//! person = "{/name}"                               # a JSON pointer in braces: what the payload has there
+//! person = "{/name}"                               # a JSON pointer in braces: the payload's value there
 //!
 //! [[rule]]
 //! topic = "home/motion/+/state"
@@ -26,7 +26,7 @@
 //!
 //! [[rule]]
 //! topic = "home/plug/power"
-//! above = 15                                       # or `below`, `when`, `unless`: what means on
+//! above = 15                                       # or `below`, `when`, `unless`: the values that mean on
 //! sensor = "appliance"
 //! room = "kitchen"
 //!
@@ -34,21 +34,21 @@
 //! topic = "home/binary_sensor/front_door/state"
 //! when = "off"
 //! presence = "away"
-//! quiet_s = 600.0                                  # said when nothing else was said for so long
+//! quiet_s = 600.0                                  # sent after so many seconds without another line
 //! ```
 //!
-//! A message says one sentence, one presence and one sensor's state for each value that rules read in it (the payload, or a `field`): the first rule that
-//! fits speaks, and each that fits and has `quiet_s` begins to wait; a message that no rule fits is counted. A value that a topic repeats
-//! says nothing new and is left out, but where `repeats = true` stands, as for buttons. A retained message tells how things are, not what has just
-//! happened: at the first connection it is remembered and not said, unless its rule has `retained = true`; after a reconnection it is
-//! said if it differs from what was heard before.
+//! Each value that rules read in a message (the payload, or a `field`) gives at most one sentence, one presence and one sensor's state: of
+//! the matching rules the first one counts. Each matching rule with `quiet_s` also begins to wait. A message without a matching rule is
+//! counted. A repeated value of a topic is skipped, unless the rule has `repeats = true`, as for buttons. A retained message is a state,
+//! not an event. At the first connection it is remembered and gives no line, unless its rule has `retained = true`. After a reconnection it
+//! gives a line if it differs from the last value.
 //!
-//! The session is persistent, so that the broker keeps what arrives while this process or the connection is away; order is the broker's.
-//! A message is acknowledged when what it says is settled: confirmed by the daemon, or refused for good ([`listen_until_settled`]). So the
-//! broker holds whatever this process could lose, however it ends. What was confirmed and not yet acknowledged when it was killed is said
-//! again by the next one: no more than [`MESSAGES_AHEAD_MAX`] messages, for further ones are said when acknowledgements have gone out. MQTT 5 tells
-//! the broker how many messages it may send ahead, and how large one may be. mosquitto 2.0.11 sends further ahead all the same; that waits here.
-//! A connection over which nothing comes is probed, and renewed if the broker does not answer.
+//! The session is persistent: the broker keeps messages while this process or the connection is away, and it decides their order. A message
+//! is acknowledged when its lines are settled: confirmed by the daemon, or rejected for good ([`listen_until_settled`]). So the broker
+//! keeps every message that this process could lose, however it ends. After a kill, the next process repeats confirmed messages without an
+//! acknowledgement. They are at most [`MESSAGES_AHEAD_MAX`], since later messages wait for the acknowledgements. MQTT 5 gives the broker
+//! the number of messages that it may send ahead, and their largest size. mosquitto 2.0.11 sends more, and those wait here. A silent
+//! connection is probed, and renewed if the broker does not answer.
 
 use std::fmt::Display;
 use std::io::Write;
@@ -85,35 +85,33 @@ use broker::address_remedy;
 use connection::Connection;
 use tally::Tally;
 
-/// Messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
+/// Most messages that the broker may send before the first of them is acknowledged: MQTT's receive maximum.
 pub const MESSAGES_AHEAD_MAX: u16 = 32;
-/// Bytes of messages that a broker has sent further ahead than that: beyond them the oldest is said at once, and what is not acknowledged grows.
+/// Bytes of messages beyond that number. If there are more, the oldest is processed at once, and more messages are unacknowledged.
 pub const HELD_BYTES_MAX: usize = 8 << 20;
-/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It drops larger messages by itself, and mosquitto up to
-/// 2.0.11 then counts each of them against the receive maximum, so the limit is far above what homes publish.
+/// The largest packet that the broker may send, in bytes: MQTT's maximum packet size. It drops larger messages by itself. mosquitto up to
+/// 2.0.11 then counts each of them against the receive maximum, so the limit is far above the messages of homes.
 pub const PACKET_BYTES_MAX: u32 = 16 << 20;
-/// The largest payload that is read, in bytes; a larger one is dropped, counted and acknowledged, and the log names its topic.
+/// The largest payload, in bytes. A larger one is dropped, counted and acknowledged, and the log names its topic.
 pub const PAYLOAD_BYTES_MAX: usize = 64 << 10;
-/// Topics whose last value is remembered; more are spoken of without regard to repetition.
+/// Most topics with a remembered value. Repetitions on further topics are not recognised.
 pub const TOPICS_MAX: usize = 65_536;
-/// Rules that a file may have.
+/// Most rules of a file.
 pub const RULES_MAX: usize = 4_096;
-/// Lines that wait for silence at the same time; further ones are not said.
+/// Most lines that wait for silence; further ones are rejected.
 pub const WAITING_MAX: usize = 4_096;
-/// Bytes of all lines that wait for silence; further ones are not said.
+/// Most bytes of all lines that wait for silence; further ones are rejected.
 pub const WAITING_BYTES_MAX: usize = 1 << 20;
-/// How long the connection is listened to before the wish to stop is looked at.
+/// The interval of checks for a stop.
 pub(crate) const POLL: Duration = Duration::from_millis(200);
-/// Pause before a lost connection is tried again.
 pub(crate) const RECONNECT: Duration = Duration::from_secs(1);
-/// The longest pause where the broker itself is broken: it doubles until then.
+/// The longest pause while the broker itself is broken; the pause doubles up to this.
 pub(crate) const RECONNECT_BROKEN_MAX: Duration = Duration::from_secs(64);
-/// How long the broker has at the end to confirm what was said last, or to take the last acknowledgements.
+/// The broker's time at the end to confirm the last messages, or to take the last acknowledgements.
 pub(crate) const FAREWELL: Duration = Duration::from_secs(2);
-/// How often the broker is asked whether it is there.
 pub(crate) const KEEP_ALIVE: Duration = Duration::from_secs(30);
 
-/// Why MQTT cannot be narrated.
+/// MQTT cannot be narrated.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MqttError {
@@ -122,7 +120,7 @@ pub enum MqttError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The system's error.
         source: std::io::Error,
     },
     /// A file of credentials has no user name, or no second line.
@@ -138,16 +136,16 @@ pub enum MqttError {
     Rules {
         /// The file.
         path: PathBuf,
-        /// Where and why.
+        /// The place and the fault.
         reason: String,
     },
-    /// The broker's address is none.
+    /// The broker's address is malformed.
     #[error("{given:?} is no broker: {}", address_remedy(.given))]
     Address {
-        /// What was given.
+        /// The given address.
         given: String,
     },
-    /// The broker's address has a login in it.
+    /// The broker's address contains a login.
     #[error(
         "the broker's address has a user name or a password in it: write them into a file, a line each, and give that (--mqtt-credentials FILE, mqtt.credentials)"
     )]
@@ -166,26 +164,26 @@ pub enum MqttError {
         /// The file.
         path: PathBuf,
     },
-    /// The broker grants none of the rules' filters.
+    /// The broker rejects all filters of the rules.
     #[error(
         "the broker {broker} refuses every subscription ({reason}): give this client the right to read the topics of the rules, or change the rules"
     )]
     Refused {
         /// The broker's address.
         broker: String,
-        /// The last filter and the broker's word.
+        /// The last filter and the broker's reason.
         reason: String,
     },
     /// The client gave up.
     #[error("the MQTT client failed: {reason}")]
     Client {
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
 
-/// Listens to the broker and writes narration as lines of JSON to `out`, until it is asked to stop or `out` is closed. A lost connection
-/// is tried again for ever. At the end the broker has the acknowledgement of all that was written.
+/// Receives messages and writes narration as lines of JSON to `out`, until a stop is requested or `out` is closed. It reconnects for ever.
+/// At the end the broker has the acknowledgements of all written messages.
 ///
 /// # Errors
 ///
@@ -195,8 +193,8 @@ pub fn listen(options: MqttOptions, rules: Rules, out: impl Write, stop: &Stop) 
     runtime.block_on(Connection::new(options, rules, out).listen(stop))
 }
 
-/// As [`listen`], but the broker is told to be done with a message only when the lines that it became are settled, so that it says again
-/// what this process has lost. Counts how often each rule fits a message, where there is a tally.
+/// As [`listen`], but a message is acknowledged only after its lines are settled, so that the broker repeats lost ones. Counts the matches
+/// of each rule if there is a tally.
 ///
 /// # Errors
 ///
@@ -216,9 +214,8 @@ pub fn listen_until_settled(
     runtime.block_on(connection.listen(stop))
 }
 
-/// Listens as [`listen`] does, and writes what becomes of each message, for people: the rule, and what it would say, with what `remark` has to
-/// say of that line of JSON. Nothing is narrated, and the broker keeps nothing of it: the client has a name of its own, and its session ends
-/// with the connection.
+/// Receives messages as [`listen`] does, and writes a report about each: the rule, and its line with the text of `remark` about it. It
+/// sends no narration. The client has another name and its session ends with the connection, so the narrator's session stays unchanged.
 ///
 /// # Errors
 ///

@@ -1,17 +1,15 @@
-//! Whether a broker still delivers messages: one that answers pings may have stopped.
+//! Checks that a broker still delivers messages: a broker that answers pings may have stopped.
 //!
-//! mosquitto up to 2.0.11 counts a message that is too large for the client against the receive maximum for ever. After 32 of them it delivers no
-//! message of quality 1 over this connection. A new connection begins a new count.
+//! mosquitto up to 2.0.11 counts a message that is too large for the client against the receive maximum for ever. After 32 of them it
+//! delivers no message of quality 1 over this connection. A new connection begins a new count.
 
 use std::time::{Duration, Instant};
 
-/// A retained message that mosquitto has and never changes: each subscription to it brings it, over the same way as any other message.
+/// A retained message that mosquitto has and never changes. Each subscription to it delivers it in the same way as other messages.
 pub(super) const TOPIC: &str = "$SYS/broker/version";
-/// A connection that was silent for so long is probed.
 const SILENCE: Duration = Duration::from_secs(10);
-/// A broker that answered probes before is given so much time for another answer.
+/// The time for an answer, if the broker has answered probes before.
 const ANSWER: Duration = Duration::from_secs(5);
-/// Why a connection is renewed.
 pub(super) const SILENT: &str = "the broker delivers no messages any more: it did not answer a probe within 5 s. If devices publish messages above \
                                  16 MiB on topics of the rules, leave these topics out: some brokers drop each of them and then wait for its acknowledgement";
 
@@ -31,17 +29,15 @@ impl Probe {
         Self { is_due: false, asked: None, heard: now, answers: false }
     }
 
-    /// A connection begins.
     pub(super) fn start(&mut self, now: Instant) {
         (self.is_due, self.asked, self.heard) = (true, None, now);
     }
 
-    /// The connection has ended.
     pub(super) fn stop(&mut self) {
         (self.is_due, self.asked) = (false, None);
     }
 
-    /// A message of quality 1 or 2 has come: the receive maximum limits these.
+    /// Records a message of quality 1 or 2: the receive maximum limits these.
     pub(super) fn hear(&mut self, topic: &[u8], now: Instant) {
         (self.asked, self.heard) = (None, now);
         self.answers |= topic == TOPIC.as_bytes();
@@ -58,12 +54,10 @@ impl Probe {
         self.is_due
     }
 
-    /// A probe was sent.
     pub(super) fn sent(&mut self, now: Instant) {
         (self.is_due, self.asked) = (false, Some(now));
     }
 
-    /// Whether to renew the connection.
     pub(super) fn is_unanswered(&self, now: Instant) -> bool {
         self.answers && self.asked.is_some_and(|asked| now.saturating_duration_since(asked) >= ANSWER)
     }

@@ -1,4 +1,4 @@
-//! Which messages a broker sends again.
+//! Recognises messages that a broker sends again.
 
 use std::collections::HashMap;
 
@@ -10,27 +10,25 @@ use sha2::{Digest, Sha256};
 use super::MESSAGES_AHEAD_MAX;
 use super::rules::Fingerprint;
 
-/// A broker whose identifiers have gone up so far takes them all in turn, and none again before.
+/// If a broker's identifiers have risen this far, it uses all in turn before it repeats one.
 const RISEN_LONG: u64 = 8 * MESSAGES_AHEAD_MAX as u64;
 
-/// What a broker may send again after a connection broke: messages that it may not have seen acknowledged. There are no more than packet
-/// identifiers, however far ahead a broker sends.
+/// Messages that a broker may send again after a connection broke: it may lack their acknowledgement. There are no more than packet
+/// identifiers.
 ///
-/// What this side has not acknowledged comes again for sure. Of what it has acknowledged it cannot know: the acknowledgement may be lost
-/// with the connection, and then the message comes again; or it has arrived, so that its identifier is free, and a new message has it, whose
-/// own first sending was lost. Both look the same. So an identifier is free as soon as something shows that the broker has the
-/// acknowledgement: the answer to a later ping, a session that is not kept, or another message of that identifier. In doubt the message is said
-/// again, but where the broker cannot have come round to this identifier. It takes either the lowest that is free, or all from 1 to some end
-/// in turn. Whichever it is, there are at least as many as the highest that it has used, so fewer new messages do not come round.
+/// A message without an acknowledgement certainly comes again. After an acknowledgement there are two cases that look the same. Either it
+/// was lost with the connection, and the message comes again. Or it arrived, and a new message has the free identifier, but its first
+/// sending was lost. So an identifier is free when the broker is known to have the acknowledgement: by the answer to a later ping, a new
+/// session, or another message of that identifier. If in doubt, the message is processed again, unless the broker cannot have reused the
+/// identifier. A broker uses either the lowest free one, or all from 1 to some end in turn. In both cases it uses at least as many as its
+/// highest so far, so fewer new messages do not reuse one.
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     messages: HashMap<u16, Remembered>,
-    /// New messages until now.
     new: u64,
-    /// The identifier of the last new message, and how far identifiers have gone up until then without going back.
+    /// The identifier of the last new message, and the rise of identifiers without a fall until then.
     last: u16,
     risen: u64,
-    /// The highest identifier of the session until now.
     highest: u16,
 }
 
@@ -38,25 +36,23 @@ pub(super) struct Recent {
 struct Remembered {
     connection: u64,
     text: Fingerprint,
-    /// The last line that it said, or that was said before it.
+    /// Its last line, or the last line before it.
     line: u64,
-    /// Its number among the new messages.
     number: u64,
     acknowledged: Acknowledged,
 }
 
-/// What is known of an acknowledgement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Acknowledged {
     No,
-    /// On its way.
+    /// It is on its way.
     Sent,
-    /// On its way, and a ping behind it.
+    /// It is on its way, and a ping follows it.
     Pinged,
 }
 
 impl Recent {
-    /// For a message that an earlier connection brought, the line that it waits for.
+    /// The line of a message that an earlier connection delivered already.
     pub(super) fn again(&mut self, connection: u64, message: &Publish) -> Option<u64> {
         let ahead = u64::from(MESSAGES_AHEAD_MAX);
         let before = self.messages.get_mut(&message.pkid).filter(|_| message.dup && message.qos != QoS::AtMostOnce)?;
@@ -74,12 +70,11 @@ impl Recent {
         Some(before.line)
     }
 
-    /// Takes note of a message that waits for a line.
     pub(super) fn take(&mut self, connection: u64, message: &Publish, line: u64) {
         if message.qos == QoS::AtMostOnce {
             return;
         }
-        // After the highest identifier comes 1.
+        // 1 follows the highest identifier.
         let step = (u32::from(message.pkid) + u32::from(u16::MAX) - u32::from(self.last)) % u32::from(u16::MAX);
         let is_near = (1..=2 * u32::from(MESSAGES_AHEAD_MAX)).contains(&step);
         self.risen = if is_near { self.risen + u64::from(step) } else { 0 };
@@ -88,7 +83,6 @@ impl Recent {
         self.messages.insert(message.pkid, Remembered { connection, text, line, number: self.new, acknowledged });
     }
 
-    /// What the client has sent.
     pub(super) fn sent(&mut self, packet: &Outgoing) {
         match packet {
             Outgoing::PubAck(pkid) => {
@@ -101,12 +95,12 @@ impl Recent {
         }
     }
 
-    /// The broker has answered a ping: it has read all that was sent before.
+    /// After the answer to a ping, the broker has read all packets before it.
     pub(super) fn answered(&mut self) {
         self.messages.retain(|_, message| message.acknowledged != Acknowledged::Pinged);
     }
 
-    /// A connection begins. Pings of the last one are not answered any more; of a session that the broker has not kept nothing comes again.
+    /// Begins a connection. Earlier pings will have no answer. After a new session no message comes again.
     pub(super) fn connect(&mut self, is_kept: bool) {
         if is_kept {
             self.every(Acknowledged::Pinged, Acknowledged::Sent);

@@ -1,4 +1,4 @@
-//! What becomes of each message, for people.
+//! Reports for people about each message.
 
 use roomcast_core::text::visible;
 
@@ -6,7 +6,7 @@ use super::PAYLOAD_BYTES_MAX;
 use super::listener::{Outcome, What};
 use super::rules::{Rules, Value};
 
-/// How a text from outside begins, on one line of a terminal: quotes as they are, so that JSON can be read.
+/// The beginning of an outside text, on one line of a terminal. Quotes stay, so that JSON is legible.
 #[must_use]
 pub fn shown(bytes: &[u8]) -> String {
     const LONGEST: usize = 120;
@@ -17,15 +17,13 @@ pub fn shown(bytes: &[u8]) -> String {
     format!("{}{rest}", visible(&start))
 }
 
-/// What is beside a line that would be said; nothing where it needs no word.
+/// Gives a remark about a line, if there is one.
 pub(super) type Remark<'a> = dyn FnMut(&str) -> Option<String> + 'a;
 
-/// A line that would be said, with what there is to say of it.
 pub(super) fn remarked(line: &str, remark: &mut Remark<'_>) -> String {
     remark(line).map_or_else(|| line.to_owned(), |remark| format!("{line}\n    {}", visible(&remark)))
 }
 
-/// What becomes of a message, for people.
 pub(super) fn report(
     rules: &Rules,
     (topic, payload, retained): (&[u8], &[u8], bool),

@@ -1,4 +1,4 @@
-//! Rules, and what each makes of a message.
+//! Rules, and the lines that they make of messages.
 
 use std::cell::{Cell, OnceCell};
 use std::collections::HashMap;
@@ -18,14 +18,13 @@ use crate::line::{LINE_BYTES_MAX, Who, line_item};
 use crate::rule::{Class, Device, Keys, Saying, Whereabouts};
 use crate::sensor_log::RULES_BYTES_MAX;
 
-/// Longest time for which a state must last, in seconds: a day.
+/// Longest time for which a state must last: a day.
 const LASTING_S_MAX: f64 = 86_400.0;
 
-/// The rules by which messages become narration.
+/// The rules that turn messages into narration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rules(pub(super) Vec<Rule>);
 
-/// A rules file.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RulesFile {
@@ -33,7 +32,6 @@ struct RulesFile {
     rules: Vec<RuleKeys>,
 }
 
-/// A rule as it stands in the file.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RuleKeys {
@@ -67,7 +65,6 @@ struct RuleKeys {
     only_on: bool,
 }
 
-/// A further condition of a rule, as it stands in the file.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AlsoKeys {
@@ -80,7 +77,7 @@ struct AlsoKeys {
     below: Option<f64>,
 }
 
-/// A further condition: a rule reads no message that does not meet it.
+/// A further condition: a rule reads only messages that meet it.
 #[derive(Debug, Clone, PartialEq)]
 struct Also {
     field: String,
@@ -112,7 +109,7 @@ struct NamedLevel {
 }
 
 impl NamedLevel {
-    /// None for a level without braces.
+    /// `None` for a level without braces.
     fn new(level: &str) -> Result<Option<Self>, String> {
         let Some((before, rest)) = level.split_once('{') else { return Ok(None) };
         let (name, after) = rest.split_once('}').ok_or("a brace in the topic is not closed")?;
@@ -125,65 +122,62 @@ impl NamedLevel {
         Ok(Some(Self { before: before.to_owned(), name: name.to_owned(), after: after.to_owned() }))
     }
 
-    /// The part of a level that the name stands for.
+    /// The part of a level in place of the name.
     fn part<'a>(&self, level: &'a str) -> Option<&'a str> {
         let part = level.strip_prefix(self.before.as_str())?.strip_suffix(self.after.as_str())?;
         Some(part).filter(|part| !part.is_empty())
     }
 }
 
-/// What a rule is about.
+/// The content of a rule, for `doctor`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RuleAbout<'a> {
     /// Its number, from 1.
     pub number: usize,
     /// Its filter.
     pub topic: &'a str,
-    /// The value that it speaks of.
+    /// The value that it is for.
     pub when: Option<&'a str>,
-    /// The room that it names; it may have placeholders.
+    /// Its room, possibly with placeholders.
     pub room: Option<String>,
-    /// The room beyond a door that it names; it may have placeholders.
+    /// Its room beyond a door, possibly with placeholders.
     pub beyond: Option<String>,
-    /// The person that it names; it may have placeholders.
+    /// Its person, possibly with placeholders.
     pub person: Option<String>,
-    /// The sentence that it says; it may have placeholders.
+    /// Its sentence, possibly with placeholders.
     pub sentence: Option<String>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rule {
-    /// The filter that the broker gets.
+    /// The filter for the broker.
     topic: String,
-    /// For each `+` of the filter the named level that it stands for.
+    /// The named level of each `+` of the filter.
     named: Vec<Option<NamedLevel>>,
-    /// Messages that do not meet them are not read.
     all: Vec<Also>,
-    /// The state is said when it has held for so long.
+    /// The time that the state must last before it is reported.
     pub(super) lasting: Option<Duration>,
     pub(super) field: Option<String>,
     when: Option<String>,
     condition: Condition,
-    /// What tells its condition from others in [`Rules::keys`].
+    /// Distinguishes its condition from others in [`Rules::keys`].
     condition_key: String,
     pub(super) retained: bool,
-    /// Whether each message is an event of its own, as of a button.
+    /// Whether each message is a new event, as from a button.
     pub(super) repeats: bool,
-    /// JSON pointers in its braces.
     pointers: Vec<String>,
     pub(super) saying: Saying,
 }
 
-/// What a rule makes of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Said<'a> {
     /// The rule's number, from 1.
     pub(super) number: usize,
     pub(super) rule: &'a Rule,
-    /// A line of JSON. None where the rule speaks of other values only: the value is remembered, so that the next one it speaks of is news.
+    /// A line of JSON. `None` if the rule is for other values: the value is remembered, so that the next matching value is new.
     pub(super) line: Option<Line>,
     pub(super) value: Rc<Value>,
-    /// What decides whether it is news, if that is not the value.
+    /// The state that decides whether it is new, if that is not the value.
     pub(super) held: Option<Held>,
 }
 
@@ -193,14 +187,14 @@ pub(super) struct Held {
     /// The device, or the rule and its topic.
     pub(super) place: Fingerprint,
     pub(super) own: Fingerprint,
-    /// Whether it shows that a person is there, or did something.
+    /// Whether it shows that a person is there or did something.
     pub(super) is_on: bool,
 }
 
-/// A line of JSON, or why there is none that can be narrated.
+/// A line of JSON, or the reason why it is not narration.
 pub(super) type Line = Result<String, String>;
 
-/// What a message says at one place.
+/// The value at one place of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Value {
     pub(super) text: String,
@@ -208,7 +202,7 @@ pub(super) struct Value {
     pub(super) own: Fingerprint,
 }
 
-/// A message, of which each part is read once, however many rules read it.
+/// A message with a cache: each part is read once, however many rules read it.
 struct Reading<'a> {
     payload: &'a [u8],
     json: OnceCell<Option<serde_json::Value>>,
@@ -219,22 +213,21 @@ impl<'a> Reading<'a> {
         Self { payload, json: OnceCell::new() }
     }
 
-    /// The payload as JSON; none where it is none.
     fn json(&self) -> Option<&serde_json::Value> {
         self.json.get_or_init(|| serde_json::from_slice(self.payload).ok()).as_ref()
     }
 
-    /// The whole payload, or what it has at a pointer.
+    /// The whole payload, or its value at a pointer.
     fn value(&self, field: Option<&str>) -> Option<Rc<Value>> {
         let text = match field {
-            // An empty payload is what a broker sends when a retained message is taken away: nobody has said anything.
+            // A broker sends an empty payload when a retained message is removed: it is not an event.
             None => content(std::str::from_utf8(self.payload).ok()?.trim()).filter(|text| !text.is_empty())?,
             Some(field) => text_at(self.json()?, field)?,
         };
         Some(Value::of(text))
     }
 
-    /// A value of null, which says that a sensor has no state.
+    /// A null, which means that a sensor is unavailable.
     fn null(&self, field: Option<&str>) -> Option<Rc<Value>> {
         self.json()?.pointer(field?)?.is_null().then(|| Value::of("null".to_owned()))
     }
@@ -255,7 +248,7 @@ impl Rules {
     ///
     /// [`MqttError::Read`], [`MqttError::Rules`] with the rule's number.
     pub fn load(path: &Path) -> Result<Self, MqttError> {
-        // Of a relative path nobody knows from where it was tried.
+        // A relative path in an error would not show its folder.
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         match read_text_at_most(&path, RULES_BYTES_MAX) {
             Ok(text) => Self::parse(&text).map_err(|reason| MqttError::Rules { path, reason }),
@@ -267,7 +260,7 @@ impl Rules {
     ///
     /// # Errors
     ///
-    /// What is wrong, with the rule's number.
+    /// The fault, with the rule's number.
     pub fn parse(text: &str) -> Result<Self, String> {
         let file: RulesFile = toml::from_str(text).map_err(|error| toml_says(&error))?;
         if file.rules.is_empty() || file.rules.len() > RULES_MAX {
@@ -280,7 +273,7 @@ impl Rules {
         rules.collect::<Result<_, _>>().map(Self)
     }
 
-    /// What `doctor` asks of each rule, in their order.
+    /// The content of each rule for `doctor`, in order.
     pub fn about(&self) -> impl Iterator<Item = RuleAbout<'_>> {
         let text = |rule: &'_ Rule, key: &str| rule.saying.text(key).map(str::to_owned);
         (1..).zip(&self.0).map(move |(number, rule)| RuleAbout {
@@ -294,7 +287,7 @@ impl Rules {
         })
     }
 
-    /// By what each rule is known while its file is edited, in their order.
+    /// A key for each rule, which stays when other rules in its file are edited, in order.
     #[must_use]
     pub fn keys(&self) -> Vec<String> {
         let keys = self.0.iter().map(|rule| {
@@ -306,14 +299,14 @@ impl Rules {
         keys.collect()
     }
 
-    /// The numbers of the rules that can read a message, and whether they speak of its value.
+    /// The numbers of the rules that can read a message, and whether they are for its value.
     #[must_use]
     pub fn reads(&self, topic: &str, payload: &[u8]) -> Vec<(usize, bool)> {
         self.readings(topic, payload).iter().map(|said| (said.number, said.line.is_some())).collect()
     }
 
-    /// Why no rule can read a message although one listens to its topic: that rule's number, and what the payload lacks, as in
-    /// "is no JSON". None where a rule can, or where none listens.
+    /// The number of a rule for the topic, and the defect of the payload, as in "is no JSON". `None` if a rule can read the message, or no
+    /// rule is for the topic.
     #[must_use]
     pub fn unreadable(&self, topic: &str, payload: &[u8]) -> Option<(usize, String)> {
         let (number, rule) = (1..).zip(&self.0).find(|(_, rule)| rule.places(topic).is_some())?;
@@ -322,23 +315,22 @@ impl Rules {
         (!is_read).then(|| (number, rule.lack(&Reading::new(payload))))
     }
 
-    /// Whether a topic is one that this rule, by its number, listens to.
+    /// Whether the rule with this number is for a topic.
     #[must_use]
     pub fn fits(&self, number: usize, topic: &str) -> bool {
         self.rule(number).is_some_and(|rule| rule.places(topic).is_some())
     }
 
-    /// Whether a rule, by its number, leaves a value out by its `unless`.
+    /// Whether the rule with this number excludes a value by its `unless`.
     pub(super) fn is_excepted(&self, number: usize, value: &str) -> bool {
         self.rule(number).is_some_and(|rule| rule.condition.excepts(&comparable(value)))
     }
 
-    /// Whether a rule, by its number, compares numbers.
     pub(super) fn is_numeric(&self, number: usize) -> bool {
         self.rule(number).is_some_and(|rule| rule.condition.is_numeric())
     }
 
-    /// Whether different values can be the same state to a rule, by its number.
+    /// Whether different values can be the same state to the rule with this number.
     pub(super) fn holds_states(&self, number: usize) -> bool {
         let is_sensor = |rule: &Rule| matches!(rule.saying.class, Class::Sensor(_));
         self.rule(number).is_some_and(|rule| is_sensor(rule) || rule.condition.is_numeric())
@@ -348,7 +340,7 @@ impl Rules {
         number.checked_sub(1).and_then(|at| self.0.get(at))
     }
 
-    /// Filters to subscribe to, each once.
+    /// The filters to subscribe to, each once.
     #[must_use]
     pub fn filters(&self) -> Vec<String> {
         let mut filters: Vec<_> = self.0.iter().map(|rule| rule.topic.clone()).collect();
@@ -357,7 +349,7 @@ impl Rules {
         filters
     }
 
-    /// What each rule that can read a message makes of it.
+    /// The reading of each rule that can read a message.
     pub(super) fn readings(&self, topic: &str, payload: &[u8]) -> Vec<Said<'_>> {
         let reading = Reading::new(payload);
         let mut values: HashMap<Option<&str>, Option<Rc<Value>>> = HashMap::new();
@@ -404,7 +396,7 @@ impl Rule {
             return Err("field is a JSON pointer and begins with a slash, as in \"/state\"".to_owned());
         }
         let places = levels.iter().filter(|level| **level == "+").count();
-        // The room in the topic is that of the event, if no other is given.
+        // The room in the topic is the room of the event, if the rule gives no other.
         let is_placed = sensor.is_some() || presence.is_some();
         let room = keys.room.as_deref().or((names_a_room && is_placed).then_some("{room}"));
         let (say, person) = (say.as_deref(), keys.person.as_ref());
@@ -452,7 +444,7 @@ impl Rule {
                 ));
             }
         }
-        // A device without "off" reports again, and a state is not over because the narrator starts.
+        // A device without "off" repeats its report. A sensor's state also counts when the narrator starts.
         let (retained, repeats) = (retained || sensor.is_some() && !only_on, repeats || only_on);
         Ok(Self {
             topic,
@@ -470,12 +462,10 @@ impl Rule {
         })
     }
 
-    /// The place of a name among the levels of the topic.
     fn place_of(&self, name: &str) -> Option<usize> {
         self.named.iter().position(|named| named.as_ref().is_some_and(|named| named.name == name))
     }
 
-    /// What the `+` and the names of the rule's topic stand for in a topic; none when it does not fit.
     fn places<'a>(&self, topic: &'a str) -> Option<Vec<&'a str>> {
         let places = matches(&self.topic, topic)?;
         let part = |(level, named): (&'a str, &Option<NamedLevel>)| match named {
@@ -502,7 +492,7 @@ impl Rule {
             },
             _ => None,
         };
-        // Which side of a limit a number is on is news, and the number is not.
+        // The side of the limit matters, not the number.
         let held = self.condition.is_numeric().then(|| {
             let holds = self.condition.holds(compared);
             let place = format!("{topic}\n{}\n{number}", self.field.as_deref().unwrap_or_default());
@@ -511,7 +501,7 @@ impl Rule {
         if state.is_none() && !self.condition.holds(compared) {
             return said(None, held, value);
         }
-        // What a pointer in braces does not find leaves nothing to say.
+        // Without a value for a pointer in braces there is no line.
         let at = |pointer: &str| reading.json().and_then(|json| text_at(json, pointer));
         if self.pointers.iter().any(|pointer| at(pointer).is_none()) {
             return None;
@@ -540,14 +530,14 @@ impl Rule {
                 "what stands in braces is a JSON object or list: name one of its values, as in {/state} or by `field`";
             return said(Some(Err(reason.to_owned())), None, value);
         }
-        // What no line may be is refused here: it takes no place where lines wait.
+        // A malformed line is rejected here, so that it takes no place among the waiting lines.
         let line = line.ok_or_else(|| format!("it has more than {LINE_BYTES_MAX} bytes")).and_then(|line| {
             let judged = line_item(&line, &Who::Somebody).map_err(|error| error.to_string());
             judged.map(|_| line)
         });
         let held = match (state, &line) {
             (Some(on), Ok(line)) => {
-                // What several topics say of one device is one state.
+                // Several topics of one device give one state.
                 let id = serde_json::from_str::<serde_json::Value>(line).ok()?["id"].to_string();
                 let (place, own) = (fingerprint(id.as_bytes()), fingerprint(line.as_bytes()));
                 Some(Held { place, own, is_on: on == Some(true) })
@@ -569,7 +559,7 @@ fn is_literal(topic: &str, id: Option<&str>) -> bool {
 }
 
 impl Rule {
-    /// What a payload that this rule cannot read lacks.
+    /// The defect of a payload that this rule cannot read.
     fn lack(&self, reading: &Reading<'_>) -> String {
         if reading.value(self.field.as_deref()).is_some_and(|value| self.condition.lacks_number(&value.compared)) {
             return "is no number".to_owned();
@@ -584,7 +574,7 @@ impl Rule {
     }
 }
 
-/// What a payload says: a text in JSON is its content.
+/// The content of a payload: a JSON string without its quotes.
 fn content(payload: &str) -> Option<String> {
     let json = payload.starts_with('"').then(|| serde_json::from_str::<String>(payload).ok()).flatten();
     Some(json.as_deref().unwrap_or(payload).trim().to_owned())
@@ -599,7 +589,6 @@ fn text_at(payload: &serde_json::Value, pointer: &str) -> Option<String> {
     }
 }
 
-/// The JSON pointers that stand in braces in a text.
 fn pointers(text: &str) -> impl Iterator<Item = &str> {
     text.split('{')
         .skip(1)
@@ -608,7 +597,7 @@ fn pointers(text: &str) -> impl Iterator<Item = &str> {
         .filter(|name| name.starts_with('/'))
 }
 
-/// What the `+` of a filter stand for in a topic; none when it does not fit.
+/// The parts of a topic in place of the `+` of a filter; `None` if it does not match.
 pub(super) fn matches<'a>(filter: &str, topic: &'a str) -> Option<Vec<&'a str>> {
     let mut places = Vec::new();
     let mut levels = topic.split('/');
@@ -626,9 +615,9 @@ pub(super) fn matches<'a>(filter: &str, topic: &'a str) -> Option<Vec<&'a str>> 
     levels.next().is_none().then_some(places)
 }
 
-/// Whether every topic that fits the filter `narrow` also fits `wide`.
+/// Whether every topic that matches the filter `narrow` also matches `wide`.
 pub(super) fn covers(wide: &str, narrow: &str) -> bool {
-    // Wildcards at the beginning stand for no topic of the broker's own.
+    // Wildcards at the beginning do not match the broker's own topics.
     if wide.starts_with(['+', '#']) && narrow.starts_with('$') {
         return false;
     }
@@ -645,7 +634,7 @@ pub(super) fn covers(wide: &str, narrow: &str) -> bool {
     levels.next().is_none()
 }
 
-/// What is remembered of a text of any length: whether another one is the same.
+/// Replaces a text of any length in a comparison.
 pub(super) type Fingerprint = [u8; 32];
 
 pub(super) fn fingerprint(text: &[u8]) -> Fingerprint {

@@ -1,4 +1,4 @@
-//! What the broker is asked for.
+//! Subscriptions at the broker.
 
 use std::collections::HashSet;
 
@@ -9,26 +9,25 @@ use rumqttc::v5::mqttbytes::v5::{ConnAck, SubAck, SubscribeProperties, Subscribe
 use super::MqttError;
 use super::rules::{covers, fingerprint};
 
-/// A subscription to each filter, one after the other, so that it is known which one the broker answers. One that another one covers is left
-/// out while the broker grants that: whoever is away would have the broker keep two copies. Each has an identifier, where the broker takes them.
+/// Subscribes to one filter after the other, so that each answer has its filter. A filter that another one covers is left out while the
+/// broker grants the other: for an absent client the broker would store two copies. Each has an identifier, if the broker supports them.
 #[derive(Debug)]
 pub(super) struct Subscriptions {
     filters: Vec<String>,
-    /// Those that are left out.
+    /// Filters that are left out.
     covered: Vec<String>,
-    /// Those that the broker may have in the session that it keeps, from now or from a narrator whose rules were others.
+    /// Filters that may be in the session that the broker keeps, from this narrator or an earlier one with other rules.
     standing: HashSet<String>,
-    /// The one that the broker was asked to end.
+    /// The filter of the open unsubscription.
     ending: Option<String>,
     answered: usize,
     granted: usize,
-    /// The next filter is to be asked for, as soon as the client has room.
+    /// The next filter is requested as soon as the client has room.
     due: bool,
-    /// The packet that the broker has to answer: more answers than questions say nothing.
+    /// The open request. Answers to no request are ignored.
     asked: Option<u16>,
-    /// Whether the broker takes identifiers.
     identified: bool,
-    /// Filters whose refusal was told.
+    /// Filters with a logged refusal.
     told: HashSet<String>,
 }
 
@@ -48,7 +47,6 @@ impl Subscriptions {
         }
     }
 
-    /// Begins at the first filter.
     pub(super) fn start(&mut self, greeting: &ConnAck) {
         self.stop();
         self.filters.append(&mut self.covered);
@@ -61,19 +59,18 @@ impl Subscriptions {
         (self.due, self.identified) = (true, available != Some(0));
     }
 
-    /// The connection has ended, and what was asked with it.
     pub(super) fn stop(&mut self) {
         (self.answered, self.granted, self.due, self.asked, self.ending) = (0, 0, false, None, None);
     }
 
-    /// Leaves out what another filter covers that is not refused.
+    /// Leaves out filters that another, granted filter covers.
     fn leave_out_covered(&mut self) {
         let all = std::mem::take(&mut self.filters);
         let is_covered = |filter: &String| all.iter().any(|other| other != filter && covers(other, filter));
         (self.covered, self.filters) = all.iter().cloned().partition(is_covered);
     }
 
-    /// Asks for what a refused filter covered, and no other does.
+    /// Requests the filters that only the refused filter covered.
     fn take_over(&mut self, refused: &str) {
         let (over, asked): (Vec<_>, Vec<_>) = {
             let others: Vec<_> =
@@ -83,14 +80,14 @@ impl Subscriptions {
             self.covered.drain(..).partition(is_free)
         };
         self.covered = asked;
-        // Of these, too, one may cover another.
+        // One of these may cover another one.
         for filter in &over {
             let is_covered = over.iter().any(|other| other != filter && covers(other, filter));
             (if is_covered { &mut self.covered } else { &mut self.filters }).push(filter.clone());
         }
     }
 
-    /// Asks for the filter that is due, and behind all of them for the end of what is left out, where the client has room.
+    /// Requests the next filter. After the last one it ends the left-out ones, if the client has room.
     pub(super) fn send(&mut self, client: &AsyncClient) {
         if self.due {
             let Some(filter) = self.filters.get(self.answered) else {
@@ -113,17 +110,16 @@ impl Subscriptions {
         }
     }
 
-    /// Whether the client has none of these requests in its queue, and the broker has none to answer.
+    /// Whether no request is in the client's queue or without an answer.
     pub(super) fn are_at_rest(&self) -> bool {
         self.asked.is_none() && self.ending.is_none() && (self.due || self.answered == self.filters.len())
     }
 
-    /// What the broker was asked for last has gone out in this packet.
+    /// The last request was sent in this packet.
     pub(super) fn sent(&mut self, packet: u16) {
         self.asked = Some(packet);
     }
 
-    /// Takes the broker's answer to the filter asked for last.
     pub(super) fn take(&mut self, answer: &SubAck, broker: &str) -> Result<(), MqttError> {
         let Some(filter) = self.filters.get(self.answered).filter(|_| self.asked == Some(answer.pkid)).cloned() else {
             return Ok(());
@@ -161,7 +157,6 @@ impl Subscriptions {
         Ok(())
     }
 
-    /// The broker has ended what it was asked to end, or had nothing of it.
     pub(super) fn ended(&mut self, answer: &UnsubAck) {
         if self.asked == Some(answer.pkid)
             && let Some(filter) = self.ending.take()
@@ -172,9 +167,10 @@ impl Subscriptions {
     }
 }
 
-/// A filter has the same identifier in every configuration: what a broker has kept of an earlier one says by which filter it comes. Two filters
-/// of one identifier are rare, and lose nothing: a message that fits both may be said twice. All have four bytes. The client's library counts a
-/// byte too many for each identifier, and of five or fewer of that length in one message it reads all the same what it should.
+/// A filter has the same identifier in every configuration: messages that a broker stored for an earlier one name their filter. Two filters
+/// with one identifier are rare and do no harm: a message that matches both may be narrated twice. All have four bytes. The client's
+/// library counts a byte too many for each identifier, and with up to five of that length in one message it still reads the message
+/// correctly.
 fn identifier(filter: &str) -> usize {
     const LONG: u32 = 1 << 27;
     let [a, b, c, d, ..] = fingerprint(filter.as_bytes());
@@ -187,7 +183,7 @@ mod tests {
 
     use super::*;
 
-    /// A broker may send a message once for each filter that it fits: a button's press was narrated twice.
+    /// A broker may send a message once for each matching filter: the press of a button was narrated twice.
     #[test]
     fn what_another_filter_covers_is_asked_for_only_where_that_is_refused() {
         let greeting = ConnAck { session_present: true, code: ConnectReturnCode::Success, properties: None };
@@ -195,7 +191,7 @@ mod tests {
             let filters = ["#", "z/+", "z/button", "z/+/x", "y/b"].map(str::to_owned).to_vec();
             let mut subscriptions = Subscriptions::new(filters);
             let mut all = Vec::new();
-            // A connection after it begins in the same way.
+            // A later connection begins in the same way.
             for _ in 0..2 {
                 subscriptions.start(&greeting);
                 all.clear();

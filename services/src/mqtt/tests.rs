@@ -1,3 +1,5 @@
+//! Rules, memory of messages, and real brokers.
+
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::Command;
@@ -135,7 +137,7 @@ fn a_rehearsal_tells_which_rule_says_what() {
     );
     let text = told("else\u{1b}[2J", "\u{7}", false);
     assert!(text.ends_with("no rule can read it") && !text.contains(['\u{1b}', '\u{7}']), "{text:?}");
-    // Characters that reverse a line are escaped, and long payloads are cut.
+    // A character that changes the direction of a line, or a long text, is made harmless.
     let text = told("z/kitchen", &format!("{{\"state\": \"\u{202e}\u{9b}{}\"}}", "x".repeat(200)), false);
     assert!(text.starts_with("z/kitchen  {\"state\": \"\\u202e\\u009bxxx") && text.contains("xxx..."), "{text:?}");
     assert!(!text.contains(['\u{202e}', '\u{9b}']), "{text:?}");
@@ -177,7 +179,7 @@ fn unavailable_devices_have_none_of_the_states_that_unless_leaves() {
     }
 }
 
-/// A deleted retained message arrives as an empty payload; it must not report a person as away.
+/// The removal of a retained message arrives as an empty message. It does not mean that a person is away.
 #[test]
 fn an_empty_payload_says_nothing() {
     let rules = "[[rule]]\ntopic = \"person\"\nunless = [\"home\", \"unknown\"]\npresence = \"away\"\nperson = \"ada\"";
@@ -187,7 +189,7 @@ fn an_empty_payload_says_nothing() {
     }
 }
 
-/// A rule must name the values of a JSON payload: the whole payload is no text for a sentence.
+/// A rule names values of a JSON payload. The whole payload is not part of a sentence.
 #[test]
 fn an_object_in_braces_is_not_said() {
     let rules = "[[rule]]\ntopic = \"lamp\"\nsay = \"the lamp is {value}\"\n[[rule]]\ntopic = \"plug\"\n\
@@ -302,7 +304,7 @@ fn retained_messages_give_the_state_of_sensors_after_a_start() {
     let mut listener = Listener::new(Rules::parse(SENSORS).unwrap());
     let said = hear(&mut listener, "ha/binary_sensor/hall/state", "on", true).unwrap();
     assert!(said.contains(r#""on":true"#), "{said}");
-    // Retained messages come again after a reconnection.
+    // At the next connection the messages come again.
     listener.first_connection = false;
     assert_eq!(hear(&mut listener, "ha/binary_sensor/hall/state", "on", true), None);
     assert!(hear(&mut listener, "ha/binary_sensor/hall/state", "off", true).unwrap().contains(r#""on":false"#));
@@ -319,7 +321,7 @@ fn a_sensor_rule_changes_nothing_for_the_rules_beside_it() {
     let mut said = |topic: &str, payload: &str| listener.hear(topic.as_bytes(), payload.as_bytes(), false, now);
     let counts = ["on", "unavailable", "on", "off", "on"].map(|payload| said("lamp", payload).len());
     assert_eq!(counts, [2, 1, 1, 1, 2], "unavailable is no state of the sentence's rule");
-    // A sensor that turns off ends no silence.
+    // A sensor that turns off breaks no silence.
     assert_eq!(said("door", "on").len(), 1);
     assert_eq!(said("door", "off").len(), 1);
     assert_eq!(said("lamp", "off").len(), 1);
@@ -374,7 +376,7 @@ fn missing_rules_are_told_with_the_whole_path() {
     assert!(told.contains(&whole.display().to_string()), "{told}");
 }
 
-/// Messages of programs and devices of smart homes, in their formats.
+/// Messages of programs and devices of smart homes, in their original form.
 #[test]
 fn devices_of_many_makers_are_understood() {
     let rules = r#"
@@ -472,7 +474,7 @@ fn devices_of_many_makers_are_understood() {
             r#"{"person":"ada","presence":"away"}"#,
         ),
         ("homeassistant/person/ada/state", "home", r#"{"person":"Ada","presence":"present"}"#),
-        // Another zone means away from home. "unknown" and "unavailable" mean no event.
+        // A zone other than home is out of the house; an unknown value is not an event.
         ("homeassistant/person/ada/state", "unavailable", ""),
         ("homeassistant/person/ada/state", "home", ""),
         ("homeassistant/person/ada/state", "Work", r#"{"person":"Ada","presence":"away"}"#),
@@ -503,7 +505,7 @@ fn a_device_that_was_not_heard_for_a_while_has_done_nothing() {
     );
 }
 
-/// Cameras and plugs send numbers in many forms, and some programs send JSON texts.
+/// Cameras and plugs send numbers in many forms, and some programs send JSON strings.
 #[test]
 fn values_compare_as_what_they_are() {
     let rules = "[[rule]]\ntopic = \"camera/+\"\nunless = [\"0\", \"geschlossen\"]\npresence = \"present\"\nroom = \"{1}\"\n\
@@ -525,7 +527,7 @@ fn values_compare_as_what_they_are() {
     assert_eq!(said("state", "\"broken"), r#"{"kind":"device","text":"the light is broken"}"#, "no JSON");
 }
 
-/// Formerly a payload or a topic could add a sentence, and both residents were away.
+/// A payload and a topic each added a sentence, and both residents were away.
 #[test]
 fn payloads_and_topics_stay_inside_the_sentence_of_their_rule() {
     let rules = "[[rule]]\ntopic = \"zigbee2mqtt/+\"\nfield = \"/state\"\nsay = \"the {1} is {value}\"";
@@ -565,21 +567,21 @@ fn silence_after_the_front_door_says_that_they_are_away() {
     assert!(door(&mut listener, "closed", 0));
     assert_eq!(listener.hear(b"motion", b"on", false, at(300)).len(), 1);
     assert_eq!(listener.due(at(10_000)), Vec::<String>::new(), "somebody moved");
-    // Opening the door sends no event and so ends no silence; closing it starts the silence again.
+    // Opening it gives no line, so it breaks no silence; closing it begins the silence again.
     assert!(!door(&mut listener, "open", 20_000) && door(&mut listener, "closed", 20_100));
     assert!(!door(&mut listener, "open", 20_200) && door(&mut listener, "closed", 20_300));
     assert!(!door(&mut listener, "closed", 20_400), "a value that repeats says nothing new");
     assert_eq!(listener.due(at(20_899)), Vec::<String>::new());
-    // The end of one silence does not affect the other.
+    // One silence does not end the other.
     assert_eq!(listener.due(at(20_900)), [r#"{"person":"ada","presence":"away"}"#]);
     assert_eq!(listener.due(at(21_200)), [r#"{"person":"ben","presence":"away"}"#]);
     assert_eq!(listener.due(at(99_999)), Vec::<String>::new());
-    // Time without a connection is no silence.
+    // Time without a connection is not silence.
     assert!(!door(&mut listener, "open", 100_000) && door(&mut listener, "closed", 100_000));
     listener.listen_from(at(100_599));
     assert_eq!(listener.due(at(101_198)), Vec::<String>::new());
     assert_eq!(listener.due(at(101_199)).len(), 1);
-    // Messages retained from before this process are no events.
+    // A retained message from before this process is not an event.
     listener.first_connection = true;
     assert!(listener.hear(b"door", b"open", true, at(200_000)).is_empty());
     assert!(listener.hear(b"door", b"closed", true, at(200_000)).is_empty());
@@ -597,14 +599,14 @@ fn filters_fit_as_mqtt_has_it() {
 }
 
 proptest::proptest! {
-    /// A topic of the covered filter also matches the covering one, so the covered filter needs no subscription.
+    /// A topic of a covered filter also matches the covering filter, so the covered one needs no subscription.
     #[test]
     fn what_a_filter_covers_it_hears(
         wide in "[ab+$](/[ab+]){0,2}(/#)?|#",
         narrow in "[ab+$](/[ab+]){0,2}(/#)?|#",
         topics in proptest::collection::vec("[ab$](/[ab]){0,3}", 1..40),
     ) {
-        // A leading wildcard does not match topics that start with `$`.
+        // A wildcard at the beginning does not match the broker's own topics.
         let fits = |filter: &str, topic: &str| {
             matches(filter, topic).is_some() && !(topic.starts_with('$') && filter.starts_with(['+', '#']))
         };
@@ -672,7 +674,7 @@ fn retained_and_repeated_messages_say_nothing_new() {
     assert!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true).unwrap().contains("the oven is on"));
     assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, false), None);
     listener.first_connection = false;
-    // A retained message after a reconnection is an event only if its value changed.
+    // Retained again after a reconnection: a changed value is an event, the same value is not.
     assert_eq!(hear(&mut listener, oven, r#"{"state": {"power": "on"}}"#, true), None);
     assert!(hear(&mut listener, oven, r#"{"state": {"power": "off"}}"#, true).unwrap().contains("the oven is off"));
     assert_eq!(listener.heard, Heard { said: 2, unfit: 0, silent: 3, ..Heard::default() });
@@ -719,14 +721,13 @@ fn addresses_and_their_faults() {
     }
 }
 
-/// Writes a PEM file and returns its path.
 fn pem(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     std::fs::write(&path, text).unwrap();
     path
 }
 
-/// An authority, and a certificate for this machine: the authority's certificate, the other one, and its key.
+/// An authority that signs a certificate for this machine. Returns the authority's certificate, and the other with its key.
 fn certificates() -> (String, String, String) {
     use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
     let mut params = CertificateParams::new(Vec::new()).unwrap();
@@ -738,7 +739,7 @@ fn certificates() -> (String, String, String) {
     (authority.as_ref().pem(), own.pem(), key.serialize_pem())
 }
 
-/// The client's error of its first attempt.
+/// The client's error at its first attempt to connect.
 fn refusal(broker: &Broker) -> String {
     let (_client, mut connection) = Client::new(broker.options().unwrap(), 10);
     connection.recv().unwrap().unwrap_err().to_string()
@@ -774,7 +775,7 @@ fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
         authority: Some(authority.clone()),
     };
 
-    // No connection with another authority, another password or without TLS.
+    // Another authority, another password, no TLS: no connection.
     let stranger = pem(folder.path(), "stranger.pem", &certificates().0);
     let error = refusal(&Broker { authority: Some(stranger), ..to.clone() });
     assert!(error.contains("certificate"), "{error}");
@@ -798,7 +799,7 @@ fn a_broker_is_reached_by_tls_with_credentials_and_by_nobody_else() {
     assert_eq!(listening.join().unwrap().unwrap().said, 1);
 }
 
-/// Two clients with one name at a real broker: the disconnected client names the likely cause.
+/// Two clients of one name at a real broker: the client that loses its place gets a hint at the cause.
 #[tokio::test]
 async fn a_client_whose_place_is_taken_says_so() {
     let port = free_port();
@@ -820,7 +821,7 @@ async fn a_client_whose_place_is_taken_says_so() {
     assert!(broken(&error).contains("another client has this one's name"), "{error}");
 }
 
-/// A real broker with retained messages restarts in the middle; the narration stays complete and ordered.
+/// A real broker with retained messages, restarted in the middle: the narration is complete and in order.
 #[test]
 fn nothing_is_lost_over_a_restart_of_the_broker() {
     let port = free_port();
@@ -836,17 +837,17 @@ fn nothing_is_lost_over_a_restart_of_the_broker() {
     let to = Broker { address: format!("mqtt://127.0.0.1:{port}"), client: "listener".into(), ..Broker::default() };
     let listening = std::thread::spawn(move || listen(to.options().unwrap(), rules, writer, &own_stop));
     let mut lines = BufReader::new(reader).lines().map(Result::unwrap);
-    // The retained message shows that the subscription exists.
+    // The retained message comes first, so the subscription is active.
     assert!(lines.next().unwrap().contains("the oven is on"));
     let steps = |range: std::ops::Range<u32>| range.map(|n| ("home/step", n.to_string(), false)).collect::<Vec<_>>();
-    // After 100 messages the client knows that the broker counts its identifiers upwards.
+    // These are enough to recognise that the broker counts its identifiers.
     broker.publish(&steps(1000..1100));
     for n in 1000..1100 {
         assert!(lines.next().unwrap().contains(&format!("They do step {n}.")));
     }
     broker.publish(&steps(0..50));
     let broker = broker.restart();
-    // The broker queues for the session, even if the listener is still reconnecting.
+    // The listener may not be back yet, but its session is.
     broker.publish(&steps(50..100));
     for n in 0..100 {
         let line = lines.next().unwrap();
@@ -857,17 +858,15 @@ fn nothing_is_lost_over_a_restart_of_the_broker() {
     assert_eq!((heard.said, heard.unfit), (201, 0));
 }
 
-/// Held by tests that measure this process's memory, so that other tests' messages do not count.
+/// The lock of tests that measure the memory of this process, so that one does not see the other's.
 static MEMORY: Mutex<()> = Mutex::new(());
 
-/// Resident memory of this process in bytes.
 fn resident() -> u64 {
     let text = std::fs::read_to_string("/proc/self/status").unwrap();
     let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmRSS:")?.trim().strip_suffix(" kB"));
     kilobytes.unwrap().parse::<u64>().unwrap() << 10
 }
 
-/// A listener in its own thread, with its output.
 struct Listening {
     thread: std::thread::JoinHandle<Result<Heard, MqttError>>,
     lines: std::io::Lines<BufReader<std::io::PipeReader>>,
@@ -894,7 +893,7 @@ impl Listening {
         self.lines.next().map(Result::unwrap)
     }
 
-    /// Stops the listener like a signal; returns the remaining lines and the counts.
+    /// Stops it as a signal does. Returns its last lines, and its counts.
     fn end(self) -> (Vec<String>, Heard) {
         self.stop.request();
         let rest = self.lines.map(Result::unwrap).collect();
@@ -902,12 +901,12 @@ impl Listening {
     }
 }
 
-/// The greeting of a stand-in broker.
+/// The greeting of a stand-in for a broker.
 const CONNACK: [u8; 5] = [0x20, 3, 0, 0, 0];
 
 const STEPS: &str = "[[rule]]\ntopic = \"home/step\"\nsay = \"They do step {value}.\"";
 
-/// A rehearsal with the narrator's name prints the would-be narration, and leaves every message in the narrator's session.
+/// A rehearsal at the same time as the narrator of the same name: it reports the lines, and the narrator's session keeps every message.
 #[test]
 fn a_rehearsal_takes_nothing_from_the_narrator() {
     let port = free_port();
@@ -944,8 +943,8 @@ fn a_rehearsal_takes_nothing_from_the_narrator() {
     second.end();
 }
 
-/// The attack: a backlog of MQTT messages. `ROOMCAST_MQTT_RESTARTS=1000` is the long run; a restart takes about a second. `ROOMCAST_MQTT_SEED`
-/// changes the moments.
+/// The attack: MQTT backlog. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
+/// `ROOMCAST_MQTT_SEED` chooses other moments.
 #[test]
 fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     const BACKLOG: u32 = 5_000;
@@ -958,7 +957,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     };
     let seed = std::env::var("ROOMCAST_MQTT_SEED").map_or(22, |text| text.parse().unwrap());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    // The first message shows that the session exists.
+    // Its session exists when a later message has arrived.
     broker.publish(&[("home/start", "first".into(), true)]);
     let start = "[[rule]]\ntopic = \"home/start\"\nsay = \"They do the {value}.\"\nretained = true";
     let mut first = Listening::start(port, &format!("{STEPS}\n{start}"));
@@ -976,7 +975,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
         let backlog: Vec<_> = (published..published + BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
         broker.publish(&backlog);
         published += BACKLOG;
-        // Each listener stops in the middle of the backlog and the next one continues. In every third round the broker restarts, too.
+        // One narrator is stopped in the middle of the backlog, and the next one continues; now and then the broker restarts, too.
         if restart % 3 == 2 {
             broker = broker.restart();
         }
@@ -995,7 +994,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
             if middle.is_some_and(|middle| now >= middle) {
                 middle = None;
                 broker = broker.restart();
-                // This message follows everything that the broker resends, so after it every message is acknowledged.
+                // This message follows everything that the broker sends again: a narrator that has processed it has acknowledged the rest.
                 broker.publish(&[("home/step", published.to_string(), false)]);
                 published += 1;
             }
@@ -1007,7 +1006,7 @@ fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
     assert!(largest < 64 << 20, "{largest} bytes more");
 }
 
-/// A daemon that reads more slowly than the broker sends.
+/// Reads lines as a daemon that is slower than the broker.
 struct Slow(Arc<Mutex<Vec<u8>>>);
 
 impl Write for Slow {
@@ -1037,7 +1036,7 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
         let (out, stop) = (Arc::new(Mutex::new(Vec::new())), Stop::new());
         let connection = Connection::new(to.options().unwrap(), Rules::parse(STEPS).unwrap(), Slow(Arc::clone(&out)));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().unwrap();
-        // The client vanishes without a farewell.
+        // It ends without a farewell.
         let killed = runtime.block_on(async { tokio::time::timeout(most, connection.listen(&stop)).await.is_err() });
         assert!(killed);
         let said = String::from_utf8(std::mem::take(&mut *out.lock().unwrap())).unwrap();
@@ -1053,7 +1052,7 @@ fn who_is_killed_in_a_backlog_says_few_messages_twice() {
         next = first + steps.len() as u64;
         next
     };
-    // First the session is created, then the backlog.
+    // First the session, and then its backlog.
     live(Duration::from_millis(300));
     let backlog: Vec<_> = (0..BACKLOG).map(|n| ("home/step", n.to_string(), false)).collect();
     broker.publish(&backlog);
@@ -1076,7 +1075,7 @@ fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
     broker.publish(&[("home/step", "first".into(), true)]);
     let mut listening = Listening::start(port, &format!("{STEPS}\nretained = true\n{door}"));
     assert!(listening.next().unwrap().contains("step first"));
-    // The next step ends the silence after the first closing. No message ends the second silence.
+    // A later step breaks the silence of the first closing, but not the silence of the second.
     broker.publish(&[("home/door", "closed".into(), false), ("home/step", "next".into(), false)]);
     assert!(listening.next().unwrap().contains("step next"));
     broker.publish(&[("home/door", "open".into(), false), ("home/door", "closed".into(), false)]);
@@ -1086,7 +1085,7 @@ fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
     assert_eq!(listening.end().0, Vec::<String>::new());
 }
 
-/// The attack: MQTT payloads of 10 MB and more.
+/// The attack: MQTT payloads of 10 MB.
 #[test]
 fn oversized_messages_are_refused_by_name_and_passed_over() {
     let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
@@ -1103,7 +1102,7 @@ fn oversized_messages_are_refused_by_name_and_passed_over() {
     let before = resident();
     let of = |bytes: usize| "x".repeat(bytes);
     for round in 0..6 {
-        // Messages that the broker drops, that the client refuses, and one that becomes narration.
+        // The broker drops the message of 17 MB itself, three are dropped here, and one is narration.
         broker.publish(&[("home/camera", of(10 << 20), false), ("home/camera", of(17 << 20), false)]);
         broker.publish(&[("home/camera", of(PAYLOAD_BYTES_MAX + 1), false)]);
         broker.publish(&[("home/camera", of(PACKET_BYTES_MAX as usize - 64), false)]);
@@ -1116,7 +1115,7 @@ fn oversized_messages_are_refused_by_name_and_passed_over() {
     assert!(more < 128 << 20, "{more} bytes more");
 }
 
-/// More messages of 1.2 MB than the receive maximum: mosquitto 2.0.11 stops delivery after it has dropped that many.
+/// More messages of 1.2 MB than the broker may send ahead: mosquitto 2.0.11 delivers no more messages if it has to drop so many.
 fn images(topic: &'static str, count: usize) -> Vec<(&'static str, String, bool)> {
     vec![(topic, "x".repeat(1_200_000), false); count]
 }
@@ -1141,7 +1140,7 @@ fn many_images_do_not_silence_the_narrator() {
     assert!(listening.next().unwrap().contains("step 1."));
     assert!(published.elapsed() < Duration::from_secs(10), "{:?}", published.elapsed());
     assert_eq!(listening.end().1.oversized, 64);
-    // Retained images come again with each subscription.
+    // Each subscription delivers retained images again.
     let retained: Vec<String> = (0..40).map(|camera| format!("home/camera/{camera}")).collect();
     let image = "x".repeat(1_200_000);
     broker.publish(&retained.iter().map(|topic| (topic.as_str(), image.clone(), true)).collect::<Vec<_>>());
@@ -1172,7 +1171,7 @@ fn a_connection_over_which_the_broker_delivers_nothing_is_renewed() {
     assert_eq!(listening.end().1.oversized, 0, "the broker has dropped them");
 }
 
-/// The attack: the broker refuses a subscription. mosquitto's access lists grant every subscription, so a stand-in refuses it.
+/// The attack: a refused subscription. mosquitto's own access list grants every subscription, so the broker is a stand-in.
 #[test]
 fn a_refused_subscription_is_an_error_with_its_name() {
     const NOT_AUTHORIZED: u8 = 0x87;
@@ -1194,11 +1193,11 @@ fn a_refused_subscription_is_an_error_with_its_name() {
             }
             stream.write_all(&[0x90, 4, packet[2], packet[3], 0, *code]).unwrap();
         }
-        // A granted filter gets a message of quality of service 0.
+        // A granted filter gets a message of quality 0.
         if codes.iter().any(|code| *code < 0x80) {
             stream.write_all(b"\x30\x0d\x00\x09home/step\x001").unwrap();
         }
-        // Until the client closes the connection.
+        // Waits until the client has left.
         let _rest = stream.read_to_end(&mut Vec::new());
     };
     let refused = "[[rule]]\ntopic = \"secret/#\"\nsay = \"They hide {value}.\"";
@@ -1206,7 +1205,7 @@ fn a_refused_subscription_is_an_error_with_its_name() {
     broker(&[NOT_AUTHORIZED]);
     let error = listening.thread.join().unwrap().unwrap_err().to_string();
     assert!(error.contains("\"secret/#\": NotAuthorized"), "{error}");
-    // A granted filter works despite a refused one.
+    // If another filter is granted, its messages arrive.
     let mut listening = Listening::start(port, &format!("{STEPS}\n{refused}"));
     let answering = std::thread::spawn(move || broker(&[0, NOT_AUTHORIZED]));
     assert!(listening.next().unwrap().contains("step 1"));
@@ -1214,7 +1213,7 @@ fn a_refused_subscription_is_an_error_with_its_name() {
     answering.join().unwrap();
 }
 
-/// A broker that sends random packets. The seed selects their generator.
+/// A broker that sends random packets, by seeds.
 #[test]
 fn a_broker_that_sends_anything_is_survived() {
     let message = |rng: &mut ChaCha8Rng| {
@@ -1267,7 +1266,7 @@ fn an_occupancy_sensor_says_that_a_room_is_empty() {
     assert_eq!(said, r#"{"presence":"empty","room":"living room"}"#);
 }
 
-/// The attack: 4 200 messages of control characters. Lines that wait for silence are bounded in bytes.
+/// The attack: 4 200 messages of control characters. Lines that wait for silence have a byte limit.
 #[test]
 fn what_waits_for_silence_is_bounded_in_bytes() {
     let rules = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"the {1} is {value}\"\nquiet_s = 600.0";
@@ -1295,14 +1294,14 @@ fn what_waits_for_silence_is_bounded_in_bytes() {
         assert_eq!(due.len(), kept);
         assert!(due.iter().all(|line| line_item(line, &Who::Somebody).is_ok()));
     }
-    // There is room again, and an invalid payload ends no silence.
+    // There is room again. A rejected line does not end a silence.
     let mut listener = Listener::new(Rules::parse(&format!("{rules}\n{STEPS}")).unwrap());
     assert!(listener.hear(b"home/lamp/state", b"on", false, start).is_empty());
     assert!(listener.hear(b"home/step", b"\x07", false, start).is_empty());
     assert_eq!(listener.due(after), [r#"{"kind":"device","text":"the lamp is on"}"#]);
 }
 
-/// The attack: 900 rules for one field. A message is parsed once for all rules.
+/// The attack: 900 rules for one field. A message is read once for all rules.
 #[test]
 fn a_message_is_read_once_for_all_rules() {
     let rule =
@@ -1326,13 +1325,13 @@ fn is_probe(subscribe: &[u8]) -> bool {
     subscribe.windows(probe::TOPIC.len()).any(|part| part == probe::TOPIC.as_bytes())
 }
 
-/// A stand-in broker that follows a test's script.
+/// A false broker that does as a test says.
 struct Liar {
     socket: std::net::TcpListener,
     stream: Option<std::net::TcpStream>,
 }
 
-/// A message of quality of service 1.
+/// A message of quality 1.
 fn message(topic: &str, payload: &str, pkid: u16, dup: bool) -> Vec<u8> {
     let rest = 2 + topic.len() + 2 + 1 + payload.len();
     assert!(rest < 128);
@@ -1351,7 +1350,7 @@ impl Liar {
         (Self { socket, stream: None }, port)
     }
 
-    /// The next packet except probes.
+    /// The next packet that is not a probe.
     fn read(&mut self) -> Option<(u8, Vec<u8>)> {
         loop {
             let packet = self.read_any()?;
@@ -1382,9 +1381,9 @@ impl Liar {
         self.stream.as_mut().unwrap().write_all(bytes).unwrap();
     }
 
-    /// Accepts a connection and greets it with these properties.
+    /// Accepts a connection, greets it with these properties, and grants its subscription.
     fn greet(&mut self, is_kept: bool, properties: &[u8]) {
-        // The former connection is closed.
+        // This ends the earlier connection.
         self.stream = None;
         self.stream = Some(self.socket.accept().unwrap().0);
         let _connect = self.read().unwrap();
@@ -1398,7 +1397,7 @@ impl Liar {
         self.write(&[0x90, 4, subscribe[0], subscribe[1], 0, 1]);
     }
 
-    /// The next packet of a kind; pings are answered.
+    /// The next packet of a kind. It answers pings on the way.
     fn read_kind(&mut self, kind: u8) -> (u8, Vec<u8>) {
         loop {
             let packet = self.read().unwrap();
@@ -1418,7 +1417,7 @@ impl Liar {
 
 const BELL: &str = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring the bell for {value}.\"";
 
-/// This broker takes the lowest free identifier, has all acknowledgements, and lost the first sending of its new messages.
+/// A broker that uses the lowest free identifier has its acknowledgements, and its new messages are lost on their way.
 #[test]
 fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     let (mut broker, port) = Liar::new();
@@ -1426,7 +1425,7 @@ fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     for round in 0..4 {
         broker.greet(round > 0, &[]);
         broker.grant();
-        // From the second round on: the first sending was lost with the connection.
+        // From the second round on, their first sending was lost with the connection.
         broker.write(&[message("bell", "ada", 1, round > 0), message("bell", "ben", 2, round > 0)].concat());
         for name in ["ada", "ben"] {
             assert_eq!(
@@ -1439,7 +1438,7 @@ fn an_identifier_that_was_acknowledged_is_free_for_a_new_message() {
     assert_eq!(listening.end().1.said, 8);
 }
 
-/// The broker resends every unacknowledged message, with whatever identifiers.
+/// An unacknowledged message certainly comes again, in whatever order the broker uses identifiers.
 #[test]
 fn what_was_not_acknowledged_is_recognised() {
     let (mut broker, port) = Liar::new();
@@ -1465,7 +1464,7 @@ fn what_was_not_acknowledged_is_recognised() {
     assert_eq!(thread.join().unwrap().unwrap().said, 2);
 }
 
-/// This broker counts identifiers and lacks the last acknowledgements, until a ping shows that it has them.
+/// A broker that counts identifiers lacks the last acknowledgements, until a ping shows that it has them.
 #[test]
 fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     let (mut broker, port) = Liar::new();
@@ -1478,7 +1477,7 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
         assert!(listening.next().unwrap().contains(&format!("for {n}.")));
     }
     broker.acknowledged(usize::from(all));
-    // From now on it wants a ping each second. The first sending of the last message was lost.
+    // It expects a ping each second now. The last message is new: its first sending was lost.
     broker.greet(true, &[19, 0, 1]);
     broker.grant();
     let again: Vec<_> = (all - 20..=all).flat_map(|n| message("bell", &n.to_string(), n, true)).collect();
@@ -1493,7 +1492,7 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     broker.grant();
     broker.write(&message("bell", "last", all + 1, true));
     assert!(listening.next().unwrap().contains("for last."), "it had the acknowledgement");
-    // A new session resends no messages.
+    // After a new session no message comes again.
     broker.greet(false, &[]);
     broker.grant();
     broker.write(&message("bell", "more", all + 2, true));
@@ -1501,8 +1500,8 @@ fn a_broker_that_counts_says_nothing_twice_until_it_has_answered_a_ping() {
     listening.end();
 }
 
-/// A narrator that has just started, in the middle of a session with a broker that counts identifiers. The broker ends before it has saved any
-/// acknowledgement, and resends everything.
+/// A new narrator in the middle of a session with a broker that counts. The broker ends before it has stored any acknowledgement, and sends
+/// everything again.
 #[test]
 fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     let (mut broker, port) = Liar::new();
@@ -1525,7 +1524,7 @@ fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     assert_eq!(listening.end().1.said, ids.len() as u64 + 1);
 }
 
-/// The attack: a server keep alive of 0. The broker wants no pings, and none is overdue.
+/// The attack: a server keep alive of 0. The broker expects no pings, and none is too late.
 #[test]
 fn a_broker_that_wants_no_pings_is_not_left() {
     let (mut broker, port) = Liar::new();
@@ -1545,7 +1544,7 @@ fn a_broker_that_wants_no_pings_is_not_left() {
     listening.end();
 }
 
-/// The attack: a receive maximum of 0, and later the same broker with a valid one.
+/// The attack: a receive maximum of 0, and the same broker after it has recovered.
 #[test]
 fn a_broker_that_allows_nothing_is_tried_again() {
     let (mut broker, port) = Liar::new();
@@ -1576,7 +1575,6 @@ fn more_answers_than_questions_say_nothing() {
     listening.end();
 }
 
-/// Whether a subscription has an identifier.
 fn is_identified(subscribe: &[u8]) -> bool {
     subscribe[2] > 0
 }
@@ -1611,7 +1609,7 @@ fn what_fits_two_filters_is_said_once() {
     let said: Vec<_> = (0..8).map(|_| first.next().unwrap()).collect();
     assert_eq!(said, expected);
     assert_eq!(first.end(), (Vec::new(), Heard { said: 9, ..Heard::default() }));
-    // The broker queues for an absent narrator, also over its restart, and also if the narrator then has another filter.
+    // The broker stores messages for an absent narrator, also over its own restart, and also if that narrator then has another filter.
     press(&broker);
     broker = broker.restart();
     let other = "[[rule]]\ntopic = \"zigbee/#\"\nrepeats = true\nsay = \"They press {value}.\"\n\
@@ -1626,7 +1624,7 @@ fn what_fits_two_filters_is_said_once() {
     assert_eq!(second.end(), (Vec::new(), Heard { said: 16, ..Heard::default() }));
 }
 
-/// A broker may refuse identifiers in its greeting or in its answer.
+/// A broker may reject identifiers, in its greeting or in its answer.
 #[test]
 fn a_broker_without_identifiers_is_asked_without() {
     let (mut broker, port) = Liar::new();
@@ -1647,12 +1645,12 @@ fn a_broker_without_identifiers_is_asked_without() {
     listening.end();
 }
 
-/// The subscription to a covered filter is ended once, and only in a session from an earlier narrator.
+/// A covered filter is unsubscribed once, and only in a session that the broker has kept.
 #[test]
 fn a_subscription_that_is_left_out_is_ended_once() {
     let rules = "[[rule]]\ntopic = \"bell\"\nrepeats = true\nsay = \"They ring.\"\n\
         [[rule]]\ntopic = \"#\"\nsay = \"They do {value}.\"";
-    // Whether the client unsubscribes before it acknowledges a message.
+    // Whether it unsubscribes before it acknowledges a message.
     let asks = |broker: &mut Liar| {
         broker.write(&message("bell", "x", 1, false));
         broker.read().unwrap()
@@ -1755,7 +1753,7 @@ fn a_state_is_said_when_it_has_lasted() {
         let said = listener.hear(b"plug/washer", format!("{{\"power\": {watts}}}").as_bytes(), false, at);
         (said, listener.due(at))
     };
-    // A peak of ten seconds does not count as use of the appliance.
+    // A peak of ten seconds does not count as use of the machine.
     assert_eq!(power(900.0, 0), (vec![], vec![]));
     assert!(power(0.2, 10).0.len() <= 1);
     assert_eq!(power(0.2, 50).1, [""; 0]);
@@ -1771,7 +1769,7 @@ fn a_state_is_said_when_it_has_lasted() {
     assert!(error("for_s = 5.0\nquiet_s = 5.0").contains("for_s excludes quiet_s"));
 }
 
-/// Fourteen devices of a home in at most sixty lines.
+/// Fourteen devices of a home, in at most sixty lines.
 #[test]
 fn a_home_of_fourteen_devices_is_a_short_file() {
     let rules = r#"

@@ -1,9 +1,9 @@
-//! What the rules of the house look at, gathered from scores, forecasts, orders and the map.
+//! Facts for the rules of the house, from scores, forecasts, orders and the map.
 
 use roomcast_core::ids::BootNs;
 use roomcast_core::narration::same_but_for_accents;
 use roomcast_ipc::raw::probability_at;
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     MAX_ROOMS, PersonForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, person_flags, presence,
 };
 
@@ -16,14 +16,13 @@ const MAY_BE: f64 = 0.1;
 /// A person with a higher probability outside is not at home.
 const OUTSIDE: f64 = 0.5;
 
-/// For each room the set of rooms beside it and the set on its floor. Both contain the room.
+/// The rooms next to each room, and the rooms on its floor. Both contain the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Near {
     pub(super) beside: RoomSet,
     pub(super) floor: RoomSet,
 }
 
-/// What the planner knows, from which facts follow.
 pub(super) struct Known<'a> {
     pub(super) config: &'a PlannerConfig,
     pub(super) scores: &'a RoomScoresV1,
@@ -31,11 +30,10 @@ pub(super) struct Known<'a> {
     pub(super) persons: Option<People<'a>>,
     /// By room; empty without a map.
     pub(super) near: &'a [Near],
-    /// Seconds of a stay in each room.
+    /// By room.
     pub(super) stays_s: Vec<f64>,
 }
 
-/// Each person's forecast, of the rooms of the scores.
 #[derive(Clone, Copy)]
 pub(super) struct People<'a> {
     message: &'a PersonForecastsV1,
@@ -43,7 +41,7 @@ pub(super) struct People<'a> {
 }
 
 impl<'a> People<'a> {
-    /// The forecasts, if they are fresh and of the same daemon's same rooms.
+    /// The forecasts, if they are fresh and match the scores' daemon and rooms.
     pub(super) fn usable(
         message: Option<&'a PersonForecastsV1>,
         scores: &RoomScoresV1,
@@ -73,7 +71,6 @@ impl<'a> People<'a> {
         row.map_or(0.0, |row| probability_at(self.message.horizons_s(), row, self.age_s + ahead_s))
     }
 
-    /// The room where a person most likely is now.
     fn likeliest(&self, person: &PersonForecastV1) -> Option<usize> {
         let rooms = 0..(self.message.room_count as usize).min(MAX_ROOMS);
         rooms.max_by(|a, b| self.likely(person, *a, 0.0).total_cmp(&self.likely(person, *b, 0.0)))
@@ -103,7 +100,6 @@ impl<'a> People<'a> {
     }
 }
 
-/// A person's name for people.
 fn name_of(person: &PersonForecastV1) -> String {
     match person.name() {
         "" => format!("person {}", person.person),
@@ -112,7 +108,7 @@ fn name_of(person: &PersonForecastV1) -> String {
 }
 
 impl<'a> Known<'a> {
-    /// The facts, without orders and without residents that were not observed.
+    /// Without orders and without unobserved residents.
     pub(super) fn facts(&self) -> Facts<'a> {
         let rooms = self.scores.rooms();
         let count = rooms.len();
@@ -140,7 +136,7 @@ impl<'a> Known<'a> {
             (WhileAsleep::Room, _) => 1 << room,
             (WhileAsleep::Beside, Some(near)) => near.beside,
             (WhileAsleep::Floor, Some(near)) => near.floor,
-            // Without a map every room may be beside the sleeper's.
+            // Without a map every room may be next to the sleeper's.
             _ => all(self.scores.rooms().len()),
         };
         let sleep = |person: &PersonForecastV1| {
@@ -152,7 +148,6 @@ impl<'a> Known<'a> {
         persons.at_home().filter(|person| person.flags & person_flags::ASLEEP != 0).filter_map(sleep).collect()
     }
 
-    /// Whether a person may be anywhere.
     fn is_unsure(&self) -> bool {
         what_is_known(self.scores, self.forecast) == decision_flags::NOT_KNOWN
             || self.forecast.is_some_and(|forecast| forecast.misses_resident())

@@ -1,22 +1,19 @@
-//! When a person who comes into the robot's room interrupts it, with hysteresis: a room that was left so is entered again only when it
-//! is likely empty.
+//! Interrupts the robot when a person comes into its room, with hysteresis: the robot returns only when the room is likely empty.
 
 use super::round::nanoseconds;
 use crate::config::PlannerConfig;
 use roomcast_core::ids::BootNs;
 
-/// Looks at how likely somebody is in each room.
 #[derive(Debug)]
 pub(super) struct Interruption {
     on: bool,
     at: f64,
     after_ns: u64,
     resume_at: f64,
-    /// The room of the stay that is looked at, and whether somebody who is there now came after the robot.
+    /// The room of the current stay, and whether a person there now came after the robot.
     stay: Option<(usize, bool)>,
-    /// Since when somebody is likely there.
+    /// The time since which a person is likely there.
     since_ns: Option<BootNs>,
-    /// Rooms that were left to a person.
     held: Vec<bool>,
 }
 
@@ -33,17 +30,15 @@ impl Interruption {
         }
     }
 
-    /// Rooms that are not to be entered.
     pub(super) fn held(&self) -> &[bool] {
         &self.held
     }
 
-    /// Whether a robot is met by somebody who is in its room with this probability.
+    /// Whether a person in its room with this probability meets the robot.
     pub(super) fn is_met(&self, likely: f64) -> bool {
         self.on && likely >= self.at
     }
 
-    /// Leaves a room to whoever is there.
     pub(super) fn hold(&mut self, room: usize) {
         if let Some(held) = self.held.get_mut(room) {
             *held = true;
@@ -56,24 +51,24 @@ impl Interruption {
         self.stay = None;
     }
 
-    /// The robot has another stay, or none. Whoever is in its room when it begins was known to whoever sent it.
+    /// Begins another stay, or none. The planner knew about a person in the room at the start.
     pub(super) fn new_stay(&mut self, begun: Option<(usize, f64)>) {
         self.stay = begun.map(|(room, likely)| (room, likely < self.at));
         self.since_ns = None;
     }
 
-    /// Whether who is in the room of its stay came after the robot; of another room, whether whoever comes will have.
+    /// For the room of the stay, whether a person there came after the robot. Always true for another room.
     pub(super) fn is_alone(&self, room: usize) -> bool {
         self.stay.is_none_or(|(same, came)| same != room || came)
     }
 
-    /// The robot goes on with a stay that began before a restart.
+    /// Continues a stay that began before a restart.
     pub(super) fn go_on(&mut self, room: usize, alone: bool) {
         self.stay = Some((room, alone));
     }
 
-    /// Takes how likely somebody is in each room now, while the robot works in `room`; whether that interrupts it. Only somebody who comes
-    /// does.
+    /// Updates with the probability of a person in each room, while the robot works in `room`. Returns whether this interrupts it. Only a
+    /// later arrival does.
     pub(super) fn look(&mut self, now_ns: BootNs, likely: &[f64], room: Option<usize>) -> bool {
         for (held, likely) in self.held.iter_mut().zip(likely) {
             *held &= *likely > self.resume_at;
@@ -100,12 +95,12 @@ impl Interruption {
         true
     }
 
-    /// Without a forecast nobody is known to be anywhere: what was seen before does not add up with what comes after.
+    /// Without a forecast, the time of a likely person starts again.
     pub(super) fn look_away(&mut self) {
         self.since_ns = None;
     }
 
-    /// Nobody is known: no room is left to anybody, and whoever is told to be in `room` from now on came after the robot.
+    /// No person is known: no room is held, and a person in `room` from now on came after the robot.
     pub(super) fn forget(&mut self, room: Option<usize>) {
         self.held.fill(false);
         self.new_stay(room.map(|room| (room, 0.0)));
@@ -137,14 +132,14 @@ mod tests {
         assert!(!robot.look(BootNs(6 * S), &[0.9, 0.0], None));
     }
 
-    /// Of the first person that anybody tells of, nobody knew when the robot was sent.
+    /// The first known person was unknown when the robot was sent.
     #[test]
     fn the_first_who_is_told_of_interrupts() {
         let mut robot = interruption(2);
         robot.new_stay(Some((0, 0.0)));
         robot.forget(Some(0));
         assert!(!robot.look(BootNs(0), &[0.98, 0.0], Some(0)) && robot.look(BootNs(3 * S), &[0.98, 0.0], Some(0)));
-        // Who was known to be there when it was sent does not.
+        // A person already known in the room when the robot was sent does not interrupt.
         robot.new_stay(Some((1, 0.98)));
         assert!(!robot.look(BootNs(4 * S), &[0.0, 0.98], Some(1)) && !robot.look(BootNs(9 * S), &[0.0, 0.98], Some(1)));
     }

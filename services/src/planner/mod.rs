@@ -1,25 +1,25 @@
-//! The planner: keeps the robot's state, applies a policy each time the robot is free, publishes decisions with their reason.
+//! The planner: keeps the robot's state, applies a policy when the robot is free, and publishes decisions with their reason.
 //!
-//! Scores that the daemon has not confirmed for longer than the deadline are not acted upon. The fallback is to **stay where
-//! the robot is**, or to go on pausing: no other choice brings the robot nearer to no person. Such a decision is flagged, is
-//! published once, and the next one follows as soon as there are fresh scores again.
+//! Stale scores, unconfirmed for longer than the deadline, are not used. The fallback is to **stay where the robot is**, or to keep
+//! pausing: no other choice is sure to avoid all persons. Such a decision is flagged and published once, and the next one follows as soon
+//! as scores are fresh again.
 //!
-//! Work goes in rounds. A round has a deadline, so that the stays that are left become fewer with time and no plan can put a room off
-//! for ever. A room that is undone at the deadline belongs to the next round. Where the configuration gives the length of rounds, one
-//! that is done early goes on to its deadline, and the robot keeps where the person is not; otherwise the next one begins at once.
+//! Work goes in rounds. A round has a deadline, so that the remaining stays decrease and no plan can postpone a room for ever. A room that
+//! is undone at the deadline is part of the next round. If the configuration gives the length of rounds, a completed round continues to its
+//! deadline, and the robot stays away from persons. Otherwise the next round begins at once.
 //!
-//! A robot that reports ends its stays itself: a room is done when it says so, and is tried again after the others when it could not do
-//! it. One that says nothing ends them by the clock. The robot's work ends when a person enters its room.
+//! A robot that reports ends its stays itself: a room is done when the robot says so, and is tried again after the others if it failed. The
+//! clock ends the stays of a silent robot. The robot's work ends when a person enters its room.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use roomcast_ipc::{
-    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags, sequence,
-    text,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, NAME_BYTES, PersonForecastsV1, RoomScoresV1, action, decision_flags, score_flags,
 };
+use roomcast_ipc::{sequence, text};
 
 use crate::config::{Config, Forced, PlannerConfig, is_room};
 use crate::daemon::Zone;
@@ -56,23 +56,23 @@ use robot::{Robot, Work};
 use round::{Round, nanoseconds};
 use rules::{Facts, Now, Reason, allowed, holds};
 
-/// How often connections are renewed at least. A participant of this crate wakes the planner when it joins.
-/// Longer than the daemon's usual heartbeat, so that an idle planner wakes for scores, and not once more just before them.
+/// The longest interval between renewals of connections. A participant of this crate wakes the planner when it joins. The interval is
+/// longer than the daemon's usual heartbeat, so that an idle planner wakes for scores, and not once more just before them.
 const TICK: Duration = Duration::from_millis(300);
-/// A robot that waits or pauses may be given work at any new score, and so often without one: time alone changes forecasts.
+/// The longest interval of decisions for a robot that waits or pauses: forecasts change with time, even without new scores.
 const LOOK_AGAIN_NS: u64 = 5_000_000_000;
-/// A robot that waits in a room that is done does not change it for less than this share of a stay with somebody.
+/// The least gain for another waiting room, as a share of a stay with a person.
 const WORTH_MOVING: f64 = 0.005;
 /// A message with a time further ahead is not of this boot's clock.
 const AHEAD_NS: u64 = 1_000_000_000;
-/// A robot that pauses is given a new reason at most so often.
+/// The shortest interval of new reasons for a robot that pauses.
 const SAY_AGAIN_NS: u64 = 300_000_000_000;
-/// A room that is overdue is at most so often as dear to leave undone.
+/// Limit on the weight of an overdue room.
 const WEIGHT_MAX: f64 = 100.0;
 /// The number of past decisions that late reports can answer.
 const DECISIONS: usize = 32;
 
-/// The planner's state. Pure: time comes in as a number.
+/// The planner's state. Pure: time is an argument.
 #[derive(Debug)]
 pub struct Planner {
     config: PlannerConfig,
@@ -86,14 +86,14 @@ pub struct Planner {
     zone: Zone,
     /// The residents' names, if the planner waits for each.
     residents: Vec<String>,
-    /// Each person's forecast is to come, and the planner waits for the first.
+    /// The planner expects persons' forecasts, and waits for the first.
     follows_persons: bool,
     scores: Option<RoomScoresV1>,
     forecast: Option<ForecastV1>,
     persons: Option<Box<PersonForecastsV1>>,
-    /// The daemon's epoch, and when its first scores came.
+    /// The daemon's epoch, and the time of its first scores.
     daemon: Option<(u64, BootNs)>,
-    /// The other robots, where their rooms are not entered.
+    /// The other robots, if their rooms are avoided.
     others: Option<Others>,
     places: Option<Places>,
     /// By room of the scores; empty without their map.
@@ -104,54 +104,49 @@ pub struct Planner {
     orders: Orders,
     /// The monotonic clock and the wall clock at one moment, in nanoseconds.
     clock: (BootNs, UnixNs),
-    /// What a planner before this one has kept, until scores say which rooms there are.
+    /// The round of an earlier planner, until scores give the rooms.
     kept: Option<KeptRound>,
-    /// The rooms of the rules were compared with those of the map.
+    /// Whether the rooms of the rules were compared with the map.
     compared_rooms: bool,
-    /// The last decisions' rooms.
     decisions: VecDeque<(u64, [u8; NAME_BYTES])>,
-    /// Epoch and sequence of the scores last decided upon, and when that was.
+    /// Epoch and sequence of the scores of the last decision, and its time.
     decided: Option<(u64, u64)>,
     decided_ns: BootNs,
-    /// What the next decision has to say of the work before it.
+    /// The next decision's text about the work before it.
     notice: Notice,
     standing: Standing,
 }
 
-/// What the planner said last to a robot without work.
 #[derive(Debug, Clone, PartialEq)]
 enum Standing {
-    /// Nothing that stands.
+    /// None that is still valid.
     Free,
     /// An earlier planner ordered the work in hand. This planner repeats the order, so that the robot knows its number.
     Resumes,
-    /// To pause: why, in which words, and when that was said.
+    /// To pause: the cause, the text and the time.
     Pauses(Pause, String, BootNs),
-    /// The fallback, which holds until scores are fresh.
+    /// The fallback, which is valid until scores are fresh.
     FellBack,
     /// To stay, because every room is covered.
     Finished,
 }
 
-/// Why a robot pauses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pause {
-    /// Its battery is not ready.
     Battery,
-    /// Somebody has come into its room, and somebody is in the others.
+    /// A person has come into its room, and persons are in the others.
     Persons,
-    /// It fails whatever it is asked.
+    /// It fails at each order.
     Trouble,
     /// No room is open to it.
     NoRoom,
-    /// Rooms of persons' sets are not entered, and the sets that belong to the scores have not come.
+    /// Rooms of persons' sets are avoided, and the sets of the scores have not come.
     NoSets,
     /// A rule of the house, by its kind.
     Rule(std::mem::Discriminant<Reason>),
 }
 
-/// A message that says that it was sent after now, as one of another boot does. It would never be too old, and the daemon's own would be
-/// older than it.
+/// A message is dated in the future, as one of another boot. It would never be too old, and the daemon's messages would be older than it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("dated {ahead_s} s ahead of this machine's clock, so it is not of this boot's daemon")]
 pub struct DatedAhead {
@@ -165,18 +160,17 @@ impl DatedAhead {
     }
 }
 
-/// What ended the work before a decision.
+/// The end of the work before a decision.
 #[derive(Debug, Default)]
 struct Notice {
-    /// The decision of this epoch that does not hold any more, 0 for none.
+    /// The decision of this epoch that is cancelled, 0 for none.
     cancels: u64,
     flags: u32,
     why: String,
 }
 
-/// What the rules say of a room.
 struct Verdict {
-    /// Why the robot does not work there.
+    /// The reason against work there.
     reason: Option<Reason>,
     /// The likely person there.
     by: Option<Reason>,
@@ -184,7 +178,6 @@ struct Verdict {
     is_asked: bool,
 }
 
-/// Each sentence once.
 fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
     let mut said = Vec::new();
     for sentence in reasons.map(Reason::to_string) {
@@ -195,7 +188,6 @@ fn sentences<'a>(reasons: impl Iterator<Item = &'a Reason>) -> Vec<String> {
     said
 }
 
-/// The next step.
 enum Next {
     Go { room: usize, reason: String, flags: u32 },
     Pause { why: Pause, reason: String },
@@ -253,28 +245,28 @@ impl Planner {
         self
     }
 
-    /// The orders, to be kept.
+    /// The orders, to be saved.
     #[must_use]
     pub fn orders(&self) -> &Orders {
         &self.orders
     }
 
-    /// With the map that reports' positions and names of rooms mean; the daemon's scores are of the partitions at `level`.
+    /// With the map for reports' positions and names of rooms; the daemon's scores are of the partitions at `level`.
     #[must_use]
     pub fn with_map(mut self, map: SemanticMap, level: PartitionLevel) -> Self {
         self.places = Some(Places::new(map, level));
         self
     }
 
-    /// With the round of a planner before this one, where the scores turn out to be of the same map.
+    /// With the round of an earlier planner, if the scores are of the same map.
     #[must_use]
     pub fn with_kept(mut self, kept: KeptRound) -> Self {
         self.kept = Some(kept);
         self
     }
 
-    /// Takes a checked snapshot, unless it is older than the one known. When the daemon's map was changed, rooms that are still
-    /// there keep what was done in them, and rooms that are new are to be done; another daemon's other map makes all rooms new.
+    /// Takes a checked snapshot, unless it is older than the known one. If the daemon's map has changed, the rooms that remain keep their
+    /// work, and new rooms are to be done. If another daemon has another map, all rooms are new.
     ///
     /// # Errors
     ///
@@ -287,7 +279,7 @@ impl Planner {
             {
                 return Ok(());
             }
-            // A delayed snapshot of a former daemon.
+            // A delayed snapshot of an earlier daemon.
             if known.epoch != scores.epoch && known.published_ns > scores.published_ns {
                 return Ok(());
             }
@@ -317,7 +309,7 @@ impl Planner {
         Ok(())
     }
 
-    /// The rooms are others than before: those of the same daemon's former map are followed, all else is forgotten.
+    /// Changes the rooms: rooms of the same daemon's earlier map are followed, all else is forgotten.
     fn move_rooms(&mut self, former: Option<&RoomScoresV1>, scores: &RoomScoresV1) {
         let (old, new) = (former.map_or(&[][..], RoomScoresV1::rooms), scores.rooms());
         let before = |room: usize| new.get(room).and_then(|room| old.iter().position(|other| other.id == room.id));
@@ -341,7 +333,7 @@ impl Planner {
         Ok(())
     }
 
-    /// Whether the newest scores are of narration that the newest forecast does not know yet.
+    /// Whether the newest scores contain narration that the newest forecast lacks.
     #[must_use]
     pub(crate) fn lacks_forecast(&self) -> bool {
         let belongs = |scores: &RoomScoresV1, forecast: &ForecastV1| {
@@ -375,7 +367,7 @@ impl Planner {
         self.scores.is_some() && self.avoided(now_ns).is_none()
     }
 
-    /// Whether the persons' forecasts of a daemon that was just heard are still on their way.
+    /// Whether the persons' forecasts of a new daemon are still expected.
     #[must_use]
     pub(crate) fn expects_persons(&self, now_ns: BootNs) -> bool {
         let (Some(scores), Some((_, since_ns))) = (&self.scores, self.daemon) else { return false };
@@ -384,14 +376,13 @@ impl Planner {
         waits && is_new && scores.sequence > 0 && now_ns < since_ns.saturating_add(self.deadline_ns)
     }
 
-    /// Takes another robot's decision, if the configuration avoids rooms of robots.
     pub(crate) fn take_other(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         if let Some(others) = &mut self.others {
             others.hear(decision, now_ns);
         }
     }
 
-    /// The rooms of rules and needs that the map lacks, once: these rules say nothing.
+    /// The rooms of rules and needs that the map lacks, once. These rules have no effect.
     pub(crate) fn rooms_not_on_the_map(&mut self) -> Vec<String> {
         let Some(scores) = self.scores.as_ref().filter(|_| !self.compared_rooms) else { return Vec::new() };
         self.compared_rooms = true;
@@ -404,7 +395,7 @@ impl Planner {
         named.filter(|own| !scores.rooms().iter().any(|room| is_room(own, room.id()))).cloned().collect()
     }
 
-    /// A robot that decides for a room that the map lacks, and that room; each robot once. Its room cannot be kept clear of.
+    /// A robot with a decision for a room that the map lacks, and that room; each robot once. Its room cannot be avoided.
     pub(crate) fn robot_of_another_map(&mut self) -> Option<(u64, String)> {
         self.others.as_mut()?.of_another_map(self.scores.as_ref()?)
     }
@@ -434,7 +425,6 @@ impl Planner {
         Ok(decision.map(|decision| DecisionV1 { flags: decision.flags | known, ..decision }))
     }
 
-    /// The same, by scores that may be acted upon.
     fn decide_on(
         &mut self,
         scores: &RoomScoresV1,
@@ -503,7 +493,7 @@ impl Planner {
         match self.next(&outlook, here.as_deref(), now_ns)? {
             Next::Pause { .. } if waiting.is_some() => Ok(None),
             Next::Pause { why, reason } => {
-                // Rounds pass while a rule lets no room be done.
+                // Rounds pass while a rule allows no room.
                 let ended = if matches!(why, Pause::Rule(_)) { "" } else { &ended };
                 Ok(self.pause(why, &format!("{ended}{reason}"), now_ns, now_unix_ns))
             }
@@ -534,9 +524,8 @@ impl Planner {
         }
     }
 
-    /// Asks again for work that a planner before this one asked for.
     fn ask_again(&mut self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
-        // After its time the robot owes a report. It may have sent it while no planner listened.
+        // After its time the robot owes a report. It may have sent it while no planner was running.
         let left_ns = work.ends_ns.since(now_ns);
         let reason = match left_ns {
             0 => "asks what became of what it was sent to do before the planner's restart",
@@ -555,7 +544,6 @@ impl Planner {
         decision
     }
 
-    /// Drops expired orders, and notes the rooms that need work now.
     fn look_at_orders(&mut self) {
         let unix_s = self.clock.1.0 / 1_000_000_000;
         if self.orders.expire(unix_s) {
@@ -564,7 +552,7 @@ impl Planner {
         self.look_at_needs();
     }
 
-    /// A person's order has come, or its time is over: the next look decides again, and says so.
+    /// A person's order has come, or has expired: the next look decides again, and says so.
     fn ordered(&mut self) {
         self.decided = None;
         if self.standing != Standing::Resumes {
@@ -572,7 +560,7 @@ impl Planner {
         }
     }
 
-    /// Notes the rooms that need work now: rooms that are due need it in any round, excluded and skipped rooms never.
+    /// Notes the rooms that need work now. Due rooms need it in any round, excluded and skipped rooms never.
     fn look_at_needs(&mut self) {
         let Some(scores) = &self.scores else { return };
         let (config, orders) = (&self.config, &self.orders);
@@ -596,7 +584,6 @@ impl Planner {
         }
     }
 
-    /// A room was cleaned.
     fn cover(&mut self, room: usize, at_ns: BootNs) {
         self.round.cover(room);
         let (now_ns, unix_ns) = self.clock;
@@ -605,7 +592,7 @@ impl Planner {
         self.orders.clean(&id, unix_ns / 1_000_000_000);
     }
 
-    /// How much more it costs to leave each room undone than usual: by its priority, and by how long it is overdue.
+    /// The weight of leaving each room undone, by its priority and the time overdue.
     fn weights(&self) -> Vec<f64> {
         let Some(scores) = self.scores.as_ref().filter(|_| !self.config.room.is_empty()) else { return Vec::new() };
         let unix_s = self.clock.1.0 as f64 / 1e9;
@@ -619,12 +606,10 @@ impl Planner {
         scores.rooms().iter().map(|room| weight(room.id())).collect()
     }
 
-    /// Local time in seconds since 1970.
     fn local_s(&self) -> f64 {
         self.zone.local_s(self.clock.1)
     }
 
-    /// What the rules look at.
     fn facts<'a>(&'a self, scores: &'a RoomScoresV1, now_ns: BootNs) -> Facts<'a> {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let persons = People::usable(self.persons.as_deref(), scores, (now_ns, self.deadline_ns));
@@ -678,7 +663,7 @@ impl Planner {
         Some((names, self.local_s() + left_ns as f64 / 1e9))
     }
 
-    /// Ends work that a rule does not allow any more, of the rules that `counts` selects. A robot that a person started works on.
+    /// Ends work that one of the rules selected by `counts` no longer allows. A robot that a person started works on.
     fn look_at_rules(
         &mut self,
         scores: &RoomScoresV1,
@@ -711,7 +696,7 @@ impl Planner {
         Some(DecisionV1 { flags: decision.flags | stale, ..decision })
     }
 
-    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has given it up.
+    /// Ends work at the end of its time. By the clock it is done; a robot that owes a report has failed.
     fn look_at_work(&mut self, now_ns: BootNs) {
         if self.robot.give_up_charging(now_ns) {
             self.notice.why = "the robot has said nothing for so long that it counts as charged: ".to_owned();
@@ -737,7 +722,6 @@ impl Planner {
         }
     }
 
-    /// Ends the work in a room that somebody has come into.
     fn look_for_persons(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let Some(forecast) = forecast else { return self.interruption.look_away() };
@@ -758,7 +742,7 @@ impl Planner {
         }
     }
 
-    /// Ends the work, or the wait, in a room that another robot has, too, and keeps.
+    /// Ends the work, or the wait, in a room where another robot has precedence.
     fn look_for_robots(&mut self, scores: &RoomScoresV1, now_ns: BootNs) {
         let Some(work) = self.robot.work.as_ref() else { return };
         let room = scores.rooms().get(work.room).map(|room| room.id);
@@ -772,7 +756,7 @@ impl Planner {
         self.notice = Notice { cancels, flags: 0, why };
     }
 
-    /// Whether somebody is likely in the room where the robot waits.
+    /// Whether a person is likely in the room where the robot waits.
     fn is_met(&self, work: &Work, scores: &RoomScoresV1, now_ns: BootNs) -> bool {
         let forecast = Forecast::usable(self.forecast.as_ref(), scores, now_ns, self.deadline_ns);
         let likely = forecast.filter(|forecast| !forecast.knows_nobody()).map(|forecast| forecast.now());
@@ -787,7 +771,7 @@ impl Planner {
         let again = news || now_ns >= self.decided_ns.saturating_add(LOOK_AGAIN_NS);
         match &self.robot.work {
             Some(work) => work.waits && again && (self.round.undone() > 0 || self.is_met(work, scores, now_ns)),
-            // Work that somebody began by hand may be interrupted.
+            // Work that a person started by hand may be interrupted.
             None if self.is_finished() => !self.notice.why.is_empty(),
             // A robot that is always free decides once per score, not as often as it looks.
             None if self.round.stay_ns == 0 => news,
@@ -796,18 +780,16 @@ impl Planner {
         }
     }
 
-    /// Rooms in which other robots work, or also wait, if the configuration avoids them.
+    /// Rooms where other robots work, with `waiting_too` also wait, if the configuration avoids them.
     fn taken(&self, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let known = self.scores.as_ref().zip(self.others.as_ref());
         known.map_or_else(Vec::new, |(scores, others)| others.taken(scores, waiting_too, now_ns))
     }
 
-    /// Whether the robot would have nothing to do in a room.
     fn is_idle_in(&self, room: usize) -> bool {
         self.round.is_done(room) && self.plans_coverage()
     }
 
-    /// The policy's choice, among the rooms that the robot may go to.
     fn next(&mut self, outlook: &Outlook, here: Option<&[f64]>, now_ns: BootNs) -> Result<Next, PolicyError> {
         let (occupied, empty) = (self.config.interrupt_at, self.config.resume_at);
         let Some(avoided) = self.avoided(now_ns) else {
@@ -934,7 +916,6 @@ impl Planner {
         (open && own <= other + WORTH_MOVING).then_some(here)
     }
 
-    /// What the rules say of each room.
     fn verdicts(&self, now_ns: BootNs) -> Vec<Verdict> {
         let Some(scores) = &self.scores else { return Vec::new() };
         let facts = self.facts(scores, now_ns);
@@ -979,7 +960,6 @@ impl Planner {
         self.verdicts(now_ns).into_iter().enumerate().map(reason).collect()
     }
 
-    /// Why no room can be done by the rules, if none can.
     fn why_none(&self, rules: &[Verdict]) -> Option<(Pause, String)> {
         let is_done = |room: usize| self.plans_coverage() && self.round.is_done(room);
         let mut to_do =
@@ -995,13 +975,11 @@ impl Planner {
         Some((Pause::Rule(std::mem::discriminant(first)), said.join(" ")))
     }
 
-    /// The reasons of the rooms that wait: rules and persons.
     fn why_waiting(&self, rules: &[Verdict]) -> String {
         let to_do = rules.iter().enumerate().filter(|(room, _)| !self.round.is_done(*room));
         sentences(to_do.filter_map(|(_, verdict)| verdict.reason.as_ref().or(verdict.by.as_ref()))).join(" ")
     }
 
-    /// Why no room is open.
     fn why_nowhere(&self, left: &[usize], avoided: bool) -> String {
         let held = self.interruption.held().contains(&true);
         let left = self.why_left(left);
@@ -1014,7 +992,6 @@ impl Planner {
         }
     }
 
-    /// The rooms that are left to the next round.
     fn why_left(&self, left: &[usize]) -> String {
         let ids: Vec<&str> = left.iter().map(|room| self.id_of(*room)).collect();
         if ids.is_empty() {
@@ -1023,7 +1000,7 @@ impl Planner {
         format!("left to the next round, since somebody is likely there: {}; ", ids.join(", "))
     }
 
-    /// The robot stays, since the scores may not be acted upon.
+    /// The robot stays, since the scores are stale.
     fn fall_back(&mut self, stale: u32, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         if self.robot.work.is_some() || self.is_finished() || self.standing == Standing::FellBack {
             return None;
@@ -1043,7 +1020,6 @@ impl Planner {
         Some(DecisionV1 { action, flags: decision.flags | decision_flags::FALLBACK | stale, ..decision })
     }
 
-    /// The robot pauses; said once.
     fn pause(&mut self, why: Pause, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<DecisionV1> {
         let said = Standing::Pauses(why, reason.to_owned(), now_ns);
         if let Standing::Pauses(before, words, said_ns) = &self.standing {
@@ -1057,13 +1033,12 @@ impl Planner {
             }
         }
         self.standing = said;
-        // The end of the work before it may say the same.
+        // The end of the earlier work may have the same reason.
         let reason = if self.notice.why.contains(reason) { "The robot waits." } else { reason };
         let decision = self.decision(now_ns, now_unix_ns, None, reason);
         Some(DecisionV1 { action: action::PAUSE, ..decision })
     }
 
-    /// A decision to be in a room.
     fn go(&mut self, room: usize, stay_ns: u64, reason: &str, now_ns: BootNs, now_unix_ns: UnixNs) -> DecisionV1 {
         let decision = self.decision(now_ns, now_unix_ns, Some(room), reason);
         if self.decisions.len() == DECISIONS {
@@ -1074,7 +1049,7 @@ impl Planner {
         DecisionV1 { action: action::GO, stay_ns, ..decision }
     }
 
-    /// The robot's new work, in a room that somebody is in with this probability, if that is known.
+    /// The robot's new work, with the probability of a person in the room, if known.
     fn send_to(&mut self, room: usize, waits: bool, likely: Option<f64>, now_ns: BootNs, sequence: u64) {
         let ends_ns = now_ns.saturating_add(self.stay_in_ns(room)).max(BootNs(1));
         let decisions = vec![(self.epoch, sequence)];
@@ -1137,7 +1112,7 @@ impl Planner {
         self.standing == Standing::Finished && self.round.undone() == 0
     }
 
-    /// Why the scores may not be acted upon: bits of [`decision_flags`], 0 when they may.
+    /// The reason why the scores must not be used: bits of [`decision_flags`], 0 if they may.
     #[must_use]
     pub fn stale(&self, now_ns: BootNs) -> u32 {
         match &self.scores {
@@ -1145,7 +1120,7 @@ impl Planner {
             Some(scores) if scores.silence_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE | decision_flags::DAEMON_SILENT
             }
-            // The daemon lives, but these scores lack the newest events.
+            // The daemon is alive, but these scores lack the newest events.
             Some(scores) if scores.has(score_flags::SCORER_FAILED) && scores.age_ns(now_ns.0) > self.deadline_ns => {
                 decision_flags::STALE
             }
@@ -1153,7 +1128,7 @@ impl Planner {
         }
     }
 
-    /// Whether the clock has ended the work. It ends no work of a robot that reports, except waiting.
+    /// Whether the clock has ended the work. For a robot that reports, it ends only waiting.
     fn is_over(&self, work: &Work, now_ns: BootNs) -> bool {
         now_ns >= work.ends_ns && (!self.robot.is_believed() || work.waits || self.round.stay_ns == 0)
     }
@@ -1164,12 +1139,12 @@ impl Planner {
         self.robot.work.as_ref().is_none_or(|work| self.is_over(work, now_ns))
     }
 
-    /// How long there is nothing to decide unless something arrives, at most one tick.
+    /// The time until the next decision without news, at most one tick.
     #[must_use]
     pub fn idle(&self, now_ns: BootNs) -> Duration {
         const LEAST_NS: u64 = 1_000_000;
         let ends_ns = self.robot.work.as_ref().map(|work| work.ends_ns).filter(|_| self.round.stay_ns > 0);
-        // Scores that go stale are noticed at once.
+        // Scores that become stale are noticed at once.
         let stale_ns = self
             .scores
             .as_ref()
@@ -1184,17 +1159,15 @@ impl Planner {
         self.robot.room
     }
 
-    /// The policy weighs the forecast over the stays to come.
     fn plans(&self) -> bool {
         self.policy.name() == PolicyName::CoverageAware
     }
 
-    /// The policy goes to a room that is done only to wait.
+    /// Whether the policy goes to a completed room only to wait.
     fn plans_coverage(&self) -> bool {
         matches!(self.policy.name(), PolicyName::CoverageAware | PolicyName::UncoveredFirst)
     }
 
-    /// How long the robot works in a room.
     fn stay_in_ns(&self, room: usize) -> u64 {
         let own = self.config.needs_of(self.id_of(room)).and_then(|needs| needs.time_s);
         own.filter(|_| self.round.stay_ns > 0).map_or(self.round.stay_ns, nanoseconds)
@@ -1213,13 +1186,13 @@ impl Planner {
         rooms.get(room).map_or("", |room| room.id())
     }
 
-    /// The newest decision of this epoch that asked for the work, 0 for none.
+    /// The newest decision of this epoch for the work, 0 for none.
     fn own_decision(&self, work: &Work) -> u64 {
         let own = work.decisions.iter().rev().find(|(epoch, _)| *epoch == self.epoch);
         own.map_or(0, |(_, sequence)| *sequence)
     }
 
-    /// The room that a decision names, by epoch (0 for any) and sequence: the one in hand, or one of the last of this epoch.
+    /// The room of a decision, by epoch (0 for any) and sequence: the current one, or one of the last of this epoch.
     fn room_of_decision(&self, decision: (u64, u64)) -> Option<usize> {
         let in_hand = self.robot.work.as_ref().filter(|work| work.answers(decision));
         let past = || {

@@ -8,9 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::rules::{Hold, RoomSet};
 use crate::state_file::{self, Kept};
 
-/// Most bytes of the file that are read.
 const FILE_BYTES_MAX: u64 = 1 << 18;
-/// Most rooms of each list: those of several maps.
+/// Most rooms of each list, with rooms of several maps.
 const ROOMS_MAX: usize = 256;
 
 /// Orders and cleanings. Rooms are ids, times are seconds since 1970.
@@ -19,18 +18,17 @@ const ROOMS_MAX: usize = 256;
 pub struct Orders {
     /// The robot does not work.
     pub hold: Option<Hold>,
-    /// Rooms that a person asked for, and until when the order stands.
+    /// Rooms that a person asked for, and the end of each order.
     pub asked: BTreeMap<String, u64>,
-    /// Rooms that a person skips, and until when.
+    /// Rooms that a person skips, and the end of each order.
     pub skipped: BTreeMap<String, u64>,
-    /// When each room was last cleaned.
+    /// The last cleaning of each room.
     pub cleaned: BTreeMap<String, u64>,
     /// Reporters by their epoch, and the newest order of each: a port repeats its last reports for a planner that joins.
     pub taken: Vec<(u64, u64)>,
 }
 
 impl Orders {
-    /// Drops expired orders, and says whether there were any.
     pub(super) fn expire(&mut self, unix_s: u64) -> bool {
         let before = (self.hold.is_some(), self.asked.len(), self.skipped.len());
         self.hold.take_if(|hold| hold.until_unix_s.is_some_and(|until_s| until_s <= unix_s));
@@ -40,46 +38,42 @@ impl Orders {
         before != (self.hold.is_some(), self.asked.len(), self.skipped.len())
     }
 
-    /// A room was cleaned.
     pub(super) fn clean(&mut self, room: &str, unix_s: u64) {
         self.asked.remove(room);
         if room.is_empty() || self.cleaned.len() >= ROOMS_MAX && !self.cleaned.contains_key(room) {
             return;
         }
-        // A clock that ran ahead may have written a later time.
+        // A fast clock may have written a later time.
         self.cleaned.insert(room.to_owned(), unix_s);
     }
 
-    /// A person asks for a room, until a time.
     pub(super) fn ask(&mut self, room: &str, until_unix_s: u64) {
         self.skipped.remove(room);
         self.asked.insert(room.to_owned(), until_unix_s);
     }
 
-    /// A person skips a room, until a time.
     pub(super) fn skip(&mut self, room: &str, until_unix_s: u64) {
         self.asked.remove(room);
         self.skipped.insert(room.to_owned(), until_unix_s);
     }
 }
 
-/// The rooms of a list, by their places among `ids`.
 pub(super) fn set_of<'a>(rooms: &BTreeMap<String, u64>, ids: impl Iterator<Item = &'a str>) -> RoomSet {
     let set = ids.take(64).enumerate().filter(|(_, id)| rooms.contains_key(*id));
     set.fold(0, |set, (room, _)| set | 1 << room)
 }
 
-/// The file of the orders. It outlives a loss of power: a hold does.
+/// The file of the orders. A hold survives a power loss.
 #[derive(Debug)]
 pub(super) struct OrdersFile(Kept<Orders>);
 
 impl OrdersFile {
-    /// In the state directory, one for each robot.
+    /// A file in the state directory for each robot.
     pub(super) fn new(directory: &Path, robot: u64) -> Self {
         Self(Kept::for_good(directory.join(format!("planner-{robot:016x}-orders.json"))))
     }
 
-    /// Loads the kept orders. If the file cannot be read, the log says why, and there are no orders.
+    /// Loads the orders. If the file cannot be read, the log says why, and there are no orders.
     pub(super) fn load(&self) -> Orders {
         let path = self.0.path().display();
         let _removed = state_file::remove_unfinished(self.0.path());

@@ -1,36 +1,36 @@
-//! Rooms that other robots are in or on their way to, by what their planners decide. Pure: time comes in as a number.
+//! Rooms of other robots, present or on their way, by their planners' decisions. Pure: time is an argument.
 //!
-//! No robot goes into a room in which another works, nor waits where another waits; one that waits makes way for one that comes to work, so
-//! that no room stays undone for it. Where two have decided for one room before they heard of one another, the one with the smaller number
-//! keeps it and the other leaves: both see the same two numbers, so that they agree without asking. Whom a planner does not hear, it does not
-//! make way for.
+//! No robot enters a room where another works, or waits where another waits. A waiting robot makes way for one that comes to work, so that
+//! no room stays undone. If two decide for one room before they hear of each other, the one with the smaller number keeps it and the other
+//! leaves: both know both numbers, so they agree without a message. A planner cannot avoid robots that it does not hear.
 
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags, text};
+use roomcast_ipc::raw::{DecisionV1, NAME_BYTES, RoomScoresV1, action, decision_flags};
+use roomcast_ipc::text;
 
-/// Robots that are followed; of more, the one whose room is free first gives way.
+/// Most robots that are followed. Of more, the one with the earliest end is dropped.
 const ROBOTS_MAX: usize = 16;
-/// A robot that is late is waited for so long after its stay, in nanoseconds: its next decision may be on its way.
+/// Time after a stay in which a late robot's next decision may still come, in nanoseconds.
 const LATE_NS: u64 = 10_000_000_000;
-/// The same of one that works until it reports, however long its stay was thought to be; its planner may have ended without a word.
+/// The same for a robot that works until it reports, however long its stay was expected to take. Its planner may have ended without a
+/// message.
 const AT_WORK_NS: u64 = 7_200 * 1_000_000_000;
 
-/// What another robot has last been told.
+/// The last decision for another robot.
 #[derive(Debug, Clone, Copy)]
 struct Claim {
     decision: (u64, u64),
     room: [u8; NAME_BYTES],
-    /// It has nothing to do there.
+    /// It has no work there.
     waits: bool,
-    /// 0 where it has no room.
+    /// 0 without a room.
     until_ns: BootNs,
-    /// It was said that its room is none of the map.
+    /// The log has named its room as missing from the map.
     is_told: bool,
 }
 
-/// The other robots.
 #[derive(Debug)]
 pub(super) struct Others {
     own: u64,
@@ -38,12 +38,11 @@ pub(super) struct Others {
 }
 
 impl Others {
-    /// None heard; `own` is the number of the planner's robot.
+    /// `own` is the number of the planner's robot.
     pub(super) fn new(own: u64) -> Self {
         Self { own, robots: BTreeMap::new() }
     }
 
-    /// Takes note of a checked decision; of its robot's own it takes none.
     pub(super) fn hear(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         let name = (decision.epoch, decision.sequence);
         let old = |claim: &Claim| claim.decision.0 == name.0 && claim.decision.1 > name.1;
@@ -64,20 +63,20 @@ impl Others {
         }
     }
 
-    /// Whether each room of the scores is another robot's now: of one that works there, or also of one that waits there.
+    /// For each room of the scores, whether another robot works there, or with `waiting_too` also waits.
     pub(super) fn taken(&self, scores: &RoomScoresV1, waiting_too: bool, now_ns: BootNs) -> Vec<bool> {
         let counts = |claim: &Claim| waiting_too || !claim.waits;
         let taken = |id: &[u8; NAME_BYTES]| self.claims(now_ns).any(|(_, claim)| claim.room == *id && counts(claim));
         scores.rooms().iter().map(|room| taken(&room.id)).collect()
     }
 
-    /// Whether a room in which this robot works or waits is another's that comes before it: work before waiting, then the smaller number.
+    /// Whether another robot has precedence in a room where this robot works or waits: work before waiting, then the smaller number.
     pub(super) fn go_before(&self, room: &[u8; NAME_BYTES], waits: bool, now_ns: BootNs) -> bool {
         let before = |robot: u64, claim: &Claim| (claim.waits, robot) < (waits, self.own);
         self.claims(now_ns).any(|(robot, claim)| claim.room == *room && before(*robot, claim))
     }
 
-    /// A robot whose room the map lacks, and that room; each robot once.
+    /// A robot in a room that the map lacks, and that room; each robot once.
     pub(super) fn of_another_map(&mut self, scores: &RoomScoresV1) -> Option<(u64, String)> {
         let is_known = |claim: &Claim| scores.rooms().iter().any(|room| room.id == claim.room);
         let lacks = |claim: &Claim| !claim.is_told && claim.until_ns > BootNs(0) && !is_known(claim);
@@ -111,7 +110,7 @@ mod tests {
         }
     }
 
-    /// Two vacuums' imported maps call one kitchen by different numbers: neither kept clear of the other, and nobody said so.
+    /// Two vacuums' imported maps had different ids for one kitchen: neither robot avoided the other, and the log did not say so.
     #[test]
     fn a_robot_whose_rooms_the_map_lacks_is_named_once() {
         let mut scores = RoomScoresV1 { room_count: 1, ..Default::default() };
@@ -169,14 +168,14 @@ mod tests {
             (others.taken(&scores, false, BootNs(2 * S)), others.go_before(&kitchen, false, BootNs(2 * S))),
             (vec![true, false], true)
         );
-        // One that reports is at work until it is told to go elsewhere.
+        // A reporting robot works until its next decision.
         others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 4, "kitchen") }, BootNs(S));
         assert_eq!(others.taken(&scores, false, BootNs(3_600 * S)), [true, false]);
         others.hear(&DecisionV1 { flags: decision_flags::REPORTED, ..decision(9, 5, "hall") }, BootNs(S));
         assert_eq!(others.taken(&scores, false, BootNs(3_600 * S)), [false, true]);
         assert_eq!(others.taken(&scores, false, BootNs(7_300 * S)), [false, false], "its planner may have ended");
         others.hear(&DecisionV1 { action: action::PAUSE, ..decision(9, 6, "") }, BootNs(S));
-        // A time in the future is of now.
+        // A time in the future counts as now.
         others.hear(&DecisionV1 { decided_ns: u64::MAX, ..decision(3, 2, "hall") }, BootNs(S));
         assert_eq!(others.taken(&scores, false, BootNs(72 * S)), [false, false]);
         (10..1000).for_each(|robot| others.hear(&decision(robot, 1, "hall"), BootNs(S)));

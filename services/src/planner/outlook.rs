@@ -1,10 +1,10 @@
-//! What a planner sees of persons at one moment: how likely somebody is in each room next, now, and in each slot to come.
+//! A planner's view of persons: the probability of a person in each room next, now, and in each future slot.
 
 use roomcast_core::ids::BootNs;
 use roomcast_ipc::raw::probability_at;
-use roomcast_ipc::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
+use roomcast_ipc::raw::{ForecastV1, PersonForecastsV1, RoomScoresV1, decision_flags, forecast_flags, score_flags};
 
-/// A forecast that may be used with scores: it is fresh, and of the same daemon's same rooms.
+/// A forecast that matches the scores: it is fresh, and of the same daemon and rooms.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Forecast<'a> {
     message: &'a ForecastV1,
@@ -28,22 +28,21 @@ impl<'a> Forecast<'a> {
         Some(Self { message, age_s: now_ns.since(BootNs(message.computed_ns)) as f64 / 1e9 })
     }
 
-    /// Nobody is known: what it says of rooms says nothing.
+    /// No person is known: its rooms have no meaning.
     pub(super) fn knows_nobody(&self) -> bool {
         self.message.has(forecast_flags::NOT_KNOWN)
     }
 
-    /// A resident was never observed.
     pub(super) fn misses_resident(&self) -> bool {
         self.message.has(forecast_flags::RESIDENT_UNKNOWN)
     }
 
-    /// How likely the house is empty so many seconds from now.
+    /// The probability of an empty house in so many seconds.
     pub(super) fn nobody_home(&self, ahead_s: f64) -> f64 {
         probability_at(&self.message.horizon_s, &self.message.elsewhere, self.age_s + ahead_s)
     }
 
-    /// The least value of a curve from now on for so many seconds, at the forecast's horizons and at the end.
+    /// The least value of a curve over the next seconds, at the forecast's horizons and at the end.
     pub(super) fn least(&self, for_s: f64, of: impl Fn(f64) -> f64) -> f64 {
         let horizons = self.message.horizon_s.iter().take(self.message.horizon_count as usize);
         let within = horizons.map(|horizon_s| f64::from(*horizon_s) - self.age_s);
@@ -51,21 +50,19 @@ impl<'a> Forecast<'a> {
         within.map(of).fold(1.0, f64::min)
     }
 
-    /// How likely somebody is in a room so many seconds from now.
+    /// The probability of a person in a room in so many seconds.
     pub(super) fn likely(&self, room: usize, ahead_s: f64) -> f64 {
         let curve = self.message.room(room);
         curve.map_or(0.0, |(_, row)| probability_at(&self.message.horizon_s, row, self.age_s + ahead_s))
     }
 
-    /// How likely somebody is in each room now.
     pub(super) fn now(&self) -> Vec<f64> {
         (0..self.message.room_count as usize).map(|room| self.likely(room, 0.0)).collect()
     }
 }
 
-/// The rooms, of those of the scores, that are in the set of any person at any time of a stay of so many seconds that begins now. None where
-/// there are no sets of what the scores know: they are old, of fewer narrations, or of other rooms. A person of whom nothing was observed
-/// has no set, and is in no room of one.
+/// The scores' rooms in the set of any person at any time of a stay that begins now. `None` without matching sets: they are stale, of fewer
+/// narrations, or of other rooms. A person without observations has no set.
 pub(super) fn in_sets(
     sets: Option<&PersonForecastsV1>,
     scores: &RoomScoresV1,
@@ -92,7 +89,7 @@ pub(super) fn in_sets(
     Some((0..rooms.len()).map(held).collect())
 }
 
-/// What is known of persons: one of [`decision_flags`], or 0 where somebody is known and may be home.
+/// The knowledge of persons: one of [`decision_flags`], or 0 if a person is known and may be home.
 pub(super) fn what_is_known(scores: &RoomScoresV1, forecast: Option<Forecast<'_>>) -> u32 {
     let not_known = forecast.map_or(scores.has(score_flags::NO_NARRATION), |forecast| forecast.knows_nobody());
     let nobody_home = forecast
@@ -104,28 +101,26 @@ pub(super) fn what_is_known(scores: &RoomScoresV1, forecast: Option<Forecast<'_>
     }
 }
 
-/// What policies weigh.
 #[derive(Debug)]
 pub(super) struct Outlook {
-    /// Per room, how likely somebody is there next.
+    /// By room, the probability of a person there next.
     pub(super) likely: Vec<f64>,
-    /// How long robot and person are expected to share each room in each of the slots left, slot by slot, in seconds. Empty without
-    /// a forecast, or without a time to stay.
+    /// The expected time in seconds of a robot with persons in each room in each remaining slot, slot by slot. Empty without a forecast or
+    /// a time to stay.
     pub(super) shared_s: Vec<f64>,
-    /// As [`what_is_known`] says.
     pub(super) flags: u32,
-    /// Somebody who lives here is in none of the probabilities.
+    /// A resident is missing from the probabilities.
     pub(super) misses_resident: bool,
 }
 
 impl Outlook {
     pub(super) fn new(scores: &RoomScoresV1, forecast: Option<Forecast<'_>>, stay_s: f64, slots: usize) -> Self {
         let rooms = scores.rooms().len();
-        // A robot that decides with every score stays nowhere for a time that could be shared.
+        // A robot that decides with every score has no time to share.
         let slots = if stay_s > 0.0 { slots } else { 0 };
         let flags = what_is_known(scores, forecast);
         if flags == decision_flags::NOT_KNOWN {
-            // What the model says about an unknown past is about no person of this home: every room counts alike.
+            // The model's scores after an unknown past are not about persons of this home: every room counts alike.
             let alike = 1.0 / rooms.max(1) as f64;
             let shared_s = vec![alike * stay_s; if forecast.is_some() { slots * rooms } else { 0 }];
             return Self { likely: vec![alike; rooms], shared_s, flags, misses_resident: false };
@@ -139,7 +134,7 @@ impl Outlook {
         Self { likely, shared_s: shared_s.unwrap_or_default(), flags, misses_resident }
     }
 
-    /// How likely somebody is in a room during a stay that begins now, as far as a forecast says.
+    /// The probability of a person in a room during a stay that begins now, if there is a forecast.
     pub(super) fn over_stay(&self, room: usize, stay_s: f64) -> Option<f64> {
         Some((self.shared_s.get(room)? / stay_s).clamp(0.0, 1.0))
     }

@@ -1,17 +1,16 @@
-//! Which room a report speaks of: by its id, by its name in the map, or by the robot's position on the map.
+//! Finds the room of a report: by its id, its name in the map, or the robot's position on the map.
 
 use roomcast_core::grounding::{Partition, PartitionLevel, partitions};
 use roomcast_core::semantic_map::{Door, SemanticMap, Storeys};
-use roomcast_ipc::{RoomScoresV1, RoomV1};
+use roomcast_ipc::raw::{RoomScoresV1, RoomV1};
 
 use super::facts::Near;
 
-/// The planner's own copy of the map.
 #[derive(Debug)]
 pub(super) struct Places {
     map: SemanticMap,
     partitions: Vec<Partition>,
-    /// The daemon that has scored this very map: a map that it changes afterwards keeps the places of the rooms that stay.
+    /// The daemon that has scored exactly this map. If it changes the map later, the remaining rooms keep their places.
     epoch: Option<u64>,
 }
 
@@ -21,19 +20,17 @@ impl Places {
         Self { map, partitions, epoch: None }
     }
 
-    /// Takes note of which map the scores are of.
     pub(super) fn see(&mut self, scores: &RoomScoresV1) {
         if self.map.fingerprint() == scores.map_fingerprint {
             self.epoch = Some(scores.epoch);
         }
     }
 
-    /// Whether positions and names on this map mean the rooms of these scores.
+    /// Whether this map fits the rooms of these scores.
     pub(super) fn fits(&self, scores: &RoomScoresV1) -> bool {
         self.epoch == Some(scores.epoch)
     }
 
-    /// The scores' room that holds a position.
     pub(super) fn at(&self, position_m: [f64; 3], scores: &RoomScoresV1) -> Option<usize> {
         let holds = |room: &RoomV1| {
             let own = self.partitions.iter().find(|partition| partition.id == room.id());
@@ -42,7 +39,7 @@ impl Places {
         scores.rooms().iter().position(holds)
     }
 
-    /// For each of the scores' rooms the ones beside it and on its floor.
+    /// For each of the scores' rooms the rooms next to it and on its floor.
     pub(super) fn near(&self, scores: &RoomScoresV1) -> Vec<Near> {
         let storeys = Storeys::of(&self.map);
         let own = |room: &RoomV1| self.partitions.iter().find(|partition| partition.id == room.id());
@@ -56,7 +53,7 @@ impl Places {
         };
         let floor = |partition: &Partition| partition.spaces.first().map(|space| storeys.of_space(space));
         let of = |room: usize, is_near: &dyn Fn(&Partition, &Partition) -> bool| {
-            // A room that this map does not have may be near every other.
+            // A room that this map lacks may be near every other.
             let near = |other: &usize| *other == room || own[room].zip(own[*other]).is_none_or(|(a, b)| is_near(a, b));
             (0..own.len().min(64)).filter(near).fold(0, |set, other| set | 1 << other)
         };
@@ -64,7 +61,7 @@ impl Places {
         (0..own.len()).map(near).collect()
     }
 
-    /// The scores' room that a name means on this map: of several in one room, none.
+    /// The scores' room with a name on this map; `None` if the name fits several.
     pub(super) fn named(&self, name: &str, scores: &RoomScoresV1) -> Option<usize> {
         let room = self.map.find_one_room(name)?;
         let mut within = self.partitions.iter().filter(|partition| partition.rooms.contains(&room));

@@ -1,17 +1,17 @@
-//! What becomes of the robot's reports.
+//! Handles the robot's reports.
 
 use roomcast_core::ids::{BootNs, UnixNs};
-use roomcast_ipc::{RobotReportV1, report_kind};
+use roomcast_ipc::raw::{RobotReportV1, report_kind};
 
 use super::robot::{Work, note_newest};
 use super::rules::Hold;
 use super::{Notice, Planner};
 
 const DAY_S: f64 = 86_400.0;
-/// A room that a person asks for late in the evening is asked for at least for so long.
+/// The least duration of a person's order for a room, for one late in the evening.
 const ASKED_S: u64 = 2 * 3_600;
 
-/// Why a report, or a part of it, is not used.
+/// A report, or a part of it, is not used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReportFault {
@@ -20,7 +20,7 @@ pub enum ReportFault {
     UnknownRoom {
         /// As reported.
         room: String,
-        /// The rooms there are.
+        /// The known rooms.
         known: String,
     },
     /// The planner's scene is not the daemon's.
@@ -29,10 +29,10 @@ pub enum ReportFault {
          give the planner the same scene.path, or name the room in the report"
     )]
     OtherMap,
-    /// An order to clean or skip a room names none.
+    /// An order to clean or skip a room lacks the room.
     #[error("the order to clean or skip a room names no room; give the id of a room")]
     NoRoom,
-    /// The planner asked for nothing under this number.
+    /// The planner knows no decision of this number.
     #[error(
         "the robot answers decision {decision}, which is none that this planner knows of the work in hand or before it, and names no room: \
          report the sequence of a decision of this planner, or name the room"
@@ -43,19 +43,18 @@ pub enum ReportFault {
     },
 }
 
-/// Whether a kind of report speaks of work in a room.
 fn is_of_work(kind: u32) -> bool {
     use report_kind::{BLOCKED, CANCELLED, FAILED, FINISHED, STARTED};
     [STARTED, FINISHED, FAILED, BLOCKED, CANCELLED].contains(&kind)
 }
 
 impl Planner {
-    /// Takes a checked report of the planner's robot, from any sender. Reports of other robots and repeated reports are
-    /// left alone. Rooms are known with the first scores: a report that comes before them is not to be given here.
+    /// Takes a checked report of the planner's robot, from any sender. Reports of other robots and repeated reports are ignored. The first
+    /// scores give the rooms, so a report must not come here before them.
     ///
     /// # Errors
-    /// [`ReportFault`] when it names a room or answers a decision that is none, or a position cannot be placed; the rest of it is used, but for
-    /// work in a room that is none.
+    /// [`ReportFault`] for an unknown room, an unknown decision, or a position outside the known map. The rest of the report is used,
+    /// except work in an unknown room.
     pub fn take_report(&mut self, report: &RobotReportV1, now_ns: BootNs) -> Result<(), ReportFault> {
         let is_meant = report.robot == self.number && (self.robot.listens() || report.is_order());
         if !is_meant || !self.robot.is_new(report.epoch, report.sequence) {
@@ -76,23 +75,24 @@ impl Planner {
         let (placed, placed_fault) = split(self.placed_room(report));
         let (named, placed) = (named.flatten(), placed.flatten());
         let answered = (report.decision_sequence > 0).then_some((report.decision_epoch, report.decision_sequence));
-        // A room that is none must not be taken for the one in hand; a decision that is answered says which it is.
+        // An unknown room must not count as the current one. An answered decision gives the room.
         if let Some(fault) = named_fault.clone().filter(|_| answered.is_none() && is_of_work(report.kind)) {
             return Err(fault);
         }
         let told = answered.and_then(|decision| self.room_of_decision(decision));
         let work = self.robot.work.as_ref();
-        // The work in hand is meant by its decision, or without one by what is reported since it began and of no other room.
+        // A report is about the current work if it answers its decision. Without a decision, it must be from after the start of the work
+        // and not about another room.
         let room = named.or(told).or(placed.flatten());
         let of_work = work.is_some_and(|work| match answered {
-            // Work that was begun by hand answers no decision: its room tells.
+            // Work that a person started answers no decision; its room counts.
             Some(decision) => work.answers(decision) || work.decisions.is_empty() && named == Some(work.room),
             None => at_ns >= work.began_ns && room.is_none_or(|room| room == work.room),
         });
         let unknown = answered.filter(|_| told.is_none() && !of_work && named.is_none() && is_of_work(report.kind));
         let unknown_fault = unknown.map(|(_, decision)| ReportFault::UnknownDecision { decision });
         let room = room.or(work.filter(|_| of_work).map(|work| work.room));
-        // Of rounds before this one nothing counts: a planner that joins hears the last reports, of whatever age.
+        // Reports from before this round do not count: a planner that joins receives the last reports, of any age.
         let in_round = room.filter(|_| self.round.began_ns.is_some_and(|began_ns| at_ns >= began_ns));
         match report.kind {
             report_kind::POSITION => {
@@ -138,22 +138,22 @@ impl Planner {
                 self.robot.dock();
                 self.robot.is_well();
                 self.robot.be(placed.unwrap_or(named), at_ns);
-                // A robot says that it is docked also before it leaves.
+                // A robot also reports that it is docked before it leaves.
                 let gives_up = |work: &Work| at_ns >= work.began_ns && (work.started || answered.is_some() && of_work);
                 if let Some(work) = self.robot.work.take_if(|work| gives_up(work) || self.robot.charges) {
-                    // Where there was nothing to do nothing has failed.
+                    // A robot that only waited has not failed.
                     if !work.waits {
                         self.round.fail(work.room, at_ns);
                     }
                 }
             }
-            // The battery was taken above; kinds to come say nothing yet.
+            // The battery was handled above. Unknown kinds have no effect.
             _ => {}
         }
         named_fault.or(placed_fault).or(unknown_fault).map_or(Ok(()), Err)
     }
 
-    /// Ends work that this planner ordered, for the order of a person.
+    /// Ends work that this planner ordered, for a person's order.
     fn end_work(&mut self, is_ended: impl Fn(&Work) -> bool, why: String) {
         if let Some(work) = self.robot.work.take_if(|work| is_ended(work) && !work.decisions.is_empty()) {
             self.notice = Notice { cancels: self.own_decision(&work), flags: 0, why };
@@ -161,7 +161,7 @@ impl Planner {
         }
     }
 
-    /// Takes a person's order. A room is asked for, or skipped, until the end of the local day.
+    /// Takes a person's order. An order for a room ends with the local day.
     fn take_order(&mut self, report: &RobotReportV1) -> Result<(), ReportFault> {
         let key = (report.epoch, report.sequence);
         if !note_newest(&mut self.orders.taken, key.0, key.1) {
@@ -193,7 +193,7 @@ impl Planner {
         Ok(())
     }
 
-    /// The robot is at work in a room: the one that it was sent to, or another, as when somebody pressed its button.
+    /// The robot works in a room: the ordered one, or another, for example after a person pressed its button.
     fn start(
         &mut self,
         room: Option<usize>,
@@ -208,7 +208,7 @@ impl Planner {
         match &mut self.robot.work {
             Some(work) if of_work => (work.started, work.ends_ns) = (true, ends_ns),
             Some(work) if answered.is_none() && at_ns >= work.began_ns => {
-                // What the robot was sent to do before is no work of this room: who answers that decision means the room of it.
+                // The earlier order is not for this room: a report that answers it is about the ordered room.
                 *work = Work { room, decisions: Vec::new(), started: true, ends_ns, waits: false, ..work.clone() };
                 self.interruption.new_stay(None);
             }
@@ -226,7 +226,7 @@ impl Planner {
         }
     }
 
-    /// The next decision says why the robot could not do a room, where the robot does.
+    /// The next decision contains the robot's reason for not doing a room.
     fn complain(&mut self, room: usize, note: &str) {
         if !note.is_empty() {
             let id = self.id_of(room);
@@ -234,7 +234,6 @@ impl Planner {
         }
     }
 
-    /// The room that a report names.
     fn named_room(&self, report: &RobotReportV1) -> Result<Option<usize>, ReportFault> {
         let (name, Some(scores)) = (report.room(), &self.scores) else { return Ok(None) };
         if name.is_empty() {
@@ -244,24 +243,23 @@ impl Planner {
         let by_name = || self.places.as_ref().filter(|places| places.fits(scores))?.named(name, scores);
         by_id.or_else(by_name).map(Some).ok_or_else(|| ReportFault::UnknownRoom {
             room: name.to_owned(),
-            known: scores.rooms().iter().map(roomcast_ipc::RoomV1::id).collect::<Vec<_>>().join(", "),
+            known: scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id).collect::<Vec<_>>().join(", "),
         })
     }
 
-    /// The room that a report's position lies in; the inner `None` is a position outside all rooms.
+    /// The room at a report's position; the inner `None` is a position outside all rooms.
     fn placed_room(&self, report: &RobotReportV1) -> Result<Option<Option<usize>>, ReportFault> {
         let (Some(position_m), Some(scores)) = (report.position_m(), &self.scores) else { return Ok(None) };
         let places = self.places.as_ref().filter(|places| places.fits(scores)).ok_or(ReportFault::OtherMap);
         match places {
             Ok(places) => Ok(Some(places.at(position_m, scores))),
-            // A room that is named is enough.
+            // The name of the room is enough.
             Err(_) if !report.room().is_empty() => Ok(None),
             Err(fault) => Err(fault),
         }
     }
 }
 
-/// What there is, and what was wrong.
 fn split<T>(result: Result<T, ReportFault>) -> (Option<T>, Option<ReportFault>) {
     match result {
         Ok(value) => (Some(value), None),

@@ -1,41 +1,37 @@
-//! The robot as it is known: its work, where it is, its battery, and when it was heard.
+//! The known state of the robot: work, place, battery, and the time of its last report.
 
 use crate::config::{PlannerConfig, Reports};
 use roomcast_core::ids::BootNs;
 
 use super::round::nanoseconds;
 
-/// A robot that fails so often in a row without beginning its work has a fault of its own, and not of a room.
+/// A robot that fails so often in a row without starting has a fault itself; the room is not the cause.
 const REFUSALS: u32 = 2;
-/// It is asked again after this, and each time after twice as long, up to the second.
+/// The first pause and the longest pause before it is asked again. The pause doubles.
 pub(super) const REST_NS: (u64, u64) = (60_000_000_000, 600_000_000_000);
-/// Reporters whose numbers stay known.
 const REPORTERS: usize = 16;
-/// Decisions of former planners that still mean the work in hand.
+/// Most remembered decisions of earlier planners for the current work.
 const FORMER: usize = 4;
 
-/// What the robot is doing.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Work {
     pub(super) room: usize,
-    /// The decisions that asked for it, by epoch and sequence, newest last: of this planner, and of those before a restart.
+    /// The decisions for it, by epoch and sequence, newest last: of this planner, and from before a restart.
     pub(super) decisions: Vec<(u64, u64)>,
     pub(super) began_ns: BootNs,
-    /// When the time for it is over.
     pub(super) ends_ns: BootNs,
-    /// Nothing is to be done there: the robot waits.
+    /// The robot has no work there and waits.
     pub(super) waits: bool,
-    /// The robot has said that it began.
+    /// The robot has reported the start.
     pub(super) started: bool,
 }
 
 impl Work {
-    /// Whether a decision asked for this; an epoch of 0 stands for any.
+    /// Whether a decision asked for this; an epoch of 0 means any.
     pub(super) fn answers(&self, (epoch, sequence): (u64, u64)) -> bool {
         self.decisions.iter().any(|asked| asked.1 == sequence && (epoch == 0 || asked.0 == epoch))
     }
 
-    /// Names one more decision that asks for this.
     pub(super) fn asked_by(&mut self, epoch: u64, sequence: u64) {
         if self.decisions.len() > FORMER {
             self.decisions.remove(0);
@@ -44,7 +40,7 @@ impl Work {
     }
 }
 
-/// All that is known of the robot. Rooms are places in the scores.
+/// Rooms are indices in the scores.
 #[derive(Debug)]
 pub(super) struct Robot {
     reports: Reports,
@@ -52,24 +48,22 @@ pub(super) struct Robot {
     battery_low: f64,
     battery_ready: f64,
     charge_timeout_ns: u64,
-    /// Reporters by their epoch, and the highest number of each; newest last.
+    /// The highest number of each reporter, by epoch; newest last.
     reporters: Vec<(u64, u64)>,
-    /// The same of what they said of work and dock alone.
+    /// The same for reports about work and dock only.
     pub(super) told: Vec<(u64, u64)>,
-    /// It has reported its work.
     pub(super) reports_work: bool,
-    /// When it was heard last.
     pub(super) heard_ns: Option<BootNs>,
     pub(super) room: Option<usize>,
-    /// When it was there.
+    /// The time of that place.
     pub(super) room_ns: BootNs,
     pub(super) battery: Option<f64>,
-    /// It is not to be sent out until its battery is ready.
+    /// It must not be sent out until its battery is ready.
     pub(super) charges: bool,
     pub(super) work: Option<Work>,
-    /// It has missed its time, and has not been heard since.
+    /// It is overdue, and has sent no report since.
     pub(super) silent: bool,
-    /// How often in a row it failed without beginning its work, and until when it is not asked again.
+    /// Failures in a row without a start, and the end of the pause after them.
     refusals: u32,
     rests_until_ns: BootNs,
 }
@@ -97,7 +91,6 @@ impl Robot {
         }
     }
 
-    /// It failed without beginning its work.
     pub(super) fn refuse(&mut self, at_ns: BootNs) {
         self.refusals = self.refusals.saturating_add(1);
         if let Some(more) = self.refusals.checked_sub(REFUSALS) {
@@ -107,27 +100,26 @@ impl Robot {
         }
     }
 
-    /// How often in a row it failed, and until when it is left alone, to be kept over a restart.
+    /// The failures in a row and the end of the pause, for a restart.
     pub(super) fn trouble(&self) -> (u32, BootNs) {
         (self.refusals, self.rests_until_ns)
     }
 
-    /// Takes up what was kept.
     pub(super) fn restore_trouble(&mut self, (refusals, rests_until_ns): (u32, BootNs)) {
         (self.refusals, self.rests_until_ns) = (refusals, rests_until_ns);
     }
 
-    /// It works, or has come to its dock: whatever was wrong with it is over.
+    /// It works, or has come to its dock, so an earlier fault is over.
     pub(super) fn is_well(&mut self) {
         (self.refusals, self.rests_until_ns) = (0, BootNs(0));
     }
 
-    /// Whether it is left alone after failing again and again.
+    /// Whether it is in a pause after repeated failures.
     pub(super) fn rests(&self, now_ns: BootNs) -> bool {
         now_ns < self.rests_until_ns
     }
 
-    /// Why it is left alone, if it is.
+    /// The reason of that pause, if there is one.
     pub(super) fn why_it_rests(&self, now_ns: BootNs) -> Option<String> {
         let minutes = self.rests_until_ns.since(now_ns).div_ceil(60_000_000_000);
         let often = self.refusals;
@@ -136,12 +128,11 @@ impl Robot {
         })
     }
 
-    /// Whether reports are looked at.
     pub(super) fn listens(&self) -> bool {
         self.reports != Reports::Never
     }
 
-    /// Whether what is done is what the robot reports; otherwise the clock says it.
+    /// Whether the robot's reports decide what is done; otherwise the clock does.
     pub(super) fn is_believed(&self) -> bool {
         match self.reports {
             Reports::Auto => self.reports_work,
@@ -150,17 +141,17 @@ impl Robot {
         }
     }
 
-    /// Whether a report is new. Reporters may take turns; each counts by itself.
+    /// Whether a report is new. Reporters may take turns; each has its own numbers.
     pub(super) fn is_new(&mut self, epoch: u64, sequence: u64) -> bool {
         note_newest(&mut self.reporters, epoch, sequence)
     }
 
-    /// Takes note of a report of work or dock: after a restart it is not to be taken again.
+    /// Records a report about work or dock, so that it does not count again after a restart.
     pub(super) fn note_told(&mut self, epoch: u64, sequence: u64) {
         note_newest(&mut self.told, epoch, sequence);
     }
 
-    /// Knows the reports of work and dock that a planner before took.
+    /// Restores the reports about work and dock that an earlier planner took.
     pub(super) fn restore_told(&mut self, told: &[(u64, u64)]) {
         for (epoch, sequence) in told {
             self.is_new(*epoch, *sequence);
@@ -168,20 +159,17 @@ impl Robot {
         }
     }
 
-    /// It was heard.
     pub(super) fn hear(&mut self, at_ns: BootNs) {
         self.heard_ns = self.heard_ns.max(Some(at_ns));
         self.silent = false;
     }
 
-    /// It is in a room, or in none.
     pub(super) fn be(&mut self, room: Option<usize>, at_ns: BootNs) {
         if at_ns >= self.room_ns {
             (self.room, self.room_ns) = (room, at_ns);
         }
     }
 
-    /// Takes how full the battery is.
     pub(super) fn charge(&mut self, battery: f64) {
         self.battery = Some(battery);
         if battery < self.battery_low {
@@ -191,28 +179,28 @@ impl Robot {
         }
     }
 
-    /// It is at its dock: with a battery that is known and not ready, it stays there. A dock alone says nothing of it.
+    /// It is at its dock. With a known battery that is not ready, it stays there. Docking alone does not mean charging.
     pub(super) fn dock(&mut self) {
         self.charges |= self.battery.is_some_and(|battery| battery < self.battery_ready);
     }
 
-    /// It is at work: whatever was said of a dock is past, unless the battery is low.
+    /// It works, so it has left the dock, unless the battery is low.
     pub(super) fn leave_dock(&mut self) {
         self.charges = self.battery.is_some_and(|battery| battery < self.battery_low);
     }
 
-    /// Whether the robot's time for its work is over and it owes a report for too long.
+    /// Whether the time for its work is over and a report is overdue.
     pub(super) fn is_overdue(&self, now_ns: BootNs) -> bool {
         let due_ns = self.work.as_ref().map(|work| work.ends_ns.max(self.heard_ns.unwrap_or_default()));
         self.is_believed() && due_ns.is_some_and(|due_ns| now_ns >= due_ns.saturating_add(self.timeout_ns))
     }
 
-    /// Whether work that began then may still be going on.
+    /// Whether work with this end may still be going on.
     pub(super) fn may_still_work(&self, ends_ns: BootNs, now_ns: BootNs) -> bool {
         now_ns < ends_ns.saturating_add(self.timeout_ns)
     }
 
-    /// A robot that charges and has said nothing for too long counts as charged; whether it does so now.
+    /// A charging robot without a report for too long counts as charged; returns whether it does so now.
     pub(super) fn give_up_charging(&mut self, now_ns: BootNs) -> bool {
         let until_ns = self.heard_ns.unwrap_or_default().saturating_add(self.charge_timeout_ns);
         let gives_up = self.charges && now_ns >= until_ns;
@@ -222,20 +210,20 @@ impl Robot {
         gives_up
     }
 
-    /// Why it is not sent out, if it is not.
+    /// The reason for keeping it in, if there is one.
     pub(super) fn why_it_charges(&self) -> Option<String> {
         let (battery, ready) = (100.0 * self.battery?, 100.0 * self.battery_ready);
         self.charges.then(|| format!("the battery is at {battery:.0} %: the robot charges until {ready:.0} %"))
     }
 
-    /// The rooms are others: each old one is at `after(old)` now, if it is still there.
+    /// The rooms have changed: each old one is at `after(old)` now, if it still exists.
     pub(super) fn move_rooms(&mut self, after: impl Fn(usize) -> Option<usize>) {
         self.room = self.room.and_then(&after);
         self.work = self.work.take().and_then(|work| Some(Work { room: after(work.room)?, ..work }));
     }
 }
 
-/// Notes the highest number of a reporter, which becomes the newest of them; whether the number is higher than those before.
+/// Records the highest number of a reporter, which becomes the newest one. Returns whether the number is a new maximum.
 pub(super) fn note_newest(reporters: &mut Vec<(u64, u64)>, epoch: u64, sequence: u64) -> bool {
     let known = reporters.iter().position(|(known, _)| *known == epoch);
     let before = known.map(|place| reporters.remove(place));

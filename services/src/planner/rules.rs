@@ -7,13 +7,13 @@ use crate::config::{OnlyWhen, PlannerConfig, clock_time};
 /// A set of rooms by their places in the scores: bit i is room i.
 pub type RoomSet = u64;
 
-/// Whether a set holds a room.
+/// Whether a set contains a room.
 #[must_use]
 pub fn holds(set: RoomSet, room: usize) -> bool {
     room < 64 && set >> room & 1 == 1
 }
 
-/// A moment.
+/// A moment, and the stay that would begin then.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Now {
     /// Seconds since 1970 in local time.
@@ -26,9 +26,9 @@ pub struct Now {
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hold {
-    /// Why, in the person's words; may be empty.
+    /// The reason in the person's words; may be empty.
     pub why: String,
-    /// The end, in seconds since 1970; none until a person resumes.
+    /// The end, in seconds since 1970; `None` until a person resumes.
     pub until_unix_s: Option<u64>,
 }
 
@@ -48,13 +48,13 @@ pub struct Sleeper {
 pub struct Staying {
     /// The person's name.
     pub name: String,
-    /// Seconds for which they likely stay, as far as the forecast looks.
+    /// Seconds of the likely stay, within the forecast.
     pub for_s: f64,
     /// The forecast does not see them leave.
     pub is_open: bool,
 }
 
-/// What the rules look at, of one moment.
+/// The input of the rules at one moment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Facts<'a> {
     /// The rules.
@@ -81,12 +81,12 @@ pub struct Facts<'a> {
     pub staying: Vec<Option<Staying>>,
 }
 
-/// Why the robot does not work in a room. Each is a sentence.
+/// A reason against work in a room, as a sentence.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reason {
     /// A person holds the robot.
     Held {
-        /// Why, in the person's words.
+        /// The reason in the person's words.
         why: String,
         /// The local time of the end.
         until_s: Option<f64>,
@@ -108,9 +108,9 @@ pub enum Reason {
         /// The room.
         room: String,
     },
-    /// Quiet hours.
+    /// The hours are quiet.
     Quiet {
-        /// The room, where the hours are not those of the whole house.
+        /// The room, unless the hours are for the whole house.
         room: Option<String>,
         /// The local time of their end.
         until_s: f64,
@@ -119,12 +119,12 @@ pub enum Reason {
     Unobserved {
         /// Their names.
         names: Vec<String>,
-        /// The local time at which the planner goes on without them.
+        /// The local time when the planner continues without them.
         until_s: f64,
     },
     /// The house is not empty.
     HouseOccupied {
-        /// The persons at home, as far as they are known.
+        /// The known persons at home.
         names: Vec<String>,
     },
     /// A person is in the room.
@@ -134,13 +134,13 @@ pub enum Reason {
         /// The room.
         room: String,
     },
-    /// House or room do not stay empty for long enough.
+    /// House or room do not stay empty long enough.
     TooShort {
-        /// The room; none for the house.
+        /// The room; `None` for the house.
         room: Option<String>,
-        /// For how long it should.
+        /// The required seconds.
         for_s: f64,
-        /// The probability that it does.
+        /// The probability of that.
         likely: f64,
     },
 }
@@ -223,7 +223,7 @@ pub fn allowed(room: usize, now: Now, facts: &Facts<'_>) -> Result<(), Reason> {
     reasons(room, now, facts).find(is_against).map_or(Ok(()), Err)
 }
 
-/// All reasons against work in a room, the ones that bind most first.
+/// All reasons against work in a room, the strongest first.
 fn reasons<'a>(room: usize, now: Now, facts: &'a Facts<'_>) -> impl Iterator<Item = Reason> + 'a {
     let config = facts.config;
     let id = move || facts.ids.get(room).map_or_else(String::new, |id| (*id).to_owned());

@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{
-    Awaited, DecisionV1, Domain, ForecastV1, IpcError, Message, PersonForecastsV1, Publisher, RobotReportV1,
-    RoomScoresV1, decision_flags, report_kind, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, Message, PersonForecastsV1, RobotReportV1, RoomScoresV1, decision_flags, report_kind,
 };
+use roomcast_ipc::{Awaited, Domain, IpcError, Publisher, sequence};
 use sd_notify::NotifyState;
 
 use super::orders::OrdersFile;
@@ -24,11 +24,10 @@ use crate::receive::receive;
 use crate::setup;
 use crate::stop::Stop;
 
-/// The forecast comes right behind the scores that it belongs to, and the persons' sets behind it. Decisions wait at most so long for them.
+/// The longest wait of decisions for the forecast of the scores and the persons' sets, which follow directly.
 const FORECAST_PATIENCE: Duration = Duration::from_millis(5);
-/// What other planners and the bridge said before comes within two of their ticks; decisions of a planner that has just started wait for it.
+/// Earlier messages of other planners and the bridge arrive within two of their ticks; decisions of a new planner wait for them.
 const HISTORY_PATIENCE: Duration = Duration::from_millis(250);
-/// Complaints about one kind of message come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
 
 /// Runs until asked to stop.
@@ -37,13 +36,13 @@ const QUIET_NS: u64 = 5_000_000_000;
 ///
 /// [`IpcError`] when a service cannot be opened or is lost.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError> {
-    // The number is the one by which decisions name the robot.
+    // Decisions name the robot by this number.
     let number = sequence::source_of_name(&config.planner.robot);
     let node = join(domain, &PLANNER.name(&config.planner.robot))?.be_the_only_one()?;
     let scores = node.subscriber::<RoomScoresV1>()?;
     let forecasts = node.subscriber::<ForecastV1>()?;
     let persons = node.subscriber::<PersonForecastsV1>()?;
-    // Of robots of this domain, and of others through `roomcast-zenoh`.
+    // Decisions for robots of this domain, and for others through `roomcast-zenoh`.
     let others = config.planner.avoid_robots.then(|| node.subscriber::<DecisionV1>()).transpose()?;
     let reports = node.subscriber::<RobotReportV1>()?;
     let decisions = node.publisher::<DecisionV1>()?;
@@ -62,22 +61,22 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         planner = planner.with_orders(orders.load());
     }
     let mut log = Limiter::new(QUIET_NS);
-    // At the start the scores need a moment to arrive; saying that there are none is worth something only after the deadline.
+    // At the start the scores need a moment to arrive, so their absence counts only after the deadline.
     let patience_ns = clock::monotonic_ns().saturating_add(config.planner.deadline_ms.saturating_mul(1_000_000));
     let (mut snapshot, mut forecast) = (Box::<RoomScoresV1>::default(), Box::<ForecastV1>::default());
     let mut each = Box::<PersonForecastsV1>::default();
     let (mut report, mut other) = (RobotReportV1::default(), DecisionV1::default());
     let (mut early, mut awake) = (VecDeque::<RobotReportV1>::new(), Awake::new(config.ipc.spin_us));
-    // Where two robots go for one room, the one that makes way is to leave at once.
+    // If two robots go to one room, one of them must leave at once.
     let mut awaited: Vec<&dyn Awaited> = vec![&scores, &reports];
     awaited.extend(others.iter().map(|others| others as &dyn Awaited));
-    // A robot that pauses for want of sets goes on when they come.
+    // A robot that pauses for lack of sets continues when they come.
     if config.planner.avoid_sets {
         awaited.push(&persons);
     }
     let behind_scores: Vec<&dyn Awaited> = vec![&forecasts, &persons];
     if others.is_some() {
-        // Else the first decision may be for a room that is taken.
+        // Without this wait, the first decision may be for a taken room.
         std::thread::sleep(HISTORY_PATIENCE);
     }
     notify(&[NotifyState::Ready]);
@@ -130,10 +129,10 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
                 "quiet hours or rooms of [planner] name rooms that the map does not have, and have no effect there: give a room's id or name"
             );
         }
-        // Who reports may leave at once, so reports are taken from the port although rooms are known only with the first scores.
+        // A reporter may leave at once, so reports are taken from the port even though the rooms are known only with the first scores.
         while receive(&reports, &mut report, &mut log)? {
             if early.len() == RobotReportV1::SERVICE.buffer {
-                // What a robot says again and again makes way for what it says once.
+                // Repeated kinds of reports make way for the others.
                 let again =
                     early.iter().position(|known| matches!(known.kind, report_kind::BATTERY | report_kind::POSITION));
                 early.remove(again.unwrap_or(0));
@@ -147,7 +146,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
         if planner.stale(now_ns) != decision_flags::NO_SCORES || now_ns >= patience_ns {
             decide(&mut planner, now_ns, &decisions, &mut log)?;
         }
-        // What comes after may wait for the decision.
+        // The rest can wait for the decision.
         decisions.tick()?;
         if let Some(file) = &mut file {
             file.keep(&planner);
@@ -162,7 +161,7 @@ pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), IpcError
     Ok(())
 }
 
-/// Whether the planner has taken a message; that it has not is said.
+/// Whether the planner has taken a message; logs a rejection.
 fn is_taken<M: Message>(taken: Result<(), DatedAhead>, log: &mut Limiter) -> bool {
     if let Err(error) = taken
         && let Some(not_told) = log.pass(clock::monotonic_ns())
@@ -182,7 +181,6 @@ fn take_report(planner: &mut Planner, report: &RobotReportV1, log: &mut Limiter)
     }
 }
 
-/// Decides, if there is something to decide, sends it and logs it.
 fn decide(
     planner: &mut Planner,
     now_ns: BootNs,

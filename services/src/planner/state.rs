@@ -221,7 +221,7 @@ impl RoundFile {
 
 #[cfg(test)]
 mod tests {
-    use roomcast_ipc::RoomScoresV1;
+    use roomcast_ipc::raw::RoomScoresV1;
 
     use super::*;
     use crate::config::PlannerConfig;

@@ -1,7 +1,7 @@
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::places::PlaceMatcher;
-use roomcast_ipc::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
+use roomcast_ipc::raw::{Message, RobotReportV1, forecast_flags, report_flags, report_kind};
 
 use super::*;
 use crate::config::Reports;
@@ -26,7 +26,7 @@ fn scores(sequence: u64, now_ns: u64, likely: &[f64]) -> RoomScoresV1 {
     scores
 }
 
-/// Messages without delay.
+/// Messages that arrive as soon as they are sent.
 impl Planner {
     fn hear(&mut self, scores: &RoomScoresV1) {
         self.take(scores, BootNs(scores.published_ns)).unwrap();
@@ -66,7 +66,7 @@ fn forecast(of: &RoomScoresV1, curves: &[[f32; 2]]) -> ForecastV1 {
 #[test]
 fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     let mut planner = planner(PolicyName::CoverageAware, true);
-    // The scores alone would send the robot into room 0 first.
+    // By the scores alone the robot would go to room 0 first.
     let scores = scores(1, S, &[0.1, 0.9]);
     planner.hear(&scores);
     planner.hear_forecast(&forecast(&scores, &[[1.0, 0.0], [0.0, 1.0]]));
@@ -75,7 +75,7 @@ fn coverage_aware_waits_for_a_room_that_the_forecast_says_becomes_free() {
     assert!(decision.reason().contains("; the plan for "), "{}", decision.reason());
 }
 
-/// A home with a person in the bedroom, and the daemon's messages about it.
+/// A home with a person who lies down in the bedroom, and the daemon's messages about it.
 struct Sleeper {
     forecaster: Forecaster,
 }
@@ -129,7 +129,7 @@ fn while_somebody_sleeps_every_other_room_is_done_in_its_slot() {
     let sleeper = Sleeper::new();
     let mut planner = Planner::new(&PlannerConfig::default(), 1);
     let stay_ns = 600 * S;
-    // The person has slept for an hour, and continues for five.
+    // The person has slept for an hour, and sleeps for five more.
     for round in 0..4 {
         let mut visited = Vec::new();
         for slot in 0..8 {
@@ -240,7 +240,7 @@ fn a_changed_map_keeps_what_was_done_in_rooms_that_stay() {
     let first = planner.decide(BootNs(S), UnixNs(0)).unwrap().unwrap();
     planner.hear(&scores(2, 11 * S, &[0.5, 0.5]));
     planner.decide(BootNs(11 * S), UnixNs(0)).unwrap().unwrap();
-    // A new room comes first; the two known rooms move by one place.
+    // A new room comes first, and the two known ones move by a place.
     let mut changed = scores(3, 12 * S, &[0.2, 0.4, 0.4]);
     changed.map_fingerprint = [1; 32];
     for (room, id) in changed.room.iter_mut().zip(["garage", "room-0", "room-1"]) {
@@ -286,12 +286,12 @@ fn stale_scores_are_never_acted_upon() {
     assert!(silent.has(decision_flags::FALLBACK) && silent.has(decision_flags::DAEMON_SILENT));
     assert_eq!((silent.action, silent.to()), (action::STAY, gone.to()));
 
-    // A heartbeat renews the same scores.
+    // A heartbeat makes the same scores fresh again.
     planner.hear(&RoomScoresV1 { published_ns: 21 * S, ..scores(1, 3 * S, &[0.5, 0.5]) });
     assert_eq!(planner.decide(BootNs(21 * S), UnixNs(0)).unwrap().unwrap().action, action::GO);
 }
 
-/// Formerly a planner used one snapshot from a recording of a longer boot for days, and ignored the daemon.
+/// One snapshot of a recording from a boot with a longer uptime was used for days, and the daemon was ignored.
 #[test]
 fn what_is_dated_ahead_is_refused_and_the_daemon_is_heard() {
     let config = PlannerConfig { room_time_s: 10.0, avoid_sets: true, ..Default::default() };
@@ -307,7 +307,7 @@ fn what_is_dated_ahead_is_refused_and_the_daemon_is_heard() {
     let sets = PersonForecastsV1 { published_ns: ahead.published_ns, ..Default::default() };
     assert!(planner.take_persons(&sets, BootNs(S)).is_err());
     assert!(planner.forecast.is_none() && planner.persons.is_none());
-    // A small difference of two clocks is accepted.
+    // The difference of two clocks is not a reason to reject a message.
     planner.take(&scores(1, 2 * S, &[0.9, 0.1]), BootNs(S)).unwrap();
     assert_eq!(planner.stale(BootNs(2 * S)), 0);
     assert_ne!(planner.stale(BootNs(12 * S)), 0, "it goes stale as ever");
@@ -364,7 +364,7 @@ fn old_and_foreign_snapshots_do_not_replace_newer_ones() {
     assert_eq!(planner.decide(BootNs(20 * S), UnixNs(0)).unwrap().unwrap().scores_epoch, 6);
 }
 
-/// A robot with reports, its home and its planner.
+/// A reporting robot, its planner and its home.
 struct Home {
     planner: Planner,
     likely: Vec<f32>,
@@ -374,7 +374,7 @@ struct Home {
 }
 
 impl Home {
-    /// Stays take 100 s, and all rooms are empty.
+    /// With stays of 100 s, in rooms without persons.
     fn new(rooms: usize, config: &PlannerConfig) -> Self {
         let config = PlannerConfig { room_time_s: 100.0, ..config.clone() };
         let planner = Planner::new(&config, 1);
@@ -385,7 +385,7 @@ impl Home {
         scores(self.sequence, now_ns, &self.likely.iter().map(|p| f64::from(*p)).collect::<Vec<_>>())
     }
 
-    /// Sends the daemon's messages and lets the planner decide.
+    /// Sends the daemon's messages, and returns the planner's decision.
     fn look(&mut self, at_s: u64) -> Option<DecisionV1> {
         self.sequence += 1;
         let scores = self.scores(at_s * S);
@@ -395,7 +395,7 @@ impl Home {
         self.planner.decide(BootNs(at_s * S), UnixNs(0)).unwrap()
     }
 
-    /// A decision that must exist.
+    /// The decision of this moment, which must exist.
     fn decision(&mut self, at_s: u64) -> DecisionV1 {
         let decision = self.look(at_s).unwrap_or_else(|| panic!("no decision at {at_s} s"));
         decision.check().unwrap();
@@ -417,7 +417,7 @@ impl Home {
         self.planner.take_report(&report, BootNs(at_s * S)).unwrap();
     }
 
-    /// The robot's report about a decision.
+    /// The robot answers a decision.
     fn answer(&mut self, at_s: u64, kind: u32, decision: &DecisionV1) {
         let (epoch, sequence) = (decision.epoch, decision.sequence);
         self.report(at_s, kind, |report| (report.decision_epoch, report.decision_sequence) = (epoch, sequence));
@@ -431,16 +431,16 @@ fn without_reports_the_clock_says_what_is_done_and_with_them_the_robot() {
     assert_eq!((first.covered, first.has(decision_flags::REPORTED), first.minor), (0, false, 4));
     assert_eq!(first.robot_name(), PlannerConfig::default().robot);
     assert!(!first.has(decision_flags::OWED));
-    // Without reports the clock ends the stay.
+    // By the clock.
     let second = home.decision(101);
     assert_eq!((second.covered, second.cancels), (0b001, 0));
     home.answer(103, report_kind::STARTED, &second);
-    // The stay is over, but the robot has not finished.
+    // The stay is over, and the robot has not reported its end.
     assert_eq!(home.look(250), None);
     home.answer(260, report_kind::FINISHED, &second);
     let third = home.decision(260);
     assert_eq!((third.covered, third.has(decision_flags::REPORTED), third.cancels), (0b011, true, 0));
-    // The report comes before the end of the stay.
+    // Earlier than the clock.
     home.answer(270, report_kind::FINISHED, &third);
     assert!(home.decision(270).has(decision_flags::COVERED));
 }
@@ -526,7 +526,7 @@ fn a_robot_in_trouble_is_asked_ever_less_often_until_it_is_well() {
     assert!((8..=12).contains(&asked.len()), "asked at {asked:?}");
     let gaps: Vec<u64> = asked.windows(2).map(|pair| pair[1] - pair[0]).collect();
     assert!(gaps[1] >= 60 && gaps[2] >= 120 && gaps.iter().all(|gap| *gap <= 620), "{gaps:?}");
-    // A person has freed the robot and put it on its dock, so it is asked at once.
+    // A person has freed it and put it on its dock: it is asked at once.
     assert_eq!(home.look(3601).map(|decision| decision.action), None);
     home.report(3602, report_kind::DOCKED, |_| ());
     let well = home.decision(3670);
@@ -536,7 +536,7 @@ fn a_robot_in_trouble_is_asked_ever_less_often_until_it_is_well() {
     assert_eq!(home.decision(3770).action, action::GO, "one room that fails after it began is no trouble of the robot");
 }
 
-/// Restarts must not make the planner ask a robot in trouble more often.
+/// A planner that restarts often asks a robot in trouble no more often than one that does not.
 #[test]
 fn a_restarted_planner_leaves_a_robot_in_trouble_alone() {
     let mut home = Home::new(3, &PlannerConfig::default());
@@ -577,16 +577,16 @@ fn a_report_without_a_decision_means_the_work_in_hand_if_it_is_of_its_room_and_t
     let mut home = Home::new(3, &PlannerConfig::default());
     let first = home.decision(10);
     let room = |id: &'static str| move |report: &mut RobotReportV1| report.room = text::encode("room", id).unwrap();
-    // The report is older than the decision.
+    // Before it was sent there.
     home.report(9, report_kind::FINISHED, room("room-0"));
     assert_eq!(home.look(11), None);
-    // The robot finished another room on its way.
+    // Another room is done on the way.
     home.report(12, report_kind::FINISHED, room("room-2"));
     assert_eq!(home.look(13), None);
     home.report(14, report_kind::FINISHED, |_| ());
     let second = home.decision(14);
     assert_eq!((first.to(), second.to(), second.covered), ("room-0", "room-1", 0b101));
-    // A late report on the first decision does not end the second.
+    // A late report about the first decision does not end the second.
     home.answer(15, report_kind::FAILED, &first);
     assert_eq!(home.look(16), None);
 }
@@ -602,7 +602,7 @@ fn a_robot_that_is_started_by_hand_is_at_work_where_it_says() {
     home.report(30, report_kind::FINISHED, |_| ());
     let decision = home.decision(30);
     assert_eq!((decision.from(), decision.to(), decision.covered), ("room-1", "room-0", 0b010));
-    // The robot goes to another room than decided.
+    // It goes to another room than ordered.
     home.report(31, report_kind::STARTED, |report| report.room = text::encode("room", "room-2").unwrap());
     home.report(60, report_kind::FINISHED, |_| ());
     assert_eq!(home.decision(60).covered, 0b110);
@@ -627,7 +627,7 @@ fn a_robot_with_a_low_battery_is_not_sent_out_before_it_is_ready() {
     home.report(200, report_kind::BATTERY, battery(0.5));
     let next = home.decision(200);
     assert_eq!((next.action, next.to()), (action::GO, "room-1"), "what it has left comes after the others");
-    // The robot leaves its dock by itself.
+    // A person or the robot itself sent it out.
     home.report(201, report_kind::DOCKED, battery(0.2));
     assert_eq!(home.decision(201).action, action::PAUSE);
     home.report(250, report_kind::STARTED, |report| report.room = text::encode("room", "room-1").unwrap());
@@ -635,7 +635,7 @@ fn a_robot_with_a_low_battery_is_not_sent_out_before_it_is_ready() {
     assert_eq!(home.decision(270).action, action::GO);
 }
 
-/// A robot that is silent on its dock must not wait forever. A restarted planner knows the time of the last report.
+/// A robot that is lost on its dock does not block work for ever, and the restarted planner knows the time of its last report.
 #[test]
 fn a_robot_that_charges_and_says_nothing_counts_as_charged() {
     let mut home = Home::new(2, &PlannerConfig { charge_timeout_s: 1000.0, ..PlannerConfig::default() });
@@ -660,6 +660,7 @@ fn a_robot_that_charges_and_says_nothing_counts_as_charged() {
     assert_eq!(again.decision(1120).action, action::GO);
 }
 
+/// Failed rooms, and rooms left to a person, survive a restart.
 #[test]
 fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody() {
     let mut home = Home::new(3, &PlannerConfig::default());
@@ -687,7 +688,7 @@ fn a_restarted_planner_knows_which_rooms_failed_and_which_are_left_to_somebody()
     assert_ne!(next.to(), "room-0", "somebody may still be there");
 }
 
-/// The reports' service resends the last reports to a new planner, and the stored round already contains them.
+/// A reporter's service repeats its last reports for a planner that joins; the saved round knows them.
 #[test]
 fn a_restarted_planner_takes_no_report_of_work_twice() {
     let mut home = Home::new(3, &PlannerConfig::default());
@@ -726,7 +727,7 @@ fn a_restarted_planner_takes_no_report_of_work_twice() {
     assert_eq!(home.planner.kept("boot"), Some(kept));
 }
 
-/// The nearly free room is done before the round ends, although it is hardly occupied.
+/// A room that is nearly free is done before the round ends, although the house is nearly empty.
 #[test]
 fn a_nearly_free_room_is_not_left_undone() {
     let mut home = Home::new(2, &PlannerConfig::default());
@@ -754,7 +755,7 @@ fn a_robot_that_says_nothing_for_too_long_gives_its_room_up() {
     let mut home = Home::new(2, &PlannerConfig::default());
     let first = home.decision(1);
     home.answer(2, report_kind::STARTED, &first);
-    // The stay ends at 102 s, and the planner waits for 120 s more.
+    // Its stay ends at 102 s, and its patience 120 s later.
     assert_eq!(home.look(221), None);
     let next = home.decision(222);
     assert!(next.has(decision_flags::ROBOT_SILENT) && next.cancels == first.sequence && next.covered == 0);
@@ -768,7 +769,7 @@ fn a_robot_that_says_nothing_for_too_long_gives_its_room_up() {
     assert_eq!((waits.to(), waits.action, waits.has(decision_flags::ROBOT_SILENT)), ("room-1", action::STAY, false));
     let heard = home.decision(282);
     assert_eq!((heard.to(), heard.cancels), ("room-0", waits.sequence), "a minute after it was given up");
-    // A robot that reports is not silent, however long its work takes.
+    // A robot that reports is not silent, however long it takes.
     home.answer(283, report_kind::STARTED, &heard);
     for at_s in (300..1000).step_by(100) {
         home.report(at_s, report_kind::POSITION, |report| report.room = text::encode("room", "room-0").unwrap());
@@ -794,7 +795,7 @@ fn somebody_who_comes_in_interrupts_and_the_room_is_done_later() {
     let waits = home.decision(212);
     assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
     assert_eq!((waits.action, waits.to()), (action::STAY, "room-2"), "no needless way");
-    // The person has left, so the robot no longer waits.
+    // The person has left: the robot waits no longer.
     home.likely = vec![0.1, 0.0, 0.0];
     let last = home.decision(220);
     assert_eq!((last.to(), last.cancels, last.covered), ("room-0", waits.sequence, 0b110));
@@ -830,14 +831,14 @@ fn nobody_is_interrupted_by_a_person_who_was_there_before_or_by_a_stale_forecast
 fn a_home_without_knowledge_is_equally_free_everywhere() {
     let config = PlannerConfig { know_s: 0.0, room_time_s: 10.0, ..Default::default() };
     let mut home = Home::new(3, &config);
-    // With an unknown past, the model's probabilities are about no known person.
+    // The model's scores after an unknown past are not about persons of this home.
     (home.likely, home.flags) = (vec![0.7, 0.2, 0.1], forecast_flags::NOT_KNOWN);
     let decision = home.decision(1);
     assert!(decision.has(decision_flags::NOT_KNOWN));
     assert!((decision.probability - 1.0 / 3.0).abs() < 1e-9, "{}", decision.probability);
     assert!(decision.reason().starts_with("nothing is known of anybody, so every room counts alike: "));
     assert_eq!(decision.to(), "room-0", "the likeliest room of the model's is as good as any");
-    // Without a forecast, the scores' flag counts.
+    // Without a forecast, the scores decide.
     for policy in PolicyName::ALL {
         let mut planner = Planner::new(&PlannerConfig { policy, ..config.clone() }, 1);
         let unknown = RoomScoresV1 { flags: score_flags::NO_NARRATION, ..scores(1, S, &[0.7, 0.2, 0.1]) };
@@ -872,11 +873,11 @@ fn the_last_stay_of_a_round_leaves_an_occupied_room_to_the_next_one() {
         assert_eq!(home.decision(1).to(), "room-1");
         home.decision(101)
     };
-    // The price of an undone room, 42 s, is above the expected cost of the stay at 40 %, and below it at 70 %.
+    // The price of a room, 42 s, is more than the expected cost of the stay at 40 %, and less than at 70 %.
     let enters = round(Forced::Skip, 0.4);
     assert_eq!((enters.to(), enters.has(decision_flags::DEADLINE)), ("room-0", true));
     assert!(enters.reason().contains("the deadline leaves no later time for this room (40 % occupied): "));
-    // At 90 %, `Skip` leaves the room to the next round and `Enter` does not.
+    // Two people, which makes a room left undone more expensive.
     for (forced, to) in [(Forced::Skip, "room-1"), (Forced::Enter, "room-0")] {
         let config = PlannerConfig { forced, room_time_s: 40.0, round_s: Some(80.0), ..Default::default() };
         let mut planner = Planner::new(&config, 1);
@@ -929,7 +930,7 @@ fn positions_mean_rooms_of_the_map_in_use_and_no_other() {
     assert_eq!(other.room(), None);
 }
 
-/// Formerly a misspelt room counted as the room in progress.
+/// A misspelt room counted as the robot's current room.
 #[test]
 fn a_room_that_is_none_is_not_the_one_in_hand() {
     let mut home = Home::new(3, &PlannerConfig::default());
@@ -950,7 +951,7 @@ fn a_room_that_is_none_is_not_the_one_in_hand() {
     assert_eq!(home.decision(7).covered.count_ones(), 1);
 }
 
-/// A report about an unknown decision is an error and ends no work.
+/// An unknown decision is an error, and gives no room.
 #[test]
 fn a_decision_that_is_none_is_not_the_one_in_hand() {
     let mut home = Home::new(3, &PlannerConfig::default());
@@ -981,7 +982,7 @@ fn reports_of_other_robots_and_reports_heard_before_change_nothing() {
     home.reports -= 1;
     home.report(4, report_kind::FINISHED, |_| ());
     assert_eq!(home.look(4), None, "it was heard before");
-    // A report from the future must not make the robot trusted forever.
+    // A number from the future does not make the planner trust the robot for ever.
     home.answer(5, report_kind::STARTED, &second);
     home.report(5, report_kind::POSITION, |report| report.reported_ns = u64::MAX);
     assert!(home.decision(900).has(decision_flags::ROBOT_SILENT));
@@ -1007,7 +1008,7 @@ fn a_restarted_planner_goes_on_with_the_round() {
         assert_eq!((again.stay_ns, again.has(decision_flags::REPORTED)), (70 * S, reports));
         assert_eq!(home.look(132), None);
         if reports {
-            // The report may answer a decision of the first planner or of the second.
+            // The robot may know the first planner's decision, or the second's.
             let heard = if of_the_first { &second } else { &again };
             home.answer(201, report_kind::FINISHED, heard);
         }
@@ -1015,7 +1016,7 @@ fn a_restarted_planner_goes_on_with_the_round() {
     }
 }
 
-/// Formerly a robot continued to work near people that entered its room while the planner was down.
+/// A robot continued to work among people that entered its room while its planner was down.
 #[test]
 fn who_came_while_the_planner_was_down_interrupts_and_who_was_there_before_does_not() {
     let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
@@ -1038,7 +1039,7 @@ fn who_came_while_the_planner_was_down_interrupts_and_who_was_there_before_does_
     }
 }
 
-/// Work that a person starts by hand after the last round is interrupted too.
+/// A robot that a person started by hand also avoids persons after its round is over.
 #[test]
 fn work_after_the_last_round_is_interrupted_too() {
     let mut home = Home::new(1, &PlannerConfig { repeat: false, ..Default::default() });
@@ -1055,7 +1056,7 @@ fn work_after_the_last_round_is_interrupted_too() {
     assert_eq!(home.look(121), None);
 }
 
-/// A state of an older version has the charging robot but no time of the last report, so the timeout starts with the restart.
+/// A file of an older version says that the robot charges, but not the time of its last report: its charging time begins with the restart.
 #[test]
 fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
     let config = PlannerConfig::default();
@@ -1076,7 +1077,7 @@ fn a_robot_that_charges_is_kept_in_by_an_older_round_too() {
     assert!(out.action == action::GO && out.has(decision_flags::ROBOT_SILENT), "{}", out.reason());
 }
 
-/// The robot continues to wait in the same room and does not work there.
+/// A robot that waited continues to wait, and does not work there.
 #[test]
 fn a_restarted_planner_lets_a_robot_wait_that_waited() {
     let config = PlannerConfig::default();
@@ -1093,24 +1094,25 @@ fn a_restarted_planner_lets_a_robot_wait_that_waited() {
     assert_eq!((again.action, again.to(), again.covered), (action::STAY, "room-0", 0b001), "{}", again.reason());
 }
 
+/// Without work the robot is not sent to work, even if it is to wait in another room.
 #[test]
 fn a_room_to_wait_in_is_no_room_to_work_in() {
     let mut home = Home::new(3, &PlannerConfig::default());
     let (first, second) = (home.decision(1), home.decision(101));
     assert_eq!((first.to(), second.to()), ("room-0", "room-1"));
-    // A person enters the robot's room and is likely in the other open room, so the robot waits in its former room.
+    // A person comes into the robot's room and is likely in the other undone room: the robot waits in its earlier place.
     home.likely = vec![0.0, 0.9, 0.9];
     home.look(110);
     let waits = home.decision(112);
     assert_eq!((waits.from(), waits.to(), waits.covered), ("room-1", "room-0", 0b001));
     assert_eq!((waits.action, waits.cancels), (action::STAY, second.sequence), "{}", waits.reason());
     assert!(waits.reason().contains("waits in a room that is done"), "{}", waits.reason());
-    // Work follows as soon as a room is free.
+    // Work follows as soon as it is possible.
     home.likely = vec![0.0, 0.9, 0.0];
     assert_eq!((home.decision(120).action, home.planner.room()), (action::GO, Some(2)));
 }
 
-/// A waiting robot leaves a room when another robot comes to work there, and waits in a room without another robot.
+/// A waiting robot makes way for a robot that comes to work, and waits in a room without another robot.
 #[test]
 fn a_robot_waits_where_no_other_robot_is() {
     let other = |action, sequence, to: &str, at_s: u64| DecisionV1 {
@@ -1124,7 +1126,7 @@ fn a_robot_waits_where_no_other_robot_is() {
         ..Default::default()
     };
     let mut home = Home::new(3, &PlannerConfig { avoid_robots: true, ..Default::default() });
-    // A person is in room-0, the only open room.
+    // A person is in room-0, which is undone; the others are done.
     home.likely = vec![0.9, 0.0, 0.0];
     assert_eq!((home.decision(1).to(), home.decision(101).to()), ("room-1", "room-2"));
     home.planner.take_other(&other(action::STAY, 1, "room-2", 200), BootNs(200 * S));
@@ -1135,13 +1137,13 @@ fn a_robot_waits_where_no_other_robot_is() {
     let leaves = home.decision(221);
     assert_eq!((leaves.action, leaves.to(), leaves.cancels), (action::STAY, "room-2", waits.sequence));
     assert!(leaves.reason().starts_with("another robot has the room-1, so it waits no longer there: "), "{leaves:?}");
-    // Work takes precedence over the other robot's wait.
+    // Work has precedence over the other robot's wait.
     home.planner.take_other(&other(action::STAY, 3, "room-0", 230), BootNs(230 * S));
     home.likely = vec![0.0, 0.0, 0.0];
     assert_eq!((home.decision(231).action, home.planner.room()), (action::GO, Some(0)));
 }
 
-/// All rooms are done. The robot waits for the next round, but leaves a room when a person enters.
+/// With every room done it waits for the next round, but leaves a room when a person enters.
 #[test]
 fn a_robot_that_waits_makes_room_for_who_comes() {
     let mut home = Home::new(3, &PlannerConfig { round_s: Some(1_000.0), ..Default::default() });
@@ -1157,12 +1159,13 @@ fn a_robot_that_waits_makes_room_for_who_comes() {
     assert_eq!(home.look(313), None);
 }
 
-/// A person is on the sofa, and the forecast leaves no other room quite empty. Rooms that are likely empty are done one by one.
+/// One person is on the sofa, and by the forecast no other room is ever quite empty. Rooms that are likely empty are done, one after the
+/// other.
 #[test]
 fn rooms_that_are_likely_empty_are_done_without_waiting() {
     for (likely_later, works) in [(0.002, true), (0.06, true)] {
         let mut planner = Planner::new(&PlannerConfig { reports: Reports::Always, ..Default::default() }, 1);
-        // The living room and seven others. Only the last one's forecast changes.
+        // The living room, and seven others; the last of them slowly becomes emptier.
         let now = [0.92, 0.004, 0.006, 0.008, 0.01, 0.012, 0.015, 0.025];
         for stay in 0..7 {
             let now_ns = (1 + 300 * stay) * S;
@@ -1200,7 +1203,7 @@ fn a_resident_who_was_never_observed_is_in_the_reason() {
     assert!(decision.reason().starts_with(said) && decision.action == action::GO, "{}", decision.reason());
 }
 
-/// The report was lost while no planner listened, so the planner asks for it.
+/// The planner asks for a report that came while no planner was running; it does not wait for it.
 #[test]
 fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
@@ -1219,7 +1222,7 @@ fn a_restarted_planner_asks_for_the_report_that_is_owed() {
     assert!(next.to() != first.to() && next.covered.count_ones() == 1, "{} {:b}", next.to(), next.covered);
 }
 
-/// Also decisions that weigh no rooms.
+/// This holds for every decision, not only if rooms are weighed.
 #[test]
 fn every_decision_upon_scores_says_whether_anybody_is_known_and_home() {
     let known = decision_flags::NOT_KNOWN | decision_flags::NOBODY_HOME;
@@ -1252,7 +1255,7 @@ fn every_decision_upon_scores_says_whether_anybody_is_known_and_home() {
     }
 }
 
-/// The service's history contains reports of any age.
+/// The service's history holds reports of any age.
 #[test]
 fn what_failed_before_the_round_is_no_failure_of_it() {
     for kind in [report_kind::FAILED, report_kind::BLOCKED, report_kind::CANCELLED] {
@@ -1268,7 +1271,7 @@ fn what_failed_before_the_round_is_no_failure_of_it() {
     }
 }
 
-/// A restarted planner must not send a waiting robot to work in a room that is done.
+/// A restarted planner does not send a robot that waits in a completed room to work there.
 #[test]
 fn a_restarted_planner_lets_its_robot_wait() {
     let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
@@ -1283,7 +1286,7 @@ fn a_restarted_planner_lets_its_robot_wait() {
     home.planner = Planner::new(&config, 2).with_kept(kept);
     let again = home.decision(100);
     assert_eq!((again.action, again.to(), again.covered), (action::STAY, "room-0", 0b01), "{}", again.reason());
-    // The people have left, so the robot gets work at once.
+    // The person has left: the robot gets work at once.
     home.likely = vec![0.0, 0.0];
     let next = home.decision(110);
     assert_eq!((next.action, next.to()), (action::GO, "room-1"), "{}", next.reason());
@@ -1300,7 +1303,7 @@ fn a_kept_round_of_another_map_is_left() {
     assert_eq!(planner.decide(BootNs(150 * S), UnixNs(0)).unwrap().unwrap().covered, 0);
 }
 
-/// With `avoid_sets`, the robot enters no room that a person may be in, and pauses if none is left.
+/// If the configuration says so, a room in a person's set is not entered, and a robot without another room pauses.
 #[test]
 fn rooms_of_the_sets_are_not_entered() {
     let of = |avoid_sets| PlannerConfig {
@@ -1309,7 +1312,7 @@ fn rooms_of_the_sets_are_not_entered() {
         avoid_sets,
         ..Default::default()
     };
-    // The scores alone would send the robot into room 0.
+    // By the scores alone the robot would go to room 0.
     let scores = scores(1, S, &[0.1, 0.5, 0.4]);
     let mut sets = PersonForecastsV1 {
         epoch: scores.epoch,
@@ -1341,7 +1344,7 @@ fn rooms_of_the_sets_are_not_entered() {
     assert_eq!(decide(true, &sets).to(), "room-0", "nothing was learned yet");
 }
 
-/// The daemon sends sets after scores, so sets of an earlier event must not open a room.
+/// The daemon sends scores first and sets last: the sets from before an event allow no room after it.
 #[test]
 fn no_room_is_entered_by_the_sets_of_the_event_before() {
     for room_time_s in [10.0, 0.0] {
@@ -1363,7 +1366,7 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
             (sets.person[0].set_coverage, sets.person[0].room_set[0]) = (0.9, rooms);
             sets
         };
-        // Without sets no room is entered, and the reason is given once.
+        // Without sets no room is entered, and the planner says so once.
         let first = scores(1, S, &[0.1, 0.5, 0.4]);
         planner.hear(&first);
         assert!(planner.lacks_sets(BootNs(S)));
@@ -1371,11 +1374,11 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
         assert_eq!((without.action, without.to()), (action::PAUSE, ""));
         assert!(without.reason().contains("it is not known which rooms are in somebody's set"), "{}", without.reason());
         assert_eq!(planner.decide(BootNs(S + 1), UnixNs(0)).unwrap(), None);
-        // The sets arrive, and the robot goes at once.
+        // The sets come, and the robot goes at once.
         planner.hear_sets(&sets(&first, 0b010));
         assert!(!planner.lacks_sets(BootNs(S + 2)));
         assert_eq!(planner.decide(BootNs(S + 2), UnixNs(0)).unwrap().unwrap().to(), "room-0");
-        // The person moves, and the new sets are still on their way.
+        // A person moves, and the new sets are still on their way.
         let second = scores(2, 12 * S, &[0.1, 0.5, 0.4]);
         planner.hear(&second);
         planner.hear_sets(&PersonForecastsV1 { published_ns: 12 * S, ..sets(&first, 0b010) });
@@ -1383,7 +1386,7 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
         assert_eq!(planner.decide(BootNs(12 * S), UnixNs(0)).unwrap().unwrap().action, action::PAUSE);
         planner.hear_sets(&sets(&second, 0b101));
         assert_eq!(planner.decide(BootNs(12 * S + 1), UnixNs(0)).unwrap().unwrap().to(), "room-1");
-        // Stale sets count as missing.
+        // Sets that were not renewed are stale.
         let third = RoomScoresV1 { published_ns: 23 * S, ..scores(2, 12 * S, &[0.1, 0.5, 0.4]) };
         planner.hear(&third);
         assert!(planner.lacks_sets(BootNs(23 * S)));
@@ -1393,8 +1396,8 @@ fn no_room_is_entered_by_the_sets_of_the_event_before() {
     }
 }
 
-/// Two robots of one home for a day. Each decision reaches the other robot after a delay, and not at all during a cut of four hours. Returns the
-/// seconds with both in one room outside the cut, those inside it, and the stays of each.
+/// Two robots of one home for a day. Decisions reach the other one after a delay, not during a sixth of the day, or never. Returns the
+/// seconds with both in one room outside the cut and the delay, and the rooms that each has covered.
 fn day_of_two(avoid: bool, delay_s: u64) -> (u64, u64, [usize; 2]) {
     let config = |robot: &str, seed| PlannerConfig {
         robot: robot.to_owned(),
@@ -1445,7 +1448,7 @@ fn two_robots_do_not_choose_the_same_room() {
     assert!(shared > 3_600, "without the others' decisions they meet: {shared} s");
     for delay_s in [0, 1, 3] {
         let (shared, cut_off, done) = day_of_two(true, delay_s);
-        // A robot that decides within the delay leaves when it receives the other's decision; so it does at the end of the cut.
+        // A robot that decided within the other's delay leaves when it hears of it, and so at the end of the cut.
         let most = if delay_s == 0 { 61 } else { 86_400 / 60 * delay_s + 61 };
         assert!(shared <= most, "{shared} s in one room at a delay of {delay_s} s");
         assert!(cut_off > 0, "each goes on for itself while they are cut off");
@@ -1453,7 +1456,7 @@ fn two_robots_do_not_choose_the_same_room() {
     }
 }
 
-/// Formerly a robot that had been sent away from a person was ordered to wait near them when the daemon fell silent.
+/// When the daemon fell silent, a robot that had made way for a person was ordered to wait near that person.
 #[test]
 fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
     for silent in [false, true] {
@@ -1474,13 +1477,13 @@ fn the_fallback_of_a_robot_that_pauses_is_to_pause() {
                 fallback.reason()
             );
             assert_eq!(home.planner.decide(BootNs(1001 * S), UnixNs(0)).unwrap(), None, "said once");
-            // The reason for the pause is checked again.
+            // The reason of its pause is checked again.
             assert_eq!(home.decision(1002).flags & decision_flags::FALLBACK, 0);
         }
     }
 }
 
-/// A person started another room by its button. Formerly the answer to the earlier decision ended that room's work, which was not done.
+/// A person pressed the button for another room. The answer to the earlier decision ended that room's work, which was not done.
 #[test]
 fn an_answer_to_a_decision_is_of_its_room_also_when_the_robot_is_at_another() {
     let mut home = Home::new(2, &PlannerConfig { reports: Reports::Always, ..PlannerConfig::default() });
@@ -1495,7 +1498,7 @@ fn an_answer_to_a_decision_is_of_its_room_also_when_the_robot_is_at_another() {
     assert!(home.planner.robot.work.is_some(), "it is at the other one still");
 }
 
-/// A vacuum returns to its dock while it waits after a round. That is no failure of the room.
+/// A vacuum waits at its dock at the end of each round: that is not a failure of the room.
 #[test]
 fn a_robot_that_waits_and_goes_to_charge_has_failed_at_nothing() {
     let config = PlannerConfig { reports: Reports::Always, round_s: Some(36_000.0), ..PlannerConfig::default() };
@@ -1507,7 +1510,7 @@ fn a_robot_that_waits_and_goes_to_charge_has_failed_at_nothing() {
     assert_eq!((waits.action, waits.to()), (action::STAY, first.to()));
     home.report(210, report_kind::DOCKED, |report| (report.battery, report.flags) = (0.1, report_flags::HAS_BATTERY));
     assert!(home.planner.robot.work.is_none() && home.planner.robot.charges);
-    // The first failure of the next round counts as the first.
+    // In the next round its first failure counts as the first.
     home.planner.round.begin_again();
     home.planner.round.fail(0, BootNs(300 * S));
     assert_eq!(home.planner.round.failed().map(|(_, _, failures)| failures).collect::<Vec<_>>(), [1]);

@@ -1,26 +1,26 @@
-//! The sizes that the chunks of a recording claim, checked before one is unpacked: a few bytes can stand for gigabytes of zeros.
+//! Checks the claimed sizes of a recording's chunks before one is unpacked: a few bytes can expand to gigabytes of zeros.
 
 use mcap::MAGIC;
 use mcap::records::op;
 
 use super::{FILE_BYTES_MAX, RECORD_BYTES_MAX};
 
-/// Bytes of a record before its content: its kind and its length.
+/// Bytes of a record before its content: kind and length.
 const RECORD_HEAD: usize = 9;
-/// Where a chunk's header has its size unpacked: behind two times.
+/// The offset of the unpacked size in a chunk's header, after two times.
 const SIZE_AT: usize = 16;
 
-/// Why a recording is not unpacked.
+/// The reason why a recording is not unpacked.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum TooMuch {
-    /// One chunk of so many bytes is larger than [`RECORD_BYTES_MAX`].
+    /// One chunk of this many bytes exceeds [`RECORD_BYTES_MAX`].
     Chunk(u64),
-    /// All chunks together are larger than [`FILE_BYTES_MAX`].
+    /// All chunks together exceed [`FILE_BYTES_MAX`].
     All,
 }
 
-/// Refuses a recording if its whole chunks claim too many bytes. The reader unpacks no more of a chunk than it claims. The chunk that a killed recorder
-/// left claims nothing.
+/// Rejects a recording if its complete chunks claim too many bytes. The reader unpacks no more of a chunk than it claims. The torn chunk of
+/// a killed recorder claims none.
 pub(super) fn check(recording: &[u8]) -> Result<(), TooMuch> {
     let mut rest = recording.strip_prefix(MAGIC).unwrap_or_default();
     let mut all = 0_u64;
@@ -60,7 +60,7 @@ mod tests {
         assert_eq!(check(&recording(&[1, most + 1])), Err(TooMuch::Chunk(most + 1)));
         assert_eq!(check(&recording(&[most; 64])), Ok(()));
         assert_eq!(check(&recording(&[most; 65])), Err(TooMuch::All));
-        // A chunk that is cut off is read as far as it goes.
+        // A chunk that is cut off is read up to its end.
         let torn = recording(&[u64::MAX]);
         assert_eq!(check(&torn[..torn.len() - 1]), Ok(()));
         assert_eq!(check(b"no recording"), Ok(()));

@@ -1,10 +1,10 @@
-//! Recordings: what goes over the services, as an MCAP file, and back.
+//! Recordings: the messages of the services as an MCAP file, and back.
 //!
-//! Every message is a JSON object under a JSON schema, so that Foxglove and other tools of robotics read it; its field `bytes` holds the
-//! message as it lay in shared memory, in hexadecimal, so that what is replayed is what was recorded, bit for bit. Numbers that
-//! JavaScript cannot hold (epochs, sources) are hexadecimal texts. Attachments hold what the daemon told of itself: the map in use,
-//! and the narration that came before the recording ([`crate::moment`]). This is the profile [`Profile::Roomcast`], the only one that is
-//! read back; what other programs of ROS 2 read is written by [`ros2`].
+//! Every message is a JSON object with a JSON schema, so that Foxglove and other robotics tools can read it. Its field `bytes` contains the
+//! message from shared memory in hexadecimal, so that a replay is identical bit for bit. Numbers beyond JavaScript's range (epochs,
+//! sources) are hexadecimal texts. Attachments contain the daemon's moments: the map in use, and the narration from before the recording
+//! ([`crate::moment`]). This is the profile [`Profile::Roomcast`], the only one that can be read back. [`ros2`] writes recordings for
+//! programs of ROS 2.
 
 mod chunks;
 pub mod ros2;
@@ -16,10 +16,11 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{Attachment, McapError};
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ByteImage, DecisionV1, ForecastV1, Layout, Message, NarrationV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    Presence, RobotReportV1, RoomScoresV1, Sender, person_flags, presence,
+    RobotReportV1, RoomScoresV1, person_flags, presence,
 };
+use roomcast_ipc::{Presence, Sender};
 use roomcast_ros2::types::CdrError;
 use serde_json::{Value, json};
 
@@ -34,19 +35,17 @@ use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::{Event, Observation, Sentence, person_number, same_name};
 use roomcast_core::text::read_at_most;
 
-/// Largest recording that is read back, also of its records unpacked: it is held in memory.
+/// Largest recording, also with its records unpacked: a reader holds it in memory.
 pub const FILE_BYTES_MAX: u64 = 4 << 30;
-/// Largest record and largest chunk, unpacked, that is read: whatever length a file states, no more is set aside for it.
+/// Largest record and largest unpacked chunk: a file's stated lengths allocate no more than this.
 pub const RECORD_BYTES_MAX: usize = 64 << 20;
 
-/// Records between two looks at whether to stop.
 const EVENTS_BETWEEN_LOOKS: u64 = 256;
 
-/// Attachments that hold a moment have names that begin so.
 const MOMENT_FILES: &str = "moment-";
 
 roomcast_core::choices! {
-    /// For whom a recording is written.
+    /// The readers of a recording.
     #[derive(Default)]
     pub enum Profile {
         /// For `replay`, `explain` and `view`: every message bit for bit, as JSON with schemas.
@@ -57,7 +56,7 @@ roomcast_core::choices! {
     }
 }
 
-/// Why a recording cannot be written or read.
+/// A recording cannot be written or read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
@@ -66,20 +65,20 @@ pub enum RecordingError {
     Io {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// The file cannot be written, or not to its end.
+    /// The file cannot be written to its end.
     #[error(
         "failed to write the recording {path}: {source}; make room on its disk, or record elsewhere. Of what was written up to then `mcap recover` makes a whole recording"
     )]
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's word, or the writer's.
+        /// The error of the system or the writer.
         source: std::io::Error,
     },
-    /// A recording overwrites nothing.
+    /// The file exists, and is not overwritten.
     #[error("the recording {path} exists already; choose another name, or move it away")]
     Exists {
         /// The file.
@@ -100,21 +99,21 @@ pub enum RecordingError {
     Chunk {
         /// The file.
         path: PathBuf,
-        /// The size that the chunk claims, in bytes.
+        /// The claimed size, in bytes.
         bytes: u64,
     },
-    /// Somebody asked to stop before the recording was read.
+    /// A stop was requested before the recording was read.
     #[error("stopped before the recording {path} was read")]
     Stopped {
         /// The file.
         path: PathBuf,
     },
-    /// The file is no sound MCAP file.
+    /// The file is not a valid MCAP file.
     #[error("the recording {path} is damaged or no MCAP file: {source}; `mcap recover` saves what can be saved")]
     Mcap {
         /// The file.
         path: PathBuf,
-        /// What the reader said.
+        /// The reader's error.
         source: Box<McapError>,
     },
     /// The file was written for other programs.
@@ -132,21 +131,21 @@ pub enum RecordingError {
     Cdr {
         /// The topic.
         topic: String,
-        /// What the serialiser said.
+        /// The serialiser's error.
         source: CdrError,
     },
-    /// A message in it is none of Roomcast's.
+    /// A message in it is not one of Roomcast's.
     #[error(
         "message {index} of the recording {path}, on {topic}: {reason}; it was written by another program or damaged"
     )]
     Message {
         /// The file.
         path: PathBuf,
-        /// From 0.
+        /// The message's index, from 0.
         index: usize,
         /// The service.
         topic: String,
-        /// What is wrong.
+        /// The fault.
         reason: String,
     },
 }
@@ -158,11 +157,11 @@ pub enum Recorded {
     Narration(Box<NarrationV1>),
     /// Room scores.
     RoomScores(Box<RoomScoresV1>),
-    /// Each person's scores.
+    /// The scores for each person.
     PersonScores(Box<PersonScoresV1>),
     /// Forecast.
     Forecast(Box<ForecastV1>),
-    /// Each person's forecast.
+    /// The forecast for each person.
     PersonForecasts(Box<PersonForecastsV1>),
     /// Decision.
     Decision(Box<DecisionV1>),
@@ -171,7 +170,7 @@ pub enum Recorded {
 }
 
 impl Recorded {
-    /// The service.
+    /// The service of the message.
     #[must_use]
     pub fn topic(&self) -> &'static str {
         match self {
@@ -185,7 +184,7 @@ impl Recorded {
         }
     }
 
-    /// The message's bytes as they lie in shared memory.
+    /// The message's bytes as in shared memory.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         match self {
@@ -199,7 +198,6 @@ impl Recorded {
         }
     }
 
-    /// What a person or another program reads.
     fn readable(&self) -> Value {
         match self {
             Self::Narration(message) => json!({
@@ -297,7 +295,7 @@ impl Recorded {
     }
 }
 
-/// A point in time as Foxglove reads it.
+/// A time in Foxglove's form.
 fn time(unix_ns: u64) -> Value {
     json!({"sec": unix_ns / 1_000_000_000, "nsec": unix_ns % 1_000_000_000})
 }
@@ -307,7 +305,6 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// Services with the JSON schema of their messages.
 fn schemas() -> [(&'static str, &'static str, Value); 7] {
     let object = |title: &str, properties: Value| {
         let mut properties = properties;
@@ -422,7 +419,7 @@ impl Recorder {
     ///
     /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Write`].
     pub fn create(path: &Path) -> Result<Self, RecordingError> {
-        // MCAP's own profiles say how messages are to be read; these have none.
+        // MCAP's own profiles define the encoding of messages; these have none.
         let mut tape = Tape::create(path, "")?;
         let mut channels = BTreeMap::new();
         for (topic, name, schema) in schemas() {
@@ -453,7 +450,7 @@ impl Recorder {
         self.tape.write(&header, data.to_string().as_bytes())
     }
 
-    /// Keeps what the daemon told of a moment (its JSON), as an attachment.
+    /// Writes a daemon's moment (its JSON) as an attachment.
     ///
     /// # Errors
     ///
@@ -470,13 +467,13 @@ impl Recorder {
         })
     }
 
-    /// Messages written.
+    /// The number of messages written.
     #[must_use]
     pub fn written(&self) -> u64 {
         self.tape.written()
     }
 
-    /// Brings what was written so far to the file, so that a crash loses nothing older.
+    /// Flushes to the file, so that a crash loses no older messages.
     ///
     /// # Errors
     ///
@@ -495,42 +492,43 @@ impl Recorder {
     }
 }
 
-/// A recording: every message with the time of its receipt in nanoseconds, of the first in Unix time, in the order of the file; and the moments in it.
+/// A recording: every message with the time of its receipt, in the order of the file, and its moments. The time is in nanoseconds, with the
+/// first one in Unix time.
 #[derive(Debug, Default)]
 pub struct Recording {
     /// The messages.
     pub messages: Vec<(u64, Recorded)>,
-    /// What the wall clock said when each of them came: hours of the day go by it.
+    /// The wall clock at the receipt of each message, for hours of the day.
     pub received_unix_ns: Vec<u64>,
-    /// What the daemon told of itself when the recording began, and whenever it or its map was another one: the map in use,
-    /// and the narration that came before the recording.
+    /// The daemon's moments at the start of the recording and after each change of the daemon or its map: the map in use, and the narration
+    /// from before the recording.
     pub moments: Vec<Moment>,
-    /// The file ends within a record, as of a recorder that was killed: what came after is not here.
+    /// The file ends within a record, as after a kill of the recorder: the rest is missing.
     pub is_torn: bool,
 }
 
-/// A moment of a recording, as far as the recording itself knows it.
+/// A moment of a recording, as far as the recording contains it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedMoment {
     /// The scores.
     pub scores: RoomScoresV1,
     /// Seconds from the recording's beginning.
     pub at_s: f64,
-    /// The daemon's own telling that these scores follow: the map in use, the binding sequence, how scores are grounded.
+    /// The daemon's moment before these scores: the map in use, the binding sequence, the grounding.
     pub base: Option<usize>,
-    /// The narration that the scores contain, with its person, oldest first: of each person that the daemon told of exactly the window.
+    /// The narration in the scores with its persons, oldest first. For persons in the daemon's messages, it is exactly the window.
     pub narration: Vec<(PersonId, Sentence)>,
-    /// Who has nothing in their window, and whether they are in the house.
+    /// Persons with an empty window, and whether they are in the house.
     pub silent: Vec<(PersonId, bool)>,
     /// The names of persons, by number.
     pub names: BTreeMap<PersonId, String>,
-    /// What was learned of the home, by person, as far as the forecasts that follow from the scores say it.
+    /// The learned habits, by person, as far as the forecasts of the scores contain them.
     pub habits: Vec<PersonHabits>,
 }
 
 impl Recording {
-    /// The scores with a sequence number (the last of them, if several daemons ran), or the last before `at_s` seconds from the
-    /// beginning, or the last of all; with the narration that they contain. None when there are no such scores.
+    /// The scores with a sequence number (the last of them, if several daemons ran), or the last before `at_s` seconds from the start, or
+    /// the last of all; with their narration. `None` without such scores.
     #[must_use]
     pub fn moment(&self, sequence: Option<u64>, at_s: Option<f64>) -> Option<RecordedMoment> {
         let start_ns = self.messages.first().map_or(0, |(time, _)| *time);
@@ -547,7 +545,7 @@ impl Recording {
         let (epoch, map) = (format!("{:016x}", scores.epoch), hex::encode(scores.map_fingerprint));
         let of_daemon = |moment: &&Moment| moment.epoch == epoch && moment.sequence <= scores.sequence;
         let base = self.moments.iter().rposition(|moment| moment.map_fingerprint == map && moment.epoch == epoch);
-        // Narration that the newest telling before these scores contains need not be looked for in the recording.
+        // The last moment before these scores contains older narration, so the search skips that.
         let known = self.moments.iter().filter(of_daemon).max_by_key(|moment| moment.sequence);
         let mut narration: Vec<(PersonId, Sentence)> = known.map_or_else(Vec::new, |moment| {
             let sentences = moment.narration.iter();
@@ -576,23 +574,23 @@ impl Recording {
             (None, 0..=1) => Some(scores.window as usize),
             _ => None,
         };
-        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message that claims it: what
-        // was observed up to the person's last observation, or, where nobody tells of persons, what the window has room for.
+        // Scores that wait for the journal contain a little more than they claim, and the recording may lack the message with the claim. So
+        // narration also counts up to the person's last observation, or, without data on persons, up to the size of the window.
         let unclaimed = heard().filter(|(message, received)| !claimed(message) && *received <= time);
         let claimed = heard().filter(|(message, _)| claimed(message)).map(|(message, _)| (message, true));
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
         for (message, is_claimed) in claimed.chain(unclaimed.map(|(message, _)| (message, false))) {
-            // The time of an observation is compared with what the daemon says of persons, so it is kept as it is.
+            // The time of an observation stays unchanged, since it is compared with the daemon's data on persons.
             let taken = intake.take(message, Sender::simulated(message.source), BootNs(message.observed_ns));
             let Taken::Accepted { observation, .. } = taken else { continue };
             let last = narration.last().map(|(person, _)| *person);
             let likely = last.or_else(|| match told.map(PersonScoresV1::persons) {
-                // Where nobody tells of persons there is one, without a name.
+                // Without data on persons there is one person without a name.
                 None | Some([]) => Some(PersonId(0)),
                 Some([only]) => Some(PersonId(only.person)),
                 Some(_) => None,
             });
-            // Of several, nobody is said to have done what the recording does not say that they did.
+            // With several persons, an event of an unknown person is left out.
             let person = self.person_of(&observation, scores.epoch);
             let person = person.or_else(|| self.at_start(&observation, scores.epoch)).or(likely);
             let Some(person) = person else { continue };
@@ -612,7 +610,7 @@ impl Recording {
                 Event::Present(_) | Event::Empty(_) | Event::Sensor(_) => {}
             }
         }
-        // The window of each is what the daemon says: an hour without a sentence ends one, and who is gone has none.
+        // The daemon's message gives the size of each window: an hour without a sentence ends one, and a person who is gone has none.
         let mut excess: BTreeMap<PersonId, usize> = BTreeMap::new();
         narration.iter().for_each(|(person, _)| *excess.entry(*person).or_default() += 1);
         let all_are_told = told.is_some_and(|told| told.persons <= told.person_count);
@@ -639,7 +637,7 @@ impl Recording {
         Some(RecordedMoment { scores, at_s: seconds(time), base, narration, silent, names, habits })
     }
 
-    /// Where each person will be, by the first forecast that follows from some scores, or else from the last ones before them.
+    /// Each person's forecast: the first from the scores, or else the last one before them.
     fn forecasts(&self, scores: &RoomScoresV1) -> Option<&PersonForecastsV1> {
         let of_daemon = self.messages.iter().filter_map(|(_, told)| match told {
             Recorded::PersonForecasts(told) if told.epoch == scores.epoch && told.sequence <= scores.sequence => {
@@ -650,7 +648,7 @@ impl Recording {
         of_daemon.reduce(|newest, told| if told.sequence > newest.sequence { told } else { newest })
     }
 
-    /// What the daemon told of persons with some scores.
+    /// The daemon's person scores with some scores.
     fn told(&self, scores: &RoomScoresV1) -> Option<&PersonScoresV1> {
         self.messages.iter().rev().find_map(|(_, told)| match told {
             Recorded::PersonScores(told) if (told.epoch, told.sequence) == (scores.epoch, scores.sequence) => {
@@ -660,7 +658,7 @@ impl Recording {
         })
     }
 
-    /// The person whose name, as the daemon publishes it, a text begins with.
+    /// The person with the published name at the start of a text.
     fn at_start(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
         let text = observation.sentence()?.to_lowercase();
         self.messages.iter().find_map(|(_, message)| match message {
@@ -675,8 +673,8 @@ impl Recording {
         })
     }
 
-    /// Whose an observation is, by the daemon's word, which tells of the newest one of each person in a step, or by its own. None where
-    /// neither says it.
+    /// The person of an observation, by the daemon's messages, which name only the newest one of each person in a step, or by the
+    /// observation itself. `None` if neither names a person.
     fn person_of(&self, observation: &Observation, epoch: u64) -> Option<PersonId> {
         let told = |is_theirs: &dyn Fn(&PersonV1) -> bool| {
             self.messages.iter().find_map(|(_, told)| match told {
@@ -709,7 +707,7 @@ pub fn read(path: &Path) -> Result<Recording, RecordingError> {
     read_until(path, &|| false)
 }
 
-/// As [`read`], until somebody asks to stop.
+/// As [`read`], until a stop is requested.
 ///
 /// # Errors
 ///
@@ -720,7 +718,7 @@ pub fn read_until(path: &Path, is_stopped: &dyn Fn() -> bool) -> Result<Recordin
     decode_until(path, &bytes.ok_or_else(|| RecordingError::TooLarge { path: path.to_owned() })?, is_stopped)
 }
 
-/// Reads a recording's bytes; `path` is what errors call it.
+/// Reads a recording's bytes; `path` is for errors.
 ///
 /// # Errors
 ///
@@ -765,7 +763,7 @@ fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Res
             }
             Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
         };
-        // Also an empty record is some bytes.
+        // An empty record also has some bytes.
         unpacked = unpacked.saturating_add(data.len() as u64 + 9);
         if unpacked > FILE_BYTES_MAX {
             return Err(RecordingError::TooLarge { path: path.to_owned() });
@@ -797,18 +795,17 @@ fn decode_until(path: &Path, bytes: &[u8], is_stopped: &dyn Fn() -> bool) -> Res
                     recording.moments.push(moment.map_err(|error| wrong(0, &name, error.to_string()))?);
                 }
             }
-            // Schemas, statistics and indexes: the messages say it all.
+            // Schemas, statistics and indexes are not needed.
             _ => {}
         }
     }
     Ok(recording)
 }
 
-/// Name and content of an attachment's record, with its checksum compared. By hand, because the crate's own way takes the record to be as
-/// long as it should be.
+/// Name and content of an attachment's record, after a check of the checksum. The crate's own reader assumes that the record is complete.
 fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
     let (content, checksum) = record.split_last_chunk()?;
-    // Two times lie before the name.
+    // Two times precede the name.
     let (_times, rest) = content.split_at_checked(16)?;
     let (length, rest) = rest.split_first_chunk()?;
     let (name, rest) = rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)?;
@@ -821,7 +818,6 @@ fn attachment(record: &[u8]) -> Option<(String, &[u8])> {
         .then(|| (String::from_utf8_lossy(name).into_owned(), data))
 }
 
-/// The field `bytes` of a recorded message.
 fn original(data: &[u8]) -> Result<Vec<u8>, String> {
     let value: Value = serde_json::from_slice(data).map_err(|error| error.to_string())?;
     let text = value.get("bytes").and_then(Value::as_str).ok_or("the field \"bytes\" is missing")?;
@@ -832,7 +828,8 @@ fn original(data: &[u8]) -> Result<Vec<u8>, String> {
 mod tests {
     use super::*;
     use roomcast_core::ids::UnixNs;
-    use roomcast_ipc::{IncludedV1, text};
+    use roomcast_ipc::raw::IncludedV1;
+    use roomcast_ipc::text;
 
     fn messages() -> Vec<(u64, Recorded)> {
         let mut narration = NarrationV1::new(1, "[Grab] <mug> (1)").unwrap();
@@ -869,7 +866,7 @@ mod tests {
         ]
     }
 
-    /// A time when both clocks say the same.
+    /// A time with both clocks equal.
     fn at(ns: u64) -> Received {
         Received { unix_ns: UnixNs(ns), monotonic_ns: BootNs(ns) }
     }
@@ -898,11 +895,11 @@ mod tests {
         assert!(summary.schemas.values().all(|schema| schema.encoding == "jsonschema"));
     }
 
-    /// Scores that had to wait for the journal claim less than they contain, and a recorder that is slow may miss the message that claims it.
+    /// Scores that waited for the journal claim less than they contain, and a slow recorder may miss the message with the claim.
     #[test]
     fn scores_contain_what_was_heard_before_them_also_where_they_do_not_claim_it() {
         let narration = |sequence: u64, text: &str| {
-            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
             Recorded::Narration(Box::new(NarrationV1 { source: 7, epoch: 1, sequence, ..message }))
         };
         let mut scores =
@@ -928,13 +925,13 @@ mod tests {
         assert_eq!(contained(&recording), ["They open the fridge.", "They grab the milk."]);
     }
 
-    /// Sentences that name nobody, of two persons in turn: the daemon says whose each was.
+    /// Sentences without a name, of two persons in turn: the daemon's messages name the persons.
     #[test]
     fn a_sentence_without_a_person_is_of_whom_the_daemon_says() {
         let (ada, ben) = (person_number("ada"), person_number("ben"));
         let (mut windows, mut messages) = ([0_u64, 0], Vec::new());
         let mut tell = |at: u64, sequence: u64, who: usize, text: &str, name: &str| {
-            let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+            let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
             let person_name = text::encode("name", name).unwrap();
             let observed_ns = at * 1_000_000_000;
             let person = PersonId::SOMEBODY.0;
@@ -972,24 +969,24 @@ mod tests {
         };
         let of_whom: Vec<PersonId> = of(&messages).into_iter().map(|(person, _)| person).collect();
         assert_eq!(of_whom, [ada, ben, ada, ben, ada]);
-        // The first sentence of all, of somebody of whom a sensor alone has told: no person 0 comes of it.
+        // The first sentence of all, of a person whom only a sensor has observed: it adds no person 0.
         let first_plain = of(&messages[6..]);
         assert_eq!(first_plain[0], (ada, "They grab the milk.".to_owned()));
-        // What the daemon was not heard to tell of is nobody's, where several may have said it.
+        // If the recording lacks the daemon's message and there are several persons, the sentence is left out.
         let is_heard = |at: u64, told: &Recorded| at != 3 || matches!(told, Recorded::Narration(_));
         let unheard = messages[6..].iter().filter(|(at, told)| is_heard(*at, told));
         let texts: Vec<String> = of(&unheard.cloned().collect::<Vec<_>>()).into_iter().map(|(_, text)| text).collect();
         assert_eq!(texts, ["They dry themselves with the towel.", "They close the fridge."]);
     }
 
-    /// Plain sentences of several persons, of whom nobody has a window when the recording begins: each names its own person.
+    /// Plain sentences of several persons without a window at the start of the recording: each sentence names its person.
     #[test]
     fn a_recording_that_begins_before_anybody_has_a_window_is_explained() {
         let names = ["Anna", "Ben"];
         let mut messages = Vec::new();
         let mut tell = |sequence: u64, texts: &[&str], windows: [u64; 2], presences: [u32; 2], observed: [u64; 2]| {
             for (text, number) in texts.iter().zip(sequence..) {
-                let message = NarrationV1::new(roomcast_ipc::narration_kind::SENTENCE, text).unwrap();
+                let message = NarrationV1::new(roomcast_ipc::raw::narration_kind::SENTENCE, text).unwrap();
                 let person = PersonId::SOMEBODY.0;
                 let narration = NarrationV1 {
                     source: 7,
@@ -1019,7 +1016,7 @@ mod tests {
         let (present, away) = (presence::PRESENT, presence::AWAY);
         tell(1, &["Anna opens the fridge."], [1, 0], [present, away], [1, 0]);
         tell(2, &["Ben sits on the sofa."], [1, 1], [present; 2], [1, 2]);
-        // Two in one step, of which the daemon tells the newest alone.
+        // Two in one step; the daemon's message names only the newest.
         tell(3, &["Anna grabs the milk.", "Anna pours the milk."], [3, 1], [present; 2], [4, 2]);
         tell(5, &["Ben leaves the house."], [3, 0], [present, away], [4, 5]);
         let (anna, ben) = (person_number("Anna"), person_number("Ben"));
@@ -1046,7 +1043,7 @@ mod tests {
         assert!(matches!(read(&path), Err(RecordingError::Mcap { .. })));
     }
 
-    /// Wherever a recorder was killed, what it had written before is read.
+    /// A reader gets everything that was written before the recorder was killed.
     #[test]
     fn a_torn_recording_is_read_as_far_as_it_goes() {
         let (_folder, path) = recorded(&messages());
@@ -1064,13 +1061,13 @@ mod tests {
             }
         }
         assert!(torn > 0);
-        // What is damaged within a whole file is no torn end.
+        // Damage within a complete file is not a torn end.
         let mut damaged = whole.clone();
         damaged[whole.len() / 2] ^= 1;
         assert!(decode(&path, &damaged).map_or(true, |recording| !recording.is_torn));
     }
 
-    /// The wall clock is set ahead, as of a robot that starts in 1970 and finds the network, and back.
+    /// The wall clock is set ahead, as on a robot that starts in 1970 and finds the network, and back.
     #[test]
     fn a_clock_that_is_set_leaves_a_recording_its_times() {
         let folder = tempfile::tempdir().unwrap();
@@ -1089,7 +1086,7 @@ mod tests {
         assert_eq!(read(&path).unwrap().received_unix_ns, wall, "hours of the day are the wall clock's");
     }
 
-    /// Signs are no digits, though numbers have them.
+    /// Signs are not digits, though numbers may have them.
     #[test]
     fn bytes_are_pairs_of_digits_alone() {
         let bytes = |text: &str| original(json!({"bytes": text}).to_string().as_bytes());
@@ -1116,7 +1113,7 @@ mod tests {
         assert!(error.contains("2 bytes are no roomcast.NarrationV1"), "{error}");
     }
 
-    /// So many zeros, packed: blocks of zstd that repeat a byte.
+    /// This many zeros, packed as blocks of zstd that repeat a byte.
     fn packed_zeros(count: usize) -> Vec<u8> {
         const BLOCK: usize = 128 << 10;
         let mut packed = vec![0x28, 0xb5, 0x2f, 0xfd, 0, 0x50];
@@ -1129,7 +1126,7 @@ mod tests {
         packed
     }
 
-    /// 6 MB of packed zeros held `replay` up for ten minutes.
+    /// 6 MB of packed zeros blocked `replay` for ten minutes.
     #[test]
     fn a_recording_of_zeros_is_refused_and_a_stop_ends_the_reading() {
         let zeros = |size: usize, count: usize| {
@@ -1154,7 +1151,7 @@ mod tests {
         assert!(matches!(stopped, Err(RecordingError::Stopped { .. })));
     }
 
-    /// Row "MCAP with a hostile length" of the attacks: every length of a small recording, replaced by ones that no file has.
+    /// Row "MCAP with a hostile length" of the attacks: every length of a small recording is replaced by impossible ones.
     #[test]
     fn hostile_lengths_are_refused() {
         let folder = tempfile::tempdir().unwrap();

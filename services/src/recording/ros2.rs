@@ -1,5 +1,5 @@
-//! Recordings as ROS 2 has them: CDR messages of standard types under their definitions, on the topics of the bridge, so that `ros2 bag` and
-//! Foxglove read them as their own.
+//! Recordings for ROS 2: CDR messages of standard types with their definitions, on the topics of the bridge, so that `ros2 bag` and
+//! Foxglove can read them.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,22 +18,21 @@ use super::{Received, Recorded, RecordingError};
 use crate::message_text::event_of;
 use crate::moment::Moment;
 
-/// The profile in the file's header.
 pub(super) const PROFILE: &str = "ros2";
-/// The frame of the map's coordinates, as the bridge has it unless it is told another.
+/// The frame of the map's coordinates, the bridge's default.
 const FRAME: &str = "map";
 
-/// What of a topic is kept for who subscribes later, when it is played back.
+/// The history that a player offers to later subscribers of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kept {
     /// The last message: transient-local, depth 1.
     Last,
-    /// Nothing: volatile, depth 10.
+    /// None: volatile, depth 10.
     Not,
 }
 
 impl Kept {
-    /// The quality of service as rosbag2 writes it, by the numbers that all its versions read: history 1 keeps the last ones, reliability 1 is
+    /// The quality of service in rosbag2's form, by the numbers that all its versions read: history 1 keeps the last ones, reliability 1 is
     /// reliable, durability 1 transient-local and 2 volatile, liveliness 1 automatic; times without an end.
     fn profile(self) -> String {
         let (depth, durability) = match self {
@@ -49,18 +48,18 @@ impl Kept {
 }
 
 impl Received {
-    /// The wall clock's time of something that the monotonic clock saw before.
+    /// The wall clock's time of an earlier monotonic time.
     fn before(self, monotonic_ns: BootNs) -> UnixNs {
         self.unix_ns.saturating_sub(self.monotonic_ns.since(monotonic_ns))
     }
 
-    /// A message's own time, or when it came where it has none.
+    /// A message's time, or the time of its receipt if it has none.
     fn or(self, unix_ns: UnixNs) -> UnixNs {
         if unix_ns == UnixNs(0) { self.unix_ns } else { unix_ns }
     }
 }
 
-/// When a message came, by the file's time, when it was made, by the wall clock, and its number.
+/// The time of receipt in the file, the message's wall clock time, and its number.
 #[derive(Debug, Clone, Copy)]
 struct Stamp {
     received_ns: UnixNs,
@@ -74,19 +73,17 @@ impl Stamp {
     }
 }
 
-/// The seconds ahead that have topics.
 fn ahead_s() -> impl Iterator<Item = f64> {
     [0.0].into_iter().chain(content::HORIZONS_S)
 }
 
-/// Writes a recording as ROS 2 has them.
+/// Writes a recording for ROS 2.
 #[expect(missing_debug_implementations, reason = "the writer of mcap has none")]
 pub struct Ros2Recorder {
     tape: Tape,
     channels: BTreeMap<String, u16>,
     persons: BTreeMap<PersonId, String>,
     robots: BTreeMap<u64, String>,
-    /// The map's fingerprint, and its rooms.
     map: Option<(String, Vec<Partition>)>,
     /// The map of the newest scores.
     scored: Option<String>,
@@ -95,14 +92,14 @@ pub struct Ros2Recorder {
 }
 
 impl Ros2Recorder {
-    /// Creates the file; one that exists is not overwritten. `robot` is the name of the planner's own robot.
+    /// Creates the file; an existing one is not overwritten. `robot` is the name of the planner's robot.
     ///
     /// # Errors
     ///
     /// [`RecordingError::Exists`], [`RecordingError::Io`], [`RecordingError::Write`].
     pub fn create(path: &Path, robot: &str) -> Result<Self, RecordingError> {
         let mut tape = Tape::create(path, PROFILE)?;
-        // Versions of rosbag2 between 9 and today's take the numbers of qualities for words, unless this record is there and says nothing.
+        // Versions of rosbag2 from 9 to today's expect words for the numbers of qualities, unless this record exists and is empty.
         let metadata = [("serialized_metadata".to_owned(), String::new())].into();
         tape.tell(&Metadata { name: "rosbag2".to_owned(), metadata })?;
         let mut recorder = Self {
@@ -160,7 +157,7 @@ impl Ros2Recorder {
         self.tape.write(&header, &data)
     }
 
-    /// Appends what a message says. Scores have no topic.
+    /// Appends a message's content. Scores have no topic.
     ///
     /// # Errors
     ///
@@ -202,7 +199,7 @@ impl Ros2Recorder {
         }
     }
 
-    /// The sentence as the daemon reads it, with the person's name where it is known.
+    /// The sentence in the daemon's form, with the person's name if it is known.
     fn narrated(&self, message: &NarrationV1) -> Text {
         let said = event_of(message.kind, message.text()).map(|said| said.to_string());
         let own = Some(message.person_name()).filter(|name| !name.is_empty());
@@ -210,7 +207,7 @@ impl Ros2Recorder {
         words::narration(said.as_deref().unwrap_or(message.text()), name)
     }
 
-    /// A robot's name, as the message tells it or one before it, or its number where nobody has said it.
+    /// A robot's name from this message or an earlier one, or else its number.
     fn robot(&mut self, number: u64, told: &str) -> String {
         if !told.is_empty() {
             self.robots.insert(number, told.to_owned());
@@ -245,7 +242,6 @@ impl Ros2Recorder {
         self.draw()
     }
 
-    /// Draws the last forecast if its map is known.
     fn draw(&mut self) -> Result<(), RecordingError> {
         let (Some((forecast, stamp)), Some((fingerprint, rooms))) = (&self.undrawn, &self.map) else { return Ok(()) };
         if self.scored.as_ref() != Some(fingerprint) {
@@ -261,13 +257,13 @@ impl Ros2Recorder {
         self.say("markers", Kept::Last, stamp, &drawn)
     }
 
-    /// Messages written.
+    /// The number of messages written.
     #[must_use]
     pub fn written(&self) -> u64 {
         self.tape.written()
     }
 
-    /// Brings what was written so far to the file, so that a crash loses nothing older.
+    /// Flushes to the file, so that a crash loses no older messages.
     ///
     /// # Errors
     ///
@@ -303,7 +299,7 @@ mod tests {
         SemanticMap::from_json(include_str!("../../../tests/data/two_rooms.json")).unwrap()
     }
 
-    /// What a daemon on this map would tell.
+    /// The moment of a daemon on this map.
     fn moment() -> Moment {
         let options = GroundingOptions::default();
         let grounding = Grounding::new(&map(), &options).unwrap();
@@ -326,7 +322,7 @@ mod tests {
         Recorded::Forecast(Box::new(forecast))
     }
 
-    /// Each message: topic, type, when it came and was made, its bytes.
+    /// For each message: topic, type, times of receipt and origin, and bytes.
     fn messages(path: &Path) -> Vec<(String, String, u64, u64, Vec<u8>)> {
         let bytes = std::fs::read(path).unwrap();
         let messages = mcap::MessageStream::new(&bytes).unwrap().map(|message| {

@@ -1,4 +1,4 @@
-//! An MCAP file that is being written, whatever its messages are.
+//! Writes an MCAP file with messages of any type.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -11,21 +11,19 @@ use roomcast_core::ids::{BootNs, UnixNs};
 
 use super::RecordingError;
 
-/// How a channel's messages are to be read.
+/// The encoding of a channel's messages.
 pub(super) struct Form<'a> {
     /// The type's name.
     pub name: &'a str,
-    /// How its schema is written.
     pub schema_encoding: &'a str,
     /// Its schema.
     pub schema: &'a str,
-    /// How its messages are written.
     pub message_encoding: &'a str,
-    /// What else is told of the channel.
+    /// Further data about the channel.
     pub metadata: BTreeMap<String, String>,
 }
 
-/// When a message came.
+/// The time of receipt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Received {
     /// By the wall clock.
@@ -34,12 +32,10 @@ pub struct Received {
     pub monotonic_ns: BootNs,
 }
 
-/// The file.
 pub(super) struct Tape {
     writer: Writer<BufWriter<File>>,
     path: PathBuf,
     written: u64,
-    /// When the first message came.
     begun: Option<Received>,
 }
 
@@ -52,7 +48,7 @@ fn unwritten(path: &Path, error: McapError) -> RecordingError {
 }
 
 impl Tape {
-    /// Creates the file; one that exists is not overwritten.
+    /// Creates the file; an existing one is not overwritten.
     pub(super) fn create(path: &Path, profile: &str) -> Result<Self, RecordingError> {
         let file = File::create_new(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::AlreadyExists => RecordingError::Exists { path: path.to_owned() },
@@ -68,7 +64,6 @@ impl Tape {
         result.map_err(|error| unwritten(&self.path, error))
     }
 
-    /// A channel for a topic.
     pub(super) fn channel(&mut self, topic: &str, form: &Form<'_>) -> Result<u16, RecordingError> {
         let schema = self.writer.add_schema(form.name, form.schema_encoding, form.schema.as_bytes());
         let schema = self.done(schema)?;
@@ -76,14 +71,13 @@ impl Tape {
         self.done(channel)
     }
 
-    /// The time of a receipt in the file. It starts by the wall clock and goes on by the monotonic one: a wall clock that is set meanwhile, as
-    /// of a robot that finds the network after its start, would tear the file apart or fold it.
+    /// The time of a receipt in the file. It starts by the wall clock and continues by the monotonic one. A set wall clock, as on a robot
+    /// that finds the network after its start, would create gaps or overlaps.
     pub(super) fn time_ns(&mut self, received: Received) -> UnixNs {
         let begun = *self.begun.get_or_insert(received);
         begun.unix_ns.saturating_add(received.monotonic_ns.since(begun.monotonic_ns))
     }
 
-    /// Appends a message.
     pub(super) fn write(&mut self, header: &MessageHeader, data: &[u8]) -> Result<(), RecordingError> {
         let written = self.writer.write_to_known_channel(header, data);
         self.done(written)?;

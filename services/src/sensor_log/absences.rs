@@ -10,7 +10,7 @@ use crate::daemon::Zone;
 pub struct Absences {
     /// Start and end of each.
     pub intervals: Vec<(f64, f64)>,
-    /// The labels taken for absence or presence, with their counts; empty if the log has no labels.
+    /// The labels that count as absence or presence, with their counts; empty if the log has no labels.
     pub labels: BTreeMap<String, usize>,
     /// Intervals with other labels, which are skipped.
     pub others: usize,
@@ -65,8 +65,8 @@ pub fn absences(log: &[u8]) -> Result<Absences, String> {
     Ok(Absences { intervals: away, labels: labels_home, others })
 }
 
-/// Whether a label means absence or presence; `None` for other labels. The whole label counts, because "Putting away dishes" and "Taking out the trash"
-/// hold such words, too.
+/// Whether a label means absence or presence; `None` for other labels. The whole label counts, because "Putting away dishes" and "Taking
+/// out the trash" also contain such words.
 pub(super) fn says_away(label: &str) -> Option<bool> {
     const AWAY: [&str; 7] = ["away", "out", "gone", "absent", "elsewhere", "outside", "outdoors"];
     const LEAVES: [&str; 5] = ["leave", "leaves", "leaving", "left", "exit"];

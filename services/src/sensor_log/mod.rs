@@ -50,22 +50,20 @@ use times::{FOLD_S, begins_with_time, is_clock_time, is_date, may_be_folded};
 
 /// Largest log that is read, in bytes: it is held in memory.
 pub const FILE_BYTES_MAX: u64 = 256 << 20;
-/// Rules that a file may have.
 const RULES_MAX: usize = 4_096;
 /// Most bytes of a file of rules, and of one with credentials or certificates.
 pub const RULES_BYTES_MAX: u64 = 4 << 20;
-/// Bytes of a log that are looked at together; lines are shorter, as a rule.
+/// Block size for a look at a log; most lines are shorter.
 const LINE_BYTES: usize = 256;
-/// A number of seconds from here on (September 2001) is a time since 1970, in UTC; a smaller one counts from anywhere.
+/// A number of seconds from here on (September 2001) is a time since 1970, in UTC; a smaller one has no known origin.
 const UNIVERSAL_FROM_S: f64 = 1e9;
-/// Most characters of a field that an error quotes.
 const QUOTED_MAX: usize = 80;
 /// Words for a missing end, in lower case: the interval was open when the log was written.
 const OPEN: [&str; 9] = ["", "-", "nat", "nan", "none", "null", "unknown", "unavailable", "open"];
-/// Lines that say what separates a log's fields.
+/// Lines for finding the separator of a log's fields.
 const SAMPLE_LINES: usize = 1_000;
 
-/// Why a log cannot be narrated at all. Single lines that are malformed are [`SensorLog::faults`].
+/// A log cannot be narrated at all. Single malformed lines are in [`SensorLog::faults`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SensorError {
@@ -74,7 +72,7 @@ pub enum SensorError {
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The system's error.
         source: io::Error,
     },
     /// The log is larger than [`FILE_BYTES_MAX`].
@@ -88,7 +86,7 @@ pub enum SensorError {
     Rules {
         /// The file.
         path: PathBuf,
-        /// Where and why.
+        /// The place and the fault.
         reason: String,
     },
 }
@@ -117,16 +115,15 @@ enum Edge {
     End,
 }
 
-/// The rules by which intervals become narration.
+/// The rules that turn intervals into narration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorRules {
     columns: Vec<Column>,
     rules: Vec<Rule>,
-    /// Where a clock shows the times of a log that are universal.
+    /// The zone for universal times of a log.
     zone: Zone,
 }
 
-/// A rules file.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RulesFile {
@@ -140,7 +137,6 @@ fn default_columns() -> Vec<Column> {
     vec![Column::Start, Column::End, Column::Sensor, Column::Kind, Column::Place]
 }
 
-/// A rule as it stands in the file.
 #[derive(Debug, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RuleKeys {
@@ -220,7 +216,7 @@ impl Rule {
         Ok(Self { sensor, kind, place, at, shortest_s, again_s, condition, saying })
     }
 
-    /// The state of a sensor at an edge of an interval; `None` if the rule tells nothing then.
+    /// The state of a sensor at an edge of an interval; `None` if the rule has no event there.
     fn state(&self, edge: Edge, interval: &Interval, has_end: bool) -> Result<Option<State>, String> {
         let Some(kind) = self.device() else { return Ok(None) };
         let is_start = edge == Edge::Start;
@@ -237,7 +233,6 @@ impl Rule {
         Ok(Some(on).filter(|on| !is_event || *on == Some(true)))
     }
 
-    /// The kind of sensor, if the rule gives the state of one.
     fn device(&self) -> Option<SensorKind> {
         if let Class::Sensor(kind) = self.saying.class { Some(kind) } else { None }
     }
@@ -252,15 +247,14 @@ impl Rule {
     }
 }
 
-/// The placeholders of a rule.
 const NAMES: [&str; 4] = ["sensor", "kind", "place", "seconds"];
 
 /// One line of a log.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Interval {
-    /// When it began, in seconds since 1970 without regard to time zones, or as the log counts seconds.
+    /// The start, in seconds since 1970 without regard to time zones, or in the log's count of seconds.
     pub start_s: f64,
-    /// When it ended; not before it began. When it began if it is open.
+    /// The end, not before the start. The start if the interval is open.
     pub end_s: f64,
     /// Whether it had not ended when the log was written.
     pub is_open: bool,
@@ -272,13 +266,11 @@ pub struct Interval {
     pub place: String,
 }
 
-/// What a rule makes of one edge of an interval.
 #[derive(Debug)]
 struct Matched<'a> {
     rule: &'a Rule,
     place: &'a str,
     said: Said,
-    /// The state of a sensor, and its id.
     state: Option<(State, String)>,
 }
 
@@ -294,11 +286,11 @@ impl Matched<'_> {
 pub struct Said {
     /// The sentence or presence. Its duration is the time since the item before it.
     pub item: Item,
-    /// When, as [`Interval::start_s`].
+    /// The time, as in [`Interval::start_s`].
     pub at_s: f64,
     /// The interval's line.
     pub line: u64,
-    /// Which of [`SensorRules::intervals`] it is.
+    /// The index in [`SensorRules::intervals`].
     pub interval: usize,
 }
 
@@ -309,9 +301,9 @@ pub struct SensorLog {
     pub said: Vec<Said>,
     /// Lines that are malformed, in their order.
     pub faults: Faults,
-    /// Intervals that no rule fits.
+    /// Intervals without a matching rule.
     pub unfit: u64,
-    /// How many items were left out: the interval was too short, the same was said shortly before, or no silence followed.
+    /// The number of skipped items: the interval was too short, the same item came shortly before, or no silence followed.
     pub silent: u64,
 }
 
@@ -369,8 +361,8 @@ impl SensorRules {
         Ok(self.narrate(&bytes, person))
     }
 
-    /// The narration of a log: tab-, semicolon- or comma-separated; heading and underline are passed over. What a rule without a person
-    /// says is of `person`.
+    /// The narration of a log: tab-, semicolon- or comma-separated; heading and underline are skipped. `person` is for rules without a
+    /// person.
     #[must_use]
     pub fn narrate(&self, log: &[u8], person: &Who) -> SensorLog {
         let mut narrated = SensorLog::default();
@@ -393,7 +385,7 @@ impl SensorRules {
         narrated.silent += (all - matched.len()) as u64;
         matched.sort_by(|a, b| a.said.at_s.total_cmp(&b.said.at_s));
         let mut before_s = None;
-        // The kitchen's door is another than the bathroom's, though both are "the door".
+        // The kitchen's door and the bathroom's are different, though both are "the door".
         let mut last: HashMap<(Who, String, &str), f64> = HashMap::new();
         let mut states: HashMap<String, State> = HashMap::new();
         for Matched { rule, place, mut said, state } in matched {
@@ -421,12 +413,13 @@ impl SensorRules {
         self.lines(log).filter_map(|(_, interval)| interval.ok()).collect()
     }
 
-    /// Every line with its number, one at a time; heading and underline are passed over.
+    /// Every line with its number, one at a time; heading and underline are skipped.
     fn lines(&self, log: &[u8]) -> impl Iterator<Item = (u64, Result<Interval, String>)> {
         self.lines_by(self.delimiter(log), log)
     }
 
-    /// What separates a log's fields. Of several that occur, as a semicolon in a name between commas, it is the one by which most lines can be read.
+    /// The separator of a log's fields. If several occur, as a semicolon in a name between commas, it is the one with which most lines can
+    /// be read.
     fn delimiter(&self, log: &[u8]) -> u8 {
         let found: Vec<u8> = [b',', b';', b'\t'].into_iter().filter(|byte| log.contains(byte)).collect();
         let read_by = |delimiter: &u8| {
@@ -551,7 +544,7 @@ impl SensorRules {
         if at_s < UNIVERSAL_FROM_S { 0.0 } else { self.zone.local_s(UnixNs((at_s * 1e9) as u64)) - at_s }
     }
 
-    /// What the rules say of both edges: the first that fits and says it at once, and each that fits and waits for silence.
+    /// The items of both edges: the first match without a wait, and each match that waits for silence.
     fn say<'a>(
         &'a self,
         (number, interval, ended_s): (usize, &'a Interval, f64),
@@ -621,8 +614,8 @@ impl SensorRules {
 
 /// Drops items that wait for a silence that never comes, and moves the others to the end of their silence. Expects the order of time.
 fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
-    // Going back in time: when something is said at once next, and when the same line begins to wait again. Of whatever place: silence is that
-    // of the whole home, and "away" by the back door takes the place of "away" by the front door.
+    // Goes back in time, with the next immediate item and the next wait of the same line. The place does not matter: the silence is of the
+    // whole home, and "away" by the back door replaces "away" by the front door.
     let mut next_s = f64::INFINITY;
     let mut again: HashMap<(Who, String), f64> = HashMap::new();
     let mut kept = Vec::with_capacity(matched.len());
@@ -645,7 +638,7 @@ fn after_silence(matched: Vec<Matched<'_>>) -> Vec<Matched<'_>> {
     kept
 }
 
-/// A line of a log, which a reader takes for a whole file.
+/// A line of a log, as a whole file for a reader.
 struct Line<'a>(&'a [u8]);
 
 impl Read for Line<'_> {
@@ -654,20 +647,18 @@ impl Read for Line<'_> {
     }
 }
 
-/// A reader begins again with a new line; that is at its beginning.
+/// A reader seeks to the beginning of a new line.
 impl Seek for Line<'_> {
     fn seek(&mut self, _: SeekFrom) -> io::Result<u64> {
         Ok(0)
     }
 }
 
-/// The id in a sensor's line of JSON.
 fn id_of(json: &str) -> String {
     let line: serde_json::Value = serde_json::from_str(json).unwrap_or_default();
     line["id"].as_str().unwrap_or_default().to_owned()
 }
 
-/// The beginning of a field, for an error.
 fn quoted(field: &str) -> String {
     match field.char_indices().nth(QUOTED_MAX) {
         Some((end, _)) => format!("{:?}...", &field[..end]),

@@ -25,7 +25,7 @@ fn the_documented_example_is_narrated_in_the_order_of_time() {
             "They switch on the coffee maker.",
         ]
     );
-    // The bed is left at 07:12:40; 20 seconds later somebody is in the bathroom.
+    // The person leaves the bed at 07:12:40; 20 seconds later the bathroom is occupied.
     assert_eq!((Some(log.said[0].at_s), said(&log)[1].1), (seconds("2024-03-01 07:12:40"), 20.0));
     assert_eq!((log.unfit, log.silent), (1, 2));
     assert_eq!(log.faults.count(), 0);
@@ -92,13 +92,13 @@ fn sensors_say_who_is_where() {
         told,
         [
             ("present in the living room", Who::Number(PersonId(4)), 0.0),
-            // At 110 the door closes, and at 200 somebody moves, which was not worth saying again.
+            // At 110 the door closes. At 200 there is a motion, which is not narrated again.
             ("away", ada.clone(), 1910.0),
             ("present in the kitchen", Who::Number(PersonId(4)), 3090.0),
             ("away", ada, 710.0),
         ]
     );
-    assert!(said.iter().all(|item| item.kind == roomcast_ipc::narration_kind::PRESENCE));
+    assert!(said.iter().all(|item| item.kind == roomcast_ipc::raw::narration_kind::PRESENCE));
     assert_eq!((log.unfit, log.silent), (0, 3));
 }
 
@@ -112,7 +112,7 @@ fn the_same_sentence_of_another_place_is_said() {
     assert_eq!(log.silent, 1);
 }
 
-/// Also from another place: the whole home is silent.
+/// The place does not matter: the whole home is silent.
 #[test]
 fn what_begins_to_wait_again_takes_the_place_of_what_waited() {
     let rules = "[[rule]]\nkind = \"Magnetic\"\npresence = \"away\"\nquiet_s = 600.0\n\
@@ -158,12 +158,12 @@ fn absences_are_read_from_intervals_of_either_kind() {
     assert_eq!(times(home), [(30.0, 50.0)]);
     assert!(absences(b"10,20,Sleeping\n").unwrap_err().contains("third column"));
     assert!(absences(b"10,20,x\nnoon,20,x\n").unwrap_err().starts_with("line 2"));
-    // A heading has no time at all.
+    // A heading has no time.
     assert!(absences(b"noon\t2024-03-01 08:18:00\n").unwrap_err().starts_with("line 1"));
     assert_eq!(times(b""), []);
 }
 
-/// Labels of public data sets that have such a word in them, and mean something else.
+/// Labels of public data sets that contain such a word and mean something else.
 #[test]
 fn a_label_says_who_is_out_as_a_whole() {
     for away in [
@@ -204,7 +204,7 @@ fn a_label_says_who_is_out_as_a_whole() {
     }
 }
 
-/// A column with nothing in it is empty, whatever stands between columns. Several tabs between the times align columns.
+/// An empty column is empty, whatever separates columns. Several tabs between the times align columns.
 #[test]
 fn an_empty_field_moves_no_column() {
     let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
@@ -255,7 +255,7 @@ fn an_interval_over_the_end_of_summer_time_has_its_length() {
         ("2026-10-25T02:59:59", "2026-10-25T02:00:00", 1),
         // In New York on 1 November.
         ("2026/11/01 01:45:00", "2026/11/01 01:30:00", 2_700),
-        // If the clock goes forward, the times are taken as written.
+        // If the clock goes forward, the times stay as written.
         ("2026-10-25 02:10:00", "2026-10-25 02:30:00", 1_200),
     ] {
         assert_eq!(read(start, end), Ok(format!("They sit on the sofa for {seconds} s.")));
@@ -273,7 +273,7 @@ fn an_interval_over_the_end_of_summer_time_has_its_length() {
     }
 }
 
-/// Home Assistant's history has times in UTC; habits go by the hours of a clock on the wall.
+/// Home Assistant's history has times in UTC; habits use local hours.
 #[test]
 fn times_that_say_their_zone_are_those_of_the_home() {
     let rules = SensorRules::parse("[[rule]]\nsay = \"They sit on the {sensor} for {seconds} s.\"").unwrap();
@@ -289,7 +289,7 @@ fn times_that_say_their_zone_are_those_of_the_home() {
         ("2026-11-20T08:30:00+09:00", "2026-11-20T08:31:00+0900", "2026-11-20 00:30:00"),
         ("2026-11-20 08:30:00-05:00", "2026-11-20 08:31:00-05:00", "2026-11-20 14:30:00"),
         ("1784536200", "1784536260", "2026-07-20 10:30:00"),
-        // A clock's own, and numbers that count from anywhere.
+        // A local time, and numbers without a known origin.
         ("2026-11-20 08:30:00", "2026-11-20 08:31:00", "2026-11-20 08:30:00"),
         ("17", "77", "1970-01-01 00:00:17"),
         // The clock is set back within the interval.
@@ -297,7 +297,7 @@ fn times_that_say_their_zone_are_those_of_the_home() {
     ] {
         assert_eq!(starts(&berlin, start, end), at(local, 60), "{start}");
     }
-    // One that is not local has no fold.
+    // A time with a zone has no fold.
     assert_eq!(starts(&berlin, "2026-10-25 02:30:00Z", "2026-10-25 02:10:00Z"), None);
     assert_eq!(starts(&rules, "2026-11-20T08:30:00Z", "2026-11-20T08:31:00Z"), at("2026-11-20 08:30:00", 60));
     for wrong in ["2026-11-20T08:30:00ZZ", "2026-11-20T08:30:00+1", "2026-11-20T08:30:00+99:00", "2026-11-20-05:00"] {
@@ -330,7 +330,7 @@ fn a_stray_quotation_mark_costs_its_own_line_alone() {
     let wrong = narrated.faults.told();
     assert_eq!((narrated.said.len(), wrong.len()), (499, 1));
     assert!(wrong[0].starts_with("line 101:"), "{wrong:?}");
-    // A quoted field may hold the separator, as before.
+    // A quoted field may contain the separator.
     let quoted = rules.narrate(b"1,2,\"door, left\",magnetic,hall\n", &Who::Somebody);
     assert_eq!(quoted.said[0].item.text, "They open the door, left.");
 }
@@ -357,7 +357,7 @@ fn malformed_lines_are_counted_and_the_first_are_told() {
     assert!(told.iter().all(|text| text.len() < 200), "{told:?}");
 }
 
-/// The lines before it do not matter: a mark of the byte order, carriage returns, open quotation marks.
+/// Earlier lines do not matter: a byte order mark, carriage returns, open quotation marks.
 #[test]
 fn each_line_is_read_as_if_it_were_alone() {
     let rules = SensorRules::parse("[[rule]]\nsay = \"They open the {sensor}.\"").unwrap();
@@ -419,7 +419,7 @@ fn a_first_line_that_begins_with_a_time_is_no_heading() {
     assert_eq!((heading.faults.count(), heading.said.len()), (0, 1));
 }
 
-/// As the logs of CASAS are written.
+/// The format of CASAS.
 #[test]
 fn date_and_time_may_stand_in_two_columns() {
     let rules =
@@ -442,7 +442,7 @@ fn date_and_time_may_stand_in_two_columns() {
     );
 }
 
-/// "Download data" of its history: one line per change, in UTC.
+/// Home Assistant's "Download data" of its history: one line per change, in UTC.
 #[test]
 fn the_history_export_of_home_assistant_is_narrated() {
     let rules = "columns = [\"sensor\", \"kind\", \"start\"]\n[[rule]]\nsensor = \"light.kitchen\"\nkind = \"on\"\nsay = \"They turn on the kitchen light.\"";

@@ -1,8 +1,8 @@
 //! Times as logs write them.
 
-/// A plain number above this is no number of seconds: it would be later than the year 5000, and milliseconds of today are more.
+/// A larger plain number is not a number of seconds: it would be later than the year 5000, and today's milliseconds are more.
 const SECONDS_MAX: f64 = 1e11;
-/// By so much clocks are set back in autumn, in seconds, on a Sunday before three o'clock.
+/// The step of clocks in autumn, in seconds, on a Sunday before three o'clock.
 pub(super) const FOLD_S: f64 = 3_600.0;
 const FOLD_UNTIL_S: f64 = 3.0 * 3_600.0;
 const MONTHS: [&str; 12] = [
@@ -20,19 +20,19 @@ const MONTHS: [&str; 12] = [
     "december",
 ];
 
-/// Whether a time is what a clock on the wall shows: a date that does not say its zone, no number of seconds.
+/// Whether a time is local: a date without a zone, not a number of seconds.
 pub(super) fn is_clock_time(field: &str) -> bool {
     field.parse::<f64>().is_err() && zone_of(field).1.is_none()
 }
 
-/// A time without the mark of its zone, and how many seconds a clock of that is ahead: "Z", "+01:00", "-0530".
+/// A time without its zone, and the zone's offset in seconds: "Z", "+01:00", "-0530".
 fn zone_of(field: &str) -> (&str, Option<f64>) {
     let field = field.trim_end();
     if let Some(time) = field.strip_suffix('Z') {
         return (time, Some(0.0));
     }
     let marked = || {
-        // Dates have signs, too.
+        // Dates contain signs, too.
         let at = field.rfind(['+', '-']).filter(|at| field[..*at].contains(':'))?;
         let digits = field[at + 1..].replace(':', "");
         let number: u32 =
@@ -53,16 +53,16 @@ pub(super) fn may_be_folded(start_s: f64, end_s: f64) -> bool {
     is_sunday && of_night(start_s) && of_night(end_s) && (0.0..=FOLD_S).contains(&(start_s - end_s))
 }
 
-/// Seconds of `2024-03-01 08:15:00` or `25-Feb-2008 00:20:14` (with `T`, `/` and fractions as well) since 1970, by the clock that it was read from,
-/// without regard to leap seconds; universal ones of a time that says its zone; or those of a plain number of seconds. None for a date or time of
-/// the day that does not exist, and for so many seconds that they must be something else.
+/// Seconds since 1970 of `2024-03-01 08:15:00` or `25-Feb-2008 00:20:14` (with `T`, `/` and fractions as well), without leap seconds: by
+/// the local clock, or in UTC for a time with a zone. A plain number is returned. `None` for a date or time of day that does not exist, and
+/// for a number too large for seconds.
 #[must_use]
 pub fn seconds(text: &str) -> Option<f64> {
     if let Ok(seconds) = text.parse::<f64>() {
         return (seconds.abs() <= SECONDS_MAX).then_some(seconds);
     }
     let (clock, ahead_s) = zone_of(text);
-    // The time of the day stands behind the last space or T before the first colon. Some months have a T.
+    // The time of day follows the last space or T before the first colon. Some months have a T.
     let ends_date = |at: usize, c: char| c == ' ' || (c == 'T' && clock[..at].ends_with(|c: char| c.is_ascii_digit()));
     let (at, _) = clock[..clock.find(':')?].char_indices().rfind(|(at, c)| ends_date(*at, *c))?;
     let (year, month, day) = date(&clock[..at])?;
@@ -76,8 +76,8 @@ pub fn seconds(text: &str) -> Option<f64> {
     Some(whole.unix_time() as f64 + second.fract() - ahead_s.unwrap_or_default())
 }
 
-/// Year, month and day of `2024-03-01`, of `01.03.2024`, and of `01-Mar-2024` or `Mar 1, 2024` with the month's English name. `/` and a space
-/// separate as well. `01/03/2024` is two dates, so it is none.
+/// Year, month and day of `2024-03-01`, of `01.03.2024`, and of `01-Mar-2024` or `Mar 1, 2024` with the month's English name. `/` and a
+/// space separate as well. `01/03/2024` is ambiguous and gives `None`.
 fn date(text: &str) -> Option<(i32, u8, u8)> {
     let mut parts = text.split(['-', '/', '.', ',', ' ']).filter(|part| !part.is_empty());
     let (first, second, third) = (parts.next()?, parts.next()?, parts.next()?);
@@ -99,12 +99,11 @@ fn month(name: &str) -> Option<u8> {
     (1..).zip(MONTHS).find(|(_, month)| is_name(month)).map(|(number, _)| number)
 }
 
-/// Whether a text is a date without a time of the day.
 pub(super) fn is_date(text: &str) -> bool {
     date(text.trim()).is_some()
 }
 
-/// Whether a field begins with a time, right or wrong: with a number, or with digits that `-`, `/`, `.` or `:` separate.
+/// Whether a field begins with a time, valid or not: with a number, or with digits that `-`, `/`, `.` or `:` separate.
 pub(super) fn begins_with_time(field: &str) -> bool {
     let Some(word) = field.split_whitespace().next() else { return false };
     let is_number = word.parse().is_ok_and(f64::is_finite);

@@ -1,4 +1,4 @@
-//! How robots speak over MQTT.
+//! The MQTT messages of robots.
 
 use std::collections::BTreeMap;
 
@@ -7,38 +7,37 @@ use serde_json::{Value, json};
 use crate::config::{RobotConfig, RobotKind};
 use crate::slug::slug;
 
-/// Most segments that a robot may tell of.
 const SEGMENTS_MAX: usize = 256;
 
-/// What a robot does.
+/// The activity of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// At its dock.
+    /// It is at its dock.
     Docked,
     /// It stands somewhere.
     Idle,
-    /// At work, or on its way there.
+    /// It works, or is on its way there.
     Cleaning,
     /// Its work was interrupted.
     Paused,
-    /// On its way to the dock.
+    /// It is on its way to the dock.
     Returning,
-    /// Somebody steers it.
+    /// A person steers it.
     Manual,
-    /// It cannot go on.
+    /// It cannot continue.
     Error,
 }
 
-/// What a message of a robot says.
+/// The content of a robot's message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sensed {
-    /// What it does.
+    /// The activity.
     Status(Status),
-    /// Whether it means to go on by itself with what it has left, as after charging.
+    /// Whether it will continue its unfinished work by itself, as after charging.
     Resumes(bool),
-    /// How full its battery is, 0 to 1.
+    /// The battery's level, 0 to 1.
     Battery(f64),
-    /// What is wrong with it, in its own words; empty where nothing is.
+    /// The fault in the robot's words; empty without a fault.
     Fault(String),
     /// Its segments: numbers and names.
     Segments(BTreeMap<String, String>),
@@ -46,21 +45,21 @@ pub enum Sensed {
     Online(bool),
 }
 
-/// What a robot is told to do.
+/// A command for a robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Order {
-    /// To clean a segment, which is this room.
+    /// Clean a segment, which is this room.
     Clean {
-        /// The robot's own number or name of it.
+        /// The robot's number or name of the segment.
         segment: String,
         /// The room's id in Roomcast's map.
         room: String,
     },
-    /// To end its work and stand still.
+    /// End the work and stand still.
     Stop,
-    /// To interrupt its work where it is.
+    /// Interrupt the work in place.
     Pause,
-    /// To go to its dock.
+    /// Go to the dock.
     Home,
 }
 
@@ -68,16 +67,15 @@ pub enum Order {
 #[derive(Debug, Clone)]
 pub struct Dialect {
     kind: RobotKind,
-    /// Where it speaks, without a slash at the end.
+    /// The prefix of its topics, without a slash at the end.
     topic: String,
-    /// Where its battery is told.
     battery: String,
-    /// Where orders for Home Assistant go.
+    /// The topic of commands for Home Assistant.
     orders: String,
 }
 
 impl Dialect {
-    /// The dialect of the configured robot; `base` is what Roomcast's own topics begin with, `name` the robot's name in them.
+    /// The dialect of the configured robot; `base` is the prefix of Roomcast's topics, `name` the robot's name in them.
     #[must_use]
     pub fn new(config: &RobotConfig, base: &str, name: &str) -> Self {
         let orders = format!("{base}/robots/{}/order", slug(name));
@@ -85,12 +83,12 @@ impl Dialect {
             RobotKind::Valetudo => "BatteryStateAttribute/level",
             RobotKind::HomeAssistant => "battery_level",
         };
-        // Where a sensor of its own is configured, only that counts: the broker may still have what the robot itself said of old.
+        // If a battery sensor is configured, only that counts: the broker may still have an old value of the robot.
         let battery = config.battery.clone().unwrap_or_else(|| format!("{}/{own}", config.topic));
         Self { kind: config.kind, topic: config.topic.clone(), battery, orders }
     }
 
-    /// Below the robot's topic, what it says something by, but for its battery.
+    /// The topics below the robot's prefix, without its battery.
     fn parts(&self) -> &'static [&'static str] {
         match self.kind {
             RobotKind::Valetudo => &[
@@ -104,13 +102,13 @@ impl Dialect {
         }
     }
 
-    /// What to subscribe to.
+    /// The filters to subscribe to.
     #[must_use]
     pub fn filters(&self) -> Vec<String> {
         self.parts().iter().map(|part| format!("{}/{part}", self.topic)).chain([self.battery.clone()]).collect()
     }
 
-    /// Whether a message should have said something, and says nothing that is known. Home Assistant's words for what it does not know are no fault.
+    /// Whether a message should have a known content and has not. Home Assistant's words for unknown values are not a fault.
     #[must_use]
     pub(crate) fn is_garbled(&self, topic: &str, payload: &[u8]) -> bool {
         let part = topic.strip_prefix(&self.topic).and_then(|part| part.strip_prefix('/'));
@@ -120,7 +118,7 @@ impl Dialect {
         is_read && !is_unknown && self.hear(topic, payload).is_none()
     }
 
-    /// What a message says; nothing where it is not understood.
+    /// The content of a message; `None` if it is not understood.
     #[must_use]
     pub fn hear(&self, topic: &str, payload: &[u8]) -> Option<Sensed> {
         let text = std::str::from_utf8(payload).ok()?.trim();
@@ -154,7 +152,7 @@ impl Dialect {
         }
     }
 
-    /// An order as a message: its topic and what it says.
+    /// A command as a message: topic and payload.
     #[must_use]
     pub fn order(&self, order: &Order) -> (String, String) {
         if self.kind == RobotKind::HomeAssistant {
@@ -179,7 +177,7 @@ impl Dialect {
     }
 }
 
-/// The words that Valetudo and Home Assistant have in common, and Valetudo's own.
+/// The words that Valetudo and Home Assistant share, and Valetudo's own.
 fn status(word: &str) -> Option<Status> {
     Some(match word {
         "docked" => Status::Docked,
@@ -224,7 +222,7 @@ mod tests {
         let segments = BTreeMap::from([("16".to_owned(), "Küche".to_owned()), ("17".to_owned(), String::new())]);
         assert_eq!(hear("MapData/segments", r#"{"16": "Küche", "17": null}"#), Some(Sensed::Segments(segments)));
         assert_eq!(hear("MapData/segments", "[1]"), None);
-        // One that has a complaint speaks on.
+        // A robot with a warning is still connected.
         assert_eq!(hear("$state", "alert"), Some(Sensed::Online(true)));
         assert_eq!(hear("$state", "lost"), Some(Sensed::Online(false)));
         assert_eq!(robot.hear("valetudo/rockrobo2/StatusStateAttribute/status", b"idle"), None);
@@ -241,7 +239,7 @@ mod tests {
         assert_eq!(robot.order(&Order::Home), home);
     }
 
-    /// Two that share a topic would both do what one of them is told.
+    /// Two robots with one topic would both follow the commands for one.
     #[test]
     fn robots_of_different_names_have_topics_of_their_own() {
         let config = RobotConfig { kind: RobotKind::HomeAssistant, ..RobotConfig::default() };
@@ -261,7 +259,7 @@ mod tests {
         assert_eq!(hear("state", "unavailable"), Some(Sensed::Online(false)));
         assert_eq!(hear("battery_level", "80"), Some(Sensed::Battery(0.8)));
         assert_eq!(hear("error", "\"main brush\""), Some(Sensed::Fault("main brush".into())));
-        // Its battery may be a sensor of its own.
+        // Its battery may be a separate sensor.
         let sensor = "homeassistant/sensor/dusty_battery/state";
         let config = RobotConfig {
             kind: RobotKind::HomeAssistant,
@@ -273,7 +271,7 @@ mod tests {
         let own = "homeassistant/vacuum/dusty/battery_level";
         let listens = |robot: &Dialect| [sensor, own].map(|topic| robot.filters().contains(&topic.to_owned()));
         assert_eq!((listens(&with_sensor), listens(&robot)), ([true, false], [false, true]));
-        // What the broker has kept of the vacuum's own attribute is of old.
+        // The broker's value of the vacuum's attribute is old.
         assert_eq!(with_sensor.hear(own, b"80"), None);
         assert_eq!(with_sensor.hear(sensor, b"7"), Some(Sensed::Battery(0.07)));
         assert!(with_sensor.is_garbled(sensor, b"full") && !with_sensor.is_garbled(sensor, b"unavailable"));

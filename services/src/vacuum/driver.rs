@@ -1,45 +1,43 @@
-//! What a vacuum is told, and what is said of it. Pure: time comes in as a number.
+//! Commands for a vacuum, and reports about it. Pure: time is an argument.
 //!
-//! One order is under way at a time, and it counts as heard when the robot's own state says so: an order that was lost is given again. To
-//! clean has failed after three times. What ends work is given again until it is followed: nobody else calls a robot out of a person's room. Work is finished when a robot that was seen at work has left it by itself and means to do no more. A
-//! robot in an error, one that does not start and one that never ends are reported as failed, with the reason in words.
+//! There is one open command at a time. The robot's state confirms it, and a lost command is repeated. A command to clean has failed after
+//! three tries. A command that ends work is repeated until it is followed: no other participant calls a robot out of a person's room. Work
+//! is finished when a robot that was seen at work has left it by itself and will not continue. A robot in an error, one that does not start
+//! and one that never ends are reported as failed, with the reason in words.
 
 use std::collections::BTreeMap;
 
 use roomcast_core::ids::BootNs;
-use roomcast_ipc::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
+use roomcast_ipc::raw::{DecisionV1, NOTE_TEXT_BYTES, action, decision_flags};
 
 use super::dialect::{Order, Sensed, Status};
 use super::rooms::segment_of;
 use crate::config::{OnPause, RobotConfig, RobotKind};
 use crate::reporter::{Kind, Report};
 
-/// How often an order is given before it has failed, or before it is said that one that ends work is not followed.
+/// Tries of a command before it has failed, or before the log says that a command to end work is not followed.
 const TRIES: u32 = 3;
-/// A robot that leaves its work has finished when it has said nothing else for so long.
+/// A robot that leaves its work has finished if its state does not change for this time.
 const SETTLE_NS: u64 = 3_000_000_000;
-/// Why a room has no segment before the robot has spoken.
 const UNHEARD: &str = "nothing was heard of the robot yet";
-/// Why a room has no segment before the robot has sent its list.
 const UNTOLD: &str = "the robot has told of no segments; name them in [robot.segments]";
-/// The battery is told when it has changed by so much; at the dock by less, since a planner waits there for one that may be full.
+/// The least change of the battery for a report. At the dock it is smaller, since a planner may wait there for a full battery.
 const BATTERY_STEP: f64 = 0.05;
 const BATTERY_STEP_DOCKED: f64 = 0.01;
-/// Shares are told in hundredths, whose differences are not exact.
+/// Levels are reported in hundredths, and their differences are not exact.
 const BATTERY_EXACT: f64 = 1e-9;
-/// A robot at work is heard of at least so often: the planner takes one that is silent for lost.
+/// The longest interval of reports from a robot at work: the planner treats a silent one as lost.
 const TELL_NS: u64 = 30_000_000_000;
 
-/// What is to be done.
+/// An output of the driver.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Act {
-    /// The robot is told this.
+    /// A command for the robot.
     Order(Order),
-    /// The planner is told this.
+    /// A report for the planner.
     Report(Report),
 }
 
-/// A room that a decision asks for.
 #[derive(Debug, Clone, PartialEq)]
 struct Work {
     decision: u64,
@@ -47,14 +45,13 @@ struct Work {
     asked_ns: BootNs,
 }
 
-/// What the driver is about.
 #[derive(Debug, Clone, PartialEq)]
 enum State {
-    /// Nothing is under way.
+    /// There is no open command or work.
     Free,
-    /// An order is given, and the robot's state does not show it yet. `differed`: its state was another than ordered, then or since.
+    /// A command is open, and the robot's state does not show it yet. `differed`: its state was another one, then or since.
     Ordered { order: Order, since_ns: BootNs, tries: u32, differed: bool },
-    /// The robot is at work for a decision. `left_ns`: since when it is not any more.
+    /// The robot works for a decision. `left_ns`: the time since which it does not any more.
     Working { since_ns: BootNs, left_ns: Option<BootNs>, paused_ns: Option<BootNs> },
 }
 
@@ -69,40 +66,36 @@ pub struct Driver {
     least_ns: u64,
     most_ns: u64,
     configured: BTreeMap<String, String>,
-    /// The last list with a segment; an empty one if the robot has sent no other, `None` before the first.
+    /// The last list with a segment; empty if the robot has sent no other, `None` before the first.
     segments: Option<BTreeMap<String, String>>,
     rooms: Vec<String>,
-    /// The broker is connected.
     connected: bool,
-    /// The robot is, as far as it says.
+    /// The robot is connected, as far as it says.
     online: bool,
-    /// What the robot said last of what it does.
+    /// The last reported activity.
     said: Option<Status>,
-    /// The same of one that is connected; none of another.
+    /// The same while the robot is connected, else `None`.
     status: Option<Status>,
-    /// The last status there was, also over a time without a broker: a robot that stood at its dock all along has not come there.
+    /// The last known status, also over a time without a broker: a robot that stood at its dock all along has not come there.
     seen: Option<Status>,
     resumes: bool,
     battery: Option<f64>,
     fault: String,
-    /// The robot has said something.
     is_heard: bool,
-    /// What the robot is at, it may have been sent to do by a driver before this one: it has cleaned since it was first heard.
+    /// The robot has cleaned since its first message, so an earlier driver may have sent it.
     is_new: bool,
-    /// A battery of this or less says that a robot that leaves its work has to charge; none where the robot says it itself.
+    /// If a robot with a battery at this level or less leaves its work, it has to charge; `None` if the robot itself says so.
     recharge_at: Option<f64>,
-    /// The last decision ends work, and nothing is known of the robot that may be at it.
+    /// The last decision ends work, and the robot's state is unknown.
     is_to_end: bool,
-    /// The last decision's epoch and sequence.
     decided: Option<(u64, u64)>,
-    /// What is to be done next, or is under way.
     wish: Option<Work>,
     state: State,
-    /// A robot that charges in the middle of its work is not to go on by itself: how often it is told so still, and when next.
+    /// A robot that charges in the middle of its work must not continue by itself: the remaining commands for that, and the time of the
+    /// next.
     forgets: Option<(u32, BootNs)>,
     told_ns: BootNs,
     told_battery: Option<f64>,
-    /// What became of the last work.
     outcome: Option<Report>,
 }
 
@@ -111,7 +104,7 @@ fn nanoseconds(seconds: f64) -> u64 {
 }
 
 impl Driver {
-    /// A driver of the robot that decisions name by this number.
+    /// A driver of the robot with this number in decisions.
     #[must_use]
     pub fn new(config: &RobotConfig, number: u64) -> Self {
         Self {
@@ -147,24 +140,21 @@ impl Driver {
         }
     }
 
-    /// Takes the ids of the map's rooms.
     pub(crate) fn know_rooms<'a>(&mut self, rooms: impl Iterator<Item = &'a str> + Clone) {
         if !rooms.clone().eq(self.rooms.iter().map(String::as_str)) {
             self.rooms = rooms.map(str::to_owned).collect();
         }
     }
 
-    /// Whether the robot has said anything.
     pub(crate) fn is_heard(&self) -> bool {
         self.is_heard
     }
 
-    /// Whether it is known what each room is to the robot.
     pub(crate) fn knows_segments(&self) -> bool {
         self.kind == RobotKind::HomeAssistant || self.segments.as_ref().is_some_and(|segments| !segments.is_empty())
     }
 
-    /// What each room is to the robot: its segment, or why there is none.
+    /// The segment of each room, or the reason why there is none.
     pub fn plan(&self) -> impl Iterator<Item = (&str, Result<String, String>)> {
         self.rooms.iter().map(|room| (room.as_str(), self.segment(room)))
     }
@@ -200,9 +190,9 @@ impl Driver {
             action::PAUSE => self.stop_work(now_ns, &mut acts),
             // To wait in another room: its work is over, and this robot waits at its dock.
             _ if !decision.to().is_empty() && decision.to() != decision.from() => self.stop_work(now_ns, &mut acts),
-            // Work in the same room is over, too, if the decision cancels it.
+            // Work in the same room is also over if the decision cancels it.
             _ if is_cancelled => self.stop_work(now_ns, &mut acts),
-            // To stay where it is, with nothing to do.
+            // To stay in place without work.
             _ => {}
         }
         self.step(now_ns, &mut acts);
@@ -214,7 +204,7 @@ impl Driver {
         let (sequence, room) = (decision.sequence, decision.to().to_owned());
         let is_ending = self.is_ending();
         if let Some(work) = self.wish.as_mut().filter(|work| work.room == room && !is_ending) {
-            // The same again, as from a planner that was started again.
+            // The same again, for example from a restarted planner.
             work.decision = sequence;
             if matches!(self.state, State::Working { .. }) {
                 self.report(Kind::Started, "", acts);
@@ -234,11 +224,11 @@ impl Driver {
         self.wish = Some(Work { decision: sequence, room, asked_ns: now_ns });
     }
 
-    /// The work in hand ends: a person has come, or the robot is to wait.
+    /// Ends the current work: a person has come, or the robot must wait.
     fn stop_work(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.wish = None;
         let is_ordered = matches!(self.state, State::Ordered { .. });
-        // A robot that was told to clean may begin at any moment, whatever it has said so far, and one that is cut off goes on.
+        // A robot with a command to clean may begin at any moment, whatever its state, and a disconnected one continues.
         let begins = is_ordered && !self.is_ending();
         let is_cut_off = self.status.is_none() && matches!(self.state, State::Working { .. });
         let works = self.status == Some(Status::Cleaning) || begins || is_cut_off;
@@ -246,24 +236,23 @@ impl Driver {
         match self.on_pause {
             OnPause::Pause if works => self.order(Order::Pause, now_ns, acts),
             OnPause::Return if moves => self.order(Order::Home, now_ns, acts),
-            // What ends other work is followed until it has.
+            // A command to end work stays open until it is followed.
             _ if self.is_ending() => {}
             _ => self.state = State::Free,
         }
-        // Whether there is anything to end shows when the robot speaks.
+        // The robot's next message shows whether there is work to end.
         self.is_to_end = self.status.is_none() && self.state == State::Free;
     }
 
-    /// Whether an order that ends work is under way, before anything else is done.
     fn is_ending(&self) -> bool {
         matches!(&self.state, State::Ordered { order, .. } if !matches!(order, Order::Clean { .. }))
     }
 
     fn order(&mut self, order: Order, now_ns: BootNs, acts: &mut Vec<Act>) {
         acts.push(Act::Order(order.clone()));
-        // Whoever only says what it would do waits for nothing.
+        // Without obedience, commands are only shown, and have no reply.
         if self.obeys {
-            // Of a robot of which nothing is known yet no state is another one.
+            // Before the first status, the state cannot differ.
             let differed = self.status.is_some() && !self.is_as_ordered(&order);
             self.state = State::Ordered { order, since_ns: now_ns, tries: 1, differed };
         } else {
@@ -271,8 +260,7 @@ impl Driver {
         }
     }
 
-    /// Takes whether the broker is connected. While it is not, nothing is known of the robot; what it does is told again with the next
-    /// connection.
+    /// Updates whether the broker is connected. While it is not, the robot's state is unknown; the next connection delivers it again.
     #[must_use]
     pub fn link(&mut self, is_connected: bool, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
@@ -280,7 +268,7 @@ impl Driver {
             return acts;
         }
         self.connected = is_connected;
-        // Home Assistant says a state when it changes, and a broker may have lost what it kept: what was said last holds until it says another.
+        // Home Assistant sends a state when it changes, and a broker may have lost it: the last one is valid until the next.
         let is_said_once = self.kind == RobotKind::HomeAssistant;
         if is_connected && is_said_once {
             self.status = self.said;
@@ -291,14 +279,14 @@ impl Driver {
         } else if self.is_ending()
             && let State::Ordered { since_ns, .. } = &mut self.state
         {
-            // A robot that says nothing is told again soon, and one that is at work as soon as it says so.
+            // A silent robot gets the command again soon, and a working one as soon as it reports that.
             *since_ns = now_ns.saturating_sub(self.start_ns.saturating_sub(SETTLE_NS));
         }
         self.step(now_ns, &mut acts);
         acts
     }
 
-    /// Takes what the robot says.
+    /// Takes a message of the robot.
     #[must_use]
     pub fn sense(&mut self, sensed: Sensed, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
@@ -307,12 +295,12 @@ impl Driver {
         match sensed {
             Sensed::Status(status) => {
                 self.said = Some(status);
-                // Of Valetudo the broker has kept a status, also of a robot that is off: it says by itself that it is connected.
+                // The broker stores a status of Valetudo even if the robot is off, so Valetudo reports separately that it is connected.
                 self.online |= self.kind == RobotKind::HomeAssistant;
             }
             Sensed::Resumes(resumes) => self.resumes = resumes,
             Sensed::Fault(fault) => self.fault = fault,
-            // Valetudo sends an empty list while it has no map, for instance after it restarts.
+            // Valetudo sends an empty list while it has no map, for example after it restarts.
             Sensed::Segments(segments) if segments.is_empty() => {
                 self.segments.get_or_insert_default();
             }
@@ -337,7 +325,7 @@ impl Driver {
         acts
     }
 
-    /// The robot has told its state, or is connected with the one that it told before.
+    /// The robot has sent its state, or is connected again with the earlier one.
     fn look_at_status(&mut self, before: Option<Status>, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some(status) = self.status else { return };
         self.is_new &= status == Status::Cleaning;
@@ -351,12 +339,12 @@ impl Driver {
         }
     }
 
-    /// Takes that time has passed.
+    /// Handles the passing of time.
     #[must_use]
     pub fn tick(&mut self, now_ns: BootNs) -> Vec<Act> {
         let mut acts = Vec::new();
         self.step(now_ns, &mut acts);
-        // Only of work: a robot that does nothing must not seem to be at what it was sent to do. Nor one that is away.
+        // Only about work: an idle robot must not appear to be at its ordered work. Nor must one that is away.
         let works = matches!(self.state, State::Working { .. }) && self.status.is_some();
         if works && now_ns.since(self.told_ns) >= TELL_NS {
             self.tell(now_ns, &mut acts);
@@ -376,7 +364,6 @@ impl Driver {
         }
     }
 
-    /// Goes on as far as the robot's state allows.
     fn step(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.forget(now_ns, acts);
         match self.state.clone() {
@@ -390,11 +377,11 @@ impl Driver {
         }
     }
 
-    /// Tells a robot at its dock that it is not to go on by itself. Of Home Assistant's nobody knows whether it has heard.
+    /// Tells a robot at its dock that it must not continue by itself. Home Assistant does not confirm that.
     fn forget(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some((left, next_ns)) = self.forgets else { return };
         let means_to = self.resumes || self.kind == RobotKind::HomeAssistant;
-        // What it is sent to do next takes the place of what it has left.
+        // A new order replaces the unfinished work.
         if left == 0 || matches!(self.state, State::Ordered { .. } | State::Working { .. }) && !self.is_ending() {
             self.forgets = None;
         } else if means_to && self.status == Some(Status::Docked) && now_ns >= next_ns {
@@ -403,22 +390,21 @@ impl Driver {
         }
     }
 
-    /// Begins what is wished for.
     fn start(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         let Some(work) = self.wish.clone() else { return };
         let is_new = self.is_new && self.obeys;
         self.is_new &= self.status.is_none();
         match self.status {
-            // What it does is known soon after the connection.
+            // Its activity is known soon after the connection.
             None if self.obeys => {}
-            // A driver that was started again finds the robot at what it was sent to do.
+            // A restarted driver finds the robot at its ordered work.
             Some(Status::Cleaning) if is_new => self.begin(now_ns, acts),
             Some(Status::Error) => self.end(Kind::Failed, &self.trouble(), acts),
-            // Somebody else has sent it out.
+            // Another person or program has sent it out.
             Some(Status::Cleaning | Status::Manual) => self.order(Order::Stop, now_ns, acts),
             _ => match self.segment(&work.room) {
                 Ok(segment) => self.order(Order::Clean { segment, room: work.room }, now_ns, acts),
-                // What segments there are is known soon after the connection.
+                // The segments are known soon after the connection.
                 Err(_)
                     if self.segments.as_ref().is_none_or(BTreeMap::is_empty)
                         && now_ns.since(work.asked_ns) < self.start_ns => {}
@@ -427,13 +413,13 @@ impl Driver {
         }
     }
 
-    /// What is wrong, in words.
     fn trouble(&self) -> String {
         let fault = if self.fault.is_empty() { "it does not say which" } else { &self.fault };
         format!("the robot has an error: {fault}")
     }
 
-    /// The robot has told its state. One that begins what it is to end is told again at once: it may not have heard it at its dock.
+    /// Handles a new state of the robot. If it begins work that should end, the command is repeated at once: it may have missed it at its
+    /// dock.
     fn look_at_change(&mut self, before: Option<Status>, now_ns: BootNs, acts: &mut Vec<Act>) {
         let State::Ordered { order, since_ns, tries, differed } = self.state.clone() else { return };
         let begins = self.status == Some(Status::Cleaning) && before != self.status;
@@ -441,14 +427,14 @@ impl Driver {
         if again {
             acts.push(Act::Order(order.clone()));
         }
-        // One of which nothing was known has heard none of those before.
+        // A robot without a known state has received none of the earlier commands.
         let told = if before.is_none() { 1 } else { tries.saturating_add(1) };
         let (since_ns, tries) = if again { (now_ns, told) } else { (since_ns, tries) };
         let differed = differed || !self.is_as_ordered(&order);
         self.state = State::Ordered { order, since_ns, tries, differed };
     }
 
-    /// Whether the robot's state is what an order leads to.
+    /// Whether the robot's state is the result of a command.
     fn is_as_ordered(&self, order: &Order) -> bool {
         match order {
             Order::Clean { .. } => self.status == Some(Status::Cleaning),
@@ -475,8 +461,8 @@ impl Driver {
             return self.start(now_ns, acts);
         }
         let (is_so, is_late) = (self.is_as_ordered(&order), now_ns.since(since_ns) >= self.start_ns);
-        // A state that was so before the order is no answer: a robot at its dock may be about to leave it. One that stays so is told again,
-        // and then taken for one that has nothing to end.
+        // The same state before the command is no reply: a robot at its dock may be about to leave it. If it stays, the command is
+        // repeated, and then it counts as having no work to end.
         if is_so && (differed || is_late && tries >= TRIES) {
             if cleans {
                 return self.begin(now_ns, acts);
@@ -495,14 +481,14 @@ impl Driver {
         let why = self.why_not_followed(cleans);
         if cleans {
             self.end(Kind::Failed, why, acts);
-            // What it hears late is not to be begun, also where it hears it when it is back.
+            // The robot must not begin if it receives the command late, for example when it is connected again.
             return if self.status.is_some() {
                 acts.push(Act::Order(Order::Stop));
             } else {
                 self.order(Order::Stop, now_ns, acts);
             };
         }
-        // A robot that stands need not go home before it goes to work.
+        // A standing robot need not go home before it goes to work.
         if self.wish.is_some() && self.is_as_ordered(&Order::Stop) {
             self.state = State::Free;
             return self.start(now_ns, acts);
@@ -520,7 +506,6 @@ impl Driver {
         self.state = State::Ordered { order, since_ns, tries: TRIES + 1, differed };
     }
 
-    /// Why an order is not followed, in words.
     fn why_not_followed(&self, cleans: bool) -> &'static str {
         match (self.connected, self.status) {
             (false, _) => "the broker is away",
@@ -530,7 +515,6 @@ impl Driver {
         }
     }
 
-    /// The robot is at work.
     fn begin(&mut self, now_ns: BootNs, acts: &mut Vec<Act>) {
         self.state = State::Working { since_ns: now_ns, left_ns: None, paused_ns: None };
         self.told_ns = now_ns;
@@ -579,26 +563,24 @@ impl Driver {
         }
     }
 
-    /// The work is over, one way or the other.
     fn end(&mut self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
         let had_begun = matches!(self.state, State::Working { .. });
         self.report(kind, why, acts);
         self.outcome = self.wish.take().map(|work| Report { room: Some(work.room), ..note(kind, why) });
         self.state = State::Free;
-        // That it came to its dock was not told while it counted as at work. A robot that never left it does not come there.
+        // Its arrival at the dock was not reported while it counted as working. A robot that never left the dock does not arrive there.
         if had_begun && self.status == Some(Status::Docked) {
             self.say(Report { battery: self.battery, ..Report::new(Kind::Docked) }, acts);
         }
     }
 
-    /// Reports what became of the work in hand.
     fn report(&self, kind: Kind, why: &str, acts: &mut Vec<Act>) {
         let Some(work) = &self.wish else { return };
         let report = Report { room: Some(work.room.clone()), decision: Some(work.decision), ..note(kind, why) };
         self.say(Report { battery: self.battery, ..report }, acts);
     }
 
-    /// Whoever only says what it would do has no say in what is done.
+    /// Without obedience there are no reports, since nothing was done.
     fn say(&self, report: Report, acts: &mut Vec<Act>) {
         if self.obeys {
             acts.push(Act::Report(report));
@@ -606,7 +588,6 @@ impl Driver {
     }
 }
 
-/// A report with its reason, cut to fit.
 fn note(kind: Kind, why: &str) -> Report {
     let mut end = why.len().min(NOTE_TEXT_BYTES);
     while !why.is_char_boundary(end) {

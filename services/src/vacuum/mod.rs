@@ -1,7 +1,7 @@
-//! A vacuum that obeys: the planner's decisions as orders to a real robot, and what the robot says of itself as reports to the planner.
+//! Drives a real vacuum: the planner's decisions become commands, and the robot's messages become reports to the planner.
 //!
-//! [`Driver`] decides, apart from ports and clocks. [`Dialect`] knows how robots speak: Valetudo's topics, or those of Home Assistant, which
-//! calls the services of any vacuum that it has. [`run()`] joins them with the domain and the broker.
+//! [`Driver`] decides, apart from ports and clocks. [`Dialect`] knows the messages of robots: Valetudo's topics, or Home Assistant's, which
+//! can call the services of any vacuum that it has. [`run()`] joins them with the domain and the broker.
 
 mod dialect;
 mod driver;

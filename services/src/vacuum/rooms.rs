@@ -1,24 +1,23 @@
-//! Which segment of the robot's map a room is.
+//! Finds the segment of the robot's map for a room.
 
 use std::collections::BTreeMap;
 
 use roomcast_core::names::Names;
 use roomcast_core::semantic_map::SemanticMap;
 
-/// The configured segments by their rooms' ids, for rooms may be configured by any name that the map has for them. Rooms that it does not have
-/// stay as they are.
+/// The configured segments by their rooms' ids. The configuration may use any name of a room in the map. Unknown rooms stay unchanged.
 pub fn by_ids(configured: &BTreeMap<String, String>, map: &SemanticMap) -> BTreeMap<String, String> {
     let id = |room: &str| map.find_room(room).map_or(room, |known| &map.rooms()[known.0 as usize].id).to_owned();
     configured.iter().map(|(room, segment)| (id(room), segment.clone())).collect()
 }
 
-/// The segment of a room: the one that is configured, else the one whose number the room's id ends with, as an imported map has it, else
-/// the only one whose name means the room. If the robot's list is empty, the number in the id counts. `rooms` are all of the map's: no segment is that of two of them, and one that is configured for another
-/// room is not this one's.
+/// The segment of a room: the configured one, else the one with the number at the end of the room's id, as in an imported map, else the
+/// only one with a matching name. If the robot's list is empty, the number in the id counts. `rooms` are all rooms of the map: two of them
+/// never share a segment, and a segment that is configured for another room is not used.
 ///
 /// # Errors
 ///
-/// Why there is none, in words for the planner's log.
+/// The reason, in words for the planner's log.
 pub fn segment_of(
     room: &str,
     rooms: &[impl AsRef<str>],
@@ -39,7 +38,7 @@ fn is_plain_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// The segment of a room, whatever the other rooms have.
+/// The segment of a room, regardless of the other rooms.
 fn unshared_segment(
     room: &str,
     configured: &BTreeMap<String, String>,
@@ -63,11 +62,11 @@ fn unshared_segment(
         let name_of = plain(name);
         name_of == whole || name_of == stem || kind(name).as_deref() == Some(&*stem)
     };
-    // A name that is in no table may well be this room's: "Lenas Zimmer" is a bedroom.
+    // A name outside all tables may well be this room's: "Lenas Zimmer" is a bedroom.
     let means_another = |name: &str| !means(name) && kind(name).is_some();
     let mut named = segments.iter().filter(|(_, name)| means(name));
     if let Some((number, name)) = numbered.and_then(|(_, number)| segments.get_key_value(number)) {
-        // A robot that divides its map again gives out its numbers again, too.
+        // A robot that divides its map again also assigns new numbers.
         return match named.next() {
             Some((other, known)) if other != number && means_another(name) => Err(format!(
                 "its number {number} is now {name:?} to the robot, and {known:?} is {other}: the robot has divided its map again; import that again, \
@@ -127,7 +126,7 @@ mod tests {
         };
         let segments = table(&[("1", "Bad"), ("2", "Schlafzimmer"), ("3", "Küche")]);
         let rooms = ["bathroom-1", "bedroom-2", "kitchen-3"];
-        // What is configured stands before what a number says.
+        // The configuration has precedence over a number.
         let configured = table(&[("kitchen-3", "2")]);
         let of = |room: &str, configured: &_| segment_of(room, &rooms, configured, &segments);
         assert_eq!(of("kitchen-3", &configured).unwrap(), "2");
@@ -150,12 +149,12 @@ mod tests {
             let why = of(room, &again).unwrap_err();
             assert!(why.contains("divided its map again") && why.contains(known), "{why}");
         }
-        // Nothing else is the bedroom: it may be named otherwise on purpose.
+        // No other segment is the bedroom: its name may be a deliberate one.
         assert_eq!(of("bedroom-2", &again).unwrap(), "2");
         let own_words = names(&[("2", "Bei Lena"), ("4", "Schlafzimmer")]);
         assert_eq!(of("bedroom-2", &own_words).unwrap(), "2", "what nobody knows contradicts nothing");
         assert_eq!(of("room-3a", &names(&[("3a", "")])).unwrap(), "3a", "a number may have letters");
-        // A number that is gone: by its name.
+        // For a missing number the name decides.
         assert_eq!(of("hallway-4", &again).unwrap(), "1");
         assert_eq!(
             of("kitchen-3", &names(&[("3", ""), ("4", "Küche")])).unwrap(),

@@ -2,9 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, IpcError, MessageError, Publisher, RobotReportV1, RoomScoresV1, Subscriber, sequence,
-};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Domain, IpcError, MessageError, Publisher, Subscriber, sequence};
 use sd_notify::NotifyState;
 
 use super::dialect::{Dialect, Order};
@@ -19,31 +18,29 @@ use crate::participant::{DRIVER, join};
 use crate::reporter::{Report, Reporter};
 use crate::stop::Stop;
 
-/// How often the broker is listened to.
 const TICK: Duration = Duration::from_millis(50);
-/// How long a broker may hold an order for a robot that is away: what it hears late, it would do at the wrong time.
+/// The time that a broker may store a command for an absent robot: a late command would be wrong.
 const ORDER_S: u32 = 10;
-/// How long the connection's thread may take for a turn before this process no longer says that it lives.
+/// The longest turn of the connection's thread before this process stops reporting that it is alive.
 const TURN_MAX_NS: u64 = 5_000_000_000;
-/// How long a robot has to speak before it is said that it does not; and to tell of its segments after that, before it is said which rooms
+/// The time for the robot's first message before the log says that it is silent; and then for its segments, before the log names rooms that
 /// it cannot do.
 const SETTLING: Duration = Duration::from_secs(5);
-/// Complaints of one kind come at most so often.
 const QUIET_NS: u64 = 5_000_000_000;
-/// So many reports are told at once, and then one in that time: a battery may change with every message.
+/// Reports at once, and then one in this time: a battery may change with every message.
 const REPORTS_AT_ONCE: u64 = 16;
 
-/// Why a robot cannot be driven.
+/// A robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DriveError {
-    /// A service.
+    /// A service failed.
     #[error(transparent)]
     Ipc(#[from] IpcError),
-    /// The broker.
+    /// The broker failed.
     #[error(transparent)]
     Mqtt(#[from] MqttError),
-    /// The robot's name.
+    /// The robot's name is not allowed.
     #[error("planner.robot cannot be a robot's name: {0}")]
     Name(#[from] MessageError),
     /// The planner would call the robot away with every new score.
@@ -51,20 +48,19 @@ pub enum DriveError {
         "planner.room_time_s is 0: the planner decides with every new score, which calls the robot away before it has done a room; give about the seconds that a room takes"
     )]
     NoStay,
-    /// What is printed cannot be written.
+    /// The output cannot be written.
     #[error("failed to write to standard output: {0}; check where it leads")]
     Print(std::io::Error),
 }
 
-/// What becomes of orders.
+/// The handling of commands.
 pub enum Way<'a> {
-    /// The robot is told.
+    /// The robot gets them.
     Obey,
     /// They are only shown: topic and message.
     Show(&'a mut dyn FnMut(&str, &str) -> std::io::Result<()>),
 }
 
-/// The robot at the broker, with what is told of it.
 struct RobotLink<'a> {
     dialect: Dialect,
     link: Link,
@@ -88,7 +84,7 @@ impl RobotLink<'_> {
         if let Way::Show(show) = &mut self.way {
             return show(&topic, &payload).map_err(DriveError::Print);
         }
-        // One that is not taken is given again.
+        // A rejected command is repeated later.
         let said = self.link.say(&topic, &payload, false, Some(ORDER_S));
         tracing::info!(?order, said, "order to the robot");
         Ok(())
@@ -116,7 +112,7 @@ fn require_stays(config: &Config) -> Result<(), DriveError> {
     if config.planner.room_time_s > 0.0 { Ok(()) } else { Err(DriveError::NoStay) }
 }
 
-/// Drives the robot until it is asked to stop. A robot at work then goes on with its room.
+/// Drives the robot until a stop is requested. A robot at work then finishes its room.
 ///
 /// # Errors
 ///
@@ -149,16 +145,16 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     while !stop.requested() {
         decisions.wait(TICK)?;
         if let Some(scores) = scores.newest()? {
-            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id));
         }
         let now_ns = clock::monotonic_ns();
-        // Before what the robot says: what it is at may be what it was told by this.
+        // Decisions come before the robot's messages: its state may be the result of this decision.
         while let Some(decision) = decisions.receive()? {
             let acts = driver.decide(&decision, now_ns);
             robot.act(acts)?;
         }
         let heard = robot.link.heard();
-        // What came before a connection broke says nothing of now, and comes again with the next one.
+        // Messages from before a break of the connection are out of date, and come again with the next one.
         let is_connected = robot.link.connection() > 0;
         let acts = driver.link(is_connected, now_ns);
         robot.act(acts)?;
@@ -195,13 +191,12 @@ pub fn run(config: &Config, domain: &Domain, broker: &Broker, way: Way<'_>, stop
     Ok(())
 }
 
-/// What was heard of the robot.
 #[derive(Debug, Clone, Copy)]
 enum Hearing {
     Nothing {
         since: Instant,
     },
-    /// Nothing, and that is said.
+    /// It is silent, and the log has said so.
     Missed,
     Something {
         since: Instant,
@@ -209,7 +204,7 @@ enum Hearing {
 }
 
 impl Hearing {
-    /// Logs once that a robot does not speak, and that it does after all.
+    /// Logs once that a robot is silent, and when it is not any more.
     fn go_on(self, driver: &Driver, is_connected: bool, config: &Config, broker: &Broker) -> Self {
         let now = Instant::now();
         let topic = config.robot.topic.as_str();
@@ -219,7 +214,7 @@ impl Hearing {
                 tracing::info!(topic, "the robot speaks");
                 Self::Something { since: now }
             }
-            // A broker that is away is complained of by itself, and a robot can be heard after that only.
+            // The log names an absent broker separately, and the robot can be heard only after that.
             Self::Nothing { .. } if !is_connected => Self::Nothing { since: now },
             Self::Nothing { since } if since.elapsed() >= SETTLING => {
                 let remedy = match config.robot.kind {
@@ -237,13 +232,12 @@ impl Hearing {
         }
     }
 
-    /// Whether what each room is to the robot is known as well as it will be.
+    /// Whether the rooms' segments are known as well as they will be.
     fn is_settled(self, driver: &Driver) -> bool {
         matches!(self, Self::Something { since } if driver.knows_segments() || since.elapsed() >= SETTLING)
     }
 }
 
-/// Logs which segment each room is, whenever that changes.
 fn show_plan(driver: &Driver, before: &mut Vec<(String, Result<String, String>)>) {
     if driver.plan().eq(before.iter().map(|(room, segment)| (room.as_str(), segment.clone()))) {
         return;

@@ -3,7 +3,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use roomcast_ipc::RoomScoresV1;
+use roomcast_ipc::raw::RoomScoresV1;
 use roomcast_services::embedded::MODEL;
 use rustix::process::{Pid, Signal, kill_process};
 

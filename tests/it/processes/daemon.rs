@@ -2,10 +2,11 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::ZeroCopySend;
-use roomcast_ipc::{
-    DecisionV1, Field, Layout, MAX_ITEMS, Message, MessageError, NarrationV1, RoomScoresV1, ServiceQuality, action,
-    decision_flags, narration_kind, question, sequence,
+use roomcast_ipc::raw::{
+    DecisionV1, Field, Layout, MAX_ITEMS, Message, NarrationV1, RoomScoresV1, ServiceQuality, action, decision_flags,
+    narration_kind,
 };
+use roomcast_ipc::{MessageError, question, sequence};
 use rustix::process::Signal;
 
 use super::{PATIENCE, World, eventually, exit_code, includes, own_memory_kib, scores_with};

@@ -1,6 +1,6 @@
 use std::process::Command;
 
-use roomcast_ipc::{PersonForecastsV1, RoomScoresV1};
+use roomcast_ipc::raw::{PersonForecastsV1, RoomScoresV1};
 use rustix::process::Signal;
 
 use super::{MOVED, World, apply, eventually, exit_code, includes, probabilities, scores_with};

@@ -1,6 +1,7 @@
 //! Real processes in private domains: late, doubled, restarted, fast or hostile. No test asserts a duration or sleeps for a fixed time as proof.
 
-use roomcast_ipc::{DecisionV1, Node, RobotReportV1, RoomScoresV1, Subscriber, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::{Node, Subscriber, sequence};
 
 mod commands;
 mod daemon;

@@ -2,9 +2,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use roomcast_core::narration::{Observation, Sentence};
-use roomcast_ipc::{
-    ALL_PERSONS, NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, question, score_flags, sequence,
-};
+use roomcast_ipc::raw::{ALL_PERSONS, NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind, score_flags};
+use roomcast_ipc::{question, sequence};
 use roomcast_services::daemon::{Journal, JournalOptions};
 use rustix::process::Signal;
 

@@ -1,7 +1,8 @@
 use std::path::Path;
 use std::process::Command;
 
-use roomcast_ipc::{Message, NarrationV1, RoomScoresV1, narration_kind, sequence};
+use roomcast_ipc::raw::{Message, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::sequence;
 use rustix::process::Signal;
 
 use super::{World, exit_code, includes, probabilities, recorder_listens, recorders_listen, roomcast, scores_with};

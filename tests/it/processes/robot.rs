@@ -1,7 +1,8 @@
 use std::io::Write;
 use std::process::Stdio;
 
-use roomcast_ipc::{DecisionV1, RobotReportV1, action, decision_flags, sequence};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, decision_flags};
+use roomcast_ipc::sequence;
 use rustix::process::Signal;
 
 use super::{World, decision_with, eventually, exit_code};

@@ -3,9 +3,8 @@
 
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    ALL_PERSONS, DecisionV1, NarrationV1, Node, Publisher, RoomScoresV1, Subscriber, narration_kind, sequence, text,
-};
+use roomcast_ipc::raw::{ALL_PERSONS, DecisionV1, NarrationV1, RoomScoresV1, narration_kind};
+use roomcast_ipc::{Node, Publisher, Subscriber, sequence, text};
 
 use crate::fleet_day::{BEGIN_MIN, DAY, LATER_MIN, Outcome, ROBOTS, Track, configuration};
 use crate::support::{NO_ROUTER, Robot, eventually, free_port, python, router, skipped};

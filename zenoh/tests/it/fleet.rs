@@ -9,7 +9,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use roomcast_ipc::{DecisionV1, Domain, IncludedV1, RoomScoresV1, Subscriber, action, clock, decision_flags, sequence};
+use roomcast_ipc::raw::{DecisionV1, IncludedV1, RoomScoresV1, action, decision_flags};
+use roomcast_ipc::{Domain, Subscriber, clock, sequence};
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -5,13 +5,13 @@
 use std::fs;
 
 use proptest::prelude::*;
-use roomcast_ipc::{Message, NAME_BYTES};
+use roomcast_ipc::raw::{Message, NAME_BYTES};
 use roomcast_ros2::types::{Text, decode_string, encode};
 use roomcast_zenoh::config::Config;
 use roomcast_zenoh::delivery::Delivery;
 use roomcast_zenoh::line::line;
 use roomcast_zenoh::relay::{Offered, Relay};
-use roomcast_zenoh::spool::{Dated, Place, Spool};
+use roomcast_zenoh::spool::{self, Dated, Place, Spool};
 use roomcast_zenoh::told::Teller;
 use roomcast_zenoh::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Who, read};
 
@@ -152,8 +152,9 @@ proptest! {
                 spool.append(vec![Dated::new(observation(number as u8), 7, Some(place))]).unwrap();
             }
             spool.confirm(confirmed.min(count)).unwrap();
-            let file = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
-            let file = file.into_iter().find(|path| !path.ends_with("lock")).unwrap();
+            // All is in one file.
+            let file = folder.path().join(spool::FILE);
+            spool.compact().unwrap();
             (file, (spool.epoch(), spool.last()))
         };
         let good = fs::read(&file).unwrap();

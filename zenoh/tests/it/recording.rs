@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use roomcast_ipc::{DecisionV1, Domain, RobotReportV1, RoomScoresV1};
+use roomcast_ipc::Domain;
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -6,10 +6,10 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use roomcast_ipc::{
-    DecisionV1, Domain, ForecastV1, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
-    question,
+use roomcast_ipc::raw::{
+    DecisionV1, ForecastV1, NarrationV1, PersonForecastsV1, PersonScoresV1, RobotReportV1, RoomScoresV1,
 };
+use roomcast_ipc::{Domain, question};
 use roomcast_zenoh::config::NARRATORS_MAX;
 
 use crate::support::{PATIENCE, Process, bridge, free_port};

@@ -4,7 +4,7 @@ use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::narration::forms::{self, COUNT_MAX, Subject};
 use roomcast_core::narration::{DeviceState, Event, Observation, Presence, SensorKind, Voice, same_name};
 use roomcast_core::scorer::LanguageModel;
-use roomcast_ipc::RoomV1;
+use roomcast_ipc::raw::RoomV1;
 
 use super::super::journal::Move;
 use super::super::person_question::{UnderstoodLine, UnderstoodPerson};

@@ -9,11 +9,12 @@ use roomcast_core::narration::Presence;
 use roomcast_core::pipeline::Included;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::scorer::certified::Effort;
-use roomcast_ipc::{
+use roomcast_ipc::raw::{
     ALL_PERSONS, ForecastV1, IncludedV1, ItemScoreV1, ItemScoresHeaderV1, LEARNED_SHARE_S, MAX_HORIZONS, MAX_ITEMS,
     MAX_PERSONS, MAX_ROOMS, MAX_SOURCES, NO_PARTITION, PersonForecastV1, PersonForecastsV1, PersonScoresV1, PersonV1,
-    RoomScoresV1, RoomV1, forecast_flags, reached, score_flags, text,
+    RoomScoresV1, RoomV1, forecast_flags, reached, score_flags,
 };
+use roomcast_ipc::text;
 
 use super::{Board, BoardError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::{message_ns, presence_value};

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::LanguageModel;
 use roomcast_core::tracker::{Home, ROBOT_SILENT_S};
-use roomcast_ipc::{DecisionV1, RobotReportV1, action, report_kind};
+use roomcast_ipc::raw::{DecisionV1, RobotReportV1, action, report_kind};
 
 use super::{Board, room_named};
 

@@ -14,7 +14,7 @@ use roomcast_core::scorer::correction::CorrectionChoice;
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::scorer::{DecodeStats, ModelError, ModelInfo, TextStart, Token};
 use roomcast_core::semantic_map::delta::parse_changes;
-use roomcast_ipc::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
+use roomcast_ipc::raw::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
 use super::*;
 use crate::config::PersonsConfig;

@@ -5,7 +5,7 @@ use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::semantic_map::delta::parse_changes;
-use roomcast_ipc::Message;
+use roomcast_ipc::raw::Message;
 
 use super::super::board::HORIZONS_S;
 use super::super::intake::OTHERS;
@@ -314,7 +314,10 @@ fn who_has_just_left_a_new_home_is_out() {
 }
 
 /// What is told of everybody and of each person, without what names the moment.
-fn told(board: &mut Board<TableModel>, now_ns: u64) -> (roomcast_ipc::ForecastV1, roomcast_ipc::PersonForecastsV1) {
+fn told(
+    board: &mut Board<TableModel>,
+    now_ns: u64,
+) -> (roomcast_ipc::raw::ForecastV1, roomcast_ipc::raw::PersonForecastsV1) {
     (*board.forecast(BootNs(now_ns)), *board.person_forecasts(BootNs(now_ns)))
 }
 
@@ -601,8 +604,7 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
         house.board.tell_outcomes(|_| {});
     }
     let memory = house.memory();
-    let bytes = crate::daemon::encode_memory(&memory);
-    let read = crate::daemon::decode_memory(&bytes, options(true)).unwrap();
+    let read = crate::daemon::HabitRows::of(&memory).unwrap().memory(options(true)).unwrap();
     assert!(read.habits.learned().counts >= counts && read.habits.learned().observations > observations);
 }
 

@@ -4,7 +4,7 @@ use roomcast_core::narration::{Sentence, person_number};
 use roomcast_core::pipeline::{Pipeline, PipelineOptions};
 use roomcast_core::scorer::table::TableModel;
 use roomcast_core::semantic_map::SemanticMap;
-use roomcast_ipc::{Message, PersonV1, forecast_flags, score_flags};
+use roomcast_ipc::raw::{Message, PersonV1, forecast_flags, score_flags};
 
 use super::super::answers::answer_about_person;
 use super::super::journal::notes::Notes;
@@ -522,7 +522,7 @@ fn a_restart_after_a_map_change_keeps_the_belief() {
     let told = |house: &mut House| -> Vec<(u32, Vec<f32>)> {
         let forecasts = *house.board.person_forecasts(BootNs(house.now_ns));
         let rooms = forecasts.room_count as usize;
-        let own = |own: &roomcast_ipc::PersonForecastV1| {
+        let own = |own: &roomcast_ipc::raw::PersonForecastV1| {
             (own.person, (0..rooms).flat_map(|room| [0, 6, 10].map(|at| own.probability[room][at])).collect())
         };
         forecasts.persons().iter().map(own).collect()
@@ -680,7 +680,7 @@ fn a_restart_keeps_presence_windows_and_forecasts() {
                     assert_eq!(*after, PersonV1 { flags, ..*before }, "{round} {who} {what}");
                 }
                 // Who fell silent before the start is gone again.
-                let here = |forecast: &&roomcast_ipc::PersonForecastV1| forecast.presence != presence::GONE;
+                let here = |forecast: &&roomcast_ipc::raw::PersonForecastV1| forecast.presence != presence::GONE;
                 for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
                     // The joint filter starts again with the events that the journal kept.
                     assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.1));

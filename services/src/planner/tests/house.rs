@@ -1,6 +1,6 @@
 //! The rules of the house, orders of persons and needs of rooms, played with the planner.
 
-use roomcast_ipc::{NOTE_TEXT_BYTES, person_flags, presence};
+use roomcast_ipc::raw::{NOTE_TEXT_BYTES, person_flags, presence};
 
 use super::*;
 use crate::config::{OnlyWhen, QuietHours, RoomNeeds, WhileAsleep};
@@ -16,7 +16,7 @@ struct Flat {
     at_ns: u64,
     /// Each person: name, flags and room.
     persons: Vec<(&'static str, u32, Option<usize>)>,
-    /// Probability that each room is taken in an hour, and that the house is empty then.
+    /// For each room the probability of a person in an hour, and the probability of an empty house then.
     later: Option<([f32; 4], f32)>,
     flags: u32,
     sequence: u64,
@@ -53,7 +53,7 @@ impl Flat {
         self
     }
 
-    /// What the daemon sends after this time, and what the planner makes of it.
+    /// Sends the daemon's messages after this time, and returns the planner's decision.
     fn after(&mut self, later_ns: u64) -> Option<DecisionV1> {
         self.at_ns += later_ns;
         self.sequence += 1;
@@ -106,7 +106,7 @@ impl Flat {
         self.after(later_ns).unwrap_or_else(|| panic!("no decision at {} min", self.at_ns / MIN))
     }
 
-    /// The daemon sends messages for some time, and the planner decides nothing.
+    /// The daemon sends messages for some time, and the planner makes no decision.
     fn quiet_for(&mut self, later_ns: u64) {
         let until_ns = self.at_ns + later_ns;
         while self.at_ns < until_ns {
@@ -115,7 +115,6 @@ impl Flat {
         }
     }
 
-    /// A person's order.
     fn order(&mut self, kind: u32, change: impl Fn(&mut RobotReportV1)) {
         self.orders += 1;
         let mut order = RobotReportV1 {
@@ -276,7 +275,7 @@ fn only_an_empty_house_is_cleaned_and_only_if_it_stays_empty() {
     };
     let mut flat = Flat::new(config);
     paused(&flat.decision(0), "Waiting: Mira is at home.");
-    // She goes out, and is back within the hour with 90 %.
+    // Ada leaves, and is back within the hour with 90 %.
     (flat.persons[0].2, flat.later) = (None, Some(([0.2; 4], 0.1)));
     paused(&flat.decision(MIN), "Waiting: the house stays empty for 30 minutes with only 55 %.");
     flat.later = Some(([0.0; 4], 0.9));
@@ -426,7 +425,7 @@ fn what_was_cleaned_is_known_after_a_reboot() {
     assert_eq!(next.cleaned_unix_s(place), Some((9 * HOUR + 10 * MIN) / S));
 }
 
-/// With one stay left and two rooms that are as likely taken, the overdue one is done.
+/// With one stay left and two rooms of the same occupancy, the overdue one is done.
 #[test]
 fn an_overdue_room_costs_more_to_leave() {
     for (overdue, other) in [(0, 3), (3, 0)] {

@@ -8,7 +8,8 @@ use crate::vacuum::Dialect;
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::ids::UnixNs;
 use roomcast_core::policy::PolicyName;
-use roomcast_ipc::{ForecastV1, RoomScoresV1, sequence, text};
+use roomcast_ipc::raw::{ForecastV1, RoomScoresV1};
+use roomcast_ipc::{sequence, text};
 
 const S: u64 = 1_000_000_000;
 const ROOMS: [&str; 4] = ["bedroom-1", "hall-2", "kitchen-3", "office-4"];
@@ -23,19 +24,18 @@ fn decision(sequence: u64, action: u32, room: &str) -> DecisionV1 {
     DecisionV1 { robot: 7, epoch: 1, sequence, action, to, stay_ns: 600 * S, ..Default::default() }
 }
 
-/// A driver and the simulated robot, second by second.
+/// A driver and the fake robot, second by second.
 struct Pair {
     driver: Driver,
     robot: FakeValetudo,
     dialect: Dialect,
     now_s: u64,
     reports: Vec<Report>,
-    /// The delay of orders, the orders on their way, and the numbers of lost orders.
+    /// The delay of commands, the ones on their way, and the ones that get lost.
     delay_s: u64,
     on_the_way: Vec<(u64, (String, String))>,
     lost: Vec<usize>,
     ordered: usize,
-    /// Whether the broker is away.
     away: bool,
 }
 
@@ -75,7 +75,7 @@ impl Pair {
         self.arrive();
     }
 
-    /// Delivers the orders that are due.
+    /// Delivers commands after their delay.
     fn arrive(&mut self) {
         let now_s = self.now_s;
         for (_, (topic, payload)) in self.on_the_way.extract_if(.., |(due_s, _)| *due_s <= now_s) {
@@ -88,7 +88,7 @@ impl Pair {
         self.carry_out(acts);
     }
 
-    /// The broker goes away, or returns with its retained messages.
+    /// The broker goes, or returns and sends its retained messages.
     fn be_away(&mut self, away: bool) {
         self.away = away;
         let acts = self.driver.link(!away, BootNs(self.now_s * S));
@@ -106,7 +106,6 @@ impl Pair {
         }
     }
 
-    /// Starts a driver without state.
     fn start_again(&mut self, config: &RobotConfig) {
         self.driver = Driver::new(config, 7);
         self.driver.know_rooms(ROOMS.into_iter());
@@ -129,7 +128,7 @@ impl Pair {
         }
     }
 
-    /// The reports about work in order, each with its decision.
+    /// The reports about work, in order, with the decision that each answers.
     fn of_work(&mut self) -> Vec<(Kind, Option<u64>)> {
         let work = |report: &Report| !matches!(report.kind, Kind::Battery | Kind::Docked | Kind::Position);
         let told = self.reports.drain(..).filter(work).map(|report| (report.kind, report.decision));
@@ -155,7 +154,7 @@ fn a_room_is_done_when_the_robot_has_left_it_by_itself() {
         (pair.robot.cleaned.as_slice(), pair.robot.orders.as_slice()),
         (&["3".to_owned()][..], &["clean 3".to_owned()][..])
     );
-    // The next room, from any place.
+    // The next one, from wherever it is.
     pair.decide(&decision(2, action::GO, "office-4"));
     pair.pass(400);
     let docked = pair.reports.iter().filter(|report| report.kind == Kind::Docked).count();
@@ -221,7 +220,7 @@ fn a_decision_to_stay_that_cancels_the_work_in_the_room_sends_the_robot_home() {
     }
 }
 
-/// A person enters before the robot has begun. Even if orders are late or lost, the robot must not clean the room.
+/// A person comes in before the robot has begun: even with late or lost commands, it does not clean the room.
 #[test]
 fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
     let mut begun = 0;
@@ -240,7 +239,7 @@ fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
             let case =
                 format!("{on_pause}: {delay_s} s late, after {after_s} s, {lost:?} lost: {:?}", pair.robot.orders);
             assert_ne!(pair.robot.doing, Doing::Cleaning, "{case}");
-            // Afterwards the robot gets no more orders.
+            // It gets no more commands then.
             let told = pair.robot.orders.len();
             pair.pass(300);
             assert_eq!((pair.robot.orders.len(), &pair.driver.state), (told, &State::Free), "{case}");
@@ -249,7 +248,7 @@ fn a_robot_that_was_only_told_to_clean_is_told_not_to() {
     assert!(begun > 0, "some have begun before they heard that they are not to");
 }
 
-/// States that a robot passes through before it begins do not show that it received the order.
+/// A state on the way to work is not a reply.
 #[test]
 fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
     for (on_pause, order) in [(OnPause::Return, Order::Home), (OnPause::Pause, Order::Pause)] {
@@ -275,7 +274,7 @@ fn a_robot_that_leaves_its_dock_is_not_taken_for_one_that_has_stopped() {
     }
 }
 
-/// The same with another room: the robot does not count as there while it is in the first room.
+/// The same with another room: the robot does not count as being there while it is in the first one.
 #[test]
 fn a_robot_that_was_only_told_to_clean_goes_to_another_room() {
     for (delay_s, lost) in (0..8).flat_map(|delay_s| [&[][..], &[1], &[0]].map(|lost| (delay_s, lost))) {
@@ -297,7 +296,7 @@ fn a_stuck_robot_has_failed_and_says_why() {
     pair.decide(&decision(1, action::GO, "bedroom-1"));
     pair.pass(10);
     assert!(pair.last_note().contains("Wheel lost floor contact"), "{}", pair.last_note());
-    // The next room fails at once, without an order: a robot in an error state ignores orders.
+    // The next room fails at once, without a command that a robot in an error would not follow.
     let orders = pair.robot.orders.len();
     pair.decide(&decision(2, action::GO, "hall-2"));
     pair.pass(1);
@@ -326,7 +325,7 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
         sense(&mut driver, Sensed::Battery(*level), 2 + at_s as u64);
     }
     assert_eq!(told, levels, "each once");
-    // Away from the dock, each twentieth counts once, despite floating-point rounding.
+    // Elsewhere a change of one twentieth counts as one, despite floating point.
     let mut driver = Driver::new(&config(), 7);
     let mut told = Vec::new();
     for level in (0..=100).rev() {
@@ -338,7 +337,8 @@ fn a_robot_at_its_dock_tells_each_hundredth_of_its_battery_up_to_full() {
     assert_eq!(told, (0..=20).rev().map(|step| 5 * step).collect::<Vec<_>>());
 }
 
-/// `docked` ends a robot's trouble for the planner. Formerly a robot that stood at its dock and followed no order was asked again without a pause.
+/// For the planner `docked` ends any fault of a robot. A robot that had stood there all along, and followed no command, was asked again
+/// without a pause.
 #[test]
 fn a_docked_robot_that_follows_no_order_is_left_alone_for_longer_and_longer() {
     let planning = PlannerConfig { room_time_s: 600.0, ..PlannerConfig::default() };
@@ -396,7 +396,7 @@ fn a_robot_that_has_to_charge_in_the_middle_has_not_finished_and_does_not_go_on_
 #[test]
 fn what_somebody_else_does_with_the_robot_is_understood() {
     let mut pair = Pair::new(&config(), 600.0);
-    // A person starts the robot by its button.
+    // A person has sent it out by its button.
     pair.robot
         .hear(&format!("{TOPIC}/MapSegmentationCapability/clean/set"), r#"{"segment_ids": ["1"], "iterations": 1}"#);
     pair.decide(&decision(0, action::STAY, ""));
@@ -405,7 +405,7 @@ fn what_somebody_else_does_with_the_robot_is_understood() {
     pair.decide(&decision(1, action::GO, "office-4"));
     pair.pass(5);
     assert_eq!(pair.robot.orders, ["clean 1", "STOP", "clean 4"]);
-    // A person pauses the robot for good.
+    // A person pauses it, and never resumes.
     pair.robot.hear(&format!("{TOPIC}/BasicControlCapability/operation/set"), "PAUSE");
     pair.pass(300);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)), (Kind::Cancelled, Some(1))]);
@@ -425,11 +425,11 @@ fn a_planner_or_driver_that_is_started_again_does_not_begin_the_room_again() {
     let mut pair = Pair::new(&config(), 300.0);
     pair.decide(&decision(1, action::GO, "office-4"));
     pair.pass(60);
-    // The planner repeats the decision.
+    // The planner asks for it once more.
     pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
     pair.pass(10);
     assert_eq!(pair.of_work(), [(Kind::Started, Some(1)); 2]);
-    // A new driver finds the robot at work; the broker has retained its messages.
+    // Another driver finds the robot at work; the broker has retained its messages.
     pair.start_again(&config());
     pair.decide(&DecisionV1 { epoch: 2, ..decision(1, action::GO, "office-4") });
     pair.hear_again();
@@ -469,11 +469,11 @@ fn rooms_without_a_segment_are_blocked_and_another_robots_decisions_are_no_order
     pair.decide(&decision(1, action::GO, "garage"));
     assert_eq!(pair.of_work(), [(Kind::Blocked, Some(1))]);
     pair.decide(&DecisionV1 { robot: 8, ..decision(3, action::GO, "hall-2") });
-    // A bridge repeats decisions for a robot of this name.
+    // A bridge repeats decisions for a robot of this name elsewhere.
     pair.decide(&DecisionV1 { flags: decision_flags::ELSEWHERE, ..decision(4, action::GO, "hall-2") });
     pair.pass(100);
     assert!(pair.robot.orders.is_empty() && pair.of_work().is_empty());
-    // A decision for a finished room is deliberate.
+    // A decision for a completed room is intended.
     pair.decide(&DecisionV1 { covered: 0b0100, ..decision(2, action::GO, "kitchen-3") });
     assert_eq!(pair.robot.orders, ["clean 3"]);
 }
@@ -538,12 +538,10 @@ fn a_dry_run_gives_orders_to_nobody_and_reports_nothing() {
     assert_eq!(driver.decide(&decision(2, action::GO, "kitchen-3"), BootNs(301 * S)).len(), 1);
 }
 
-/// The daemon's publishing interval.
 const EVERY_S: u64 = 2;
 const HORIZONS_S: [f32; 16] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
-/// The results of a day.
 #[derive(Debug, PartialEq)]
 struct Day {
     shared_min: f64,
@@ -551,11 +549,11 @@ struct Day {
     failed: usize,
 }
 
-/// Trouble on a day: the robot gets stuck, orders are lost, the broker is away, the driver restarts.
+/// The faults of a day: the robot gets stuck, loses commands, the broker is away, the driver restarts.
 #[derive(Debug, Clone, Copy)]
 struct Trouble(bool);
 
-/// A day of the whole chain: person, forecast, planner, driver, simulated robot.
+/// A day of the whole chain: person, forecast, planner, driver, fake robot.
 fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     let planning = PlannerConfig {
         policy,
@@ -587,7 +585,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             robot.orders_ignored = 2;
         }
         if hour(8.3) {
-            // A room that is still open.
+            // In an undone room.
             let at_work = robot.job.as_ref().map(|(segment, _)| segment.as_str());
             let left = segments(0.0).into_iter().map(|(segment, ..)| segment);
             let next = left
@@ -607,7 +605,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             shared_s += 1.0;
         }
         let mut acts = Vec::new();
-        // A new connection gets the retained messages.
+        // A new connection delivers the broker's retained messages.
         let again = was_away && !away || hour(8.1);
         was_away = away;
         if !away {
@@ -625,7 +623,7 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
             let (scores, forecast) = tell(&forecaster, second);
             planner.take(&scores, BootNs(now_ns)).unwrap();
             planner.take_forecast(&forecast, BootNs(now_ns)).unwrap();
-            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::RoomV1::id));
+            driver.know_rooms(scores.rooms().iter().map(roomcast_ipc::raw::RoomV1::id));
         }
         if let Some(decision) = planner.decide(BootNs(now_ns), UnixNs(0)).unwrap() {
             acts.extend(driver.decide(&decision, BootNs(now_ns)));
@@ -650,7 +648,6 @@ fn live(policy: PolicyName, Trouble(trouble): Trouble) -> Day {
     Day { shared_min: shared_s / 60.0, cleaned: cleaned.len(), failed }
 }
 
-/// The daemon's messages.
 fn tell(forecaster: &Forecaster, second: u64) -> (RoomScoresV1, ForecastV1) {
     let (now_s, now_ns) = (second as f64, second * S);
     let mut scores =
@@ -682,7 +679,7 @@ fn a_flat_is_cleaned_over_a_day_while_a_person_lives_there() {
     println!("coverage-aware {quiet:?}, naive {naive:?}, plain schedules {schedules:.1?} min, mean {mean:.1} min");
     assert_eq!((quiet.cleaned, quiet.failed), (4, 0));
     assert!(quiet.shared_min < naive.shared_min && quiet.shared_min < mean, "{quiet:?} {naive:?} {schedules:?}");
-    // Despite all trouble, every room is done.
+    // With lost commands, a stuck robot, an absent broker and a restarted driver, all rooms are still done.
     let troubled = live(PolicyName::CoverageAware, Trouble(true));
     println!("with trouble {troubled:?}");
     assert_eq!(troubled.cleaned, 4);
@@ -711,7 +708,7 @@ fn home_assistants_robot_is_driven_by_the_same_driver() {
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.kind == Kind::Finished)), "{acts:?}");
 }
 
-/// Formerly, after an absence of the broker, its Wi-Fi or the robot longer than three tries, the robot continued to work near the person.
+/// The broker, its Wi-Fi or the robot was away for longer than three tries, and the robot continued next to the person afterwards.
 #[test]
 fn what_ends_work_is_told_again_until_it_is_followed() {
     for (on_pause, then) in [(OnPause::Return, Doing::Docked), (OnPause::Pause, Doing::Paused)] {
@@ -736,7 +733,7 @@ fn what_ends_work_is_told_again_until_it_is_followed() {
     }
 }
 
-/// The robot must leave its room even after the next room was reported as failed.
+/// The robot leaves the earlier room, whatever the report about it.
 #[test]
 fn a_robot_that_does_not_stop_for_another_room_is_told_until_it_does() {
     let mut pair = Pair::new(&RobotConfig { start_s: 5.0, ..config() }, 1e6);
@@ -751,7 +748,7 @@ fn a_robot_that_does_not_stop_for_another_room_is_told_until_it_does() {
     assert_ne!(pair.robot.doing, Doing::Cleaning);
 }
 
-/// Formerly the robot cleaned a room that was reported as failed in the broker's absence, since it had received the order.
+/// A room was reported as failed because the broker was away, and the robot, which had the command, cleaned it anyway.
 #[test]
 fn what_was_given_up_without_a_broker_is_not_done_later() {
     for away_after_s in 0..3 {
@@ -766,7 +763,7 @@ fn what_was_given_up_without_a_broker_is_not_done_later() {
     }
 }
 
-/// Formerly the driver forgot a decision that came before the robot's first message.
+/// The decision came before the robot's first message, and was forgotten then.
 #[test]
 fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     let home = |action: u32, room: &str| {
@@ -782,7 +779,7 @@ fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     };
     assert!(home(action::PAUSE, "") && home(action::STAY, "hall-2"));
     assert!(!home(action::STAY, "") && !home(action::GO, "kitchen-3"));
-    // A robot at its dock gets no order.
+    // At its dock it gets no command.
     let mut pair = Pair::new(&config(), 1e6);
     pair.start_again(&config());
     pair.decide(&decision(2, action::PAUSE, ""));
@@ -791,7 +788,7 @@ fn a_driver_that_is_started_while_a_pause_stands_calls_the_robot_home() {
     assert!(pair.robot.orders.is_empty());
 }
 
-/// Formerly the driver took work that a person started hours later for work of a decision.
+/// Unordered work counted as the driver's own, hours after its start.
 #[test]
 fn a_robot_that_somebody_sends_out_after_the_start_is_not_at_its_own_work() {
     for wait_s in [0, 3, 3600] {
@@ -811,7 +808,7 @@ fn a_robot_that_somebody_sends_out_after_the_start_is_not_at_its_own_work() {
     }
 }
 
-/// Formerly an unreachable robot was reported as alive, so the planner did not find it silent.
+/// A robot with an unknown state was reported as alive, and the planner did not notice its silence.
 #[test]
 fn nothing_is_reported_while_broker_or_robot_are_away() {
     let mut pair = Pair::new(&config(), 1e6);
@@ -824,7 +821,7 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     pair.be_away(false);
     pair.pass(60);
     assert!(!pair.reports.is_empty() && pair.of_work().is_empty(), "it is at the same work");
-    // The broker retains messages of a robot that is off, and sends them in any order.
+    // The broker has retained messages of a robot that is off, in any order.
     let said = [
         Sensed::Online(false),
         Sensed::Status(Status::Cleaning),
@@ -841,7 +838,7 @@ fn nothing_is_reported_while_broker_or_robot_are_away() {
     assert!(acts.iter().any(|act| matches!(act, Act::Report(report) if report.battery == Some(0.4))), "{acts:?}");
 }
 
-/// `mqtt_statestream` publishes a state only when it changes, and a broker without persistence loses retained messages.
+/// `mqtt_statestream` sends a state when it changes, and a broker without persistence loses its retained messages.
 #[test]
 fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
@@ -857,7 +854,7 @@ fn home_assistants_robot_is_sent_out_after_the_broker_lost_what_it_kept() {
     assert!(acts.iter().any(|act| matches!(act, Act::Order(Order::Clean { .. }))), "{acts:?}");
 }
 
-/// Home Assistant does not say why a vacuum goes home. Formerly a vacuum that had to charge had "finished" its room.
+/// Home Assistant does not say why a vacuum goes home: one that had to charge had "finished" its room.
 #[test]
 fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room() {
     let config = RobotConfig { kind: RobotKind::HomeAssistant, ..config() };
@@ -876,7 +873,7 @@ fn home_assistants_robot_that_leaves_with_an_empty_battery_has_not_done_the_room
             .filter(|kind| matches!(kind, Kind::Finished | Kind::Failed))
             .collect();
         assert_eq!(ended, [kind], "{battery}");
-        // The robot continues by itself unless it is stopped.
+        // It continues by itself unless a command stops it.
         let mut docked = driver.sense(Sensed::Status(Status::Docked), BootNs(700 * S));
         (701..1000).for_each(|s| docked.extend(driver.tick(BootNs(s * S))));
         let stops = docked.iter().filter(|act| matches!(act, Act::Order(Order::Stop))).count();
