@@ -53,7 +53,7 @@ fn two_scenes_of_one_name_are_refused() {
     assert_eq!(said.matches("another of the scenes has its name").count(), 1, "{said}");
 }
 
-/// Another process tries a model file first: it is refused with that process's error, once.
+/// Another process loads the model file first; its error appears once.
 #[test]
 fn a_file_that_is_no_model_is_refused_with_one_error() {
     let folder = tempfile::tempdir().unwrap();
@@ -66,7 +66,7 @@ fn a_file_that_is_no_model_is_refused_with_one_error() {
     assert_eq!((said.lines().count(), said.matches("model.gguf").count()), (1, 1), "{said}");
 }
 
-/// What the training writes of a fold, with the shipped model: `held_out` and `trained` are programs.
+/// The files that the training writes for a fold, with the included model. `held_out` and `trained` are programs.
 fn write_fold(folder: &Path, fold: &str, trained: &str, held_out: &str) {
     let models = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../models"));
     std::fs::create_dir_all(folder).unwrap();
@@ -79,7 +79,7 @@ fn write_fold(folder: &Path, fold: &str, trained: &str, held_out: &str) {
     std::fs::write(folder.join("manifest.json"), manifest.to_string()).unwrap();
 }
 
-/// Folds are pooled, and the sealed split is opened once: the result is in the file before the program prints it.
+/// The result is in the file before the program prints it.
 #[test]
 fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let folder = tempfile::tempdir().unwrap();
@@ -121,12 +121,12 @@ fn folds_are_pooled_and_the_sealed_split_is_opened_once() {
     let manifest = path("folds/fold-1/manifest.json");
     let (code, _, said) = run("forecast", &["--manifest", &manifest, "--split", "sealed"]);
     assert!(code == input && said.contains("opened once"), "{said}");
-    // A record that cannot be written is found out before the model, which is none here, is looked at.
+    // A record that cannot be written is an error before the model, missing here, is read.
     let nowhere = path("none/sealed.json");
     let unread = ["--trained", &path("folds/none"), "--record", &nowhere, "--places", &none];
     let (code, _, said) = run("sealed", &unread);
     assert!(code == input && said.contains("cannot be written down") && said.contains("--record"), "{said}");
-    // Nor is the split opened for another model, or before everything is there.
+    // The split stays sealed for another model, and until all inputs are complete.
     let (code, _, said) = run("sealed", &["--trained", &path("folds/fold-1"), "--record", &record, "--places", &none]);
     assert!(code == input && said.contains("--fold sealed"), "{said}");
     let (code, _, said) = run("sealed", &[&sealed[..], &["--scene", "nowhere.json"]].concat());

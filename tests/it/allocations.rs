@@ -1,5 +1,4 @@
-//! An event allocates nothing on our side once warm: history, prompt, tokens, trie, softmax, grounding, forecast and messages work in
-//! memory that is there. Counted on the scoring thread, with the model that ships; llama.cpp's own memory is not Rust's and not counted.
+//! A warm event allocates nothing in Rust code. Counted on the scoring thread with the included model; llama.cpp's own memory is not counted.
 
 use roomcast_core::grounding::{Grounding, GroundingOptions};
 use roomcast_core::habits::HabitsOptions;
@@ -15,14 +14,13 @@ use roomcast_services::daemon::{Board, Cycle, Entry, HomeHabits, Memory, Zone};
 use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
-/// iceoryx2 itself allocates once for each message sent: in `send_copy`, an `Arc` around the mutex of the sample that it lends.
+/// iceoryx2 itself allocates once for each message: `send_copy` puts an `Arc` around the mutex of its sample.
 const SENDS: u64 = 2;
 
-/// How often the programs are told before an event counts as warm: habits see further contexts the second time, and the third.
+/// Rounds of the programs before an event counts as warm: habits see new contexts in the second round, and in the third.
 const TOLD: usize = 5;
 
-/// Allocations of each event of the shipped programs, the last time that they are told: of the step, of writing the messages, of sending
-/// them, of the idle work.
+/// Allocations of each event in the last round: the step, writing the messages, sending them, the idle work.
 fn allocations(effort: Effort) -> Vec<[u64; 4]> {
     let map = SemanticMap::from_json(embedded::scene("apartment-e0").unwrap().text).unwrap();
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
@@ -66,7 +64,7 @@ fn allocations(effort: Effort) -> Vec<[u64; 4]> {
                 scores.send(&message.unwrap()).unwrap();
             });
             let tidied = allocation_counter::measure(|| while cycle.tidy() {});
-            // For a journal, whose records are made for its writer.
+            // Drains the records for the journal, outside the measurement.
             cycle.board_mut().tell_outcomes(|_| {});
             counts.push([scored, written, sent, tidied].map(|part| part.count_total));
             assert_eq!(received.newest().unwrap().unwrap().sequence, sequence);

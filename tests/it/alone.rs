@@ -1,13 +1,13 @@
-//! Tests that count what their own process holds.
+//! Tests that count the resources of their process.
 
 use std::process::Command;
 
 const ALONE: &str = "ROOMCAST_TEST_ALONE";
 
-/// Whether this test has a process of its own. Otherwise it is run in one, and has passed there when this returns: the caller returns, too.
+/// Whether this test has its own process. If not, it has run and passed in one when this returns, and the caller returns too.
 pub(crate) fn is_alone() -> bool {
     let thread = std::thread::current();
-    // Under cargo-nextest, and with one thread, no other test runs beside this one.
+    // Under cargo-nextest, and with one thread, no other test runs in this process.
     let Some(test) = thread.name().filter(|name| *name != "main") else { return true };
     if std::env::var_os(ALONE).is_some() || std::env::var_os("NEXTEST").is_some() {
         return true;

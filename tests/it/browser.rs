@@ -1,6 +1,5 @@
-//! The page of `roomcast view` in a real browser: headless Chromium, driven by chromedriver.
-//!
-//! With `ROOMCAST_SCREENSHOTS=FOLDER` it leaves pictures of the page at three widths, light and dark.
+//! The page of `roomcast view` in headless Chromium, driven by chromedriver. `ROOMCAST_SCREENSHOTS=FOLDER` saves pictures of the page at three
+//! widths, light and dark.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -13,12 +12,10 @@ use serde_json::{Value, json};
 use crate::eventually::eventually;
 use crate::skipped::skipped;
 
-/// No step of a page or of a process takes longer, also on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Texts that a page must show and never run.
+/// The page shows this text and never runs it.
 const HOSTILE: &str = "<img src=x onerror=document.title=666>";
 
-/// A process that ends with the test.
 struct Running(Child);
 
 impl Drop for Running {
@@ -34,10 +31,9 @@ fn roomcast(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-/// The first line of a process's standard error, or output, that has this word.
 fn line_with(output: impl std::io::Read + Send + 'static, word: &'static str) -> String {
     let (tell, told) = std::sync::mpsc::channel();
-    // It reads on to the end, so that nobody writes into a closed pipe.
+    // The thread reads to the end, because a closed pipe would end the writer.
     std::thread::spawn(move || {
         for line in BufReader::new(output).lines().map_while(Result::ok) {
             if line.contains(word) {
@@ -48,7 +44,7 @@ fn line_with(output: impl std::io::Read + Send + 'static, word: &'static str) ->
     told.recv_timeout(PATIENCE).unwrap()
 }
 
-/// A browser, by the WebDriver protocol.
+/// A browser session, by the WebDriver protocol.
 struct Browser {
     session: String,
     agent: ureq::Agent,
@@ -57,7 +53,7 @@ struct Browser {
 }
 
 impl Browser {
-    /// None where there is no browser.
+    /// `None` if no browser is installed.
     fn start() -> Option<Self> {
         let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let Ok(mut driver) = driver else {
@@ -101,7 +97,6 @@ impl Browser {
         self.post("/url", &json!({"url": url}));
     }
 
-    /// What a script returns.
     fn run(&self, script: &str) -> Value {
         self.post("/execute/sync", &json!({"script": script, "args": []}))
     }
@@ -113,12 +108,10 @@ impl Browser {
             .to_owned()
     }
 
-    /// Waits until a script says yes.
     fn until(&self, what: &str, script: &str) {
         eventually(what, || (self.run(script) == json!(true)).then_some(()));
     }
 
-    /// Presses a key, as on a keyboard.
     fn press(&self, key: &str) {
         let actions = json!([{"type": "keyDown", "value": key}, {"type": "keyUp", "value": key}]);
         self.post("/actions", &json!({"actions": [{"type": "key", "id": "keyboard", "actions": actions}]}));
@@ -128,7 +121,6 @@ impl Browser {
         self.post("/goog/cdp/execute", &json!({"cmd": command, "params": parameters}))
     }
 
-    /// Looks at the page as a screen of this width would show it.
     fn look(&self, width: u32, is_dark: bool) {
         let metrics = json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600});
         self.command("Emulation.setDeviceMetricsOverride", &metrics);
@@ -144,7 +136,7 @@ impl Browser {
     }
 }
 
-/// The names on the plan that are not inside their rooms, by the ends of their letters.
+/// The names on the plan outside their rooms, by the ends of their letters.
 const OUTSIDE: &str = "return [...document.querySelectorAll('#plan .heat')].filter((room, i) => {
     const name = document.querySelectorAll('#plan text')[3 * i], box = name.getBBox(), y = box.y + 0.6 * box.height;
     return [box.x, box.x + box.width].some(x => !room.isPointInFill(new DOMPoint(x, y)));
@@ -217,14 +209,13 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
         "return [...document.querySelectorAll('#plan .thing')].some(dot => dot.r.baseVal.value > 0)",
     );
 
-    // What is told is text.
     narrate(&format!("{}\n", json!({"person": "ben", "text": format!("They say {HOSTILE}")})));
     browser
         .until("hostile narration is shown as text", &format!("return document.body.innerText.includes({HOSTILE:?})"));
     assert_eq!(browser.run("return document.querySelectorAll('img, iframe, object').length"), json!(0));
     assert_eq!(browser.run("return document.title"), json!("Roomcast"));
 
-    // The keyboard is enough: the first stop is the time ahead.
+    // The keyboard suffices: the first tab stop is the horizon.
     browser.run("document.activeElement.blur()");
     browser.press(TAB);
     assert_eq!(browser.run("return document.activeElement.id"), json!("horizon"));
@@ -241,7 +232,6 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     browser.press(SPACE);
     assert_eq!(browser.text("#pause"), "Pause");
 
-    // On every screen everything fits beside one another or below.
     for width in [360, 1280, 2560] {
         for is_dark in [false, true] {
             browser.look(width, is_dark);
@@ -258,7 +248,7 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     };
     assert_ne!(paper(false), paper(true), "dark where the system is dark");
 
-    // A daemon that dies is told, and the page goes on with the next one.
+    // When the daemon dies, the page shows it, and continues with the next daemon.
     drop(daemon);
     browser.until("the daemon is silent", "return document.getElementById('daemon').className === 'alarm'");
     let _daemon = quiet(roomcast(root, &["daemon"]));
@@ -266,7 +256,7 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     browser.until("ada is still known", "return document.getElementById('persons').innerText.includes('ada')");
 }
 
-/// A hall round a corner, whose middle is not inside it, and a room that is too narrow for its name in letters of the usual size.
+/// A hall around a corner, with its centre outside, and a room too narrow for its name in the usual size.
 const CORNERS: &str = r#"{"format": "roomcast-scene", "version": 2, "name": "corners", "rooms": [
     {"id": "hall-1", "label": "hall", "footprint": [[[0, 0], [9, 0], [9, 1.6], [1.6, 1.6], [1.6, 9], [0, 9]]], "floor": 0, "height": 2.5},
     {"id": "den-2", "label": "den", "footprint": [[[1.8, 1.8], [7.2, 1.8], [7.2, 9], [1.8, 9]]], "floor": 0, "height": 2.5},
@@ -294,7 +284,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let _daemon = quiet(roomcast(root, &["daemon"]));
     let file = root.join("day.mcap").display().to_string();
     let mut record = roomcast(root, &["record", &file]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    // It makes its file when it listens, and what was said before is not of it.
+    // The recorder creates its file when it listens; earlier events are not recorded.
     eventually("the recording is there", || root.join("day.mcap").exists().then_some(()));
     let mut narrator = roomcast(root, &["narrate", "-"]).stdin(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
@@ -319,7 +309,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
         ["horizon", "time", "play", "pause", "items"].map(shown),
         [true, true, true, false, false].map(Value::from)
     );
-    // The last choice of a drag is shown, also where it comes while an answer is under way: here each takes a moment.
+    // The page shows the last position of a drag, even if it comes during a request. Each request takes 200 ms here.
     browser.run(
         "window.promptly = window.fetch;
         window.fetch = async (...of) => { await new Promise(later => setTimeout(later, 200)); return window.promptly(...of); };
@@ -335,7 +325,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
         "return state.at_s === 0 && document.getElementById('time').value === '0'",
     );
     browser.run("window.fetch = window.promptly");
-    // What is dragged to its end has all that was said, and what is played to its end stops there.
+    // At the end of the slider all events are shown, and playback stops there.
     browser.run(
         "const time = document.getElementById('time'); time.value = time.max; time.dispatchEvent(new Event('input'))",
     );
@@ -346,7 +336,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
         "it stops at its end",
         "return document.getElementById('play').innerText === 'Play' && state.at_s === state.length_s",
     );
-    // A state that cannot be shown is no fault of the connection.
+    // A state that the page cannot draw is not reported as a lost connection.
     browser.run(
         "window.fetch = async (...of) => { const answer = await window.promptly(...of); const state = await answer.json(); state.persons = null; return { ok: true, json: async () => state }; };
         document.getElementById('play').click();",

@@ -1,15 +1,13 @@
-//! Real processes and the real model under kill -9: narrator, daemon and planner are killed at random moments, also while they
-//! start and while they publish, and started again as a supervisor would, while a robot reports, fails and falls silent. In the end: no
-//! narration lost, none twice under its name, no score that differs from what its claimed narration gives, no decision on stale scores, no
-//! room that counts as done without the robot's word, and nothing left behind.
+//! Narrator, daemon and planner with the real model are killed at random moments, also while they start or publish, and restarted, while a robot
+//! reports, fails and falls silent. In the end: no event is lost or recorded twice, every score follows from the narration that it claims, no
+//! decision rests on stale scores, a room counts as done only after the robot's report, and no files are left.
 //!
-//! A second test does the same in a household of residents and visitors who come, go and are renamed, among strangers: processes that forge
-//! the narrator's source, epoch and number, invent sources and persons, say what no window holds, and flood. Nothing of that is believed in
-//! the narrator's name, costs it a narration or its places in a window, or takes a resident away.
+//! A second test does the same in a household of residents and visitors, with hostile processes that forge the narrator's source, epoch and number,
+//! invent sources and persons, send sentences too long for a window, and flood. No forged event counts, no narration is lost, the narrator keeps its
+//! places in a window, and no resident is forgotten.
 //!
-//! By default as many cycles as fit in some seconds. `ROOMCAST_CHAOS_CYCLES=1000` runs as many, `ROOMCAST_CHAOS_SEED` chooses others:
-//!
-//!     ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test it chaos -- --include-ignored --nocapture
+//! By default the test runs for some seconds. `ROOMCAST_CHAOS_CYCLES` sets the number of cycles, `ROOMCAST_CHAOS_SEED` the seed.
+//! `ROOMCAST_CHAOS_CYCLES=1000 cargo test --release --test it chaos -- --include-ignored --nocapture` is the long run.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{self, File};
@@ -41,26 +39,23 @@ const DEFAULT_TIME: Duration = Duration::from_secs(8);
 /// On a busy machine the time alone may be over before anything has happened.
 const DEFAULT_CYCLES_MIN: u64 = 20;
 const DEADLINE_NS: u64 = 500_000_000;
-/// What counts as the same score: quantised products differ a little with the shape of a batch.
+/// Quantised products differ a little with the shape of a batch, so scores within this tolerance are equal.
 const TOLERANCE_NATS: f64 = 0.05;
-/// Scores recomputed at the end.
 const RECOMPUTED: usize = 400;
-/// Far longer than anything here takes.
 const PATIENCE: Duration = Duration::from_secs(60);
 const NARRATOR: &str = "person";
 const OBJECTS: [&str; 12] =
     ["fridge", "mug", "sofa", "bed", "shower", "toothbrush", "stove", "book", "sink", "television", "closet", "table"];
 const VERBS: [&str; 3] = ["walk to", "look at", "touch"];
 
-/// Who lives there, in a household.
 const RESIDENTS: [&str; 2] = ["ada", "ben"];
-/// Places of a resident's window that the narrator keeps: half of twelve, since all strangers together count as one.
+/// The narrator's places in a resident's window: half of twelve, since all unknown narrators together count as one.
 const PLACES: usize = 6;
-/// Words of what strangers say: in the narrator's name, and in their own of persons who are not there.
+/// Words in forged events, and in events about invented persons.
 const FORGED: &str = "attic";
 const INVENTED: &str = "cellar";
 
-/// Of whom a line of a household is; nobody's name where the daemon has to make it out.
+/// The person of a household's line; `None` if the line has no name and the daemon attributes it.
 fn whose(number: usize) -> Option<String> {
     match number % 40 {
         7 | 9 => Some(RESIDENTS[0].to_owned()),
@@ -69,12 +64,12 @@ fn whose(number: usize) -> Option<String> {
     }
 }
 
-/// Whether a line of a household only says who is where, so that the journal does not have it word for word.
+/// Whether a line only reports presence; the journal has no text of such a line.
 fn is_presence(number: usize) -> bool {
     [7, 9, 13, 19].contains(&(number % 40))
 }
 
-/// The same as JSON lines have it.
+/// The line as JSON.
 fn household_line(number: usize) -> String {
     let person = whose(number).unwrap_or_default();
     match number % 40 {
@@ -87,12 +82,12 @@ fn household_line(number: usize) -> String {
     }
 }
 
-/// Whether this line says that the person leaves; the next one says by itself that they are back.
+/// Whether this line reports that the person leaves. The next line implies the return.
 fn leaves(number: usize) -> bool {
     number % 19 == 7
 }
 
-/// The narrator has said this line; the text names it, unless it says that the person leaves.
+/// A narrator's line: the number is in its text, unless the person leaves.
 fn line(number: usize) -> String {
     if leaves(number) {
         return r#"{"presence": "away"}"#.to_owned();
@@ -100,7 +95,7 @@ fn line(number: usize) -> String {
     said(number)
 }
 
-/// What somebody did; the text names the line.
+/// A sentence with the line's number.
 fn said(number: usize) -> String {
     let (object, verb) = (OBJECTS[number * 5 % OBJECTS.len()], VERBS[number % VERBS.len()]);
     format!("They {verb} the {object} {number}.")
@@ -116,11 +111,11 @@ enum Role {
 struct Process {
     child: Child,
     started: Instant,
-    /// The first sign of life since then has been seen.
+    /// Whether the process has sent its first message.
     recovered: bool,
 }
 
-/// One message of scores, as seen.
+/// One message of scores.
 #[derive(Debug, Clone)]
 struct Seen {
     epoch: u64,
@@ -130,7 +125,7 @@ struct Seen {
     log_score_nats: Vec<f64>,
 }
 
-/// What the test hears through. The ports go before the node.
+/// The test's ports. Fields drop in order, and the ports must drop before the node.
 struct Observer {
     scores: Subscriber<RoomScoresV1>,
     decisions: Subscriber<DecisionV1>,
@@ -138,25 +133,25 @@ struct Observer {
     node: Node,
 }
 
-/// Strangers, and what the test asks of a household's daemon. The ports go before the node.
+/// The hostile ports, and the test's questions to a household's daemon. The ports must drop before the node.
 struct Hostile {
     forger: Publisher<NarrationV1>,
     inventor: Publisher<NarrationV1>,
     moments: QuestionPort,
     persons: QuestionPort,
-    /// Scores once more, from what a moment names.
+    /// Recomputes the scores of a moment.
     pipeline: Pipeline<LlamaModel>,
-    /// Lines that were claimed since the daemon and the narrator of this moment started; for what was said before the daemon it keeps no place.
+    /// Claimed lines since the current daemon and narrator started. The daemon keeps no places for lines from before its start.
     fresh: Vec<usize>,
-    /// A number that nothing else has.
+    /// A unique number for each intrusion.
     counter: u64,
-    /// Epochs of the narrator that were forged, the newest last.
+    /// The narrator's epochs that were forged, newest last.
     epochs: Vec<u64>,
-    /// The first resident's name, as the home gave it last.
+    /// The first resident's newest name.
     name: String,
-    /// Both residents were heard of.
+    /// Whether the daemon has received events of both residents.
     met: bool,
-    /// The newest answer of each daemon.
+    /// The newest status of each daemon.
     status: BTreeMap<u64, StatusResponseV1>,
     tally: Strange,
     node: Node,
@@ -173,7 +168,7 @@ struct Strange {
     renamed: u64,
     moments: u64,
     scores_again: u64,
-    /// Moments in which a resident's window held what strangers said, too.
+    /// Moments with hostile and honest sentences in one resident's window.
     shared_windows: u64,
 }
 
@@ -185,25 +180,25 @@ struct World {
     config: PathBuf,
     processes: BTreeMap<Role, Process>,
     observer: Option<Observer>,
-    /// Files of the test's own entry in the domain.
+    /// Files of the test's own node in the domain.
     own: Vec<String>,
-    /// Lines that the narrator of this moment was given, by sequence number from 1.
+    /// Lines given to the current narrator, by sequence number from 1.
     given: Vec<usize>,
     next_line: usize,
-    /// When the narrator of this moment was started; what was observed before is of its predecessors.
+    /// Start of the current narrator; earlier events are from its predecessors.
     narrator_started_ns: u64,
-    /// Its epoch, as soon as a claim tells it, and how much of it is claimed.
+    /// The current narrator's epoch, from its first claim, and the number of its claimed lines.
     narrator_epoch: Option<u64>,
     claimed: u64,
     daemon_epochs: Vec<u64>,
     planner_epochs: HashSet<u64>,
     seen: Vec<Seen>,
-    /// When each snapshot was last sent, and whether it said that scoring failed.
+    /// The newest sending time of each snapshot.
     sent_ns: HashMap<(u64, u64), u64>,
-    /// The robot, and the rooms that it has said are done.
+    /// The robot, and the rooms that it reported as done.
     reporter: Reporter,
     finished: HashSet<String>,
-    /// The rooms by their places.
+    /// Room ids in the order of the scores.
     rooms: Vec<String>,
     tally: Tally,
     recovery_us: BTreeMap<Role, Histogram<u64>>,
@@ -213,14 +208,14 @@ struct World {
 struct Tally {
     cycles: u64,
     kills: [u64; 3],
-    /// Kills before the process had given a sign of life.
+    /// Kills before the process had sent a message.
     kills_at_start: u64,
     messages: u64,
     decisions: u64,
     fallbacks: u64,
     stale_decisions: u64,
     wrong_claims: u64,
-    /// Processes that ended by themselves and had to be started again.
+    /// Processes that ended by themselves and were restarted.
     gave_up: u64,
 }
 
@@ -312,12 +307,12 @@ impl World {
         let child = command.stderr(log).spawn().unwrap();
         self.processes.insert(role, Process { child, started: Instant::now(), recovered: false });
         if role == Role::Narrator {
-            // Whoever feeds a narrator gives it again what was not confirmed.
+            // A narrator's feeder repeats unconfirmed lines.
             let confirmed = usize::try_from(self.claimed).unwrap();
             let again = self.given.split_off(confirmed.min(self.given.len()));
             self.given.clear();
             (self.narrator_started_ns, self.narrator_epoch, self.claimed) = (started_ns, None, 0);
-            // What its predecessor was given and nobody has claimed may have been heard all the same, and be the newest of a window.
+            // The daemon may have unclaimed lines of the predecessor, even as the newest of a window.
             if let Some(hostile) = &mut self.hostile {
                 hostile.fresh.clear();
             }
@@ -332,7 +327,7 @@ impl World {
         self.given.push(number);
         let narrator = self.processes.get_mut(&Role::Narrator);
         if let Some(input) = narrator.and_then(|narrator| narrator.child.stdin.as_mut()) {
-            // It may just have ended; then the line is given to the next one.
+            // If the narrator has just ended, the next narrator gets the line.
             let line = if self.hostile.is_some() { household_line(number) } else { line(number) };
             let _gone = writeln!(input, "{line}");
         }
@@ -359,7 +354,7 @@ impl World {
             .all(|role| self.processes.get(role).is_some_and(|p| p.recovered))
     }
 
-    /// Lets the world go on: gives lines, looks at every message, starts again what ended by itself.
+    /// Gives lines, checks every message, and restarts processes that ended by themselves.
     fn go_on(&mut self, until: impl Fn(&Self) -> bool, at_most: Duration) {
         let start = Instant::now();
         while !until(self) && start.elapsed() < at_most {
@@ -389,7 +384,7 @@ impl World {
     fn look(&mut self) {
         let Some(observer) = &self.observer else { return };
         observer.scores.wait(Duration::from_millis(4)).unwrap();
-        // Decisions first: the scores that they rest on were sent before them, and are here then.
+        // Decisions are read first, so that the scores behind them have arrived too.
         let decisions: Vec<_> = std::iter::from_fn(|| observer.decisions.receive().unwrap()).collect();
         let scores: Vec<_> = std::iter::from_fn(|| observer.scores.receive().unwrap()).collect();
         assert_eq!((observer.decisions.malformed(), observer.scores.malformed()), (0, 0));
@@ -416,10 +411,10 @@ impl World {
         }
         let narrator = sequence::source_of_name(NARRATOR);
         let claims = scores.included().iter().filter(|claim| claim.source == narrator);
-        // Of its starts, the latest.
+        // The claim of the current start, or else the newest.
         let claim = claims.max_by_key(|claim| (Some(claim.epoch) == self.narrator_epoch, claim.observed_ns)).copied();
         if let Some(claim) = claim.filter(|claim| claim.observed_ns >= self.narrator_started_ns) {
-            // A claim never speaks of what was not given, and never goes back; what a killed daemon said may arrive late.
+            // A claim contains only given lines and never decreases. A message of a killed daemon may arrive late.
             let late = self.daemon_epochs.last() != Some(&scores.epoch);
             let other = self.narrator_epoch.is_some_and(|epoch| epoch != claim.epoch);
             let given = self.given.len() as u64;
@@ -428,7 +423,7 @@ impl World {
                 self.tally.wrong_claims += 1;
             }
             if let Some(hostile) = &mut self.hostile {
-                // The first scores of a daemon may contain what it has from its predecessor.
+                // The first scores of a daemon may contain lines that its predecessor stored.
                 let known = self.seen.last().is_some_and(|seen| seen.epoch == scores.epoch);
                 let lines = usize::try_from(self.claimed).unwrap()..usize::try_from(claim.sequence).unwrap();
                 if known && !late {
@@ -472,7 +467,7 @@ impl World {
         }
     }
 
-    /// The robot does what it is told at once, or not; sometimes it says nothing of it.
+    /// The robot usually obeys at once. It may fail, or stay silent.
     fn obey(&mut self, decision: &DecisionV1) {
         let Some(observer) = self.observer.as_ref().filter(|_| decision.action == action::GO) else { return };
         let kind = match self.rng.random_range(0..100) {
@@ -491,7 +486,7 @@ impl World {
         }
     }
 
-    /// One thing that strangers do, or that the home asks for.
+    /// One hostile act, or a rename by the home.
     fn intrude(&mut self) {
         let what = self.rng.random_range(0..7);
         let many = self.rng.random_range(1..20);
@@ -512,7 +507,7 @@ impl World {
         };
         match what {
             0 | 1 => {
-                // In the name of the living narrator, or of one that has ended.
+                // In the name of the current narrator, or of one that has ended.
                 let Some(epoch) = epoch else { return };
                 if hostile.epochs.last() != Some(&epoch) {
                     hostile.epochs.push(epoch);
@@ -547,7 +542,7 @@ impl World {
                 hostile.tally.persons += many;
             }
             4 => {
-                // More than a window holds, or nearly as much.
+                // A sentence too long for a window, or nearly.
                 let (words, count) =
                     if place < 2 { (330, &mut hostile.tally.costly) } else { (85, &mut hostile.tally.long) };
                 *count += 1;
@@ -565,7 +560,7 @@ impl World {
                 }
                 hostile.tally.floods += 1;
             }
-            // Who is killed meanwhile does not answer.
+            // A killed daemon does not answer.
             _ if !alive => {}
             _ => {
                 let name = format!("{} the {counter}th", RESIDENTS[0]);
@@ -587,7 +582,7 @@ impl World {
         }
     }
 
-    /// Asks a daemon that is well what its scores rest on, and whether that is what it may be.
+    /// Asks a recovered daemon for its moment and status, and checks both.
     fn check_moment(&mut self) {
         if !self.all_recovered() {
             return;
@@ -609,7 +604,7 @@ impl World {
         let renamed = residents[0].name.as_deref() == Some(hostile.name.as_str());
         assert!(renamed || hostile.tally.renamed == 0, "{:?} is not {:?}", residents[0], hostile.name);
 
-        // What it has of the narrator, by its claim, and what of that it has to keep a place for.
+        // The narrator's lines in this moment, by its claim, and those that must have a place.
         let source = format!("{:016x}", sequence::source_of_name(NARRATOR));
         let epoch = self.narrator_epoch.map(|epoch| format!("{epoch:016x}"));
         let claim = moment.included.iter().find(|i| i.source == source && Some(&i.epoch) == epoch.as_ref());
@@ -636,7 +631,7 @@ impl World {
             };
             let honest: Vec<usize> = read.iter().filter_map(line_of).collect();
             hostile.tally.shared_windows += u64::from(!honest.is_empty() && honest.len() < read.len());
-            // A killed narrator's successor says again what was not confirmed, and what named nobody may be theirs, too.
+            // The successor of a killed narrator repeats unconfirmed lines, and lines without a name may take a resident's places.
             let due = own.len().min(PLACES);
             let by_fit = honest.iter().filter(|line| whose(**line).as_deref() != Some(*resident)).count();
             let newest = &own[own.len() - due.saturating_sub(by_fit).max(due.min(1))..];
@@ -644,7 +639,7 @@ impl World {
             assert!(kept, "{resident} was told of in {own:?}, and the window has {read:?}");
         }
 
-        // The scores are those of what they name, and the rooms' those of the scores.
+        // Recomputed label scores equal the moment's, and room scores follow from label scores.
         for number in moment.person_numbers() {
             let alone = moment.of_person(number).ok().filter(|alone| !alone.narration.is_empty());
             let Some(alone) = alone else { continue };
@@ -672,7 +667,7 @@ impl World {
             .rev()
             .find(|seen| format!("{:016x}", seen.epoch) == moment.epoch && seen.sequence == moment.sequence);
         if let (Some(seen), false) = (sent, moment.nobody_home) {
-            // Of several, that anybody is there.
+            // For several persons, a room's score is the probability that at least one is there.
             let alone =
                 |labels: &PersonLabels| Moment { labels: labels.labels.clone(), persons: Vec::new(), ..moment.clone() };
             let each: Vec<Moment> = moment.persons.iter().map(alone).collect();
@@ -691,7 +686,7 @@ impl World {
         }
     }
 
-    /// One kill: of whom, and when, the seed decides.
+    /// One kill of a random process at a random moment.
     fn cycle(&mut self) {
         self.tally.cycles += 1;
         for _ in 0..self.rng.random_range(0..4) {
@@ -700,21 +695,20 @@ impl World {
         let roles = [Role::Daemon, Role::Planner, Role::Narrator];
         let role = roles[self.rng.random_range(0..3)];
         match self.rng.random_range(0..10) {
-            // While it starts: it was started a moment ago.
+            // Shortly after its start.
             0..4 => {
                 self.kill(role);
                 self.start(role);
                 let moment = Duration::from_micros(self.rng.random_range(0..60_000));
                 std::thread::sleep(moment);
             }
-            // While narration and scores are under way.
+            // While narration and scores are on their way.
             4..7 => {
                 let number = self.next_line;
                 self.next_line += 1;
                 self.give(number);
                 std::thread::sleep(Duration::from_micros(self.rng.random_range(0..8000)));
             }
-            // Some time.
             _ => {
                 let moment = Duration::from_millis(self.rng.random_range(0..200));
                 self.go_on(|_| false, moment);
@@ -722,7 +716,7 @@ impl World {
         }
         self.kill(role);
         if self.rng.random_bool(0.2) {
-            // Nobody starts it for a while: the planner falls back.
+            // Without the process for up to 0.9 s, so that the planner may fall back.
             let moment = Duration::from_millis(self.rng.random_range(0..900));
             self.go_on(|_| false, moment);
         }
@@ -734,7 +728,6 @@ impl World {
         }
     }
 
-    /// Ends the processes as a supervisor does.
     fn stop(&mut self) {
         for process in self.processes.values_mut() {
             kill_process(Pid::from_raw(process.child.id().cast_signed()).unwrap(), Signal::TERM).unwrap();
@@ -746,7 +739,6 @@ impl World {
         }
     }
 
-    /// Files of the domain that are not the test's own.
     fn left_behind(&self) -> Vec<String> {
         let mut left = files_of(&self.domain);
         left.retain(|file| !self.own.contains(file));
@@ -761,7 +753,6 @@ impl Hostile {
     }
 }
 
-/// All files of a domain.
 fn files_of(domain: &Domain) -> Vec<String> {
     let prefix = domain.prefix();
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -797,10 +788,10 @@ impl Drop for World {
     }
 }
 
-/// How far the scores are from those of the `window` narrations up to `end`, in nats.
+/// The greatest difference between the scores and those of the `window` narrations up to `end`, in nats.
 fn difference(pipeline: &mut Pipeline<LlamaModel>, history: &[Observation], end: usize, seen: &Seen) -> f64 {
     pipeline.intake().forget_person(PersonId(0));
-    // Who has left has no window, and is in no room.
+    // A person who left has no window and no room.
     let has_left = history[..end].last().is_some_and(|last| last.sentence().is_none());
     let start = end.saturating_sub(seen.window.max(usize::from(has_left)));
     let scores = pipeline.step(history[start..end].iter().cloned()).unwrap();
@@ -842,7 +833,7 @@ fn survives(household: bool) {
             println!("{} cycles in {:.0} s", world.tally.cycles, start.elapsed().as_secs_f64());
         }
     }
-    // In peace, everything is confirmed.
+    // Without kills, all lines are confirmed.
     world.go_on(World::all_recovered, PATIENCE);
     let confirmed = |world: &World| world.claimed == world.given.len() as u64;
     let waiting = Instant::now();
@@ -855,7 +846,7 @@ fn survives(household: bool) {
 
     let took_s = start.elapsed().as_secs_f64();
 
-    // The history, as the daemon's successor would find it.
+    // The history in the state database.
     let history = journal::look(&world.directory.path().join("state")).unwrap().observations;
     let narrator = sequence::source_of_name(NARRATOR);
     let honest = || history.iter().filter(|o| o.source == narrator);
@@ -870,14 +861,14 @@ fn survives(household: bool) {
     let names: HashMap<_, _> = history.iter().enumerate().map(|(at, o)| (o.id(), at)).collect();
     let twice = history.len() - names.len();
 
-    // Scores again, from what they claim. Those that had to wait for the journal contain a little more than they claim.
+    // Recompute scores from their claims. Scores that waited for the journal contain a little more than they claim.
     let (mut pipeline, _) = setup::open(&Config::load(&world.config).unwrap()).unwrap();
     let every = world.seen.len().div_ceil(RECOMPUTED).max(1);
     let (mut compared, mut first) = (0_u64, 0);
     for (index, seen) in world.seen.iter().enumerate() {
         let first_of_daemon = index == 0 || world.seen[index - 1].epoch != seen.epoch;
         let end = match seen.claim {
-            // The first scores after a start may wait for a record of the journal: they claim nothing, and contain what the journal had.
+            // The first scores after a start may wait for a journal record: they claim no event, and contain the journal's events.
             None => continue,
             Some(claim) => match names.get(&EventId::new(claim.source, claim.epoch, claim.sequence)) {
                 Some(at) => at + 1,
@@ -888,7 +879,7 @@ fn survives(household: bool) {
                 }
             },
         };
-        // In a household they were, of each moment's own narration.
+        // In a household, `check_moment` has compared them.
         if household || !(index % every == 0 || (first_of_daemon && first < RECOMPUTED)) {
             continue;
         }
@@ -902,7 +893,7 @@ fn survives(household: bool) {
             }
         }
         if nearest > TOLERANCE_NATS {
-            // What would tell a wrong claim from scores of narration that died with daemon and narrator before the journal had it.
+            // These figures distinguish a wrong claim from scores of events that were lost with daemon and narrator before they reached the journal.
             let later = world.seen[index + 1..].iter().take_while(|later| later.epoch == seen.epoch).count();
             let same_claim = index > 0 && !first_of_daemon && world.seen[index - 1].claim == seen.claim;
             let around = &history[end.saturating_sub(3)..(end + 6).min(history.len())];
@@ -918,7 +909,7 @@ fn survives(household: bool) {
         }
     }
 
-    // A participant that was killed while it joined is cleaned up when it can no longer be one that joins: after 10 s.
+    // A participant killed while it joined is removed after 10 s, when it no longer counts as joining.
     let strange = world.hostile.take().map(|hostile| (hostile.status, hostile.tally));
     let cleaning = Instant::now();
     let node = world.observer.take().unwrap().node;
@@ -949,7 +940,7 @@ fn survives(household: bool) {
         println!("strangers: {strange:?}; known of as forged {dropped}, costly {costly}, limited {limited}");
         assert_eq!((forged, too_long), (0, 0), "in the journal: what was forged, what no window holds");
         let reached = [strange.sources, strange.persons, strange.floods, strange.renamed, strange.shared_windows];
-        // In a few seconds chance may leave out a kind, or kill the daemon that knows of it; in a long run none.
+        // In a short run, chance may leave out a kind of act or kill the daemon that counted it.
         let is_all = reached.iter().all(|count| *count > 0) && dropped > 0 && costly > 0;
         let is_some = reached.iter().any(|count| *count > 0) && dropped + costly > 0;
         assert!(is_some && (is_all || tally.cycles < 200), "nothing happened");

@@ -1,5 +1,4 @@
-//! What a service does when the system has nothing left to give: file descriptors, shared memory, disk; and when another user
-//! comes. A clear error or no error, never a signal; and it recovers when there is room again.
+//! Services without file descriptors, shared memory, disk or rights end with a clear error or continue. They never die by a signal, and they recover.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -22,7 +21,6 @@ fn status(world: &World) -> StatusResponseV1 {
     world.status(&world.domain.open("test").unwrap())
 }
 
-/// Whether this user may mount, which some of these tests need.
 fn may_mount() -> bool {
     let may = Command::new("unshare").args(["-m", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]).output();
     let may = may.is_ok_and(|output| output.status.success());
@@ -32,14 +30,14 @@ fn may_mount() -> bool {
     may
 }
 
-/// A pipe that is full: its reader has stopped reading. The daemon starts, scores and stops all the same.
+/// The log is a full pipe without a reader.
 #[test]
 #[ignore = "full"]
 fn a_log_that_nobody_reads_holds_up_nothing() {
     let mut world = World::new("mute");
     let (unread, log) = rustix::pipe::pipe().unwrap();
     let room = rustix::pipe::fcntl_setpipe_size(&log, 4096).unwrap();
-    // Loading a model alone is told in more words than the pipe takes.
+    // At level trace, the model's loading alone logs more than the pipe holds.
     let mut command = world.command(&["daemon"]);
     command.env("ROOMCAST_LOG", "trace").stdout(Stdio::null()).stderr(log);
     fs::write(world.path("log"), "(not read)").unwrap();
@@ -47,13 +45,13 @@ fn a_log_that_nobody_reads_holds_up_nothing() {
     drop(command);
     assert_eq!(world.narrate("person", "They walk to the kitchen.\nThey open the fridge.\n").0, 0);
     assert_eq!(status(&world).accepted, 2);
-    // A line is written whole or not at all.
+    // The daemon writes a line in full or drops it.
     let full = rustix::io::ioctl_fionread(&unread).unwrap() as usize + 512 > room;
     assert!(full, "the pipe was not full, so nothing was shown");
     assert_eq!(world.end(0, Signal::TERM), Some(0), "{}", world.log(0));
 }
 
-/// It ends by itself with an error in words, or runs until it is asked to stop; it is never killed by a signal of the system's.
+/// Whether the process ran until SIGTERM. Otherwise it ends with an error message, never by a signal.
 fn ends_in_words(mut command: Command, what: &str) -> bool {
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let start = Instant::now();
@@ -88,7 +86,7 @@ fn too_few_file_descriptors_are_an_error_in_words_and_nothing_is_left_broken() {
     assert!(ends_in_words(world.command(&["daemon"]), "no limit"), "the next one starts");
 }
 
-/// Each of these read "somebody is here already", or ended by a signal.
+/// Each of these limits once gave the error "somebody is here already", or ended the process by a signal.
 #[test]
 #[ignore = "full"]
 fn a_limit_that_is_too_low_is_named() {
@@ -123,7 +121,7 @@ fn a_limit_on_files_sizes_is_an_error_in_words() {
     assert!(ends_in_words(world.command(&["daemon"]), "no limit"), "the next one starts");
 }
 
-/// A limit on memory that the model fits into and its context does not: the error names both, and what may be lowered.
+/// The model fits into the memory limit and its context does not. The error names both, and the settings to lower.
 #[test]
 #[ignore = "full"]
 fn too_little_memory_for_a_context_is_told_of_as_that() {
@@ -177,7 +175,7 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     let mut world = World::new("disk");
     let state = world.path("state");
     fs::create_dir(&state).unwrap();
-    // The disk holds 2 MiB, of which something else has taken all but some pages.
+    // Another file takes all but some pages of the 2 MiB.
     let mount = format!(
         "mount -t tmpfs -o size=2m,mode=0700 tmpfs {0} && head -c 1800k /dev/zero > {0}/other && exec \"$@\"",
         state.display()
@@ -199,7 +197,7 @@ fn a_full_disk_costs_nothing_that_room_on_it_does_not_bring_back() {
     assert_eq!(world.end(0, Signal::TERM), Some(0), "{}", world.log(0));
 }
 
-/// The program at a place that other users can reach too.
+/// A copy of the program that other users can run.
 fn program_for_others(directory: &Path) -> PathBuf {
     fs::set_permissions(directory, fs::Permissions::from_mode(0o755)).unwrap();
     let program = directory.join("roomcast");
@@ -229,7 +227,7 @@ fn a_state_folder_that_cannot_be_written_is_named_before_anything_runs() {
             let mut command = Command::new(&program);
             command.args(arguments).arg(&config).stdin(Stdio::null()).env_remove("ROOMCAST_ROOT");
             if geteuid().is_root() {
-                // Root may write anywhere.
+                // Root may write anywhere, so the program runs as another user.
                 command.uid(NOBODY).gid(NOBODY);
             }
             let output = command.output().unwrap();
@@ -263,7 +261,7 @@ fn another_user_can_neither_read_nor_publish() {
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && said.contains("belongs to user 0"), "{arguments:?}: {said}");
     }
-    // Not by going round the program either: no file of the domain opens, for reading or writing.
+    // Other users cannot open the domain's files directly either.
     let prefix = world.domain.prefix();
     let shared = fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     let shared: Vec<_> =
@@ -272,9 +270,9 @@ fn another_user_can_neither_read_nor_publish() {
     let mut files: Vec<_> = shared.iter().map(|path| path.to_str().unwrap()).collect();
     files.push(root);
     for file in files {
-        // Anybody sees names in `/dev/shm`; the root path does not even show those.
+        // Every user can list names in `/dev/shm`, but not in the root path.
         let read = if file == root { "ls \"$0\"" } else { "cat \"$0\"" };
-        // Ports come and go: a file that has gone meanwhile must not be made again and taken for an open one.
+        // Ports come and go: if `dd` created a vanished file again, it would count as open.
         let write = if file == root { "touch \"$0\"/x" } else { "dd if=/dev/null of=\"$0\" conv=notrunc,nocreat" };
         for script in [read, write] {
             let output = as_nobody(Path::new("/bin/sh"), &["-c", script, file]);
@@ -285,7 +283,7 @@ fn another_user_can_neither_read_nor_publish() {
     assert_eq!((before.epoch, after.received), (after.epoch, before.received), "the daemon has heard nothing");
     assert_eq!(world.end(0, Signal::TERM), Some(0), "{}", world.log(0));
 
-    // And whoever puts a file of the domain's name in the way is noticed.
+    // A planted file with the domain's name is noticed.
     let planted = PathBuf::from(format!("/dev/shm/{prefix}planted"));
     fs::write(&planted, "").unwrap();
     std::os::unix::fs::chown(&planted, Some(NOBODY), Some(NOBODY)).unwrap();

@@ -1,7 +1,7 @@
-//! The fuzz targets of `fuzz/` over their corpus and seeded mutations of it: what libFuzzer does for hours, for some seconds.
-//! `ROOMCAST_FUZZ_RUNS=1000000` gives every target so many mutations, `ROOMCAST_FUZZ_SEED` others.
+//! The fuzz targets of `fuzz/` for some seconds, over their corpus and seeded mutations of it. `ROOMCAST_FUZZ_RUNS=1000000` sets the mutations of
+//! each target, `ROOMCAST_FUZZ_SEED` the seed.
 //!
-//! And model files: truncated, with flipped bits and with numbers that no writer writes, each loaded in a process of its own.
+//! Damaged model files, too: truncated, with flipped bits and with extreme numbers. Each is loaded in its own process.
 
 use std::panic::catch_unwind;
 use std::path::Path;
@@ -25,9 +25,8 @@ mod targets;
 
 use roomcast_cli::exit_code;
 
-/// Mutations of each target by default; those that write files get fewer.
+/// Mutations of each target by default; targets that write files get fewer.
 const RUNS: u64 = 20_000;
-/// Damaged model files that llama.cpp is given by default.
 const MODELS: usize = 12;
 
 fn number(variable: &str) -> Option<u64> {
@@ -35,7 +34,7 @@ fn number(variable: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
-/// What a target's mutations start from: its corpus, and what the product itself ships or writes.
+/// The corpus of a target, and files that the product ships or writes.
 fn seeds(target: &str) -> Vec<Vec<u8>> {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target);
     let files = std::fs::read_dir(&corpus).unwrap_or_else(|error| panic!("{}: {error}", corpus.display()));
@@ -56,7 +55,7 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     seeds
 }
 
-/// Records of earlier versions.
+/// A journal of an earlier version.
 fn journal_bytes() -> Vec<u8> {
     let record = |letter: u8, payload: &[u8]| {
         let (length, checksum) = ((payload.len() as u32).to_le_bytes(), crc32fast::hash(payload).to_le_bytes());
@@ -121,7 +120,6 @@ fn person_forecasts() -> Vec<u8> {
     [vec![6], forecasts.to_bytes()].concat()
 }
 
-/// Some changes of the kinds that find faults in parsers.
 fn mutate(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) {
     for _ in 0..rng.random_range(1..6) {
         let at = rng.random_range(0..=bytes.len());
@@ -138,7 +136,7 @@ fn mutate(bytes: &mut Vec<u8>, seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) {
                 bytes.drain(at..end.min(at + 64));
             }
             5 => {
-                // A piece of itself or of another seed.
+                // A part of this or of another seed.
                 let other = seeds.choose(rng).unwrap();
                 let from = rng.random_range(0..=other.len());
                 let piece = other[from..other.len().min(from + 200)].to_vec();
@@ -200,7 +198,7 @@ fn no_target_fails_on_its_corpus_or_mutations_of_it() {
     }
 }
 
-/// Gives a model file to a process of its own; its exit code, or what ended it.
+/// Exit code of a process that loads the model, or the signal that ended it.
 fn load(model: &[u8], directory: &Path) -> Result<i32, String> {
     let file = directory.join("model.gguf");
     std::fs::write(&file, model).unwrap();
@@ -215,7 +213,7 @@ fn a_broken_model_file_ends_in_an_error() {
     assert_eq!(load(whole, directory.path()), Ok(0));
     let runs = number("ROOMCAST_FUZZ_MODELS").map_or(MODELS, |runs| usize::try_from(runs).unwrap());
     let mut rng = ChaCha8Rng::seed_from_u64(number("ROOMCAST_FUZZ_SEED").unwrap_or(1));
-    // Metadata and tensor descriptions; what lies behind them are weights.
+    // The header has metadata and tensor descriptions; the rest is weights.
     let header = whole.windows(24).position(|at| at.starts_with(b"output_norm.weight")).unwrap();
     let mut codes = std::collections::BTreeMap::new();
     for run in 0..runs {
@@ -238,14 +236,14 @@ fn a_broken_model_file_ends_in_an_error() {
     println!("{runs} damaged model files, by exit code: {codes:?}");
 }
 
-/// Where the numbers of a model file's metadata lie: key, place and size of each.
+/// Key, offset and size of each number in a model file's metadata.
 fn fields(model: &[u8]) -> Vec<(String, usize, usize)> {
     let number = |at: usize, size: usize| {
         let mut bytes = [0; 8];
         bytes[..size].copy_from_slice(&model[at..at + size]);
         usize::try_from(u64::from_le_bytes(bytes)).unwrap()
     };
-    // Sizes of the kinds of values; a text has its length before it, an array the kind and number of its elements.
+    // Sizes by kind of value. A text (8) starts with its length, an array (9) with the kind and number of its elements.
     let size = |kind: usize| [1, 1, 2, 2, 4, 4, 4, 1, 0, 0, 8, 8, 8][kind];
     let mut fields = vec![("version".to_owned(), 4, 4), ("tensors".to_owned(), 8, 8), ("metadata".to_owned(), 16, 8)];
     let mut at = 24;
@@ -276,8 +274,8 @@ fn fields(model: &[u8]) -> Vec<(String, usize, usize)> {
     fields
 }
 
-/// Row "GGUF with one field patched" of the attacks: whatever llama.cpp does with the file, the command that judges it, and the one that
-/// uses it, end with an error or without. `ROOMCAST_FUZZ_MODELS` is how many fields are patched.
+/// The attack: a GGUF file with one changed field. `model check` and `score` must end with an exit code, not by a signal. `ROOMCAST_FUZZ_MODELS` sets
+/// the number of changed fields.
 #[test]
 #[ignore = "full"]
 fn a_model_file_with_one_field_patched_ends_no_judge() {
@@ -308,7 +306,7 @@ fn a_model_file_with_one_field_patched_ends_no_judge() {
     println!("{runs} patched fields, by command and exit code: {codes:?}");
 }
 
-/// Row "a model file truncated in place" of the attacks.
+/// The attack: a model file is truncated in place.
 #[test]
 fn a_model_file_that_is_cut_off_while_it_is_in_use_ends_nothing() {
     let directory = tempfile::tempdir().unwrap();

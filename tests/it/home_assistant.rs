@@ -1,7 +1,7 @@
-//! A real Home Assistant, a real broker and real processes: the home is imported over its folder and over its API, a sensor that is
-//! switched there is narrated, the forecast appears there, survives a restart of each, and disappears.
+//! A real Home Assistant, a real broker and real processes: import over folder and API, narration of a sensor, publication, restarts, removal.
 //!
-//! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another one's program. Without one it is skipped.
+//! `make test-home` installs Home Assistant and runs this. `ROOMCAST_HOME_ASSISTANT` names another installation's program. Without one the test is
+//! skipped.
 
 use std::fs::File;
 use std::net::TcpStream;
@@ -20,7 +20,7 @@ use crate::eventually::within;
 use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 
-/// Far longer than anything here takes; the first start of Home Assistant installs what it needs.
+/// The first start of Home Assistant installs its dependencies.
 const PATIENCE: Duration = Duration::from_secs(400);
 const NO_HOME_ASSISTANT: &str = "Home Assistant is not installed (make test-home installs it)";
 
@@ -28,14 +28,13 @@ fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
     within(PATIENCE, what, attempt)
 }
 
-/// The program of an installed Home Assistant.
 fn program() -> Option<PathBuf> {
     let named = std::env::var_os("ROOMCAST_HOME_ASSISTANT").map(PathBuf::from);
     let own = Path::new(env!("CARGO_BIN_EXE_roomcast")).parent().unwrap().join("../home-assistant/bin/hass");
     named.or(Some(own)).filter(|program| program.exists())
 }
 
-/// The automations that a page of the documentation shows, as entries of one list.
+/// The automations on a page of the documentation, as entries of one list.
 fn automations(page: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(page);
     let text = std::fs::read_to_string(path).unwrap();
@@ -56,7 +55,7 @@ fn terminate(child: &mut Child) {
     }
 }
 
-/// A Home Assistant with a folder of its own.
+/// A Home Assistant with its own folder.
 struct HomeAssistant {
     program: PathBuf,
     folder: PathBuf,
@@ -64,7 +63,7 @@ struct HomeAssistant {
     child: Option<Child>,
 }
 
-/// Entities of the home: their ids, and the areas that they are in.
+/// The home's entities and their areas.
 const ENTITIES: [(&str, &str); 10] = [
     ("binary_sensor.fridge_door", "kuche"),
     ("binary_sensor.kitchen_motion", "kuche"),
@@ -165,7 +164,7 @@ impl HomeAssistant {
         serde_json::from_str(&answer.into_body().read_to_string().unwrap()).unwrap()
     }
 
-    /// Logs in, as a browser does, and makes a token that lasts.
+    /// Logs in like a browser and creates a long-lived token.
     fn token(&self) -> String {
         let client = format!("{}/", self.url());
         let flow = json!({"client_id": client, "handler": ["homeassistant", null], "redirect_uri": client});
@@ -194,7 +193,7 @@ impl Drop for HomeAssistant {
     }
 }
 
-/// A connection to its API.
+/// A connection to Home Assistant's WebSocket API.
 struct Talk {
     socket: WebSocket<TcpStream>,
     asked: u64,
@@ -248,7 +247,6 @@ impl Talk {
         self.ask(json!({"type": "call_service", "domain": "input_boolean", "service": service, "target": target}));
     }
 
-    /// An entity's state; none where there is no such entity.
     fn state(&mut self, id: &str) -> Option<String> {
         let states = self.ask(json!({"type": "get_states"}));
         let found = states.as_array().unwrap().iter().find(|state| state["entity_id"] == id)?;
@@ -258,12 +256,11 @@ impl Talk {
     fn roomcast_entities(&mut self) -> Vec<String> {
         let states = self.ask(json!({"type": "get_states"}));
         let ids = states.as_array().unwrap().iter().map(|state| state["entity_id"].as_str().unwrap().to_owned());
-        // The automations of the documentation are the home's own, whatever they are called.
+        // The automations from the documentation belong to the home, whatever their names.
         ids.filter(|id| id.contains(".roomcast_") && !id.starts_with("automation.")).collect()
     }
 }
 
-/// Roomcast's own processes.
 struct Services {
     folder: PathBuf,
     domain: Domain,
@@ -309,7 +306,7 @@ impl Drop for Services {
     }
 }
 
-/// A sensor that is switched is narrated, and the forecast stands in Home Assistant.
+/// A switched sensor is narrated, and the forecast appears in Home Assistant.
 fn works(when: &str, home: &HomeAssistant, token: &str, heard: &Subscriber<NarrationV1>) {
     let mut talk = Talk::open(home, token);
     while heard.receive().unwrap().is_some() {}
@@ -350,7 +347,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     std::fs::write(&token_file, format!("{token}\n")).unwrap();
     std::fs::set_permissions(&token_file, std::fs::Permissions::from_mode(0o600)).unwrap();
 
-    // Areas, and what is in them, as its own page would set them.
+    // Areas and their entities, set as by the user interface.
     let mut talk = Talk::open(&home, &token);
     for area in ["Küche", "Wohnzimmer", "Bathroom", "Schlafzimmer"] {
         talk.ask(json!({"type": "config/area_registry/create", "name": area}));
@@ -360,7 +357,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         talk.ask(json!({"type": "config/entity_registry/update", "entity_id": id, "area_id": area}));
     }
 
-    // The import over the API, and over the folder once Home Assistant has written it: the same.
+    // The import over the API equals the import of the folder, once Home Assistant has written it.
     let domain = Domain::new(folder.join("d"), &format!("home-{}", std::process::id() % 100_000)).unwrap();
     let mut services = Services { folder: folder.to_owned(), domain, children: Vec::new() };
     let import = |services: &Services, source: &str, name: &str, more: &[&str]| {
@@ -384,14 +381,13 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     eventually("the folder says the same", || {
         (import(&services, &config, "read", &[]) == Ok(told.clone())).then_some(())
     });
-    // A token that is none, by the real thing.
     let wrong = folder.join("wrong");
     std::fs::write(&wrong, "eyJ.no.token\n").unwrap();
     std::fs::set_permissions(&wrong, std::fs::Permissions::from_mode(0o600)).unwrap();
     let refused = import(&services, &url, "refused", &["--token-file", &wrong.display().to_string()]).unwrap_err();
     assert!(refused.contains("refuses the token"), "{refused}");
 
-    // Set up, and started, as the manual says.
+    // Set-up and start follow the manual.
     let (target, at) = (folder.join("home").display().to_string(), format!("mqtt://127.0.0.1:{}", broker.port));
     let init = [
         "init",
@@ -409,7 +405,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     let output = services.command(&init).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let config = services.config();
-    // Home Assistant says a state when it changes.
+    // Home Assistant publishes a state only when it changes.
     [true, false].into_iter().for_each(|on| talk.turn("fridge_door", on));
     let checked = services.command(&["doctor", "--json", "--wait", "2", "--config", &config]).output().unwrap();
     assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
@@ -430,7 +426,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         assert!(entities.iter().any(|own| own == id), "{id} in {entities:?}");
     }
 
-    // The automation of docs/publish.md: somebody comes into the bathroom, and it is warmed.
+    // The automation in docs/publish.md warms the bathroom before a person enters.
     talk.turn("bathroom_motion", true);
     eventually("somebody is soon in the bathroom", || {
         (talk.state("binary_sensor.roomcast_bathroom_soon")? == "on").then_some(())
@@ -441,7 +437,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
             states.as_array().unwrap().iter().find(|state| state["entity_id"] == "climate.bathroom").unwrap().clone();
         (climate["attributes"]["temperature"] == 22.0).then_some(())
     });
-    // That of docs/robot.md: an order becomes a service of the vacuum.
+    // The automation in docs/robot.md turns an order into a service call for the vacuum.
     let vacuum = json!({"name": "dusty", "unique_id": "dusty", "object_id": "dusty", "schema": "state", "command_topic": "dusty/command",
         "state_topic": "dusty/state", "send_command_topic": "dusty/send", "supported_features": ["start", "pause", "stop", "return_home", "send_command"]});
     let order = "roomcast/robots/robot/order";
@@ -468,7 +464,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         }
     }
 
-    // A robot that pauses is told of no room, which is unknown there and not a text.
+    // A pausing robot has no room, and Home Assistant shows the state as unknown, not as a text.
     let planner = node.publisher::<DecisionV1>().unwrap();
     let told = DecisionV1 { robot: 7, epoch: 1, sequence: 1, action: action::PAUSE, ..Default::default() };
     eventually("no room is unknown", || {
@@ -481,7 +477,6 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     });
     drop(planner);
 
-    // Each of the three is restarted.
     broker = broker.restart();
     works("after the broker's restart", &home, &token, &heard);
     drop((talk, ears));
@@ -498,7 +493,6 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
     services.start("bridge", &["publish", "mqtt"]);
     works("after the restart of daemon and bridge", &home, &token, &heard);
 
-    // It goes without a trace.
     services.stop("bridge");
     let removed = services.command(&["publish", "mqtt", "--remove", "--config", &config]).output().unwrap();
     assert!(removed.status.success(), "{removed:?}");
@@ -511,7 +505,7 @@ fn a_real_home_assistant_is_imported_narrated_told_and_left_clean() {
         .filter(|entity| entity["platform"] == "mqtt" && entity["entity_id"].to_string().contains("roomcast"))
         .collect();
     assert!(left.is_empty(), "{left:?}");
-    // Nothing that it was told was wrong.
+    // Home Assistant logged no complaint about the published messages.
     let log = std::fs::read_to_string(home.folder.join("log")).unwrap();
     let is_of_roomcast = |line: &&str| line.contains("roomcast") || line.contains("Invalid");
     let complaints: Vec<&str> =

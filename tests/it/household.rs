@@ -1,5 +1,5 @@
-//! The first hours of the household with real processes and the real model, 480 times faster than life; the whole day is played without
-//! processes (`services/src/daemon/played.rs`).
+//! The first hours of the household with real processes and the real model, 480 times faster than real time. `services/src/daemon/played.rs` plays
+//! the whole day without processes.
 
 use std::io::Write as _;
 use std::process::Stdio;

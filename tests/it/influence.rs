@@ -1,8 +1,8 @@
-//! What one narrator alone does to a room's probability, with the shipped model: beside an honest narrator that tells of the same person it
-//! says one sentence, or floods the window, and then the honest one goes on. Places in the window are bounded, and that is held here;
-//! what a language model makes of them is not: it is measured, and SECURITY.md has the figures.
+//! The effect of one narrator on a room's probability, with the included model. An honest narrator reports a person; another narrator reports the
+//! same person once, or floods the window. The test asserts the bound on places in the window. The effect on the model has no bound: the test
+//! measures it for SECURITY.md.
 //!
-//!     ROOMCAST_INFLUENCE_SEEDS=1000 cargo test --release --test it influence -- --nocapture
+//! `ROOMCAST_INFLUENCE_SEEDS=1000 cargo test --release --test it influence -- --nocapture` measures 1 000 seeds.
 
 use rand::seq::{IndexedMutRandom, IndexedRandom};
 use rand::{RngExt, SeedableRng};
@@ -17,23 +17,21 @@ use roomcast_services::embedded;
 use roomcast_services::setup::load_model;
 
 const SEEDS: u64 = 12;
-/// What the honest one says after a flood, sentence by sentence.
+/// Sentences of the honest narrator after a flood.
 const AFTER: usize = 12;
-/// How many seeds the table of SECURITY.md is of, and how far a figure of it may be from what is measured: it has two digits, and processors round
-/// differently.
+/// Seeds behind SECURITY.md's table, and the tolerance of its figures: they have two digits, and processors round differently.
 const TOLD_SEEDS: u64 = 300;
 const ROUNDED: f64 = 0.015;
-/// Places of a window of twelve that each of two narrators keeps.
+/// The places of each of two narrators in a window of twelve.
 const PLACES: usize = 6;
 
-/// One of two narrators.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Who {
     Honest,
     Other,
 }
 
-/// How far a room's probability is from what it is without the other narrator: the worst, and the sum over all that were looked at.
+/// The difference of the room moved most from its probability without the other narrator: the worst case, and the sum over all cases.
 #[derive(Debug, Default, Clone, Copy)]
 struct Moved {
     worst: f64,
@@ -56,7 +54,7 @@ impl Moved {
     }
 }
 
-/// One pipeline, forgotten before each story.
+/// A pipeline that forgets the person before each story.
 struct Home {
     pipeline: Pipeline<LlamaModel>,
     sequence: u64,
@@ -81,7 +79,7 @@ impl Home {
         self.pipeline.score().unwrap().grounded.partition_probability.clone()
     }
 
-    /// Places that the honest one has in the window.
+    /// The honest narrator's places in the window.
     fn places(&self) -> usize {
         let window = self.pipeline.inside().histories().get(PersonId(0)).unwrap();
         window.observations().filter(|o| o.source == Who::Honest as u64 + 1).count()
@@ -96,7 +94,7 @@ fn number(variable: &str) -> Option<u64> {
 #[test]
 fn one_narrator_alone_keeps_to_its_places() {
     let seeds = number("ROOMCAST_INFLUENCE_SEEDS").unwrap_or(SEEDS);
-    // The figures in SECURITY.md are of the six maps of boxes.
+    // SECURITY.md's figures are from the six maps with boxes.
     let boxes = embedded::SCENES.iter().map(|scene| scene.name).filter(|name| *name != "flat");
     let scenes: Vec<&str> = boxes.collect();
     let mut homes: Vec<Home> = scenes.iter().map(|scene| Home::new(scene)).collect();
@@ -121,7 +119,7 @@ fn one_narrator_alone_keeps_to_its_places() {
         let without = home.rooms();
         home.hear(Who::Other, &other);
         one.note(&home.rooms(), &without);
-        // As fast as the intake lets it, until nothing changes any more.
+        // At the highest rate that the intake permits, until the probabilities no longer change.
         for _ in 0..40 {
             home.hear(Who::Other, &other);
         }
@@ -131,7 +129,6 @@ fn one_narrator_alone_keeps_to_its_places() {
         for sentence in &said[from..from + AFTER] {
             home.hear(Who::Honest, sentence);
             with.push(home.rooms());
-            // It has said six more, and they are all there.
             assert!(home.places() >= PLACES);
         }
         told(home);
@@ -146,7 +143,7 @@ fn one_narrator_alone_keeps_to_its_places() {
     }
     let measured = [one, flood, after[0], after[3], after[7], after[11]];
     for (moved, (row, worst, mean)) in measured.into_iter().zip(told()) {
-        // Of fewer seeds the worst is no worse.
+        // The worst case of fewer seeds is no worse.
         if seeds <= TOLD_SEEDS {
             assert!(moved.worst < worst + ROUNDED, "SECURITY.md: {row}: {}", moved.shown());
         }
@@ -157,7 +154,7 @@ fn one_narrator_alone_keeps_to_its_places() {
     }
 }
 
-/// The rows of SECURITY.md's table: what the other narrator does, what it moves at worst, and on average.
+/// SECURITY.md's table: the other narrator's behaviour, its worst effect, its mean effect.
 fn told() -> Vec<(String, f64, f64)> {
     let text = include_str!("../../SECURITY.md");
     let table = text.split_once("| the other narrator |").unwrap().1.lines().skip(2);

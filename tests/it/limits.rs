@@ -1,4 +1,4 @@
-//! `docs/limits.md` is written from the constants that enforce each limit, and compared with them here.
+//! `docs/limits.md` is generated from the constants that enforce each limit, and compared with them here.
 //! `ROOMCAST_WRITE_LIMITS=1 cargo test --release --locked --workspace --features full --test it limits` writes it.
 
 use std::fmt::Display;
@@ -30,7 +30,7 @@ What Roomcast accepts at most. `tests/it/limits.rs` writes the tables from the c
 configured values, and [fleet](fleet.md) those of `roomcast-zenoh`. A source is one start of a narrator.
 ";
 
-/// Limits with constants in the program, or private ones.
+/// Limits with constants in the program's crate, or with private ones.
 const FOOT: &str = "
 ## Others
 
@@ -46,7 +46,7 @@ No test compares these with the code.
 | connections at a time to the port of `metrics` or `view` | 16 | [Metrics](metrics.md#limits) |
 ";
 
-/// A number for people: bytes in KiB, MiB or GiB if they are whole, other numbers with a space after each three digits.
+/// Whole KiB, MiB or GiB for bytes; other numbers with a space after every three digits.
 fn readable(what: &str, value: &str) -> String {
     let Ok(number) = value.parse::<u64>() else { return value.to_owned() };
     if what.starts_with("bytes") {

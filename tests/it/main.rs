@@ -1,6 +1,6 @@
-//! The tests that need more than one crate, or real processes: one program, so that what they test is linked once.
+//! Tests of several crates or of real processes, in one program: its dependencies are linked once.
 //!
-//! A test that takes long, or needs a program from elsewhere, is marked `#[ignore = "full"]`: `make test` leaves it to `make test-full`.
+//! `#[ignore = "full"]` marks long tests and tests of foreign programs: `make test-full` runs them, `make test` does not.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a panic in a test is the report")]
 

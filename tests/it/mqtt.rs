@@ -1,5 +1,5 @@
-//! Real processes and a real broker. The bridge: what stands at the broker over restarts of each, and what goes when rooms go. The robot:
-//! a fake one over the broker is driven by the real planner, also over a day with a person.
+//! Real processes and a real broker. The bridge: its topics over restarts of daemon, broker and bridge, and after map changes. The robot: the real
+//! planner drives a simulated Valetudo, also over a day with a person.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -24,15 +24,15 @@ use crate::robot_map::robot_map;
 use crate::skipped::skipped;
 use crate::world::{Process, World};
 
-/// Somebody else's entity that has taken our node's name.
+/// Another program's entity with our node's name.
 const FOREIGN: &str = "homeassistant/sensor/roomcast/foreign/config";
-/// Somebody else's message below our topics.
+/// Another program's message below our topics.
 const NEIGHBOUR: &str = "roomcast/persons/of_my_neighbour";
-/// Where a bridge lists what it has told.
+/// The bridge's list of its topics.
 const LIST: &str = "roomcast/bridge/topics";
 const STUDIO_ROOM: &str = "roomcast/rooms/main-room";
 
-/// A private domain whose bridge tells at once.
+/// A private domain with a short publishing interval.
 fn world(name: &str) -> World {
     let world = World::new(name);
     std::fs::write(world.path("roomcast.toml"), "[bridge]\ninterval_s = 0.1\n").unwrap();
@@ -54,7 +54,7 @@ fn narrate(world: &World, lines: &str) {
     assert_eq!(world.narrate("person", lines).0, 0);
 }
 
-/// What the broker keeps: a marker comes behind all of it.
+/// The broker's retained messages, by topic. A marker message ends the list.
 fn kept(port: u16) -> BTreeMap<String, String> {
     static NUMBER: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
     let name = format!("looker-{}", NUMBER.fetch_add(1, std::sync::atomic::Ordering::Relaxed));
@@ -77,7 +77,6 @@ fn kept(port: u16) -> BTreeMap<String, String> {
     }
 }
 
-/// What the broker keeps, once it is so.
 fn kept_with(port: u16, what: &str, holds: impl Fn(&BTreeMap<String, String>) -> bool) -> BTreeMap<String, String> {
     eventually(what, || Some(kept(port)).filter(&holds))
 }
@@ -109,7 +108,7 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     let port = broker.port;
     broker.publish(&[
         (FOREIGN, r#"{"name": "somebody else's", "state_topic": "x"}"#.into(), true),
-        // Left by an earlier run, of a room that no map has any more.
+        // An earlier run left this room, which is in no map now.
         ("roomcast/rooms/attic", "{}".into(), true),
         (LIST, r#"{"origin": {"name": "roomcast"}, "node": "roomcast", "topics": ["rooms/attic"]}"#.into(), true),
         (NEIGHBOUR, "keep me".into(), true),
@@ -144,18 +143,18 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     let now = kept_with(port, "what an earlier run left goes", |kept| !kept.contains_key("roomcast/rooms/attic"));
     assert!(now.contains_key(FOREIGN) && is(&now, NEIGHBOUR, "keep me"));
 
-    // Somebody overwrites what the bridge has said, or takes it away: it is said again.
+    // The bridge restores its messages when another program changes or deletes them.
     let lost = config_of("sensor.person_ada");
     broker.publish(&[("roomcast/status", "offline".into(), true), (&lost, String::new(), true)]);
     kept_with(port, "it is gone", |kept| is(kept, "roomcast/status", "offline") && !kept.contains_key(&lost));
     kept_with(port, "it is there again", |kept| is(kept, "roomcast/status", "online") && kept.contains_key(&lost));
 
-    // The daemon goes: the bridge says so, and keeps what was known.
+    // Without the daemon, the bridge keeps its topics and reports the daemon as offline.
     world.end(daemon, Signal::KILL);
     let now = kept_with(port, "the daemon is gone", |kept| is(kept, "roomcast/daemon", "offline"));
     assert!(is(&now, "roomcast/status", "online") && now.contains_key(STUDIO_ROOM));
 
-    // The broker forgets everything.
+    // The new broker has no retained messages.
     broker.stop();
     broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
     kept_with(port, "all of it is said again", |kept| {
@@ -167,7 +166,7 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     ]);
     let broker = broker.restart();
 
-    // The bridge is killed, and the home's map is another one when the next bridge comes.
+    // The bridge is killed, and the next bridge finds another map.
     kept_with(port, "it is back", |kept| is(kept, "roomcast/status", "online"));
     world.end(bridge, Signal::KILL);
     let now = kept_with(port, "its will", |kept| is(kept, "roomcast/status", "offline"));
@@ -187,12 +186,12 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     };
     assert!(now.contains_key(&config_of("sensor.living-room_now")) && now.contains_key(FOREIGN));
 
-    // The daemon comes back with the former map while the bridge runs.
+    // The daemon restarts with the former map while the bridge runs.
     world.end(daemon, Signal::KILL);
     start_daemon(&mut world, "third", &[]);
     kept_with(port, "the room is gone", |kept| !kept.keys().any(|topic| topic.contains("living-room")));
 
-    // Asked to stop, it says that it is gone; what it has told stays until it is taken away.
+    // On SIGTERM the bridge reports itself as offline. Its topics stay until `--remove`.
     assert_eq!(world.end(bridge, Signal::TERM), Some(0));
     let log = world.log(bridge);
     assert!(!log.contains("trying again"), "a farewell is no lost connection: {log}");
@@ -205,10 +204,10 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
     drop(broker);
 }
 
-/// When topics were told something.
+/// Times of the messages on each topic.
 type Told = BTreeMap<String, Vec<Instant>>;
 
-/// Writes down when topics are told something, as long as somebody else owns the table, too.
+/// Notes the time of each message until the caller drops the table.
 fn watch(port: u16, told: Arc<Mutex<Told>>) {
     std::thread::spawn(move || {
         let mut options = MqttOptions::new("watcher", "127.0.0.1", port);
@@ -229,7 +228,7 @@ fn watch(port: u16, told: Arc<Mutex<Told>>) {
 #[test]
 fn nothing_is_told_faster_than_the_interval_however_much_happens() {
     const INTERVAL_S: f64 = 3.0;
-    /// By so much a message may come later than the one after it, on a loaded machine.
+    /// The greatest delay of one message relative to the next, on a loaded machine.
     const LATE_S: f64 = 2.4;
     let Some(broker) = broker() else { return };
     let mut world = world("rate");
@@ -247,7 +246,7 @@ fn nothing_is_told_faster_than_the_interval_however_much_happens() {
     }
     let twice = |told: &Told| told.get("roomcast/rooms/kitchen").is_some_and(|times| times.len() >= 2);
     let told = eventually("the kitchen is told of again", || Some(told.lock().unwrap().clone()).filter(twice));
-    // A burst and a silence after it are too fast, however few they are together.
+    // The minimum gap holds for every two messages, not only on average: a burst before a silence is too fast.
     for (topic, told) in &told {
         for (first, times) in told.windows(2).enumerate() {
             let gap_s = (times[1] - times[0]).as_secs_f64();
@@ -303,7 +302,7 @@ fn a_wrong_set_up_is_one_clear_error() {
     assert!(run(&["--mqtt", "mqtt://127.0.0.1:9", "--remove"]).1.contains("has not taken everything away"));
 }
 
-/// The fake robot at the broker, in a thread of its own: so many times faster than a real one.
+/// The simulated robot at the broker, in its own thread, with a faster clock.
 struct Fake {
     robot: Arc<Mutex<FakeValetudo>>,
     worked: Arc<Mutex<Vec<Worked>>>,
@@ -311,7 +310,7 @@ struct Fake {
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
-/// That it was at work in a segment: since when, and for how long, by this machine's clock.
+/// Work in a segment: start and duration by this machine's clock.
 #[derive(Debug, Clone)]
 struct Worked {
     segment: String,
@@ -405,7 +404,7 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
     let config = home_with_a_robot(&world);
     let mut robot = FakeValetudo::new(FAKE, &SEGMENTS);
     robot.orders_ignored = 1;
-    // It is stuck until after the test.
+    // The robot stays stuck until the test frees it.
     robot.sticks = Some(("2".to_owned(), 1e9));
     let fake = Fake::start(port, robot);
     start_daemon(&mut world, "state", &[]);
@@ -420,14 +419,14 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
             told.push(decision);
         }
     };
-    // In the middle of its first room the broker goes and has forgotten everything when it is back.
+    // The broker stops during the first room and returns without retained messages.
     eventually("it is at work", || {
         listen(&mut told);
         fake.look(|robot| robot.job.is_some()).then_some(())
     });
     broker.stop();
     broker = Mosquitto::start(port, tempfile::tempdir().unwrap(), ANYBODY).unwrap();
-    // Whichever order the rooms come in, the one that it is stuck in ends in a decision that says why.
+    // The order of the rooms is open; the decision after the stuck room gives the reason.
     let why = eventually("a decision says that it is stuck", || {
         listen(&mut told);
         told.iter().find(|decision| decision.reason().contains("Wheel lost floor contact")).copied()
@@ -436,7 +435,6 @@ fn a_robot_over_a_real_broker_obeys_and_its_word_counts_over_lost_orders_an_erro
     assert!(why.has(decision_flags::REPORTED));
     let cleaned = fake.look(|robot| robot.cleaned.len());
     assert_eq!(why.covered.count_ones() as usize, cleaned, "a room is done when the robot says so, and only then");
-    // Somebody frees it.
     fake.robot.lock().unwrap().free();
     let all = eventually("every other room is done", || {
         listen(&mut told);
@@ -472,7 +470,7 @@ fn without_obey_a_robot_is_told_nothing() {
     assert!(fake.look(|robot| robot.orders.is_empty()));
 }
 
-/// Before the robot has spoken, what it lacks is its word, and no segments.
+/// Before the robot's first message, the driver reports the missing message, not missing segments.
 #[test]
 fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to_do() {
     let Some(broker) = broker() else { return };
@@ -493,32 +491,30 @@ fn of_a_robot_that_has_not_spoken_it_is_said_where_it_is_listened_to_and_what_to
     assert!(!silent.contains("segment"), "{silent}");
     let _fake = Fake::start(broker.port, FakeValetudo::new(FAKE, &SEGMENTS));
     said("the robot speaks");
-    // "Küche" and "Bad" are rooms of the shipped studio, and it has no living room.
+    // The segments "Küche" and "Bad" match rooms of the included studio; it has no living room.
     let all = said("a room that the robot cannot do");
     assert!(all.contains("a room that the robot can do") && all.contains("no segment of the robot's map"), "{all}");
 }
 
-/// So many times faster the day is played.
+/// Speed of the day.
 const DAY_SPEED: f64 = 450.0;
-/// How long the driver waits until a robot that has left its work is done with it.
+/// After an interrupted room, the driver waits this long for the robot.
 const SETTLING_S: f64 = 3.0;
-/// How often the person's sensor says where they are, how long the broker is away, and how long the robot is stuck: in seconds of the day.
+/// In seconds of the day: the period of the person's sensor, the broker's absence, the time that the robot is stuck.
 const SENSED_S: f64 = 600.0;
 const AWAY_S: f64 = 600.0;
 const STUCK_S: f64 = 900.0;
-/// The rooms of the day, in its order, as the import names them.
+/// The rooms of the day in order, with the ids of the import.
 const FLAT: [&str; 4] = ["bedroom-1", "hallway-2", "kitchen-3", "home-office-4"];
 const WHERE: &str = "home/ada/room";
 const FRIDGE: &str = "home/fridge/state";
-/// The light of each room of the day.
 const LIGHTS: [&str; 4] = ["home/light/bedroom", "home/light/hallway", "home/light/kitchen", "home/light/home_office"];
 const LIT: &str = "They turn on the light in the";
 
-/// What a sensor says: topic, payload, and whether the broker is to keep it.
+/// Topic, payload, retain.
 type SensorMessage = (&'static str, String, bool);
 
-/// A home whose map comes from the robot, with a sensor that says where Ada is, one at the fridge, and lights. Every time is so much shorter as the
-/// day.
+/// A home with the robot's map, a sensor for Ada's room, a sensor at the fridge, and lights. All durations are shortened as much as the day.
 fn lived_home(world: &World, port: u16) -> String {
     let folder = world.directory.path();
     let (map, scene, rules, config) =
@@ -562,32 +558,30 @@ fn lived_home(world: &World, port: u16) -> String {
     config.to_str().unwrap().to_owned()
 }
 
-/// What a day came to.
 #[derive(Debug, Default)]
 struct Lived {
     shared_min: f64,
     worked_min: f64,
-    /// Segments that were cleaned to the end, and what was ordered; how many of each until the broker was back.
+    /// Completely cleaned segments, the orders, and the number of each until the broker returned.
     cleaned: Vec<String>,
     orders: Vec<String>,
     before_restart: (usize, usize),
     orders_lost: bool,
-    /// What was decided, by the hour.
+    /// Decisions with their hour.
     decided: Vec<String>,
-    /// Why the stuck robot's room was given up, by the hour.
+    /// Hour and reason of the decision that gave up the stuck robot's room.
     stuck: Option<(f64, String)>,
     most_covered: u32,
-    /// Messages of the sensors that fell into the broker's absence, and narrations of the light that was turned on meanwhile.
+    /// Sensor messages from the broker's absence, and narrations of the light turned on during it.
     held: usize,
     lit: BTreeSet<u64>,
-    /// Of the times after the restart at which the person was at home, the part at which the forecast had them in their room.
+    /// The share of checks after the restart, with the person at home, in which the forecast had them in their room.
     known: f64,
 }
 
-/// A day of the whole chain, in processes of their own: the person's sensors, broker, narrator, daemon, planner, driver, fake robot. The robot does
-/// not hear its first two orders. The broker goes while the robot ends its first room, and has forgotten everything when it is back. Meanwhile the
-/// sensors go on: where the person is, and that they turn on the light; what no broker takes they hold, and tell it in its order when one is there
-/// again. In a room that is still to come the robot gets stuck, until somebody carries it home.
+/// A day with the whole chain in processes: sensors, broker, narrator, daemon, planner, driver, simulated robot. The robot ignores its first two
+/// orders. While it ends its first room, the broker stops; it returns without retained messages. In between the sensors queue their messages, and
+/// send them in order when the broker is back. In a later room the robot gets stuck, until a person carries it home.
 fn live() -> Lived {
     let mut broker = broker().unwrap();
     let port = broker.port;
@@ -610,7 +604,7 @@ fn live() -> Lived {
         said
     };
     let mut newest = ForecastV1::default();
-    // Now is the first horizon.
+    // The first horizon is now.
     let mut likely = |place: usize| {
         newest = forecasts.newest().unwrap().unwrap_or(newest);
         (0..).map_while(|room| newest.room(room)).any(|(room, chances)| room == FLAT[place] && chances[0] > 0.5)
@@ -621,7 +615,7 @@ fn live() -> Lived {
         std::thread::sleep(Duration::from_millis(300));
         likely(place.unwrap()).then_some(())
     });
-    // A light that is first heard of when it is on may have been on before.
+    // If a light is on at its first report, it may have been on before, so no event is narrated.
     broker.publish(&LIGHTS.map(|light| (light, "off".to_owned(), true)));
     world.start(&["planner", "--config", &config]);
     let begin = Instant::now();
@@ -629,7 +623,7 @@ fn live() -> Lived {
     let (mut lived, mut sensed_at, mut home, mut known) = (Lived::default(), HOURS.0 as f64, 0, 0);
     let (mut gone_at, mut is_back, mut stuck_at) = (None, false, None);
     let mut is_carried = false;
-    // What sensors have to say and no broker has taken yet.
+    // Sensor messages that wait for a broker.
     let (mut unsaid, mut is_lit) = (Vec::<SensorMessage>::new(), false);
     loop {
         let hour = hour_of(Instant::now());
@@ -651,7 +645,7 @@ fn live() -> Lived {
             }
         }
         while let Some(narration) = narrations.receive().unwrap() {
-            // The narrator sends again what is not confirmed at once.
+            // The narrator resends unconfirmed events, so they are counted by sequence number.
             lived.lit.extend(narration.text().starts_with(LIT).then_some(narration.sequence));
         }
         let is_away = gone_at.is_some() && !is_back;

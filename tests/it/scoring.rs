@@ -1,7 +1,5 @@
-//! The shipped model through the real scorer: all methods give the same scores on every scene, whether they keep the last prompt or start from nothing.
-//!
-//! Twice: with the very weights that ship, whose quantised kernels round, and with the same weights in single precision, where
-//! nothing but the order of sums may differ.
+//! The included model through the real scorer: all methods agree on every scene, with or without a kept prompt. Once with the included weights, with
+//! kernels that round, and once in single precision, where only the order of sums differs.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -28,20 +26,20 @@ use roomcast_services::setup::load_model;
 
 use crate::skipped::skipped;
 
-/// The model that ships, or the same weights in single precision.
+/// The included weights, or the same in single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Weights {
-    /// Quantised kernels round activations, and the cache keys and values, to 127 steps. Sums in another order differ in their last bits, and
-    /// once in some hundred prompts that is enough for another step: then scores are hundredths of a nat apart.
+    /// Quantised kernels round activations, cache keys and cache values to 127 steps. Another order of sums changes the last bits, and in about one
+    /// of a hundred prompts that selects another step: scores then differ by hundredths of a nat.
     Shipped,
-    /// The same, with keys and values that are not rounded to steps.
+    /// The same, with unrounded keys and values in the cache.
     ShippedWithMixedCache,
-    /// In f32, keys and values too: only the order of sums is left.
+    /// All in f32: only the order of sums differs.
     SinglePrecision,
 }
 
 impl Weights {
-    /// How far scores may be apart, in nats per token of a label: in any prompt, and in all but one of fifty.
+    /// Tolerances in nats per token of a label: in any prompt, and in 49 of 50 prompts.
     fn tolerances(self) -> (f64, f64) {
         match self {
             Self::Shipped | Self::ShippedWithMixedCache => (0.05, 2e-3),
@@ -68,14 +66,13 @@ fn single_precision_model(options: &LlamaOptions) -> LlamaModel {
 
 const SINGLE_PRECISION_NATS_PER_TOKEN: f64 = 1e-5;
 
-/// A GGUF file whose IQ4_NL tensors are written out as F32: blocks of 32 elements, a half-precision scale and 32 numbers of steps, the first
-/// half of them in the lower bits of the bytes.
+/// Converts IQ4_NL tensors of a GGUF file to F32. A block has a half-precision scale and 32 step numbers, the first half in the bytes' lower bits.
 fn single_precision(model: &[u8]) -> Vec<u8> {
     const IQ4_NL_BLOCK_BYTES: usize = 18;
     const STEPS: [i8; 16] = [-127, -104, -83, -65, -49, -35, -22, -10, 1, 13, 25, 38, 53, 69, 89, 113];
     const ALIGNMENT_BYTES: usize = 32;
     let header = Header::read(&embedded::ModelFile::create().unwrap().path()).unwrap();
-    // Tensor descriptions begin with the first one's name, and that with its length.
+    // Tensor descriptions start with the first tensor's name, and a name starts with its length.
     let first = &header.tensors.iter().min_by_key(|t| t.start).unwrap().name;
     let name = |name: &str| [&(name.len() as u64).to_le_bytes(), name.as_bytes()].concat();
     let wanted = name(first);
@@ -107,7 +104,7 @@ fn single_precision(model: &[u8]) -> Vec<u8> {
     out
 }
 
-/// How many comparisons there were, and how many of them were rounded to another step.
+/// Comparisons, and those rounded to another step.
 #[derive(Debug)]
 struct Compared {
     weights: Weights,
@@ -143,15 +140,15 @@ fn model(sequences: u32) -> LlamaModel {
     load_model(None, &options(sequences)).unwrap()
 }
 
-/// VirtualHome's own scenes, which are not part of the repository.
+/// VirtualHome's scenes; they are not part of the repository.
 const VIRTUALHOME: &str = "../shared/virtualhome/scenes";
 
-/// Every shipped scene, an office, and those of `../shared` where it exists.
+/// The included scenes, an office, and VirtualHome's scenes if present.
 fn maps() -> Vec<SemanticMap> {
     let mut maps: Vec<_> = embedded::SCENES.iter().map(|s| SemanticMap::from_json(s.text).unwrap()).collect();
     maps.push(office());
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join(VIRTUALHOME);
-    // Where they are missing, `virtualhomes_own_scenes_are_among_them` says so.
+    // If they are missing, `virtualhomes_own_scenes_are_among_them` reports it.
     for file in std::fs::read_dir(shared).into_iter().flatten() {
         let text = std::fs::read_to_string(file.unwrap().path()).unwrap();
         maps.push(import::virtualhome(&text, "virtualhome", None).unwrap().map);
@@ -172,8 +169,8 @@ fn virtualhomes_own_scenes_are_among_them() {
     assert!(maps().len() > embedded::SCENES.len() + 1);
 }
 
-/// A robot's map of bare rooms with German names, furnished as most homes are: the kitchen follows from the fridge, the living room from the
-/// sofa, on our own small map and on the real ones where they are at hand.
+/// A robot's map of rooms with German names, furnished as usual: the fridge implies the kitchen, the sofa the living room. Also with real maps if
+/// present.
 #[test]
 fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
     let own = include_str!("../data/valetudo.json")
@@ -195,7 +192,6 @@ fn a_robots_map_with_usual_furniture_forecasts_sensibly() {
     }
 }
 
-/// Gives the room that is the likeliest after one sentence.
 fn likeliest_rooms(map: &SemanticMap, correction: Correction) -> impl FnMut(&str) -> String {
     let grounding = Grounding::new(map, &GroundingOptions::default()).unwrap();
     let (mut scorer, binding) = (Scorer::new(model(24)), BindingSequence::default());
@@ -212,7 +208,7 @@ fn likeliest_rooms(map: &SemanticMap, correction: Correction) -> impl FnMut(&str
     }
 }
 
-/// Sentences as other people and captioning models say them, each in a flat whose room follows from it: all but two have that room first.
+/// Sentences in other people's words and from captioning models. In the flat, all but two put the expected room first.
 #[test]
 fn sentences_of_others_are_understood() {
     use roomcast_core::scorer::LanguageModel;
@@ -244,12 +240,12 @@ fn sentences_of_others_are_understood() {
     assert!(missed.len() <= 2, "{missed:?}");
 }
 
-/// A map of a place that the embedded model was not made for, many of whose labels are several of its tokens.
+/// A map from outside the model's training; many of its labels have several tokens.
 fn office() -> SemanticMap {
     SemanticMap::from_json(include_str!("../../training/unseen/office/map.json")).unwrap()
 }
 
-/// A kitchen, and a room of things whose names begin alike and which nobody turns to: their first token bounds the room.
+/// A kitchen, and a gallery with names that share their first token: this token bounds the gallery's score.
 fn museum() -> SemanticMap {
     let kitchen = ["fridge", "sink", "stove", "kitchen counter", "cup", "table"];
     let gallery =
@@ -279,7 +275,7 @@ fn bindings() -> Vec<BindingSequence> {
     BindingSequence::all_built_in().chain(["Then they reach for the ".parse().unwrap()]).collect()
 }
 
-/// The largest difference, in nats per token of a label.
+/// The greatest difference in nats per token of a label.
 fn apart(prepared_tokens: &[Vec<roomcast_core::scorer::Token>], a: &[f64], b: &[f64]) -> f64 {
     let labels = prepared_tokens.iter().zip(a).zip(b);
     labels.map(|((tokens, a), b)| (a - b).abs() / tokens.len() as f64).fold(0.0, f64::max)
@@ -319,7 +315,7 @@ fn methods_agree_in_single_precision_to_the_last_digits() {
     methods_agree(Weights::SinglePrecision);
 }
 
-/// What smaller caches cost, with weights that add no rounding of their own.
+/// Single-precision weights add no rounding, so the differences are the caches'.
 #[test]
 #[ignore = "full"]
 fn smaller_caches_move_scores_by_no_more_than_they_say() {
@@ -350,7 +346,7 @@ fn smaller_caches_move_scores_by_no_more_than_they_say() {
 fn methods_agree(weights: Weights) {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
     let (sentences, bindings) = (sentences(), bindings());
-    // Few sequences, so that the trie and above all the chains need several waves.
+    // With few sequences the trie, and more so the chains, need several waves.
     let mut scorer = Scorer::new(weights.load(&options(24)));
     let mut fresh = Scorer::new(weights.load(&options(64)));
     let (mut scores, mut other) = (LabelScores::default(), LabelScores::default());
@@ -365,7 +361,7 @@ fn methods_agree(weights: Weights) {
             let prepared = scorer.prepare(&grounding.label_texts(), binding, tokenisation, correction).unwrap();
             let mut prompt = String::new();
             let mut window: Vec<&str> = Vec::new();
-            // The same scorer follows a sliding window; a fresh one starts over each time.
+            // One scorer follows a sliding window, the other starts fresh for each event.
             for event in 0..5 {
                 window.push(sentences.choose(&mut rng).unwrap());
                 let keep = rng.random_range(1..=16);
@@ -388,7 +384,7 @@ fn methods_agree(weights: Weights) {
     compared.finish();
 }
 
-/// Every joint cut of prompt and label is the prompt's cut followed by the label's: the trie scores what the text says.
+/// The tokens of prompt and label together are the prompt's followed by the label's, so the trie scores the written text.
 #[test]
 fn labels_are_cut_as_the_joint_text_is() {
     use roomcast_core::scorer::{LanguageModel, TextStart};
@@ -412,7 +408,7 @@ fn labels_are_cut_as_the_joint_text_is() {
     }
 }
 
-/// Control tokens that a narrator writes are text: they cost many tokens and end nothing.
+/// A narrator's control tokens are text: each becomes several tokens.
 #[test]
 fn control_tokens_in_text_are_inert() {
     use roomcast_core::scorer::{LanguageModel, TextStart};
@@ -424,7 +420,7 @@ fn control_tokens_in_text_are_inert() {
     }
 }
 
-/// llama.cpp cuts text, hostile text too, exactly as the tokenizer that the model was trained with.
+/// The expected tokens come from the tokenizer of the training.
 #[test]
 fn the_tokenizer_is_the_one_of_the_training() {
     use roomcast_core::scorer::{LanguageModel, TextStart};
@@ -443,8 +439,7 @@ fn observation(sequence: u64, sentence: &str) -> Observation {
     Observation { observed_ns: BootNs(sequence), ..Observation::of(sequence, Sentence::new(sentence).unwrap()) }
 }
 
-/// A long running pipeline with partial answers and idle compaction against an exact one: the bounds hold, the certified
-/// order is the true one, and the histories are the same.
+/// A pipeline with partial answers and idle compaction against an exact one: the bounds hold, and the certified order is the exact order.
 #[test]
 #[ignore = "full"]
 fn partial_answers_are_true_over_whole_programs() {
@@ -463,11 +458,11 @@ fn partial_answers_are_true(weights: Weights) {
         weights,
     );
     partial_answers_are_true_in(&office(), weights);
-    // In the apartment every label is one token, and all answers are exact. Whether some end early in the office depends on the model.
+    // In the apartment every label is one token, so all answers are exact. In the office, early ends depend on the model.
     assert!(partial_answers_are_true_in(&museum(), weights) > 0, "answers end early in the museum");
 }
 
-/// Gives how many answers ended before all labels were scored.
+/// The number of answers that ended before all labels were scored.
 fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
     let mut early = 0;
     let pipeline = |effort| {
@@ -508,8 +503,7 @@ fn partial_answers_are_true_in(map: &SemanticMap, weights: Weights) -> usize {
     early
 }
 
-/// "Open fridge, grab milk, lie down, fall asleep", and then hours: the kitchen of the evening does not say what comes in the morning. The
-/// sleeper is believed to be where they lay down.
+/// After eight hours of sleep, the evening's sentences no longer affect the scores, and the forecast still has the sleeper in the bedroom.
 #[test]
 fn what_lies_hours_back_does_not_say_what_comes_next() {
     const S: u64 = 1_000_000_000;
@@ -546,7 +540,6 @@ fn what_lies_hours_back_does_not_say_what_comes_next() {
     assert!(forecast.probability[bedroom][0] > 0.8, "{:?}", forecast.probability[bedroom]);
 }
 
-/// A context starts small and grows for a longer prompt. All scores stay the same.
 #[test]
 fn contexts_grow_for_longer_prompts_and_score_them_alike() {
     use roomcast_core::scorer::LanguageModel;
@@ -587,8 +580,7 @@ fn a_prompt_that_does_not_fit_is_refused_and_the_next_one_works() {
     assert!(scores.log_prob_nats.iter().all(|p| p.is_finite() && *p < 0.0));
 }
 
-/// What was scored ahead of the event is what the event would have been given, on the real model, within what the cache's arithmetic
-/// allows: hits, misses and cut windows mixed.
+/// A prefetched answer equals the later one within the cache's rounding, over hits, misses and cut windows.
 fn prepared_answers_are_those_computed_afterwards(weights: Weights) {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(26);
     let map = &maps()[0];

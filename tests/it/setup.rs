@@ -1,5 +1,5 @@
-//! `roomcast init` and `roomcast doctor` over a home that is set up well, and with one mistake at a time: each is found, with what it is,
-//! where, and what to do. Real brokers, real processes.
+//! `roomcast init` and `roomcast doctor` on a good home and on homes with one mistake each. Real brokers, real processes. Each finding has a cause, a
+//! place and a remedy.
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -32,7 +32,7 @@ const ENTITIES: &str = r#"{"data": {"entities": [
     {"entity_id": "person.ada", "unique_id": "p-1"}]}}"#;
 const PERSONS: &str = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}]}}"#;
 
-/// What Home Assistant and the robot keep at the broker.
+/// The retained messages of Home Assistant and the robot.
 fn kept() -> Vec<(String, String, bool)> {
     let states = [
         ("binary_sensor/fridge_door", "off"),
@@ -53,7 +53,7 @@ fn kept() -> Vec<(String, String, bool)> {
     states.into_iter().chain(robot).collect()
 }
 
-/// A robot's map: kitchen, living room and hall, side by side along a corridor.
+/// A robot's map: kitchen, living room and hall.
 fn flat() -> String {
     robot_map(&[
         ("16", "Küche", [100, 100, 80, 80]),
@@ -62,7 +62,7 @@ fn flat() -> String {
     ])
 }
 
-/// A home: a folder, a broker, and a domain of its own.
+/// A home with its folder, broker and domain.
 struct Home {
     directory: tempfile::TempDir,
     domain: Domain,
@@ -72,7 +72,7 @@ struct Home {
 }
 
 impl Home {
-    /// Home Assistant's folder, the robot's map, and a broker with what both keep there.
+    /// Home Assistant's folder, the robot's map, and a broker with the retained messages of both.
     fn new(name: &str) -> Option<Self> {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
         let storage = directory.path().join("config/.storage");
@@ -118,7 +118,7 @@ impl Home {
         command
     }
 
-    /// Sets the home up as a good one, with these options in place of its own.
+    /// Runs `init`; options in `more` replace those of a good home.
     fn init(&self, more: &[&str]) -> Output {
         let has = |option: &str| more.contains(&option);
         let (config, url, map) = (self.at("config"), self.url(), self.at("map.json"));
@@ -148,7 +148,7 @@ impl Home {
         std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
     }
 
-    /// What the doctor says: its exit code and its findings.
+    /// The exit code and the findings.
     fn doctor(&self) -> (i32, Vec<Value>) {
         let config = self.at("home/roomcast.toml");
         let output = self.command(&["doctor", "--json", "--wait", "1", "--config", &config]).output().unwrap();
@@ -197,7 +197,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     ] {
         assert!(said.contains(part), "{part} in {said}");
     }
-    // The robot's rooms, with what Home Assistant knows of them, and rules that name them.
+    // The map has the robot's rooms and Home Assistant's devices, and the rules name those rooms.
     let map: Value = serde_json::from_str(&std::fs::read_to_string(home.path("home/home.json")).unwrap()).unwrap();
     let rooms: Vec<_> = map["rooms"].as_array().unwrap().iter().map(|room| text(room, "id")).collect();
     assert_eq!(rooms, ["kitchen-16", "living-room-17", "hallway-18"], "{map:#}");
@@ -212,7 +212,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     }
     assert!(findings.iter().all(|finding| finding["check"] != "things of rules"), "{findings:#?}");
     assert!(text(finding(&findings, "services"), "found").contains("nothing runs yet"));
-    // It runs as it was set up: the narrator says what a sensor does, and counts which rules fit.
+    // The home runs as it was set up: the narrator narrates a sensor and counts the rules that match.
     let config = home.at("home/roomcast.toml");
     home.start(&["daemon", "--config", &config]);
     home.start(&["narrate", "--mqtt", "--config", &config]);
@@ -224,7 +224,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
         let state = if open { "on" } else { "off" };
         home.say(&[("homeassistant/binary_sensor/fridge_door/state".to_owned(), state.to_owned(), true)]);
         (_, findings) = home.doctor();
-        // The narrator writes its counts now and then, and a few minutes accuse no rule.
+        // The narrator writes its counts periodically, and after a few minutes no rule counts as unused.
         let is_counted = |finding: &Value| {
             let found = text(finding, "found");
             let fitted =
@@ -239,7 +239,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     let services = text(finding(&findings, "services"), "found");
     assert!(["daemon", "narrator", "planner"].iter().all(|name| services.contains(name)), "{services}");
     assert_eq!(finding(&findings, "bridge")["verdict"], "limited");
-    // Of a day it can be said which rules never fitted.
+    // After a day the doctor names the rules that never matched.
     let counts = std::fs::read_dir(home.path("home/state")).unwrap().map(|entry| entry.unwrap().path());
     let counts = counts.into_iter().find(|path| path.to_string_lossy().contains("/rules-")).unwrap();
     let mut counted: Value = serde_json::from_str(&std::fs::read_to_string(&counts).unwrap()).unwrap();
@@ -252,7 +252,7 @@ fn a_home_that_is_set_up_well_has_no_fault() {
     assert!(!text(never, "found").contains("fridge_door/state is \"on\""), "{never}");
 }
 
-/// A home without a robot's map: what stands in its rooms are the devices that Home Assistant knows.
+/// Without a robot's map, the rooms contain only Home Assistant's devices.
 #[test]
 fn rooms_with_devices_alone_get_furniture_on_request() {
     let Some(home) = Home::new("furnish") else { return };
@@ -290,7 +290,7 @@ fn rooms_with_devices_alone_get_furniture_on_request() {
     assert_eq!(both.status.code(), Some(i32::from(exit_code::USAGE)), "{both:?}");
 }
 
-/// Rooms of one kind: each area is the room that bears its name, whatever is meant by the others is said.
+/// Three areas match rooms by name. For the fourth there are two candidates, and the output names them.
 #[test]
 fn areas_are_the_rooms_that_bear_their_names() {
     let Some(home) = Home::new("kinds") else { return };
@@ -330,7 +330,7 @@ fn areas_are_the_rooms_that_bear_their_names() {
     let rules = std::fs::read_to_string(&rules_file).unwrap();
     assert!(rules.contains("# room = \"gang\"\n"), "{rules}");
     assert_eq!(finding(&home.doctor().1, "rules")["verdict"], "good");
-    // Who writes the area's rule nevertheless is told.
+    // If a rule names the area nevertheless, the doctor reports it.
     let sensor = "homeassistant/binary_sensor/gang_motion/state";
     let rule = format!("[[rule]]\ntopic = {sensor:?}\nwhen = \"on\"\npresence = \"present\"\nroom = \"gang\"\n");
     std::fs::write(&rules_file, rule).unwrap();
@@ -338,7 +338,6 @@ fn areas_are_the_rooms_that_bear_their_names() {
     assert!(text(finding(&findings, "rules"), "found").contains("names the room \"gang\""), "{findings:#?}");
 }
 
-/// A mistake that the doctor is to find.
 struct Mistake {
     name: &'static str,
     make: fn(&mut Home),
@@ -349,7 +348,7 @@ struct Mistake {
     code: u8,
 }
 
-/// A server that is no broker.
+/// A server that speaks no MQTT.
 fn web_server() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -372,7 +371,7 @@ fn password(home: &mut Home, wrong: bool) -> bool {
         return false;
     }
     let access = format!("allow_anonymous false\npassword_file {}", passwords.display());
-    // It tells what is kept to nobody who has no password, so nothing is put there.
+    // Without a password this broker sends no retained messages, so the test publishes none.
     home.broker = Mosquitto::start(home.port, folder, &access);
     let file = home.path("credentials");
     std::fs::write(&file, if wrong { "home\nsecrets\n" } else { "home\nsecret\n" }).unwrap();
@@ -750,7 +749,7 @@ static MISTAKES: [Mistake; 35] = [
 #[test]
 #[ignore = "full"]
 fn the_doctor_finds_each_mistake() {
-    // Each mostly waits, so several homes at a time.
+    // A check mostly waits, so several homes are checked in parallel.
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = |worker: usize| {
         while let Some(Mistake { name, make, check, verdict, found, remedy, code }) =
@@ -764,7 +763,7 @@ fn the_doctor_finds_each_mistake() {
             let as_expected = finding["verdict"] == *verdict
                 && text(finding, "found").contains(found)
                 && text(finding, "remedy").contains(remedy)
-                // It would replace what was written by hand.
+                // `--replace` would overwrite files edited by hand.
                 && !text(finding, "remedy").contains("--replace")
                 && ended == i32::from(*code);
             if !as_expected {
@@ -782,7 +781,7 @@ fn the_doctor_finds_each_mistake() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Answers as Home Assistant does to a token that it does not know.
+/// Home Assistant's answer to an unknown token.
 fn refusing_home_assistant() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
@@ -1025,7 +1024,7 @@ fn init_says_what_is_wrong_and_writes_nothing() {
 #[test]
 fn init_finds_what_is_not_given() {
     let Some(home) = Home::new("found") else { return };
-    // Home Assistant in its user's folder, and the robot's map at the broker, packed as the robot packs it.
+    // Home Assistant is in the user's folder, and the robot's map at the broker, compressed as by the robot.
     std::fs::rename(home.path("config"), home.path(".homeassistant")).unwrap();
     let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());
     packed.write_all(flat().as_bytes()).unwrap();
@@ -1039,11 +1038,11 @@ fn init_finds_what_is_not_given() {
     }
     let config = std::fs::read_to_string(home.path("home/roomcast.toml")).unwrap();
     assert!(config.contains("topic = \"valetudo/rocky\"") && config.contains("obey = false"), "{config}");
-    // One that is given is taken, and where it is not heard of, others that are.
+    // `init` uses the given robot. If it is silent, the output lists the robots that were heard.
     let typed = ["init", "--replace", "--mqtt", &url, "--robot", "valetudo/roky", &folder];
     let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
     assert!(said.contains("nothing was heard of a robot under valetudo/roky; heard of: valetudo/rocky"), "{said}");
-    // A vacuum of Home Assistant's is driven in its way, also while no broker answers; that is said.
+    // A vacuum of Home Assistant is set up even if no broker answers; the output says so.
     let of_home_assistant = "homeassistant/vacuum/dusty";
     let (nowhere, vacuum) = (format!("mqtt://127.0.0.1:{}", free_port()), home.at("vacuum"));
     let typed = ["init", "--mqtt", &nowhere, "--robot", of_home_assistant, &vacuum];
@@ -1057,7 +1056,7 @@ fn init_finds_what_is_not_given() {
     let config: toml::Table = config.parse().unwrap();
     assert_eq!(config["robot"]["kind"].as_str(), Some("home-assistant"));
     assert_eq!(config["robot"]["topic"].as_str(), Some(of_home_assistant));
-    // Without Home Assistant there are no rules, and a line waits for those that are written by hand.
+    // Without Home Assistant the configuration has no rules, but a commented line for rules written by hand.
     let (map, by_hand) = (home.at("map.json"), home.at("by-hand"));
     let typed = ["init", "--home-assistant", "none", "--mqtt", &nowhere, "--valetudo", &map, &by_hand];
     assert!(home.command(&typed).output().unwrap().status.success());
@@ -1065,11 +1064,10 @@ fn init_finds_what_is_not_given() {
     let config: toml::Table = config.replace("\n# rules = ", "\nrules = ").parse().unwrap();
     let rules = config["mqtt"]["rules"].as_str().unwrap();
     assert_eq!(rules, "home.rules.toml");
-    // Without a robot's name none is set up, and that is said too.
     let typed = ["init", "--replace", "--mqtt", &nowhere, &vacuum];
     let said = String::from_utf8(home.command(&typed).output().unwrap().stdout).unwrap();
     assert!(said.contains("without it no robot is set up: give --robot PREFIX/IDENTIFIER"), "{said}");
-    // A second robot is a question, and a second time is an overwriting.
+    // `init` does not choose between two robots, and does not overwrite files without `--replace`.
     let again = home.command(&["init", "--mqtt", &url, &folder]).output().unwrap();
     assert_eq!(again.status.code(), Some(i32::from(exit_code::FAILURE)));
     home.say(&[("valetudo/other/StatusStateAttribute/status".to_owned(), "idle".to_owned(), true)]);
@@ -1084,14 +1082,14 @@ fn init_finds_what_is_not_given() {
     assert!(!Path::new(&home.at("empty")).exists());
 }
 
-/// `config --check` listens to nothing, and says all that is wrong at once: values, rooms, the broker; what is limited is a remark.
+/// `config --check` connects to nothing and prints all errors at once. Limited functions are remarks.
 #[test]
 fn a_check_of_the_configuration_names_what_the_map_does_not_have() {
     let Some(home) = Home::new("checks") else { return };
     home.good();
     let check = || {
         let mut command = home.command(&["config", "--check", &home.at("home/roomcast.toml")]);
-        // What the environment has in place of the file's would be remarked on.
+        // These variables override the file, and the check would remark on them.
         command.env_remove("ROOMCAST_ROOT").env_remove("ROOMCAST_DOMAIN");
         let output = command.output().unwrap();
         (
@@ -1105,7 +1103,7 @@ fn a_check_of_the_configuration_names_what_the_map_does_not_have() {
     assert!(printed.parse::<toml::Table>().is_ok(), "{printed}");
     home.edit("home.rules.toml", "They open the fridge.", "They open the mailbox.");
     home.edit("roomcast.toml", "residents = [\"Ada\"]", "residents = [\"Bea\"]");
-    // Any name of the map's.
+    // A segment may have any of the map's names for the room.
     home.edit("roomcast.toml", "[robot]\n", "[robot]\nsegments = { Wohnzimmer = \"17\" }\n");
     let (code, _, remarks) = check();
     assert_eq!(code, i32::from(exit_code::OK), "{remarks}");
@@ -1153,7 +1151,7 @@ fn a_dry_run_says_what_the_map_does_not_have() {
     });
 }
 
-/// Without questions those live here who would be offered at the question.
+/// Without questions, the residents are Home Assistant's persons.
 #[test]
 fn residents_are_those_of_home_assistant_unless_they_are_given() {
     let Some(home) = Home::new("persons") else { return };
@@ -1173,14 +1171,14 @@ fn residents_are_those_of_home_assistant_unless_they_are_given() {
     assert!(config.contains("\nresidents = [\"Ada\"]\n"), "no name is none that is given: {config}");
     let (config, _) = made(&["--resident", "none"]);
     assert!(!config.contains("\nresidents"), "{config}");
-    // Persons that cannot all be told apart keep nobody from setting up.
+    // Persons with equal names do not stop the set-up.
     let twice = r#"{"data": {"items": [{"id": "p-1", "name": "Ada"}, {"id": "p-2", "name": "ada"}]}}"#;
     std::fs::write(home.path("config/.storage/person"), twice).unwrap();
     let (config, said) = made(&[]);
     assert!(!config.contains("\nresidents") && said.contains("Home Assistant's persons are no residents"), "{said}");
 }
 
-/// Rules that were written by hand are never lost.
+/// Handwritten rules are never lost.
 #[test]
 fn a_home_that_is_set_up_again_keeps_the_old_files_beside_the_new() {
     let Some(home) = Home::new("again") else { return };
@@ -1226,7 +1224,7 @@ fn a_home_has_a_folder_by_default_and_leaves_areas_out() {
     assert!(said.contains("has no area \"Attic\" to leave out; its areas are Küche, Wohnzimmer"), "{said}");
 }
 
-/// On a terminal it asks, says at once what is wrong with an answer, and asks again.
+/// On a terminal, `init` asks again after a wrong answer and gives the error at once.
 #[test]
 fn init_asks_again_where_an_answer_leads_to_nothing() {
     if !Path::new("/usr/bin/script").exists() {
@@ -1245,7 +1243,7 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
         for answer in answers {
             writeln!(input, "{answer}").unwrap();
         }
-        // The end of the answers ends the terminal's input.
+        // Ctrl-D ends the terminal's input.
         input.write_all(b"\x04").unwrap();
         drop(input);
         let output = child.wait_with_output().unwrap();
@@ -1276,7 +1274,7 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     ];
     let (code, said) = on_terminal(&wrong);
     assert_eq!(code, 0, "{said}");
-    // In lines that fit, so that a text may be broken anywhere.
+    // Texts are wrapped to the terminal's width, so white space is normalised.
     let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
     for part in [
         "/nowhere is neither a folder that is there nor an address",
@@ -1298,7 +1296,7 @@ fn init_asks_again_where_an_answer_leads_to_nothing() {
     for part in [format!("broker = {url:?}"), format!("topic = {ROBOT:?}"), "residents = [\"Ada\"]".to_owned()] {
         assert!(config.contains(&part), "{part} in {config}");
     }
-    // What is no answer overwrites nothing, nor does the end of all answers.
+    // An invalid answer overwrites no file, and neither does the end of the input.
     let (code, said) = on_terminal(&["maybe"]);
     assert!(said.contains("answer yes or no") && said.contains("nothing was written"), "{said}");
     assert_eq!(code, i32::from(exit_code::INTERRUPTED), "{said}");

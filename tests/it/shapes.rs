@@ -1,5 +1,5 @@
-//! A flat as they are built: an L-shaped living room whose box covers half of the open kitchen. By outlines things land where they stand;
-//! by boxes, as in version 1, the kitchen's island is in the living room.
+//! A real flat: the bounding box of its L-shaped living room covers half of the open kitchen. With outlines, items are in their rooms; with boxes, as
+//! in version 1, the kitchen's island is in the living room.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,6 @@ fn scene() -> Value {
     serde_json::from_str(embedded::scene("flat").unwrap().text).unwrap()
 }
 
-/// The same flat with the boxes around its rooms.
 fn boxes() -> Value {
     let mut scene = scene();
     scene["version"] = 1.into();
@@ -22,7 +21,7 @@ fn boxes() -> Value {
     scene
 }
 
-/// Where each item lands, by its id.
+/// The room of each item, by the item's id.
 fn landed(scene: &Value) -> BTreeMap<String, String> {
     let map = SemanticMap::from_json(&scene.to_string()).unwrap();
     let grounding = Grounding::new(&map, &GroundingOptions::default()).unwrap();
@@ -30,7 +29,7 @@ fn landed(scene: &Value) -> BTreeMap<String, String> {
     map.items().iter().enumerate().map(|(place, item)| (item.id.clone(), room(place))).collect()
 }
 
-/// Whether a point lies within a ring: how often a ray to the east crosses it.
+/// Whether a point lies within a ring: a ray to the east crosses it an odd number of times.
 fn within(ring: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     let next = ring.iter().cycle().skip(1);
     let crossed = ring
@@ -40,7 +39,7 @@ fn within(ring: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
     crossed.count() % 2 == 1
 }
 
-/// The room whose floor is under an item's middle, computed from the file alone.
+/// The room with an item's centre above its floor, computed from the scene file alone.
 fn stands_in(scene: &Value, item: &Value) -> String {
     let number = |value: &Value| value.as_f64().unwrap();
     let at = [0, 1].map(|axis| number(&item["position_m"][axis]));

@@ -1,8 +1,8 @@
-//! Many events through the daemon's whole path, with real ports and a real database on disk, and no language model
-//! (every word as likely as every other): memory and file descriptors stay flat, nothing is lost.
+//! Many events through the daemon's whole path, with real ports and a real database, and a model with equal probabilities. Memory and file
+//! descriptors stay flat, and no event is lost.
 //!
-//! `ROOMCAST_SOAK_EVENTS=1000000 cargo test --release --test it soak -- --nocapture` runs a million and prints the percentiles of latency
-//! in the first and in the last tenth.
+//! `ROOMCAST_SOAK_EVENTS=1000000 cargo test --release --test it soak -- --nocapture` runs a million and prints the percentiles of latency in the
+//! first and in the last tenth.
 
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ use roomcast_services::setup;
 use crate::alone::is_alone;
 
 const EVENTS: u64 = 20_000;
-/// Memory may still grow by this after the first tenth: caches of the allocator, pages of shared memory touched for the first time.
+/// Memory may still grow after the first tenth: allocator caches, and pages of shared memory that are touched for the first time.
 const GROWTH_BYTES: u64 = 4 << 20;
 
 fn events() -> u64 {
@@ -32,7 +32,7 @@ fn events() -> u64 {
     events
 }
 
-/// Anonymous and file memory of this process, in bytes.
+/// Resident memory of this process: anonymous, file and shared.
 fn resident_bytes() -> u64 {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
     statm.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 4096
@@ -68,7 +68,7 @@ fn memory_and_descriptors_stay_flat() {
     let pipeline = Pipeline::new(NoModel::default(), grounding, PipelineOptions::default()).unwrap();
     let mut cycle = Cycle::new(Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap(), 250_000_000);
     let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
-    // So small that the oldest events go within the first tenth, too: what that takes once does not count as growth.
+    // So small that the oldest events are deleted within the first tenth: memory for the deletion does not count as growth.
     let options = JournalOptions { directory: directory.path().join("state"), bytes_max: 1 << 17, sync_ms: 1000 };
     let (mut journal, _) = Journal::open(&options).unwrap();
     let handle = journal.handle();

@@ -1,10 +1,8 @@
-//! The n-th call to the system fails, of every kind that the services make: files, memory maps, sockets, threads. strace lets it fail in
-//! the real process, for a number and a kind that a seed chooses. The process then goes on, or ends with an error that names the remedy
-//! and a documented exit code. It never stands still, panics or ends by a signal, and what was confirmed stays.
+//! strace makes the n-th system call of a kind fail in the real process: files, memory maps, sockets, threads. The process continues, or ends with an
+//! error message and a documented exit code. It never hangs, panics or ends by a signal, and confirmed events stay.
 //!
-//! By default so many faults as fit in some seconds. `ROOMCAST_SYSCALLS=300` tries as many of each service, `ROOMCAST_SYSCALLS_SEED` others:
-//!
-//!     ROOMCAST_SYSCALLS=300 cargo test --release --test it syscalls -- --include-ignored --nocapture
+//! By default the test runs a few faults of each service. `ROOMCAST_SYSCALLS` sets the number, `ROOMCAST_SYSCALLS_SEED` the seed.
+//! `ROOMCAST_SYSCALLS=300 cargo test --release --test it syscalls -- --include-ignored --nocapture` is the long run.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File};
@@ -27,12 +25,12 @@ use crate::mosquitto::{ANYBODY, Mosquitto, NO_BROKER, free_port};
 use crate::skipped::skipped;
 use roomcast_cli::exit_code;
 
-/// Far longer than anything here takes, a log's last second and an open that is tried again for 5 s included.
+/// Includes the log's last second, and an open that is retried for 5 s.
 const PATIENCE: Duration = Duration::from_secs(60);
 const DEFAULT_FAULTS: u64 = 12;
 const LINES: usize = 6;
 
-/// What fails, and how. Not `fcntl`, most of whose commands cannot fail on an open descriptor, and strace does not tell them apart.
+/// The calls and their errors. `fcntl` is missing: most of its commands cannot fail on an open descriptor, and strace cannot select the others.
 const CALLS: [(&str, &[&str]); 32] = [
     ("openat", &["EMFILE", "EACCES", "EIO", "ENOENT"]),
     ("read", &["EIO"]),
@@ -67,7 +65,7 @@ const CALLS: [(&str, &[&str]); 32] = [
     ("poll", &["EINTR"]),
     ("clone3", &["EAGAIN"]),
 ];
-/// Kinds that may fail from then on: nothing is left to give, until the process is asked to stop.
+/// Calls that may fail from then on until the process is asked to stop.
 const LASTING: [&str; 6] = ["openat", "write", "fdatasync", "ftruncate", "socket", "accept4"];
 
 #[derive(Debug, Clone, Copy)]
@@ -94,23 +92,21 @@ enum Role {
     Metrics,
 }
 
-/// What a trial came to.
 enum Ended {
     /// The process did its work, and ended when it was asked to.
     WentOn,
-    /// It ended by itself, with an error in words.
+    /// The process ended by itself with an error message.
     InWords,
-    /// Rust's runtime or its allocator had no memory for itself, and ended the process: nothing in a program can do better.
+    /// Rust's runtime or allocator had no memory and aborted the process; a program cannot avoid that.
     OutOfMemory,
 }
 
-/// What these say then.
+/// The messages of such an abort.
 const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of", "failed to allocate an alternative stack"];
-/// What tokio says when the counter by which it wakes itself cannot be written. The kernel never refuses that; strace does not tell such a
-/// counter from a file.
+/// tokio's panic when it cannot write its wake-up counter. The kernel never refuses that write, but strace cannot tell the counter from a file.
 const NO_FAULT_OF_A_KERNEL: &str = "failed to wake I/O driver";
 
-/// A private domain with what the process under test needs, over all its faults: so what one fault leaves is what the next one finds.
+/// A private domain for the process under test. It stays over all faults, so each fault meets the traces of the one before.
 struct World {
     role: Role,
     directory: tempfile::TempDir,
@@ -118,9 +114,8 @@ struct World {
     helpers: Vec<Child>,
     broker: Option<Mosquitto>,
     said: usize,
-    /// Runs in which the process ended by itself.
     ended: usize,
-    /// What was confirmed, or accepted by the broker.
+    /// Lines that were confirmed, or accepted by the broker.
     confirmed: Vec<String>,
 }
 
@@ -163,7 +158,7 @@ impl World {
         String::from_utf8_lossy(&fs::read(self.path(&format!("{name}.log"))).unwrap_or_default()).into_owned()
     }
 
-    /// `prefix` runs the command, strace for instance.
+    /// `prefix` is a program that runs the command, such as strace.
     fn command(&self, prefix: &[String], arguments: &[&str]) -> Command {
         let program = env!("CARGO_BIN_EXE_roomcast").to_owned();
         let words: Vec<_> = prefix.iter().cloned().chain([program]).collect();
@@ -188,7 +183,7 @@ impl World {
         eventually(&format!("{log} says {words:?}"), || self.log(log).contains(words).then_some(()));
     }
 
-    /// A broker that keeps messages until they are fetched. `None` if mosquitto is not installed.
+    /// A broker that queues messages for offline sessions. `None` if mosquitto is not installed.
     fn start_broker(&mut self) -> Option<u16> {
         self.broker = Mosquitto::start(free_port(), tempfile::tempdir().unwrap(), ANYBODY);
         self.broker.as_ref().map(|broker| broker.port)
@@ -198,7 +193,7 @@ impl World {
         self.broker.as_ref().unwrap().port
     }
 
-    /// What the journal holds.
+    /// The journal's sentences and their number.
     fn kept(&self) -> HashMap<String, usize> {
         let mut kept = HashMap::new();
         let Ok(recovered) = journal::look(&self.path("state")) else { return kept };
@@ -208,7 +203,6 @@ impl World {
         kept
     }
 
-    /// Lines that nobody has said before.
     fn lines(&mut self) -> Vec<String> {
         let first = self.said;
         self.said += LINES;
@@ -224,7 +218,7 @@ impl World {
         )
     }
 
-    /// Takes note of what a narrator that has ended says is confirmed; gives whether that is all.
+    /// Notes the lines that the ended narrator reports as confirmed; returns whether all were.
     fn note_confirmed(&mut self, lines: &[String]) -> bool {
         let told = fs::read(self.path("narrator.out")).unwrap_or_default();
         let Ok(outcome) = serde_json::from_slice::<serde_json::Value>(&told) else { return false };
@@ -234,7 +228,7 @@ impl World {
         confirmed == lines.len()
     }
 
-    /// One run of the process under test, with strace's words before it. A description of what went wrong is an error.
+    /// One run of the process under test. `prefix` is the strace command; an error describes the failure.
     fn trial(&mut self, prefix: &[String], lasting: bool) -> Result<Ended, String> {
         match self.role {
             Role::Daemon => self.daemon(prefix, lasting),
@@ -276,7 +270,7 @@ impl World {
         let mut child = self.spawn(self.command(prefix, &["planner"]), "tested");
         let mut heard = 0;
         let ended = self.until("three decisions", &mut child, lasting, |_| {
-            // Of the planner before there may be one left.
+            // One decision may be left from the planner before.
             heard += std::iter::from_fn(|| decisions.receive().unwrap()).count();
             heard > 3
         })?;
@@ -294,7 +288,7 @@ impl World {
         let ended = self.until("confirmed", &mut child, false, |_| false)?;
         let judged = self.judge(prefix, ended.unwrap())?;
         let all = self.note_confirmed(&lines);
-        // What is printed at the end may be what fails.
+        // The failed call may be the final output.
         if matches!(judged, Ended::WentOn) && !all {
             return Err("it ended well without all confirmed".to_owned());
         }
@@ -305,7 +299,7 @@ impl World {
         let (address, rules) = (format!("mqtt://127.0.0.1:{}", self.port()), self.path("rules.toml"));
         let arguments = ["narrate", "--mqtt", &address, "--rules", rules.to_str().unwrap(), "--linger", "5"];
         let mut child = self.spawn(self.command(prefix, &arguments), "tested");
-        // Before its first session the broker keeps nothing for it.
+        // The broker queues messages only after the narrator's first session.
         if self.confirmed.is_empty() {
             let met = |world: &mut Self| {
                 let probe = world.lines();
@@ -318,7 +312,7 @@ impl World {
             }
         }
         let lines = self.lines();
-        // The broker keeps them for the narrator's session, whether it is there or not.
+        // The broker queues them for the narrator's session, even when the narrator is away.
         publish(self.port(), &lines);
         self.confirmed.extend_from_slice(&lines);
         let heard = |world: &mut Self| {
@@ -347,7 +341,7 @@ impl World {
         }
     }
 
-    /// Waits until something holds; gives the process's end where that comes first. What has nothing left to work with may just wait.
+    /// Waits for a condition, or for the end of the process. After a lasting fault, a process may also just wait.
     fn until(
         &mut self,
         what: &str,
@@ -382,7 +376,6 @@ impl World {
         Ok(ended.unwrap())
     }
 
-    /// Whether a process ended as it may.
     fn judge(&self, prefix: &[String], status: ExitStatus) -> Result<Ended, String> {
         let said = self.log("tested");
         let last = said.lines().last().unwrap_or_default();
@@ -404,14 +397,14 @@ impl World {
         if code == exit_code::OK {
             return Ok(Ended::WentOn);
         }
-        // Where even that cannot be written, the code alone says it.
+        // If `write` fails, the error message may be lost, and the exit code suffices.
         let told = last.starts_with("roomcast: ") || prefix.iter().any(|word| word.starts_with("inject=write"));
         if told { Ok(Ended::InWords) } else { Err(format!("it ended with {code} and no error")) }
     }
 
-    /// Without a fault everything is as it was: nothing that was confirmed is lost, and nothing is there twice.
+    /// A run without a fault: no confirmed line is lost, and none is recorded twice.
     fn check(&mut self) {
-        // What a fault left half-made in shared memory is removed when it is two seconds old.
+        // Half-made shared memory is removed when it is two seconds old.
         std::thread::sleep(Duration::from_secs(3));
         let ended = self.trial(&[], false);
         if !matches!(ended, Ok(Ended::WentOn)) {
@@ -424,7 +417,7 @@ impl World {
         let kept = self.kept();
         let lost: Vec<_> = self.confirmed.iter().filter(|line| !kept.contains_key(*line)).collect();
         assert!(lost.is_empty(), "{:?}: {} of {} are lost: {lost:?}", self.role, lost.len(), self.confirmed.len());
-        // A broker sends again what it has not seen acknowledged when its narrator ended: what was confirmed a moment before.
+        // When a narrator ends, the broker resends unacknowledged messages, even if they have just been confirmed.
         let most = if self.role == Role::Mqtt { 1 + self.ended } else { 1 };
         let twice: Vec<_> = kept.iter().filter(|(_, count)| **count > most).collect();
         assert!(twice.is_empty(), "{:?}: {twice:?}", self.role);
@@ -442,11 +435,10 @@ impl Drop for World {
 }
 
 fn signal(child: &Child, signal: Signal) {
-    // It may have ended a moment ago.
     let _gone = kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), signal);
 }
 
-/// Publishes by MQTT 3.1.1 with quality 1, and waits until the broker has it.
+/// Publishes by MQTT 3.1.1 with quality of service 1, and waits for the broker's acknowledgement.
 fn publish(port: u16, lines: &[String]) {
     let mut broker = TcpStream::connect(("127.0.0.1", port)).unwrap();
     broker.write_all(b"\x10\x10\x00\x04MQTT\x04\x02\x00\x3c\x00\x04test").unwrap();
@@ -460,7 +452,6 @@ fn publish(port: u16, lines: &[String]) {
     }
 }
 
-/// What the metrics say; none where they cannot be had.
 fn scrape(address: &str) -> Option<String> {
     let mut stream = TcpStream::connect(address).ok()?;
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
@@ -470,14 +461,14 @@ fn scrape(address: &str) -> Option<String> {
     Some(text)
 }
 
-/// strace's words, with a log in `file`.
+/// The strace command, with its log in `file`.
 fn strace(file: &Path, expressions: &[String]) -> Vec<String> {
     let fixed = ["strace", "-D", "-f", "-qq", "--seccomp-bpf", "-o", file.to_str().unwrap()];
     let expressions = expressions.iter().flat_map(|expression| ["-e", expression]);
     fixed.into_iter().chain(expressions).map(str::to_owned).collect()
 }
 
-/// How often each call is made by the thread that makes it most, and by the dynamic loader before the program begins.
+/// For each call: the number in the thread with the most of them, and the number in the dynamic loader before the program starts.
 fn counted(log: &str) -> BTreeMap<&'static str, (u64, u64)> {
     let mut threads: BTreeMap<(&str, &'static str), u64> = BTreeMap::new();
     let mut loader = BTreeMap::new();
@@ -485,7 +476,7 @@ fn counted(log: &str) -> BTreeMap<&'static str, (u64, u64)> {
     let mut begun = false;
     for line in log.lines() {
         let Some((thread, said)) = line.split_once(' ') else { continue };
-        // The first thing that Rust's runtime does.
+        // Rust's runtime starts with this call.
         begun |= said.trim_start().starts_with("poll([{fd=0");
         let name = said.trim_start().split('(').next().unwrap_or_default();
         let Some(&(call, _)) = CALLS.iter().find(|(call, _)| *call == name) else { continue };
@@ -507,7 +498,6 @@ fn number(variable: &str) -> Option<u64> {
     Some(text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}: give a number")))
 }
 
-/// Whether strace is there, and may trace.
 fn may_trace() -> bool {
     let tried = Command::new("strace").args(["-qq", "-f", "--seccomp-bpf", "-o", "/dev/null", "true"]).output();
     match tried {
@@ -530,7 +520,7 @@ fn whatever_fails(role: Role) {
         skipped(NO_BROKER);
         return;
     }
-    // What it calls without any fault. The loader's calls are none of ours.
+    // The calls without any fault. The loader's calls are not tested.
     let file = world.path("calls");
     let names: Vec<_> = CALLS.iter().map(|(call, _)| *call).collect();
     let plain = world.trial(&strace(&file, &[format!("trace={}", names.join(","))]), false);

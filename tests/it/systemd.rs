@@ -1,4 +1,4 @@
-//! The units as systemd itself judges them, and as a systemd of the test's own runs them.
+//! The units, checked by systemd-analyze and run by a private systemd.
 
 use std::collections::BTreeSet;
 use std::os::unix::net::UnixDatagram;
@@ -24,10 +24,10 @@ const UNITS: [&str; 9] = [
     "roomcast-zenoh.service",
 ];
 
-/// Keys that make the delay between restarts grow. Older versions pass over them, with a warning.
+/// These keys increase the delay between restarts. Older versions ignore them with a warning.
 const SINCE_254: [&str; 2] = ["RestartSteps", "RestartMaxDelaySec"];
 
-/// The units, with the path of the binary that was just built.
+/// The units, with the path of the test's binary.
 fn installed() -> Option<tempfile::TempDir> {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
         skipped("systemd-analyze is not installed (apt-get install systemd)");
@@ -37,7 +37,7 @@ fn installed() -> Option<tempfile::TempDir> {
     let directory = tempfile::tempdir().unwrap();
     for unit in UNITS.iter().chain(&["roomcast.target"]) {
         let text = std::fs::read_to_string(source.join(unit)).unwrap();
-        // The bridge is built apart from this.
+        // roomcast-zenoh is built separately.
         let text = text.replace("/usr/bin/roomcast-zenoh", "/usr/bin/roomcast");
         let text = text.replace("/usr/bin/roomcast", env!("CARGO_BIN_EXE_roomcast"));
         std::fs::write(directory.path().join(unit), text).unwrap();
@@ -94,7 +94,7 @@ fn values(unit: &str, key: &str) -> Vec<String> {
 fn the_target_starts_and_stops_the_three_in_order() {
     // systemd starts in the order of After= and stops in the reverse; PartOf= passes the target's stop on.
     let daemon = "roomcast-daemon.service".to_owned();
-    // The metrics are no part of it: whoever wants them starts them.
+    // The metrics service is not part of the target; users enable it separately.
     for unit in [daemon.as_str(), "roomcast-planner.service", "roomcast-narrator.service"] {
         let target = "roomcast.target".to_owned();
         assert!(values("roomcast.target", "Wants").contains(&unit.to_owned()), "{unit}");
@@ -118,7 +118,7 @@ fn whatever_hangs_is_noticed_by_a_watchdog() {
     }
 }
 
-/// Seconds, as systemd reads them, of a key in a section of a unit.
+/// A key's duration in seconds.
 fn seconds(unit: &str, section: &str, key: &str) -> Option<f64> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(unit);
     let text = std::fs::read_to_string(path).unwrap();
@@ -134,7 +134,7 @@ fn seconds(unit: &str, section: &str, key: &str) -> Option<f64> {
     Some(digits.parse::<f64>().unwrap() * unit)
 }
 
-/// When systemd starts a unit whose process fails at once each time, in seconds, up to the time when it gives up or `end`.
+/// The times at which systemd starts a unit that always fails at once, until systemd gives up or `end`.
 fn starts(unit: &str, grows: bool, end: f64) -> Vec<f64> {
     let limit = |key| seconds(unit, "Unit", key);
     let (interval, burst) = (limit("StartLimitIntervalSec").unwrap_or(10.0), limit("StartLimitBurst").unwrap_or(5.0));
@@ -149,7 +149,7 @@ fn starts(unit: &str, grows: bool, end: f64) -> Vec<f64> {
             break;
         }
         starts.push(now);
-        // From the first to the longest delay in equal ratios.
+        // The delay grows from the first to the longest in equal ratios.
         let step = (starts.len() - 1) as f64;
         now += growth.map_or(first, |(steps, longest)| first * (longest / first).powf((step / steps).min(1.0)));
     }
@@ -172,16 +172,16 @@ fn what_crashes_at_once_for_an_hour_is_back_soon_after_the_cause_has_gone() {
     }
 }
 
-/// A systemd in namespaces of its own, with the daemon's unit as it is shipped. Everything of it goes with it.
+/// A systemd in its own namespaces, with the shipped unit of the daemon. It ends with the test.
 struct OwnSystemd {
-    /// Of `unshare`, which ends systemd when it ends.
+    /// `unshare`, which kills systemd when it ends.
     child: Child,
     group: PathBuf,
     directory: tempfile::TempDir,
 }
 
 impl OwnSystemd {
-    /// None, with the reason, where this user or this machine cannot have one.
+    /// An error with the reason if this user or machine cannot run it.
     fn start() -> Result<Self, String> {
         let directory = tempfile::Builder::new().prefix("rc-").tempdir_in("/tmp").unwrap();
         let (units, source) = (directory.path().join("units"), Path::new(env!("CARGO_MANIFEST_DIR")));
@@ -189,7 +189,7 @@ impl OwnSystemd {
         std::fs::copy(env!("CARGO_BIN_EXE_roomcast"), directory.path().join("roomcast")).unwrap();
         let unit = std::fs::read_to_string(source.join("systemd").join(UNITS[0])).unwrap();
         std::fs::write(units.join(UNITS[0]), unit.replace("/usr/bin/roomcast", "/mnt/roomcast")).unwrap();
-        // Nothing else of the machine is to start.
+        // No other unit of the machine may start.
         let alone = "[Unit]\nDefaultDependencies=no\n";
         for target in ["sysinit.target", "basic.target", "shutdown.target", "local-fs.target"] {
             std::fs::write(units.join(target), alone).unwrap();
@@ -200,7 +200,7 @@ impl OwnSystemd {
         let group = groups.join(format!("roomcast-test-{}", std::process::id()));
         std::fs::create_dir(&group).map_err(|error| format!("no control group can be made: {error}"))?;
         let log = std::fs::File::create(directory.path().join("log")).unwrap();
-        // The shell is of the group, and so are all that it starts.
+        // The shell joins the control group, and all its children inherit it.
         let start = "echo 0 > \"$1\"/cgroup.procs && shift && exec \"$@\"";
         let mut command = Command::new("sh");
         command.args(["-c", start, "sh"]).arg(&group).args([
@@ -226,14 +226,14 @@ impl OwnSystemd {
         std::fs::read_to_string(self.directory.path().join("log")).unwrap()
     }
 
-    /// Its process.
+    /// The process of systemd.
     fn process(&self) -> Option<u32> {
         let of = self.child.id();
         let children = std::fs::read_to_string(format!("/proc/{of}/task/{of}/children")).ok()?;
         children.split_whitespace().next()?.parse().ok()
     }
 
-    /// What it says of the daemon.
+    /// A property of the daemon's unit.
     fn property(&self, name: &str) -> Option<String> {
         let mut command = Command::new("nsenter");
         command.arg(format!("--target={}", self.process()?)).args(["--mount", "--pid", "--cgroup"]);
@@ -241,11 +241,10 @@ impl OwnSystemd {
         output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
     }
 
-    /// Waits until that holds.
     fn until(&self, name: &str, holds: impl Fn(&str) -> bool) -> String {
         let mut newest = None;
         let start = Instant::now();
-        // As long as it goes on starting the daemon.
+        // During this time, systemd restarts the daemon.
         while start.elapsed() < Duration::from_secs(120) {
             let value = self.property(name);
             if let Some(value) = value.as_deref().filter(|value| holds(value)) {
@@ -262,7 +261,7 @@ impl Drop for OwnSystemd {
     fn drop(&mut self) {
         let _gone = self.child.kill();
         let _reaped = self.child.wait();
-        // Groups go from the innermost, once their processes have gone.
+        // Inner groups are removed first, when their processes have ended.
         let groups = self.group.to_str().unwrap();
         let remove = "for n in 1 2 3 4 5 6 7 8 9; do find \"$0\" -depth -type d -exec rmdir {} + 2>/dev/null && break; sleep 0.1; done";
         let _removed = Command::new("sh").args(["-c", remove, groups]).status();
@@ -278,7 +277,7 @@ fn the_shipped_unit_under_a_real_systemd_is_back_when_the_cause_has_gone() {
         Ok(systemd) => systemd,
         Err(why) => return skipped(format!("no systemd can be run in namespaces: {why}")),
     };
-    // Five failures within ten seconds are where systemd gives up by itself.
+    // By default systemd gives up after five failures within ten seconds.
     let mut failed = 0;
     while failed < restarts {
         let more = |value: &str| value.parse().is_ok_and(|count: u64| count > failed);
@@ -291,7 +290,7 @@ fn the_shipped_unit_under_a_real_systemd_is_back_when_the_cause_has_gone() {
     println!("failed {failed} times, then ready");
 }
 
-/// What systemd does with a `Type=notify` service that has a watchdog.
+/// A supervisor like systemd, for a `Type=notify` service with a watchdog.
 struct Supervisor {
     directory: tempfile::TempDir,
     domain: Domain,
@@ -317,7 +316,6 @@ impl Supervisor {
         self.start_under(&[], arguments);
     }
 
-    /// The same, started by a program that runs others.
     fn start_under(&mut self, runner: &[&str], arguments: &[&str]) {
         let program = [runner, &[env!("CARGO_BIN_EXE_roomcast")]].concat();
         let mut command = Command::new(program[0]);
@@ -336,7 +334,7 @@ impl Supervisor {
         kill_process(process, signal).unwrap();
     }
 
-    /// Whether the service says `word` within `time`.
+    /// Whether the service sends `word` within `time`.
     fn hears(&self, word: &str, time: Duration) -> bool {
         let start = Instant::now();
         let mut message = [0; 512];
@@ -371,22 +369,22 @@ fn a_hung_daemon_falls_silent_so_that_the_watchdog_restarts_it() {
     assert!(supervisor.hears("WATCHDOG=1", PATIENCE), "it says that it lives");
 
     supervisor.signal(Signal::STOP);
-    // What was said before the stop is read first; then there is silence.
+    // Messages from before the stop are read first; then there is silence.
     while supervisor.hears("WATCHDOG=1", Duration::from_millis(150)) {}
     assert!(
         !supervisor.hears("WATCHDOG=1", Duration::from_secs(2)),
         "a daemon that stands still does not say that it lives"
     );
 
-    // What systemd does when WatchdogSec= is over: abort, and start again. A stopped process can still be killed.
+    // After WatchdogSec= systemd aborts the service and starts it again. A stopped process can still be killed.
     supervisor.signal(Signal::KILL);
     supervisor.child.take().unwrap().wait().unwrap();
     supervisor.start();
     assert!(supervisor.hears("READY=1", PATIENCE), "the next one takes its place");
 }
 
-/// The command that a unit starts, with what lets it run here: a free port, files of the test's own, and a broker that is away. None of the
-/// program that is built apart.
+/// The command of a unit, with changes for the test: a free port, files of the test, an absent broker. `None` for roomcast-zenoh, which is built
+/// separately.
 fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
     let words = values(unit, "ExecStart");
     if words[0] == "/usr/bin/roomcast-zenoh" {
@@ -401,7 +399,7 @@ fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
     let mut words = words.into_iter().skip(1);
     while let Some(word) = words.next() {
         let instead = match word.as_str() {
-            // The shipped one is of an installed system.
+            // The shipped configuration belongs to an installed system.
             "--config" => {
                 words.next();
                 continue;
@@ -428,8 +426,7 @@ fn service_of(unit: &str, folder: &Path) -> Option<Vec<String>> {
     Some(command)
 }
 
-/// Each unit has a watchdog, so each service has to say that it lives: one that does not is killed every ten seconds. Also one whose broker
-/// is away, and one without a daemon.
+/// Every unit has a watchdog, so systemd kills a silent service after ten seconds. A service must report itself even without a broker or a daemon.
 #[test]
 #[ignore = "full"]
 fn every_service_says_again_and_again_that_it_lives() {
@@ -444,21 +441,21 @@ fn every_service_says_again_and_again_that_it_lives() {
     }
 }
 
-/// The calls of a group, and of those in it, as systemd has them.
+/// The calls of a group and of the groups in it, from systemd.
 fn calls_of(group: &str) -> BTreeSet<String> {
     let output = Command::new("systemd-analyze").args(["syscall-filter", "--no-pager", group]).output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
-    // The first line is the group itself; lines of words in prose begin with a number sign.
+    // The first line is the group itself; lines with a number sign are prose.
     let names = text.lines().skip(1).map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let (groups, calls): (Vec<&str>, Vec<&str>) = names.partition(|name| name.starts_with('@'));
     calls.into_iter().map(str::to_owned).chain(groups.into_iter().flat_map(calls_of)).collect()
 }
 
-/// The calls that a unit lets its service make, as systemd reads its lines: the first one lists what is allowed, and each after it adds or takes away.
+/// The calls that a unit permits. As in systemd, the first line lists permitted calls, and each later line adds or removes some.
 fn allowed(unit: &str) -> BTreeSet<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(unit);
     let text = std::fs::read_to_string(path).unwrap();
-    // systemd itself needs these to start anything.
+    // systemd itself always permits these.
     let mut allowed = calls_of("@default");
     for line in text.lines().filter_map(|line| line.strip_prefix("SystemCallFilter=")) {
         let (takes_away, names) = line.strip_prefix('~').map_or((false, line), |names| (true, names));
@@ -473,7 +470,7 @@ fn allowed(unit: &str) -> BTreeSet<String> {
     allowed
 }
 
-/// A call that the filter refuses fails with EPERM, and what it is for does not work: the cores of the scorer, the priority of preparing.
+/// A refused call fails with EPERM, and its function is lost: the scorer's cores, the prefetcher's priority.
 #[test]
 #[ignore = "full"]
 fn every_service_makes_only_calls_that_its_unit_allows() {
@@ -491,7 +488,7 @@ fn every_service_makes_only_calls_that_its_unit_allows() {
         let (config, seen) = (folder.join("roomcast.toml"), folder.join("calls"));
         std::fs::write(&config, format!("[model]\ncores = [{core}]\n")).unwrap();
         command.extend(["--config".to_owned(), config.to_str().unwrap().to_owned()]);
-        // The service is the process that is started here, and strace one beside it.
+        // With `-D` strace runs as another process, so that the service is this test's child.
         let runner = ["strace", "-D", "-f", "-qq", "-c", "-U", "name", "-o", seen.to_str().unwrap()];
         supervisor.start_under(&runner, &command.iter().map(String::as_str).collect::<Vec<_>>());
         if !supervisor.hears("READY=1", Duration::from_secs(60)) {
@@ -500,13 +497,13 @@ fn every_service_makes_only_calls_that_its_unit_allows() {
         assert!(supervisor.hears("WATCHDOG=1", Duration::from_secs(20)), "{unit}: {command:?} lives");
         supervisor.signal(Signal::TERM);
         supervisor.child.take().unwrap().wait().unwrap();
-        // It is written when the service has ended.
+        // strace writes the list after the service has ended.
         let is_name = |word: &str| {
             !word.is_empty() && word.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'_')
         };
         let made: BTreeSet<String> = eventually("strace lists the calls", || {
             let text = std::fs::read_to_string(&seen).unwrap_or_default();
-            // Between the head of the column and its foot.
+            // Between the column's head and its foot.
             let list = text.trim().strip_suffix("total").and_then(|all| all.trim().split_once('\n'));
             let (_, names) = list.filter(|(head, _)| *head == "syscall")?;
             Some(names.lines().map(str::trim).filter(|line| is_name(line)).map(str::to_owned).collect())
@@ -521,7 +518,7 @@ fn every_service_makes_only_calls_that_its_unit_allows() {
     }
 }
 
-/// Where the package puts the files of the source: its documents lie as they do here.
+/// The sources of the package's documents. In the package they have the same paths.
 fn packaged_documents() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let manifest: toml::Table = std::fs::read_to_string(root.join("Cargo.toml")).unwrap().parse().unwrap();

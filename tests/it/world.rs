@@ -1,5 +1,3 @@
-//! Processes of the program in a private domain.
-
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -10,7 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::eventually::{PATIENCE, eventually};
 
-/// A private domain with its processes and their logs; gone when dropped.
+/// A private domain with its processes and logs; all are removed on drop.
 pub(crate) struct World {
     pub(crate) directory: tempfile::TempDir,
     pub(crate) domain: Domain,
@@ -22,9 +20,9 @@ pub(crate) struct Process {
     pub(crate) log: PathBuf,
 }
 
-/// A command without a domain to join.
+/// A command without a domain.
 pub(crate) fn roomcast(arguments: &[&str]) -> Command {
-    // An installed binary can be tested instead of the one just built.
+    // `ROOMCAST_BINARY` tests an installed program.
     let built = || env!("CARGO_BIN_EXE_roomcast").into();
     let mut command = Command::new(std::env::var_os("ROOMCAST_BINARY").unwrap_or_else(built));
     command.args(arguments).env_remove("ROOMCAST_CONFIG").stdin(Stdio::null());
@@ -51,7 +49,7 @@ impl World {
         joined(roomcast(arguments), &self.domain)
     }
 
-    /// As [`Self::command`], run by another program: `prlimit --nofile=20` for instance.
+    /// Like [`Self::command`], started by another program such as `prlimit --nofile=20`.
     pub(crate) fn command_by(&self, runner: &[&str], arguments: &[&str]) -> Command {
         let mut command = Command::new(runner[0]);
         command.args(&runner[1..]).arg(roomcast(&[]).get_program()).args(arguments);
@@ -80,7 +78,7 @@ impl World {
         self.directory.path().join("state")
     }
 
-    /// Narrates lines and waits for the narrator's end; gives its exit code and outcome.
+    /// Narrates lines, waits for the narrator's end, and returns its exit code and outcome.
     pub(crate) fn narrate(&self, name: &str, lines: &str) -> (i32, serde_json::Value) {
         let file = self.directory.path().join(format!("{name}.txt"));
         std::fs::write(&file, lines).unwrap();
@@ -92,7 +90,7 @@ impl World {
         let output = command.args(["--linger", "100"]).output().unwrap();
         let mut outcome: serde_json::Value =
             serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{output:?}"));
-        // A test of its own looks at how events were understood.
+        // Another test checks `understood`.
         let understood = outcome.as_object_mut().and_then(|outcome| outcome.remove("understood"));
         assert!(understood.is_some_and(|understood| understood.is_array()));
         (output.status.code().unwrap(), outcome)
@@ -108,7 +106,6 @@ impl World {
         (status, std::fs::read_to_string(&process.log).unwrap())
     }
 
-    /// Sends a signal and waits for the end; gives the exit code.
     pub(crate) fn end(&mut self, process: usize, signal: Signal) -> Option<i32> {
         self.signal(process, signal);
         self.wait(process).0.code()

@@ -1,16 +1,14 @@
-//! Waits for what another process or thread does.
-
 use std::time::{Duration, Instant};
 
-/// Far longer than anything takes here, also on a loaded machine.
+/// Far longer than any test step takes, also on a loaded machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Waits until an attempt gives something. `what` names it in the report when it does not come.
+/// Waits until `attempt` returns a value. After the timeout, the panic contains `what`.
 pub(crate) fn eventually<T>(what: &str, attempt: impl FnMut() -> Option<T>) -> T {
     within(PATIENCE, what, attempt)
 }
 
-/// As [`eventually`], with a patience of its own.
+/// Like [`eventually`], with another timeout.
 pub(crate) fn within<T>(patience: Duration, what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {

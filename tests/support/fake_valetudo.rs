@@ -1,14 +1,13 @@
-//! A FAKE robot for tests, and nothing else: it speaks the topics that Valetudo's documentation describes and cleans nothing. Pure: time
-//! comes in, messages go in and out.
+//! A simulated robot for tests. It speaks the topics in Valetudo's documentation and cleans no room. It does no I/O: time and messages are arguments
+//! and results.
 
 use std::collections::BTreeMap;
 
-/// How long it drives to its dock.
 const RETURN_S: f64 = 30.0;
-/// Battery that an hour of work takes, and that an hour at the dock gives.
+/// Battery charge used by an hour of work, and gained in an hour at the dock.
 const WORK_PER_H: f64 = 0.5;
 const CHARGE_PER_H: f64 = 0.8;
-/// It goes home by itself below this, and goes on by itself above that.
+/// The robot returns to its dock below `LOW`, and continues above `FULL`.
 const LOW: f64 = 0.15;
 const FULL: f64 = 0.8;
 
@@ -22,33 +21,32 @@ pub(crate) enum Doing {
     Error,
 }
 
-/// The robot, and what is done to it.
 #[derive(Debug)]
 pub(crate) struct FakeValetudo {
     topic: String,
-    /// Seconds that each segment takes.
+    /// Seconds for each segment.
     segments: BTreeMap<String, f64>,
     names: BTreeMap<String, String>,
     pub(crate) doing: Doing,
     pub(crate) battery: f64,
-    /// The segment that it works on, and the seconds that are left of it.
+    /// The segment in progress, and the seconds left.
     pub(crate) job: Option<(String, f64)>,
     home_s: f64,
     fault: String,
-    /// Orders that it will not hear.
+    /// The number of orders that the robot ignores first.
     pub(crate) orders_ignored: u32,
-    /// It gets stuck in this segment, once, and somebody frees it after so many seconds.
+    /// The robot gets stuck once in this segment, and is freed after these seconds.
     pub(crate) sticks: Option<(String, f64)>,
     freed_s: f64,
-    /// Segments that it has cleaned to the end, and all orders that it has heard.
+    /// Completely cleaned segments, and all orders received.
     pub(crate) cleaned: Vec<String>,
     pub(crate) orders: Vec<String>,
-    /// What it has published last.
+    /// The last message on each topic.
     said: BTreeMap<String, String>,
 }
 
 impl FakeValetudo {
-    /// At its dock with a full battery; segments with their names and the seconds that they take.
+    /// A robot at its dock with a full battery. Each segment has a number, a name and seconds.
     pub(crate) fn new(topic: &str, segments: &[(&str, &str, f64)]) -> Self {
         Self {
             topic: topic.to_owned(),
@@ -68,7 +66,6 @@ impl FakeValetudo {
         }
     }
 
-    /// An order comes.
     pub(crate) fn hear(&mut self, topic: &str, payload: &str) {
         if self.orders_ignored > 0 {
             self.orders_ignored -= 1;
@@ -106,7 +103,6 @@ impl FakeValetudo {
         }
     }
 
-    /// So many seconds pass.
     pub(crate) fn pass(&mut self, seconds: f64) {
         match self.doing {
             Doing::Cleaning => {
@@ -147,18 +143,17 @@ impl FakeValetudo {
         }
     }
 
-    /// Somebody frees it.
     pub(crate) fn free(&mut self) {
         self.freed_s = 0.0;
     }
 
-    /// Somebody frees it and puts it at its dock.
+    /// A person frees the robot and puts it on its dock.
     pub(crate) fn carry_home(&mut self) {
         self.fault.clear();
         (self.freed_s, self.job, self.doing) = (0.0, None, Doing::Docked);
     }
 
-    /// What it says now that it has not said before, retained; after `again`, all of it.
+    /// Retained messages that changed since the last call; with `again`, all of them.
     pub(crate) fn say(&mut self, again: bool) -> Vec<(String, String)> {
         if again {
             self.said.clear();

@@ -1,21 +1,20 @@
-//! A day of two robots and one person in four rooms: the narration, the configuration, and the count of what the robots did. Real processes and
-//! bridges live its first hours; the whole day is played without them.
+//! A day of two robots and one person in four rooms: the narration, the configuration, and the count of the robots' work. Its first hours run with
+//! real processes and bridges; the whole day runs without them.
 
 use roomcast_ipc::raw::{DecisionV1, action};
 
 pub(crate) const ROBOTS: [&str; 2] = ["robot-1", "robot-2"];
 const ROOMS: [&str; 4] = ["kitchen", "living-room", "bedroom", "bathroom"];
 const OUT: &str = "out";
-/// The first minute of the day, and its end.
 pub(crate) const BEGIN_MIN: f64 = 390.0;
 pub(crate) const END_MIN: f64 = 1350.0;
 const CLEANING_MIN: f64 = 20.0;
-/// The second robot begins half a stay after the first, so that they do not choose in step by themselves.
+/// The second robot begins half a stay after the first, so that the two do not choose at the same time.
 pub(crate) const LATER_MIN: f64 = CLEANING_MIN / 2.0;
 /// A stay that was this much of a whole one has done its room.
 const WHOLE: f64 = 0.95;
 
-/// The minute, the sentence, and the room of the person from then on.
+/// Minute, sentence, and the person's room from then on.
 pub(crate) const DAY: [(f64, &str, &str); 24] = [
     (392.0, "Ada gets up from the bed.", "bedroom"),
     (400.0, "Ada walks to the bathroom.", "bathroom"),
@@ -72,7 +71,6 @@ pub(crate) fn configuration(robot: &str, scene: &str, speed: f64) -> String {
     )
 }
 
-/// The places of one robot over the day.
 pub(crate) struct Track {
     told_to: Vec<Told>,
 }
@@ -82,11 +80,11 @@ impl Track {
         Self { told_to: vec![Told { from_min: BEGIN_MIN, place: None, works: false }] }
     }
 
-    /// The robot does at once what its own planner says.
+    /// The robot obeys its planner at once.
     pub(crate) fn follow(&mut self, decision: &DecisionV1, minute: f64) {
         let place = match decision.action {
             action::PAUSE => None,
-            // A decision without a room leaves the robot where it is.
+            // A decision without a room does not move the robot.
             _ if decision.to().is_empty() => self.place(minute).map(str::to_owned),
             _ => Some(decision.to().to_owned()),
         };
@@ -98,13 +96,12 @@ impl Track {
         last.and_then(|told| told.place.as_deref())
     }
 
-    /// The rooms that it entered, and when.
     fn entered(&self) -> impl Iterator<Item = (f64, &str)> {
         let pairs = self.told_to.windows(2).filter(|pair| pair[0].place != pair[1].place);
         pairs.filter_map(|pair| Some((pair[1].from_min, pair[1].place.as_deref()?)))
     }
 
-    /// Its work, with the minutes that each room had of it.
+    /// The stays at work, in minutes, with their rooms.
     fn work(&self, end_min: f64) -> impl Iterator<Item = (f64, &str)> {
         let ends = self.told_to.iter().skip(1).map(|told| told.from_min).chain([end_min]);
         let stays = self.told_to.iter().zip(ends).filter(|(told, _)| told.works);
@@ -112,15 +109,14 @@ impl Track {
     }
 }
 
-/// The result of a day.
 #[derive(Debug, Default)]
 pub(crate) struct Outcome {
-    /// Rooms that a robot entered while the other one was in them, and the minutes that they shared.
+    /// Rooms that a robot entered while the other robot was there, and minutes with both in one room.
     entered_twice: usize,
     pub(crate) shared_min: f64,
     /// Minutes of a robot in a room with the person.
     disturbance_min: f64,
-    /// Minutes of robots at work, and stays that did their room, of each room.
+    /// Minutes of both robots at work, and complete stays in each room.
     pub(crate) working_min: f64,
     done_of_room: [usize; ROOMS.len()],
 }
@@ -151,7 +147,7 @@ impl Outcome {
         outcome
     }
 
-    /// Compares a day on which the robots know of each other with one on which they do not, both until this minute.
+    /// Compares a day with robots that know each other to a day without, both until this minute.
     pub(crate) fn check(with: &Self, without: &Self, day_min: f64) {
         println!("the robots know of each other: {with:?}\nthey do not: {without:?}\nrooms: {ROOMS:?}");
         assert!(with.shared_min <= 0.01 * day_min, "two robots were in one room: {with:?}");

@@ -1,5 +1,5 @@
-//! A household over a day and a night: two residents, one of whom works outside, a visitor, a night's sleep, two narrators, and a robot that
-//! follows the planner and reports. [`live`] lives it in a [`House`], of real processes or without them.
+//! A household over a day and a night: two residents, one with a job outside, a visitor, a night's sleep, two narrators, and a robot that follows the
+//! planner and reports. [`live`] runs it in a [`House`], with real processes or without.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,41 +8,41 @@ use roomcast_ipc::raw::{
 };
 use roomcast_ipc::{sequence, text};
 
-/// Half past six in the morning to seven the next day.
+/// 6:30 to 7:00 on the next day.
 pub(crate) const BEGIN_MIN: u32 = 390;
 pub(crate) const END_MIN: u32 = 24 * 60 + 420;
 const ELSEWHERE: &str = "elsewhere";
 const ROBOT: &str = "vacuum";
 const CLEANING_MIN: u32 = 20;
 const ROUND_MIN: u32 = 12 * 60;
-/// A room that is empty for so long in one go is free: time for its work, and for each of the other rooms before it.
+/// A room is free if it is empty for this long: time for its cleaning, and for each of the other rooms before it.
 const FREE_MIN: u32 = 4 * CLEANING_MIN;
 const ROOMS: [&str; 4] = ["kitchen", "living-room", "bedroom", "bathroom"];
-/// Daemon and planner are killed and started again in these minutes: while a person is out, and in the night.
+/// Daemon and planner are killed and restarted in these minutes: while a person is out, and in the night.
 const KILLS_MIN: [u32; 2] = [10 * 60, 27 * 60];
 
-/// Minute of the day, who, what the narrator sends, and where the person is from then on.
+/// Minute of the day, person, event, and the person's place from then on.
 type Event = (u32, &'static str, Said, &'static str);
 
 #[derive(Debug, Clone, Copy)]
 enum Said {
-    /// A sentence that names the person.
+    /// A sentence with the person's name.
     Sentence(&'static str),
-    /// A sentence that names nobody.
+    /// A sentence without a name.
     Unnamed(&'static str),
-    /// A sentence of the camera, which says by itself whom it is about: one person, several in turn, or all.
+    /// A camera's sentence, with the names of one person, several persons or all in its text.
     Camera(&'static str),
     /// The sentence before is about this person, too.
     Too,
-    /// What a sensor says of a person's presence: `present`, `away` or `gone`, and a room.
+    /// A sensor's presence: `present`, `away` or `gone`, and a room.
     Presence(&'static str, Option<&'static str>),
-    /// The person does something that nobody narrates.
+    /// An act without an event.
     Nothing,
 }
 use Said::{Camera, Nothing, Presence, Sentence, Too, Unnamed};
 
 impl Said {
-    /// The narrator, and the line that it is given.
+    /// The narrator and its line.
     fn line(self, person: &str) -> Option<(&'static str, String)> {
         let line = match self {
             Sentence(text) => serde_json::json!({ "person": person, "text": text }),
@@ -59,7 +59,7 @@ fn at(hour: u32, minute: u32) -> u32 {
     hour * 60 + minute
 }
 
-/// The day. Cara is a visitor who leaves without a word at nine in the evening.
+/// The day. Cara is a visitor; no event reports her departure at 21:00.
 fn script() -> Vec<Event> {
     vec![
         (at(6, 32), "ben", Presence("present", Some("bedroom")), "bedroom"),
@@ -140,24 +140,22 @@ pub(crate) fn configuration(scene: &str, state: &str, speed: f64) -> String {
     )
 }
 
-/// The home, at one minute after the other.
+/// The home, minute by minute.
 pub(crate) trait House {
-    /// The narrator of this name is given a line.
     fn narrate(&mut self, narrator: &'static str, line: String);
-    /// Daemon and planner are killed, and started again.
+    /// Kills daemon and planner and restarts them.
     fn restart(&mut self);
-    /// A minute passes, in which the robot acts.
+    /// One minute passes, and the robot acts.
     fn pass(&mut self, minute: u32, robot: &mut Robot);
-    /// The newest forecasts and scores.
     fn newest(&self) -> (&PersonForecastsV1, &RoomScoresV1);
 }
 
-/// Does what the newest decision says, and reports it. Rooms are next to one another: it is there at once.
+/// The robot obeys the newest decision and reports it. It needs no time between rooms.
 pub(crate) struct Robot {
     report: RobotReportV1,
     /// The room, and the minute at which its work ends.
     working: Option<(String, f64)>,
-    /// Which room was finished when.
+    /// Minute and room.
     finished: Vec<(u32, String)>,
     decided: Vec<(u32, DecisionV1)>,
 }
@@ -173,7 +171,7 @@ impl Robot {
         Self { report, working: None, finished: Vec::new(), decided: Vec::new() }
     }
 
-    /// Follows new decisions, and ends work in time; gives what it reports, dated at this moment of both clocks.
+    /// Follows new decisions, and ends work in time; returns its reports, with the time `now_ns` of both clocks.
     pub(crate) fn act(&mut self, at_min: f64, decisions: &[DecisionV1], now_ns: (u64, u64)) -> Vec<RobotReportV1> {
         let mut said = Vec::new();
         for decision in decisions {
@@ -200,7 +198,7 @@ impl Robot {
     }
 }
 
-/// Where a person is most likely now, and how likely: a room or elsewhere.
+/// A person's likeliest place now, a room or elsewhere, and its probability.
 fn likeliest(forecasts: &PersonForecastsV1, person: usize) -> (String, f32) {
     let person = &forecasts.persons()[person];
     let rooms = forecasts.rooms().zip(&person.probability).map(|(room, row)| (room.to_owned(), row[0]));
@@ -211,19 +209,18 @@ fn likeliest(forecasts: &PersonForecastsV1, person: usize) -> (String, f32) {
 #[derive(Debug, Default)]
 struct Person {
     truth: &'static str,
-    /// Observations since the likeliest place was last the true one.
+    /// Events since the likeliest place was last right.
     wrong: u32,
     most_wrong: u32,
     minutes: u32,
-    /// Minutes without a forecast of this person.
     untold: u32,
     right_minutes: u32,
     truth_sum: f64,
-    /// What the last observation said is not yet in the forecast.
+    /// The newest event is not yet in the forecast.
     observed: bool,
 }
 
-/// Lives until a minute of the day, and checks that each person is found, and that the robot cleans each room that is free.
+/// Plays the day until a minute, and checks that each person is located, and that the robot cleans each free room.
 pub(crate) fn live(house: &mut impl House, end_min: u32) {
     let mut robot = Robot::new();
     let (script, mut next) = (script(), 0);
@@ -248,7 +245,7 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
         for room in ROOMS {
             let is_empty = persons.values().all(|person| person.truth != room);
             let minutes = empty_for.entry(room).or_default();
-            // What is free at the end of a round is free in it alone.
+            // The count starts again with each round.
             *minutes = if is_empty && !(minute - BEGIN_MIN).is_multiple_of(ROUND_MIN) { *minutes + 1 } else { 0 };
             if *minutes == FREE_MIN {
                 free.insert(((minute - BEGIN_MIN) / ROUND_MIN, room));
@@ -262,7 +259,7 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
         for (name, person) in &mut persons {
             person.minutes += 1;
             let Some(index) = forecasts.persons().iter().position(|known| known.name() == *name) else {
-                // A visitor who has gone is in no forecast.
+                // A visitor who left is in no forecast.
                 person.untold += u32::from(*name != "cara" || person.truth != ELSEWHERE);
                 continue;
             };
@@ -297,7 +294,7 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
     );
     for (name, person) in &persons {
         assert!(person.most_wrong <= 1, "{name} was lost for {} observations", person.most_wrong);
-        // Each start of a daemon takes seconds, which are minutes in a day of real processes.
+        // A daemon takes seconds to start, which are minutes in a day of real processes.
         assert!(person.untold <= 60, "{name} was in no forecast for {} minutes", person.untold);
     }
     for resident in ["ada", "ben"] {
@@ -305,12 +302,12 @@ pub(crate) fn live(house: &mut impl House, end_min: u32) {
         assert!(person.right_minutes * 10 >= person.minutes * 9, "{resident}: {person:?}");
     }
     assert!(
-        // The scores follow a door with a delay, which a short day shows.
+        // The scores follow a departure with a delay, which matters in a short day.
         (said_all_out + 2) * 10 >= all_out * 9,
         "all were out, and the scores said so in {said_all_out} of {all_out} minutes"
     );
-    // A planner that is started again sends the robot into no room that is done.
-    // A round that is done ends up to a stay early. The planner's own word tells rounds: rooms that were done are to do again.
+    // A restarted planner must not repeat a finished room. A completed round ends up to a stay early, so the decisions mark the rounds: finished
+    // rooms are open again.
     let again = |two: &[(u32, DecisionV1)]| two[0].1.covered & !two[1].1.covered != 0;
     let begins: Vec<u32> = robot.decided.windows(2).filter(|two| again(two)).map(|two| two[1].0).collect();
     assert!(begins.len() <= 2, "rounds begin at {begins:?}");

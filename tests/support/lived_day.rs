@@ -1,6 +1,6 @@
-//! A day of a person in a flat of four rooms, which a robot is to clean meanwhile; for tests of the robot's driver, in one process and in many.
+//! A day of a person in a flat of four rooms, with a robot that cleans it; for tests of the robot's driver with and without processes.
 
-/// Where the person is: from this hour on, in this room by its place in [`segments`], or away.
+/// The person's place from each hour on: the index of a room in [`segments`], or away.
 const DAY: [(f64, Option<usize>); 16] = [
     (0.0, Some(0)),
     (7.0, Some(2)),
@@ -19,12 +19,12 @@ const DAY: [(f64, Option<usize>); 16] = [
     (21.1, Some(0)),
     (24.0, None),
 ];
-/// Seconds that the robot takes for a room.
+/// Seconds for a room.
 pub(crate) const ROOM_S: f64 = 1500.0;
 /// The robot works from 8 to 20.
 pub(crate) const HOURS: (u64, u64) = (8, 20);
 
-/// The rooms as the robot knows them: number, name and the seconds that each takes.
+/// The robot's rooms: number, name, seconds.
 pub(crate) fn segments(seconds: f64) -> [(&'static str, &'static str, f64); 4] {
     [("1", "Schlafzimmer", seconds), ("2", "Flur", seconds), ("3", "Küche", seconds), ("4", "Büro", seconds)]
 }
@@ -33,14 +33,14 @@ pub(crate) fn person_at(hour: f64) -> Option<usize> {
     DAY.iter().rev().find(|(from, _)| hour >= *from).and_then(|(_, room)| *room)
 }
 
-/// Minutes with the person that a robot shares which does the rooms one after the other, as a timer at this hour has it.
+/// Minutes shared with the person by a robot that starts at this hour and cleans room after room.
 fn plain_schedule(hour: f64) -> f64 {
     let seconds = 0..(segments(ROOM_S).len() as f64 * ROOM_S) as u64;
     let together = |s: &u64| person_at(hour + *s as f64 / 3600.0) == Some((*s as f64 / ROOM_S) as usize);
     seconds.filter(together).count() as f64 / 60.0
 }
 
-/// What plain schedules share, by the hour at which they begin: all that end within the robot's hours.
+/// Shared minutes of plain schedules by start hour: schedules that end within the robot's hours.
 pub(crate) fn plain_schedules() -> Vec<f64> {
     (HOURS.0..HOURS.1 - 2).map(|hour| plain_schedule(hour as f64)).collect()
 }

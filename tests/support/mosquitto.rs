@@ -1,4 +1,4 @@
-//! A real broker for tests: mosquitto from Debian's package, on a loopback port of its own.
+//! A real broker for tests: mosquitto from Debian's package, on a free loopback port.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -10,7 +10,6 @@ use rumqttc::v5::{Client, Event, MqttOptions};
 
 pub(crate) const NO_BROKER: &str = "mosquitto is not installed (apt-get install mosquitto)";
 
-/// Anybody may come in.
 pub(crate) const ANYBODY: &str = "allow_anonymous true";
 
 pub(crate) fn free_port() -> u16 {
@@ -24,7 +23,7 @@ pub(crate) struct Mosquitto {
 }
 
 impl Mosquitto {
-    /// `access` says who may come in, in the words of its configuration.
+    /// `access` is a part of mosquitto's configuration.
     pub(crate) fn start(port: u16, folder: tempfile::TempDir, access: &str) -> Option<Self> {
         let config = folder.path().join("mosquitto.conf");
         let text = format!(
@@ -32,7 +31,7 @@ impl Mosquitto {
             folder.path().display()
         );
         std::fs::write(&config, text).unwrap();
-        // Debian's package puts it where an ordinary user's path does not lead; as root it would become another user.
+        // Debian's package installs it outside an ordinary user's PATH. Without `user root`, a broker started by root changes its user.
         let program =
             ["/usr/sbin/mosquitto", "/usr/bin/mosquitto"].into_iter().find(|path| Path::new(path).exists())?;
         std::fs::write(&config, std::fs::read_to_string(&config).unwrap() + "user root\n").unwrap();
@@ -56,18 +55,18 @@ impl Mosquitto {
     }
 
     pub(crate) fn stop(&mut self) {
-        // SIGTERM, so that it writes its sessions down.
+        // On SIGTERM mosquitto saves its sessions.
         let pid = rustix::process::Pid::from_child(&self.child);
         let _ended = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
         let _waited = self.child.wait();
     }
 
-    /// Publishes messages in order and returns when the broker has all of them.
+    /// Publishes messages in order and waits for the broker's acknowledgement of all.
     pub(crate) fn publish(&self, messages: &[(&str, String, bool)]) {
         let mut options = MqttOptions::new("publisher", "127.0.0.1", self.port);
         options.set_max_packet_size(Some(64 << 20));
         let (client, mut connection) = Client::new(options, messages.len().max(1));
-        // A broker that has just begun to listen may still turn its first clients away.
+        // A broker that has just begun to listen may refuse its first clients.
         let deadline = Instant::now() + Duration::from_secs(20);
         loop {
             match connection.recv().unwrap() {

@@ -1,15 +1,14 @@
-//! What options require holds whatever else is given: clap lets a requirement drop where something given excludes what is required.
+//! An option's requirements hold with all other options: clap drops a requirement if a given option excludes the required one.
 
 use super::commands;
 
-/// Every command, with its words.
 fn all(command: &clap::Command, words: &str, found: &mut Vec<(String, clap::Command)>) {
     let words = format!("{words} {}", command.get_name());
     command.get_subcommands().for_each(|own| all(own, &words, found));
     found.push((words, command.clone()));
 }
 
-/// What an option requires. clap tells it in its debug text only.
+/// The requirements of an option; clap has them only in its debug text.
 fn required_by(arg: &clap::Arg) -> Vec<String> {
     let text = format!("{arg:?}");
     let list = text.split_once(", requires: [").and_then(|(_, rest)| rest.split_once(']')).unwrap_or_default().0;
@@ -44,7 +43,7 @@ fn what_excludes_a_required_argument_excludes_what_requires_it() {
             }
         }
     }
-    // The debug text still says what it did.
+    // The debug text still has the expected form.
     let known = [" roomcast scene draw caption scores", " roomcast-lab forecast split manifest"];
     assert!(requirements.iter().any(|own| known.contains(&own.as_str())), "{requirements:?}");
     assert!(dropped.is_empty(), "{dropped:#?}");

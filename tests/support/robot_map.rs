@@ -1,6 +1,4 @@
-//! Maps as Valetudo exports them, for tests.
-
-/// A map of rooms that are rectangles: number, name, and x, y, width and height in pixels of 5 cm.
+/// A Valetudo map of rectangular rooms: number, name, and x, y, width and height in pixels of 5 cm.
 pub(crate) fn robot_map(rooms: &[(&str, &str, [i32; 4])]) -> String {
     let block = |(number, name, [x, y, wide, high]): &(&str, &str, [i32; 4])| {
         let runs: Vec<i32> = (*y..y + high).flat_map(|row| [*x, row, *wide]).collect();

@@ -1,6 +1,6 @@
 #!/bin/sh -e
-# A systemd as process 1 of namespaces of its own, with the units in $1/units and the program $1/roomcast as /mnt/roomcast. All that it
-# mounts and writes goes with it; of the machine's it uses its programs and the control group that it was started in.
+# Runs a private systemd as process 1 of new namespaces, with the units in $1/units and the program $1/roomcast as /mnt/roomcast. Its mounts and
+# files disappear with it. It uses the machine's programs and the control group of the caller.
 mount --make-rprivate /
 mount -t tmpfs tmpfs /mnt
 cp "$1/roomcast" /mnt/roomcast
@@ -8,7 +8,7 @@ mkdir /mnt/units /mnt/etc /mnt/work /mnt/state
 cp "$1"/units/* /mnt/units
 chmod -R a+rX /mnt
 
-# The user that systemd/sysusers.conf makes, and a configuration that nobody can start with.
+# The user of systemd/sysusers.conf, and an invalid configuration.
 mount -t overlay -o lowerdir=/etc,upperdir=/mnt/etc,workdir=/mnt/work overlay /etc
 echo 'roomcast:x:4711:4711::/nonexistent:/usr/sbin/nologin' >> /etc/passwd
 echo 'roomcast:x:4711:' >> /etc/group
@@ -27,7 +27,7 @@ else
     mount -t cgroup -o none,name=systemd cgroup /sys/fs/cgroup/systemd
 fi
 for systemd in /usr/lib/systemd/systemd /lib/systemd/systemd; do
-    # It takes itself for one in a container, which leaves the machine's clock and name alone.
+    # In a container systemd does not change the machine's clock and name.
     [ -x "$systemd" ] && container=roomcast SYSTEMD_UNIT_PATH=/mnt/units exec "$systemd" \
         --system --unit=test.target --log-target=console --log-level=info --show-status=no
 done

@@ -1,9 +1,8 @@
-"""What two other implementations read in a recording for ROS 2: recording.py ROS2.mcap OWN.mcap
+"""A ROS 2 recording, read by two other implementations: recording.py ROS2.mcap OWN.mcap
 
 mcap-ros2-support decodes each message by the schema in the file. rosbags registers the schemas, computes each type's hash from them, and reads the
-file as rosbag2's folder has it. Both have to see the same, and what Roomcast's own recording of the same time says. It prints how many messages each
-topic has, as JSON.
-"""
+file in a folder of rosbag2. Both results must agree with each other and with Roomcast's recording of the same time. The script prints the number of
+messages of each topic as JSON."""
 
 import json
 import sys
@@ -21,7 +20,7 @@ THEIRS, OWN = Path(sys.argv[1]), Path(sys.argv[2])
 
 
 def plain(value):
-    """A message as JSON, whoever decoded it."""
+    """A message of either decoder as JSON."""
     names = getattr(value, "__dataclass_fields__", None) or getattr(value, "__slots__", None)
     if names:
         return {name: plain(getattr(value, name)) for name in names if not name.startswith("_")}
@@ -32,7 +31,7 @@ def plain(value):
     return [plain(one) for one in value] if isinstance(value, list) else value
 
 
-# mcap-ros2-support, by the file alone.
+# mcap-ros2-support needs only the file.
 by_schema = []
 with THEIRS.open("rb") as file:
     reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -45,11 +44,11 @@ with THEIRS.open("rb") as file:
     statistics = summary.statistics
     assert statistics.message_count == len(by_schema)
 
-# rosbags, by a folder as rosbag2 makes it, with types from the schemas in the file.
+# rosbags needs a folder of rosbag2; the types come from the schemas in the file.
 store = get_typestore(Stores.EMPTY)
 for _, schema in channels:
     store.register(get_types_from_msg(schema.data.decode(), schema.name))
-# Types that ROS 2 itself defines are as ROS 2 defines them.
+# Types of ROS 2 equal ROS 2's definitions.
 jazzy = get_typestore(Stores.ROS2_JAZZY)
 for channel, schema in channels:
     assert channel.metadata["topic_type_hash"] == store.hash_rihs01(schema.name), schema.name
@@ -100,7 +99,6 @@ def key(message):
 
 assert sorted(by_schema, key=key) == sorted(by_bag, key=key), "the two implementations read different things"
 
-# What Roomcast's own recording of the same time says.
 own = {}
 with OWN.open("rb") as file:
     for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -119,7 +117,7 @@ def rounded(places):
     return [(place, round(probability, 6)) for place, probability in places]
 
 
-# The first horizon is now. Each recorder leaves out repeated forecasts by its own clock.
+# The first horizon is now. Each recorder drops repeated forecasts by its own clock.
 rooms = [rounded((room["id"], room["probability"][0]) for room in forecast["rooms"]) for forecast in own["forecast"]]
 assert of("/roomcast/rooms") and all(rounded(scored(message)) in rooms for message in of("/roomcast/rooms"))
 minute = own["forecast"][0]["horizon_s"].index(60.0)

@@ -1,8 +1,7 @@
-"""What a ROS 2 node of another implementation hears of a robot's bridge: ros2.py PORT
+"""A robot's bridge, as a ROS 2 node of another implementation receives it: ros2.py PORT
 
-Type hashes are computed from the definitions by rosbags, keys and tokens are made by zenoh-ros2-sdk, and messages decoded by rosbags. It says a
-sentence on the narration topic, and prints what it heard as JSON.
-"""
+rosbags computes type hashes and decodes messages, zenoh-ros2-sdk makes keys and tokens. The script publishes a sentence on the narration topic and
+prints the received messages as JSON."""
 
 import json
 import sys
@@ -15,7 +14,7 @@ from zenoh_ros2_sdk.session import ZenohSession
 
 PORT = int(sys.argv[1])
 PATIENCE_S = 100
-# Two packages that rosbags does not bring.
+# Two packages are missing in rosbags.
 DEFINITIONS = {
     "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
     "vision_msgs/msg/Classification": "std_msgs/Header header\nvision_msgs/ObjectHypothesis[] results\n",
@@ -69,15 +68,15 @@ publisher = ROS2Publisher(
 )
 end = time.monotonic() + PATIENCE_S
 said = 0
-# What Nav2 has to know of the mask was said before.
+# Nav2's information about the mask is sent before the script starts.
 while time.monotonic() < end and not {*TOPICS} - {*heard} <= {"/roomcast/keepout_info"}:
-    # A volatile topic: what is said before the other side is there is lost, as in ROS 2.
+    # The topic is volatile: a message without a subscriber is lost, as in ROS 2.
     if said < 20:
         publisher.publish(data=json.dumps({"text": "They walk to the kitchen.", "person": "Ada"}))
         said += 1
     time.sleep(0.5)
 
-# What a late subscriber with transient-local asks for.
+# A late subscriber with transient-local durability asks for these.
 kept = {}
 for topic, kind in TOPICS.items():
     dds = subscribers[list(TOPICS).index(topic)].dds_type_name

@@ -1,5 +1,5 @@
-//! The contract in C: `clients/c/roomcast.h` is what cbindgen makes of the messages' sources, and a C compiler agrees with Rust on
-//! every size and offset. `ROOMCAST_WRITE_HEADER=1` (`make c-header`) writes the header again.
+//! `clients/c/roomcast.h` is cbindgen's output for the messages' sources, and a C compiler agrees with Rust on every size and offset.
+//! `ROOMCAST_WRITE_HEADER=1` (`make c-header`) writes the header.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ fn c_type(name: &str) -> String {
     format!("Roomcast{name}")
 }
 
-/// The messages' sources as plain Rust that cbindgen reads: without the macro, and with names as C needs them.
+/// The messages' sources as plain Rust for cbindgen: without the macro, and with C names.
 fn plain_rust() -> String {
     let mut plain = String::new();
     let mut module = None::<String>;
@@ -107,7 +107,6 @@ fn c_kind(kind: &str) -> String {
     kind
 }
 
-/// What a C compiler checks of one structure.
 fn assertions<T: Layout>(out: &mut String) {
     let name = c_type(T::TYPE_NAME.strip_prefix("roomcast.").unwrap());
     let _ = writeln!(out, "_Static_assert(sizeof({name}) == {}, \"{name}\");", size_of::<T>());
@@ -194,7 +193,7 @@ fn header() -> String {
         line_length: 120,
         ..cbindgen::Config::default()
     };
-    // Nothing refers to the structures: there is no function in this contract.
+    // No function refers to the structures, so cbindgen would drop them.
     config.export.include = plain_rust()
         .lines()
         .filter_map(|line| line.strip_prefix("pub struct ")?.split(' ').next().map(str::to_owned))
@@ -223,7 +222,7 @@ fn the_c_header_is_what_the_messages_are() {
     }
 }
 
-/// Compiles one of the examples; none where there is no compiler.
+/// Compiles an example; `None` without a compiler.
 fn compiled(folder: &Path, name: &str, standard: &str) -> Option<PathBuf> {
     let (program, sources) = (folder.join(name), repository().join("clients/c"));
     let mut compiler = Command::new("cc");
@@ -287,7 +286,6 @@ fn a_c_program_reads_what_rust_wrote() {
     let printed = run(&scores.to_bytes());
     assert_eq!(String::from_utf8(printed.stdout).unwrap(), "scores 3: go to living-room (next with 0.250)\n");
     assert!(printed.status.success());
-    // A message of the wrong size, or with more rooms than there are places, is refused.
     assert!(!run(&scores.to_bytes()[1..]).status.success());
     assert!(!run(&RoomScoresV1 { room_count: 65, ..scores }.to_bytes()).status.success());
 }

@@ -1,4 +1,4 @@
-//! The monotonic clock where the machine was suspended: in a time namespace that has its boot clock set ahead, as a suspension leaves it.
+//! Suspension, simulated by a time namespace with its boot clock set ahead.
 
 use std::process::Command;
 
@@ -6,11 +6,10 @@ use roomcast_ipc::clock::monotonic_ns;
 
 use crate::skipped::skipped;
 
-/// Tells the process in the namespace what it is for.
+/// Set in the child process in the namespace.
 const SAY: &str = "ROOMCAST_SAY_THE_TIME";
 const SUSPENDED_S: u64 = 1_000_000;
 
-/// Row "a machine that was suspended" of the attacks.
 #[test]
 fn time_in_which_the_machine_is_suspended_counts() {
     const THIS: &str = "clock::time_in_which_the_machine_is_suspended_counts";

@@ -1,4 +1,4 @@
-//! The narrator, the planner and the robot of the first page, against a stand-in for the daemon.
+//! The narrator, planner and robot of the crate's first page, against a stand-in for the daemon.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -19,7 +19,7 @@ fn forecast(sequence: u64, kitchen: f32) -> ForecastV1 {
     forecast
 }
 
-/// Confirms everything that it hears, as the daemon does, until it is told to stop.
+/// Confirms all events like the daemon, until `stop`.
 fn confirm(node: &Node, stop: &AtomicBool) -> Vec<NarrationV1> {
     let (heard, scores) = (node.subscriber::<NarrationV1>().unwrap(), node.publisher::<RoomScoresV1>().unwrap());
     let answers = node.answer_port(question::PERSON).unwrap();

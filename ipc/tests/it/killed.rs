@@ -1,7 +1,6 @@
-//! Participants killed at any moment, mostly while they join, open their ports or clean up after one another: nothing of them
-//! stays, and their places come free.
+//! Participants are killed at any moment, mostly while they join, open ports or clean up. No file of theirs stays, and their places become free.
 //!
-//! `ROOMCAST_KILLS=2500 ROOMCAST_KILLS_SEED=2 cargo test --release --workspace --test it killed` kills so many.
+//! `ROOMCAST_KILLS=2500 ROOMCAST_KILLS_SEED=2 cargo test --release --workspace --test it killed` sets the number of kills and the seed.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -14,12 +13,11 @@ use roomcast_ipc::{Domain, Node, Subscriber, question};
 use crate::Private;
 use crate::eventually::eventually;
 
-/// Kills by default.
 const KILLS: usize = 300;
-/// Tells a child what it is: role, root path, domain's name.
+/// Set in a child: role, root path, domain name.
 const CHILD: &str = "ROOMCAST_KILLED_CHILD";
 
-/// Ports as the daemon, a planner or a narrator opens them, in use until the process is killed.
+/// Opens the ports of a daemon, planner or narrator and uses them until the process is killed.
 fn take_part(role: &str, node: &Node) {
     let narration = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.").unwrap();
     let narration = NarrationV1 { source: 7, epoch: 1, sequence: 1, ..narration };
@@ -72,7 +70,7 @@ fn received<M: Message>(subscriber: &Subscriber<M>) -> Option<M> {
     subscriber.receive_from(&mut message).unwrap().map(|_| message)
 }
 
-/// In a child, which is this very test in a process of its own, takes part until it is killed.
+/// In a child process, which runs this same test, takes part until the kill.
 fn take_part_as_child() {
     let Ok(what) = std::env::var(CHILD) else { return };
     let [role, root, name] = what.split(' ').collect::<Vec<_>>()[..] else { panic!("{what:?}") };
@@ -87,7 +85,6 @@ fn start(role: &str, domain: &Domain) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).spawn().unwrap()
 }
 
-/// Every file of the domain.
 fn files(domain: &Domain) -> Vec<PathBuf> {
     let mut files = Vec::new();
     let prefix = domain.prefix();
@@ -108,10 +105,10 @@ fn files(domain: &Domain) -> Vec<PathBuf> {
     files
 }
 
-/// As if a minute had passed: what is left half-made is taken for that after some seconds only.
+/// Half-made files are removed only after some seconds, so the test makes them a minute old.
 fn age(files: &[PathBuf]) {
     for path in files {
-        // Sockets cannot be opened, and files without permission neither.
+        // Sockets cannot be opened, nor files without permission.
         if let Ok(file) = std::fs::File::open(path) {
             file.set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
         }
@@ -130,7 +127,7 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
     let domain = &private.domain;
     let kills = number("ROOMCAST_KILLS").map_or(KILLS, |kills| usize::try_from(kills).unwrap());
     let mut random = number("ROOMCAST_KILLS_SEED").unwrap_or(1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    // Xorshift: moments need no better chance.
+    // Xorshift is random enough for the moments.
     let mut below = |limit: u64| {
         random ^= random << 13;
         random ^= random >> 7;
@@ -154,7 +151,7 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
         child.wait().unwrap();
     }
     let start = Instant::now();
-    // Sockets cannot be aged: half-made ones are removed when they are ten seconds old.
+    // Sockets keep their age: half-made ones are removed after ten seconds.
     let mut left = files(domain);
     while left.len() > own && start.elapsed() < Duration::from_secs(40) {
         node.clean_up_dead();
@@ -172,8 +169,8 @@ fn nothing_stays_of_participants_killed_at_any_moment() {
     assert!(domain.clean_up().unwrap());
 }
 
-/// A service whose maker was killed before its shared memory had a size: iceoryx2 by itself would wait for it for ever, whoever opens the
-/// service, sends, or cleans up.
+/// The maker of a service is killed before its shared memory has a size. iceoryx2 alone would wait forever for the size: to open the service, to
+/// send, or to clean up.
 #[test]
 fn memory_that_never_got_its_size_keeps_nobody_waiting() {
     let private = Private::new("sizeless");
@@ -191,7 +188,7 @@ fn memory_that_never_got_its_size_keeps_nobody_waiting() {
     for memory in services(domain) {
         std::fs::File::create(memory).unwrap();
     }
-    // In a thread, so that a wait without end is told rather than waited for.
+    // A thread, so that an endless wait fails the test.
     let (done, ended) = std::sync::mpsc::channel();
     let own = domain.clone();
     std::thread::spawn(move || {
@@ -217,12 +214,12 @@ fn entries_of(child: &Child, domain: &Domain) -> Vec<PathBuf> {
     nodes.filter(of_child).collect()
 }
 
-/// What iceoryx2 leaves of a dead participant where it fails for a moment to take it out of a service: its monitor is removed, its entry stays.
+/// iceoryx2 may momentarily fail to remove a dead participant from a service: the monitor is then removed, but the entry stays.
 #[test]
 fn a_participant_without_its_monitor_leaves_its_services() {
     let private = Private::new("monitor");
     let domain = &private.domain;
-    // Somebody stays in a service, which would be removed as a whole otherwise.
+    // Without this participant the whole service would be removed.
     let node = domain.open("stays").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let mut child = start("daemon", domain);
@@ -235,7 +232,7 @@ fn a_participant_without_its_monitor_leaves_its_services() {
     age(&entries_of(&child, domain));
     node.clean_up_dead();
     assert_eq!(entries_of(&child, domain), Vec::<PathBuf>::new());
-    // Whoever leaves a service last removes it.
+    // The last participant of a service removes it.
     drop((scores, node));
     let mut services = files(domain);
     services.retain(|file| file.extension().is_some_and(|ending| ending == "service" || ending == "dynamic"));
@@ -243,7 +240,7 @@ fn a_participant_without_its_monitor_leaves_its_services() {
     assert!(domain.clean_up().unwrap());
 }
 
-/// Removes a participant's entry, and ends it then: its places in services stay taken.
+/// Removes a participant's entry and then kills it, so its places in services stay taken.
 fn end_without_entry(mut child: Child, domain: &Domain) {
     let entries = entries_of(&child, domain);
     assert!(entries.len() > 1, "a folder and a monitor: {entries:?}");
@@ -254,12 +251,12 @@ fn end_without_entry(mut child: Child, domain: &Domain) {
     child.wait().unwrap();
 }
 
-/// iceoryx2 may clean a dead participant away and leave its places in services taken. The entry is removed here by hand, before it dies.
+/// iceoryx2 may remove a dead participant and leave its places taken. Here the test removes the entry before the kill.
 #[test]
 fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
     let private = Private::new("places");
     let domain = &private.domain;
-    // Somebody stays in the services, which would go with the last one otherwise.
+    // Without this participant the services would be removed.
     let node = domain.open("stays").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let child = start("daemon", domain);
@@ -272,7 +269,7 @@ fn a_place_whose_holder_is_no_participant_any_more_comes_free() {
     assert!(domain.clean_up().unwrap());
 }
 
-/// The same of one among several whose other holders live.
+/// The same with a dead holder among living ones.
 #[test]
 fn a_place_of_nobody_comes_free_among_those_of_the_living() {
     let private = Private::new("among");
@@ -289,8 +286,7 @@ fn a_place_of_nobody_comes_free_among_those_of_the_living() {
     assert!(domain.clean_up().unwrap());
 }
 
-/// The files of a service as they are when whoever left it last was killed before they were removed: closed to others, or, killed a
-/// moment earlier, still open to them.
+/// The files of a service with its last participant killed before it removed them: closed to others, or still open after a slightly earlier kill.
 fn leave_service_behind(domain: &Domain, closed: bool) {
     let all = files(domain);
     let node = domain.open("leaves").unwrap();
@@ -309,8 +305,8 @@ fn leave_service_behind(domain: &Domain, closed: bool) {
         let mut after = Vec::new();
         file.read_to_end(&mut after).unwrap();
         if !closed {
-            // iceoryx2 sets the counter of changes of a list to all ones to close it. The number of a participant that it removes becomes
-            // all ones too, and that one is large.
+            // iceoryx2 closes a list with all ones in its change counter. A removed participant's number becomes all ones too, but that number was
+            // large.
             for (after, before) in after.chunks_exact_mut(8).zip(before.chunks_exact(8)) {
                 if after == [0xff; 8] && before[2..] == [0; 6] {
                     after.copy_from_slice(before);
@@ -349,7 +345,7 @@ fn a_service_that_nobody_is_in_is_removed() {
     assert!(files(domain).is_empty(), "{:#?}", files(domain));
 }
 
-/// Its maker was killed this very moment, before its memory had a size.
+/// The maker was killed just now, before the memory had a size.
 #[test]
 fn a_service_that_was_just_not_finished_keeps_nobody_out_for_long() {
     let private = Private::new("halves");

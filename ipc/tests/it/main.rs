@@ -14,7 +14,7 @@ mod skipped;
 
 use roomcast_ipc::Domain;
 
-/// A domain that removes itself, also when the test fails.
+/// A domain that is removed on drop, also if the test fails.
 struct Private {
     domain: Domain,
     _root: tempfile::TempDir,

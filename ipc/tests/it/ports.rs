@@ -1,4 +1,4 @@
-//! The ports against real shared memory, each test in a domain of its own.
+//! The ports with real shared memory. Each test has its own domain.
 
 use std::os::unix::fs::PermissionsExt;
 use std::sync::Mutex;
@@ -45,7 +45,7 @@ fn a_narration_arrives_and_wakes() {
         let narrator = sender.open("narrator").unwrap();
         let publisher = narrator.publisher::<NarrationV1>().unwrap();
         publisher.send(&narration(1, "They grab the mug.")).unwrap();
-        // What a publisher sent before a subscriber has noticed it dies with it.
+        // If a publisher ends before the subscriber has noticed it, its messages are lost.
         was_read.recv().unwrap();
     });
     let message = eventually("the narration arrives", || {
@@ -57,8 +57,7 @@ fn a_narration_arrives_and_wakes() {
     thread.join().unwrap();
 }
 
-/// Every message is answered by one, so each of the two sleeps before nearly every one of its own: a wake-up that goes missing stops both
-/// until a wait is over.
+/// Each message has an answer, so both sides sleep before nearly every message, and a lost wake-up stops both.
 #[test]
 fn of_many_messages_each_wakes_whoever_waits_for_it() {
     const MESSAGES: u64 = 20_000;
@@ -70,7 +69,7 @@ fn of_many_messages_each_wakes_whoever_waits_for_it() {
         let node = there.open("there").unwrap();
         let (heard, answer) = (node.subscriber::<NarrationV1>().unwrap(), node.publisher::<RoomScoresV1>().unwrap());
         ready.send(()).unwrap();
-        // The last answer was read when the message after it is here: then its publisher may go.
+        // The next message means that the last answer was read, so the publisher may end after it.
         let mut next = 1;
         while next <= MESSAGES + 1 {
             assert!(heard.wait(Duration::MAX).unwrap(), "nothing ends a wait without an end");
@@ -107,7 +106,7 @@ fn a_late_joiner_gets_the_newest_snapshot_from_a_tick_alone() {
     assert_eq!(eventually("a late subscriber gets the newest scores", || late.newest().unwrap()).sequence, 2);
 }
 
-/// What a recorder hears: nothing that was said before it was there, and all that is said from then on.
+/// A recorder gets later messages only.
 #[test]
 fn whoever_listens_from_now_gets_no_history() {
     let private = Private::new("now");
@@ -175,7 +174,7 @@ fn a_second_daemon_is_refused_by_name_of_the_service() {
     let private = Private::new("second");
     let first = private.domain.open("daemon").unwrap();
     let held = first.publisher::<RoomScoresV1>().unwrap();
-    // Whom it waits for is told long before it gives up, and once.
+    // The waiting participant reports the holder once, long before its timeout.
     static TOLD: Mutex<Vec<(Instant, String)>> = Mutex::new(Vec::new());
     let tell = |error: &IpcError| TOLD.lock().unwrap().push((Instant::now(), error.to_string()));
     let second = private.domain.open("daemon").unwrap().telling_of_waits(tell);
@@ -190,7 +189,7 @@ fn a_second_daemon_is_refused_by_name_of_the_service() {
     second.publisher::<RoomScoresV1>().unwrap();
 }
 
-/// A later version of the scores that somebody published under the old service name.
+/// A later version of the scores under the old service name.
 #[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
 #[repr(C)]
 #[type_name("roomcast.RoomScoresV2")]
@@ -211,7 +210,6 @@ impl Message for RoomScoresV2 {
     }
 }
 
-/// The last place is that of a listener, before there is a subscriber that could want one.
 #[test]
 fn one_subscriber_too_many_is_told_who_is_there() {
     let private = Private::new("crowd");
@@ -289,12 +287,12 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     });
     let patience = Duration::from_secs(30);
     assert_eq!(client.ask("stressed", patience).unwrap(), "desserts");
-    // Longer than what the ports were made for: the asker's grows, and the answer lies in a file.
+    // Longer than the ports' buffers: the question's buffer grows, and the answer is in a file.
     let long = "ab".repeat(400_000);
     assert_eq!(client.ask(&long, patience).unwrap(), "ba".repeat(400_000));
-    // What it says may tell of persons: it goes when it was read.
+    // An answer may contain personal data, so its file is deleted after it is read.
     assert_eq!(answer_files(&private.domain), 0);
-    // Where the file cannot be written, as on a full disk, whoever asks hears why, and at once.
+    // If the file cannot be written, as on a full disk, the asker gets the reason at once.
     let (root, moved) = (private.domain.root(), private.domain.root().with_extension("moved"));
     std::fs::rename(root, &moved).unwrap();
     let error = client.ask(&long, patience).unwrap_err();
@@ -308,7 +306,7 @@ fn questions_in_words_are_answered_at_any_length_or_their_absence_is_said() {
     thread.join().unwrap();
 }
 
-/// A daemon's memory is all there from its start: another user who fills `/dev/shm` later ended it by a signal, at the next long answer.
+/// A daemon allocates its shared memory at the start. Formerly, a full `/dev/shm` ended it by a signal at the next long answer.
 #[test]
 fn neither_a_long_answer_nor_many_items_take_more_shared_memory() {
     let private = Private::new("no-more");
@@ -333,13 +331,13 @@ fn neither_a_long_answer_nor_many_items_take_more_shared_memory() {
     assert_eq!(private.shared_memory_files(), before);
 }
 
-/// The files of answers that nobody has read.
+/// Files of unread answers.
 fn answer_files(domain: &Domain) -> usize {
     let files = std::fs::read_dir(domain.root()).unwrap().map(|file| file.unwrap().path());
     files.filter(|path| path.extension().is_some_and(|end| end == "answer")).count()
 }
 
-/// Several ask one service at once, each for a long answer of its own. All answers went through one file: a refused change read as done.
+/// Several clients ask one service at once, each for a long answer. Formerly all answers used one file, and a refused change read as done.
 #[test]
 fn nobody_reads_what_somebody_else_was_answered() {
     const ASKERS: usize = 4;
@@ -364,7 +362,7 @@ fn nobody_reads_what_somebody_else_was_answered() {
     assert_eq!(answer_files(domain), 0, "each was read");
 }
 
-/// Answers that nobody reads are no more than a few; they go with the daemon, at its start, and where it forgets somebody.
+/// Few unread answers are kept. A daemon deletes them at its start and end, and when it forgets a person.
 #[test]
 fn unread_answers_are_few_and_can_be_forgotten() {
     let private = Private::new("unread");
@@ -377,7 +375,7 @@ fn unread_answers_are_few_and_can_be_forgotten() {
     assert!(!of_before("moment").exists() && of_before("person").exists(), "each service has its own");
     std::fs::remove_file(of_before("person")).unwrap();
     let client = node.question_port(question::MOMENT).unwrap();
-    // Whoever asks has left before the answer comes.
+    // The client gives up before the answer comes.
     let unread = |times: usize| {
         for _ in 0..times {
             assert!(client.ask("{}", Duration::from_millis(1)).is_err());
@@ -407,7 +405,7 @@ fn cleaning_up_leaves_nothing() {
     assert!(!private.domain.root().exists());
 }
 
-/// iceoryx2's counter of participants is there as long as somebody is, and goes with the last one.
+/// iceoryx2's counter of participants exists until the last participant ends.
 #[test]
 fn the_last_one_out_leaves_nothing_in_shared_memory() {
     let private = Private::new("last-out");
@@ -421,7 +419,7 @@ fn the_last_one_out_leaves_nothing_in_shared_memory() {
     assert_eq!(private.shared_memory_files(), 0);
 }
 
-/// The first one failed, or was killed, between making the counter and giving it a size: that keeps nobody out.
+/// The first participant was killed between creating the counter and giving it a size.
 #[test]
 fn a_counter_without_a_size_keeps_nobody_out() {
     let private = Private::new("no-size");
@@ -436,8 +434,8 @@ fn a_counter_without_a_size_keeps_nobody_out() {
     private.domain.open("second").unwrap();
 }
 
-/// The maker of a service failed, or was killed, between the service's file and its memory; or between the memory and opening it to others.
-/// iceoryx2 waits for such a service and then refuses it, for ever.
+/// The maker of a service was killed between the service's file and its memory, or before it opened the memory to others. iceoryx2 waits for such a
+/// service and then always refuses it.
 #[test]
 fn a_service_without_memory_keeps_nobody_out() {
     let private = Private::new("half-service");
@@ -466,8 +464,8 @@ fn a_service_without_memory_keeps_nobody_out() {
     drop((publisher, subscriber, node));
 }
 
-/// Two domains of one name in two roots share the names of their files in shared memory. Each took the other's participants for gone, and
-/// removed their ports after some seconds: daemons that went deaf without a word.
+/// Two domains with one name in two roots share file names in shared memory. Each took the other's participants for dead and removed their ports
+/// after some seconds, and daemons received no more messages.
 #[test]
 fn what_a_running_process_uses_stays_whatever_root_it_has() {
     let private = Private::new("two-roots");
@@ -484,7 +482,7 @@ fn what_a_running_process_uses_stays_whatever_root_it_has() {
     drop(node);
     private.domain.clean_up().unwrap();
     assert!(file.exists(), "its owner runs, and takes part elsewhere");
-    // It has ended, and nobody has asked how.
+    // The process has ended, and its parent has not reaped it.
     other.kill().unwrap();
     let node = private.domain.open("two").unwrap();
     eventually("the file of the ended owner goes", || {
@@ -513,7 +511,7 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     let (root, prefix) = (private.domain.root().to_owned(), private.domain.prefix());
     let node = private.domain.open("test").unwrap();
     let scores = node.publisher::<RoomScoresV1>().unwrap();
-    // A participant without a monitor, one without details, and a service that was never finished, all a minute old.
+    // A participant without a monitor, one without details, and an unfinished service: first new, then a minute old.
     let nodes = root.join("nodes");
     let (joining, cleaned) = (nodes.join("1234567"), nodes.join("7654321"));
     let monitor = nodes.join(format!("{prefix}7654321.node_monitor"));
@@ -523,7 +521,7 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     std::fs::create_dir(&cleaned).unwrap();
     std::fs::write(&monitor, "").unwrap();
     std::fs::write(&service, "").unwrap();
-    // A participant whose monitor was still being made: nobody may read its files yet.
+    // A participant with an unfinished monitor: its files are not readable yet.
     let starting = nodes.join("5555555");
     std::fs::create_dir(&starting).unwrap();
     std::fs::write(starting.join(format!("{prefix}node.details")), "").unwrap();
@@ -532,7 +530,7 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
     for file in &unreadable {
         std::fs::write(file, "").unwrap();
     }
-    // And what a port left whose participant (of process 4321) is gone altogether.
+    // The remains of a port of process 4321; its participant no longer exists.
     let orphan = format!("/dev/shm/{prefix}{}_{}.event_mgmt", "0".repeat(40), (7_u128 << 96) + (4321 << 64));
     let orphan = std::path::PathBuf::from(orphan);
     std::fs::write(&orphan, "what ports have").unwrap();
@@ -557,13 +555,13 @@ fn what_killed_participants_left_half_made_is_cleaned_up_and_keeps_nobody_out() 
 fn what_belongs_to_the_living_is_left_alone_however_old() {
     let private = Private::new("living");
     let (daemon, planner) = (private.domain.open("daemon").unwrap(), private.domain.open("planner").unwrap());
-    // Ports need not be of the same second as their participant.
+    // A port may be younger than its participant by more than a second.
     std::thread::sleep(Duration::from_millis(1100));
     let publisher = daemon.publisher::<RoomScoresV1>().unwrap();
     let subscriber = planner.subscriber::<RoomScoresV1>().unwrap();
     publisher.send(&scores(1)).unwrap();
     assert_eq!(eventually("the scores arrive", || subscriber.newest().unwrap()).sequence, 1);
-    // Ports whose messages grow have their memory in numbered segments, which nobody has opened yet.
+    // Ports with growing messages have their memory in numbered segments, unopened so far.
     let items = daemon.item_scores_publisher().unwrap();
     let (moments, status) = (daemon.answer_port(question::MOMENT).unwrap(), daemon.status_server().unwrap());
     let mut files = Vec::new();
@@ -582,7 +580,7 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
     files.extend(shared.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)));
     for path in &files {
         let minute_ago = std::time::SystemTime::now() - Duration::from_secs(60);
-        // Sockets cannot be opened, and stay as young as they are.
+        // Sockets cannot be opened and keep their age.
         if let Ok(file) = std::fs::File::open(path) {
             file.set_modified(minute_ago).unwrap();
         }
@@ -611,7 +609,7 @@ fn what_belongs_to_the_living_is_left_alone_however_old() {
     drop((publisher, subscriber, items, question, asked, moments, status, daemon, planner));
 }
 
-/// What anybody may put into `/dev/shm` under the domain's names, after somebody has joined.
+/// Files under the domain's names that any user may put into `/dev/shm` after a participant has joined.
 #[test]
 fn pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are() {
     use std::os::unix::fs::MetadataExt;
@@ -633,7 +631,7 @@ fn pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are() {
         std::fs::File::create(&sparse).unwrap().set_len(1 << 20).unwrap();
         std::fs::set_permissions(&sparse, std::fs::Permissions::from_mode(0o644)).unwrap();
         if is_root {
-            // Another user's, which only root can make.
+            // Only root can give a file to another user.
             std::os::unix::fs::lchown(planted("evil.data"), Some(65_534), Some(65_534)).unwrap();
             std::fs::File::create(planted("theirs.data")).unwrap().set_len(1 << 20).unwrap();
             std::os::unix::fs::lchown(planted("theirs.data"), Some(65_534), Some(65_534)).unwrap();
@@ -649,7 +647,7 @@ fn pipes_and_links_in_shared_memory_hold_up_nobody_and_stay_as_they_are() {
     assert_eq!(eventually("the scores arrive", || subscriber.newest().unwrap()).sequence, 1);
     node.clean_up_dead();
     assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
-    // What is a participant's own is given its pages; what a link leads to is left alone.
+    // A participant's own file gets its pages. The target of a link gets none.
     assert_eq!(std::fs::metadata(&victim).unwrap().blocks(), 0);
     assert!(std::fs::metadata(&sparse).unwrap().blocks() * 512 >= 1 << 20);
     if is_root {

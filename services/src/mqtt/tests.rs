@@ -943,7 +943,7 @@ fn a_rehearsal_takes_nothing_from_the_narrator() {
     second.end();
 }
 
-/// Row "MQTT backlog" of the attacks. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
+/// The attack: MQTT backlog. `ROOMCAST_MQTT_RESTARTS=1000` is the long form; a restart takes about a second.
 /// `ROOMCAST_MQTT_SEED` chooses other moments.
 #[test]
 fn a_backlog_of_5000_messages_is_said_once_and_in_order_over_restarts() {
@@ -1085,7 +1085,7 @@ fn silence_behind_a_real_broker_is_said_when_it_has_lasted() {
     assert_eq!(listening.end().0, Vec::<String>::new());
 }
 
-/// Row "MQTT payloads of 10 MB" of the attacks.
+/// The attack: MQTT payloads of 10 MB.
 #[test]
 fn oversized_messages_are_refused_by_name_and_passed_over() {
     let _alone = MEMORY.lock().unwrap_or_else(PoisonError::into_inner);
@@ -1171,7 +1171,7 @@ fn a_connection_over_which_the_broker_delivers_nothing_is_renewed() {
     assert_eq!(listening.end().1.oversized, 0, "the broker has dropped them");
 }
 
-/// Row "a refused subscription" of the attacks. mosquitto's own access list grants every subscription, so the broker is a stand-in.
+/// The attack: a refused subscription. mosquitto's own access list grants every subscription, so the broker is a stand-in.
 #[test]
 fn a_refused_subscription_is_an_error_with_its_name() {
     const NOT_AUTHORIZED: u8 = 0x87;
@@ -1266,7 +1266,7 @@ fn an_occupancy_sensor_says_that_a_room_is_empty() {
     assert_eq!(said, r#"{"presence":"empty","room":"living room"}"#);
 }
 
-/// Row "4 200 messages of control characters" of the attacks: lines that wait for silence have a byte limit.
+/// The attack: 4 200 messages of control characters. Lines that wait for silence have a byte limit.
 #[test]
 fn what_waits_for_silence_is_bounded_in_bytes() {
     let rules = "[[rule]]\ntopic = \"home/+/state\"\nsay = \"the {1} is {value}\"\nquiet_s = 600.0";
@@ -1301,7 +1301,7 @@ fn what_waits_for_silence_is_bounded_in_bytes() {
     assert_eq!(listener.due(after), [r#"{"kind":"device","text":"the lamp is on"}"#]);
 }
 
-/// Row "900 rules for one field" of the attacks: a message is read once for all rules.
+/// The attack: 900 rules for one field. A message is read once for all rules.
 #[test]
 fn a_message_is_read_once_for_all_rules() {
     let rule =
@@ -1524,7 +1524,7 @@ fn a_broker_that_counts_says_nothing_twice_to_a_young_narrator() {
     assert_eq!(listening.end().1.said, ids.len() as u64 + 1);
 }
 
-/// Row "server keep alive 0" of the attacks: the broker expects no pings, and none is too late.
+/// The attack: a server keep alive of 0. The broker expects no pings, and none is too late.
 #[test]
 fn a_broker_that_wants_no_pings_is_not_left() {
     let (mut broker, port) = Liar::new();
@@ -1544,7 +1544,7 @@ fn a_broker_that_wants_no_pings_is_not_left() {
     listening.end();
 }
 
-/// Row "receive maximum 0" of the attacks, and the same broker after it has recovered.
+/// The attack: a receive maximum of 0, and the same broker after it has recovered.
 #[test]
 fn a_broker_that_allows_nothing_is_tried_again() {
     let (mut broker, port) = Liar::new();
@@ -1560,7 +1560,7 @@ fn a_broker_that_allows_nothing_is_tried_again() {
     listening.end();
 }
 
-/// Row "150 answers to one subscription" of the attacks.
+/// The attack: 150 answers to one subscription.
 #[test]
 fn more_answers_than_questions_say_nothing() {
     let rule = |n: usize| format!("[[rule]]\ntopic = \"t{n:03}\"\nsay = \"They do step {{value}}.\"\n");
@@ -1579,7 +1579,7 @@ fn is_identified(subscribe: &[u8]) -> bool {
     subscribe[2] > 0
 }
 
-/// Row "filters that overlap": the broker sends a copy for each of them.
+/// The attack: overlapping filters. The broker sends a copy for each of them.
 #[test]
 fn what_fits_two_filters_is_said_once() {
     const PRESSES: &str = "[[rule]]\ntopic = \"zigbee/+\"\nrepeats = true\nsay = \"They press {value}.\"\n\

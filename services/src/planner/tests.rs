@@ -1016,7 +1016,7 @@ fn a_restarted_planner_goes_on_with_the_round() {
     }
 }
 
-/// A robot continued to work among people who had come into its room while its planner was down.
+/// A robot continued to work among people that entered its room while its planner was down.
 #[test]
 fn who_came_while_the_planner_was_down_interrupts_and_who_was_there_before_does_not() {
     let config = PlannerConfig { room_time_s: 100.0, ..Default::default() };
@@ -1143,7 +1143,7 @@ fn a_robot_waits_where_no_other_robot_is() {
     assert_eq!((home.decision(231).action, home.planner.room()), (action::GO, Some(0)));
 }
 
-/// With every room done it waits for the next round, and not next to a person who comes in.
+/// With every room done it waits for the next round, but leaves a room when a person enters.
 #[test]
 fn a_robot_that_waits_makes_room_for_who_comes() {
     let mut home = Home::new(3, &PlannerConfig { round_s: Some(1_000.0), ..Default::default() });

@@ -1,5 +1,3 @@
-//! The command line: errors, signals, what is checked before anything runs.
-
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
@@ -11,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::{World, eventually, exit_code, roomcast, scores_with};
 
-/// As `timeout` and terminals do it: a signal to the process, and another at once to its group.
+/// `timeout` and terminals signal the process and then its group.
 #[test]
 fn signals_in_a_row_are_one_wish_to_stop() {
     let mut world = World::new("twice");
@@ -65,7 +63,7 @@ fn a_wrong_set_up_of_narrate_is_its_end() {
     }
 }
 
-/// Whoever wrote the wrong address is told so: the configuration, or the command line.
+/// A wrong address is a configuration error if the file has it, and a usage error if the command line has it.
 #[test]
 fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
     let world = World::new("broker");
@@ -73,7 +71,7 @@ fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
     for (address, part) in [("http://h", "no broker"), ("mqtt://ada:secret@h", "user name"), ("mqtts://h", "CA file")] {
         std::fs::write(&config, format!("[mqtt]\nbroker = {address:?}\nrules = \"rules.toml\"\n")).unwrap();
         for command in [&["narrate"][..], &["publish", "mqtt"], &["robot"]] {
-            // A narrator has no broker unless it is told so.
+            // A narrator uses the configured broker only with `--mqtt`.
             let asked = if command == ["narrate"] { &["--mqtt"][..] } else { &[] };
             let configured = [asked, &["--config", config.to_str().unwrap()]].concat();
             let given = vec!["--mqtt", address];
@@ -87,14 +85,14 @@ fn a_broker_that_is_none_is_the_fault_of_who_names_it() {
     }
 }
 
-/// What goes on until it is stopped has done its work then, whatever it has heard on the way; what has an end has not.
+/// A service that runs until a signal exits with success, even after bad lines. Work with an end is interrupted.
 #[test]
 fn a_signal_ends_a_service_well_and_interrupts_work_that_has_an_end() {
     let mut world = World::new("stopped");
     let path = |world: &World, name: &str| world.directory.path().join(name).to_str().unwrap().to_owned();
     let (fifo, lines) = (path(&world, "fifo"), path(&world, "lines"));
     std::fs::write(&lines, "They sit.\n{\"no\": \"narration\"}\nThey stand up.\n").unwrap();
-    // No daemon and no planner is there: nothing of it is confirmed. Each says on standard error that it is at its work.
+    // No daemon and no planner runs, so no message is confirmed, and every command waits.
     let until = |world: &World, process: usize, word: &str| {
         let log = world.children[process].log.clone();
         eventually(word, || std::fs::read_to_string(&log).ok().filter(|log| log.contains(word)));
@@ -132,7 +130,7 @@ fn a_signal_ends_a_service_well_and_interrupts_work_that_has_an_end() {
         kill_process(Pid::from_raw(piped.id().cast_signed()).unwrap(), signal).unwrap();
         assert_eq!(piped.wait().unwrap().code(), Some(i32::from(exit_code::OK)));
 
-        // A file of reports: it is read to its end, and then nobody is there to hear them.
+        // The command reads the file to its end, then waits for a planner.
         let reports = path(&world, &format!("reports-{number}"));
         std::fs::write(&reports, "not a report\n{\"report\": \"docked\"}\n").unwrap();
         let log = File::create(path(&world, "log-report")).unwrap();
@@ -145,7 +143,7 @@ fn a_signal_ends_a_service_well_and_interrupts_work_that_has_an_end() {
     }
 }
 
-/// On a full disk, or where nobody reads, what is told on standard error is lost and the command goes on.
+/// If standard error is full or closed, messages are lost and the command continues.
 #[test]
 fn standard_error_that_cannot_be_written_ends_no_command_by_a_panic() {
     let world = World::new("untold");
@@ -255,7 +253,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     }
 }
 
-/// Experiments were commands of this program once.
+/// The experiments moved from this program to roomcast-lab.
 #[test]
 fn the_old_name_of_an_experiment_prints_the_new_one_on_one_line() {
     let output = roomcast(&["experiment", "table2", "--json"]).output().unwrap();
@@ -338,7 +336,6 @@ fn a_number_that_does_not_fit_is_answered_with_what_does() {
         assert_eq!(output.status.code(), Some(i32::from(exit_code::USAGE)), "{arguments:?}: {said}");
         assert!(said.contains(remedy), "{arguments:?}: {said}");
     }
-    // What has no effect is refused, too.
     for arguments in [
         &["narrate", "--mqtt", "mqtt://127.0.0.1", "--rules", "rules.toml", "--speed", "2"][..],
         &["narrate", "--fifo", "/tmp/narration", "--speed", "2"],
@@ -397,7 +394,7 @@ fn a_configuration_is_held_to_what_this_machine_has() {
         let (fine, said) = check(text);
         assert!(!fine && said.contains(part), "{text}: {said}");
     }
-    // What a home names is held to what there is, too, and all is said at once.
+    // The names in a configuration are checked against the map, and all errors appear in one message.
     let text = "[scene]\npath = \"studio\"\n[robot.segments]\nkitchn = \"16\"\n";
     let mqtt = "[mqtt]\nbroker = \"10.0.0.5\"\nrules = \"home.rules.toml\"\n";
     let (fine, said) = check(&format!("{text}{mqtt}"));

@@ -1,5 +1,3 @@
-//! The daemon: who joins late or twice, who is killed or stopped, and what a large map or another version of it costs.
-
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -32,14 +30,14 @@ fn a_late_planner_has_the_scores_at_once_and_two_planners_do_not_disturb_each_ot
         (first.len() == 2).then_some(())
     });
     for decision in first.values() {
-        // No narration came after the planners: what they know, they got on joining.
+        // No event came after the planners joined, so they got the scores on joining.
         assert_eq!((decision.action, decision.flags), (action::GO, 0), "{}", decision.reason());
         assert!(decision.observed_ns > 0 && !decision.to().is_empty());
     }
     world.assert_alive();
 }
 
-/// Threads that the set-up left behind would make OpenMP put the scoring thread's to sleep wherever they wait for one another.
+/// OpenMP puts the scoring thread's workers to sleep at every wait if the set-up leaves other threads behind.
 #[test]
 fn only_the_scoring_thread_has_threads_of_the_decoder() {
     let mut world = World::new("threads");
@@ -53,17 +51,16 @@ fn only_the_scoring_thread_has_threads_of_the_decoder() {
     let threads = std::fs::read_dir(process.join("task")).unwrap().map(|thread| name(thread.unwrap().path()));
     let threads: Vec<String> = threads.collect();
     let count = |wanted: &str| threads.iter().filter(|thread| thread.trim_end() == wanted).count();
-    // A thread is born with the name of the one that makes it.
+    // A new thread inherits the name of its parent.
     assert_eq!((count("scoring"), count("setup")), (2, 0), "{threads:?}");
     assert_eq!(count(name(process).trim_end()), 1, "{threads:?}");
 }
 
-/// What a sensor tells asks nothing of the model. Answers are prepared on after it.
 #[test]
 fn answers_are_prepared_on_after_an_event_that_asks_nothing() {
     let mut world = World::new("prepared");
     let config = world.directory.path().join("roomcast.toml");
-    // Slow enough that there is more to do for the whole of the test.
+    // With this share the prefetcher has work left during the whole test.
     std::fs::write(&config, "[scoring]\nprepare = 256\nprepare_share = 0.03\n").unwrap();
     world.start(&["daemon", "--config", config.to_str().unwrap()]);
     let node = world.domain.open("test").unwrap();
@@ -88,7 +85,7 @@ fn answers_are_prepared_on_after_an_event_that_asks_nothing() {
     tell(7, narration_kind::PRESENCE, "away");
     let before = world.status(&node);
     assert_eq!(before.asked, asked, "it asked nothing");
-    // What was being answered may end; nine more are begun after it.
+    // One prefetch in progress may still end; ten more show that the prefetcher continues.
     prepared(&world, before.prepared + 9);
 }
 
@@ -114,7 +111,7 @@ fn the_history_survives_a_killed_daemon_and_nothing_is_taken_twice() {
     assert_eq!(world.status(&node).restored, 3);
 }
 
-/// How often the threads of a process went to sleep by themselves.
+/// Voluntary context switches of all threads.
 fn sleeps(process: u32) -> u64 {
     let tasks = std::fs::read_dir(format!("/proc/{process}/task")).unwrap().flatten();
     let status = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("status")).ok());
@@ -125,7 +122,7 @@ fn sleeps(process: u32) -> u64 {
     status.map(count).sum()
 }
 
-/// `top --json --snapshots 1` waited in silence where there was no daemon.
+/// `top --json --snapshots 1` used to wait without a message.
 #[test]
 #[ignore = "full"]
 fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
@@ -136,7 +133,7 @@ fn whoever_wants_one_snapshot_and_has_no_daemon_is_told() {
     assert!(said.contains("no daemon is heard in the domain") && said.contains("start `roomcast daemon`"), "{said}");
 }
 
-/// A planner that runs beside its daemon shares the program's pages with it.
+/// Daemon and planner share the program's pages, so only private memory counts for the planner.
 #[test]
 #[ignore = "full"]
 fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
@@ -149,7 +146,7 @@ fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
     eventually("a decision", || decisions.newest().unwrap());
     drop((scores, decisions, node));
     let ids = both.map(|process| world.children[process].child.id());
-    // Some time to settle, then a time to count in: what is counted is a rate. Whatever else runs here adds to it, so a busy time is tried again.
+    // Other processes on the machine add wake-ups, so a busy period is measured again.
     std::thread::sleep(Duration::from_secs(2));
     let rates = |_| {
         let (before, start) = (ids.map(sleeps), Instant::now());
@@ -166,7 +163,7 @@ fn an_idle_daemon_and_planner_wake_seldom_and_a_planner_is_small() {
     assert!(memory_kib[1] < 10_000, "{memory_kib:?} KiB");
 }
 
-/// A map of `count` items in four rooms, in `world`'s directory, and a configuration with it.
+/// A configuration with a map of `count` items in four rooms, in `world`'s directory.
 fn large_map(world: &World, count: usize) -> String {
     let room = |n: usize| {
         format!(r#"{{"id": "r{n}", "label": "room {n}", "box": {{"min_m": [{n}, 0, 0], "max_m": [{}, 1, 1]}}}}"#, n + 1)
@@ -191,7 +188,7 @@ fn large_map(world: &World, count: usize) -> String {
     config.to_str().unwrap().to_owned()
 }
 
-/// Row "`top` on a map of 20 000 items with 64 MB of shared memory" of the attacks.
+/// The attack: `top` reads a map of 20 000 items, with 64 MB of shared memory.
 #[test]
 fn what_is_sent_of_a_large_map_is_bounded() {
     let mut world = World::new("large");
@@ -209,7 +206,7 @@ fn what_is_sent_of_a_large_map_is_bounded() {
     assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
 }
 
-/// The scores of a later version under the old service's name.
+/// A later version of the scores under the old service name.
 #[derive(Debug, Clone, Copy, Default, ZeroCopySend)]
 #[repr(C)]
 #[type_name("roomcast.RoomScoresV2")]
@@ -250,7 +247,6 @@ fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     scores_with(&scores, "the first scores", |_| true);
     let second = world.start(&["daemon"]);
     let holder = format!("roomcast-daemon (process {})", world.children[first].child.id());
-    // For whom it waits is told while it waits.
     let log = world.children[second].log.clone();
     eventually("it says for whom it waits", || {
         let said = std::fs::read_to_string(&log).unwrap();
@@ -270,7 +266,7 @@ fn a_second_daemon_is_refused_and_the_first_stops_cleanly() {
     assert!(!world.domain.root().exists());
 }
 
-/// `top` on a quiet system: nothing is narrated after it has joined.
+/// `top` joins a quiet system: no event comes after it.
 #[test]
 fn whoever_joins_has_the_item_scores_without_a_new_event() {
     let mut world = World::new("items");

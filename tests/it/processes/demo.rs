@@ -1,5 +1,3 @@
-//! `demo`, `latency` and the first screen of the README.
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -7,12 +5,11 @@ use roomcast_ipc::Domain;
 
 use super::{eventually, exit_code, roomcast};
 
-/// `demo` is killed and cannot end what it has started.
+/// A killed `demo` cannot stop its children.
 #[test]
 fn the_processes_of_a_killed_demo_end_with_it() {
     let mut demo = roomcast(&["demo", "--seconds", "60"]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let demo_id = demo.id().to_string();
-    // Process, and its arguments.
     let children = || -> Vec<(u32, Vec<String>)> {
         let processes =
             std::fs::read_dir("/proc").unwrap().filter_map(|entry| entry.unwrap().file_name().into_string().ok());
@@ -40,7 +37,7 @@ fn the_processes_of_a_killed_demo_end_with_it() {
     std::fs::remove_dir_all(root.parent().unwrap()).unwrap();
 }
 
-/// Who was in which room from which second on, as the demo's log says.
+/// The rooms of the person or robot, each with its first second, from the demo's log.
 fn rooms_of(who: &str, log: &str) -> Vec<(usize, String)> {
     let entry = |line: &str| {
         let (time, event) = line.trim_start().split_once(" s  ")?;
@@ -55,7 +52,7 @@ fn room_at(rooms: &[(usize, String)], second: usize) -> Option<&str> {
     rooms.iter().rev().find(|(from_s, _)| *from_s <= second).map(|(_, room)| room.as_str())
 }
 
-/// Every figure of the demo's headline follows from the lines above it, and the others are the experiment's.
+/// The figures in the headline follow from the log, or equal the experiment's.
 #[test]
 #[ignore = "full"]
 fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
@@ -66,7 +63,6 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
     let log = String::from_utf8(output.stdout).unwrap();
     let (person, robot) = (rooms_of("person ", &log), rooms_of("robot ", &log));
 
-    // 18 steps of 24 s each.
     let horizon_s = 18 * 24;
     assert!(log.contains(&format!("18 steps, {horizon_s} s of a person's time")), "{log}");
     let shared_s = (0..horizon_s).filter(|second| room_at(&person, *second) == room_at(&robot, *second)).count();
@@ -85,7 +81,7 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
     assert!(log.contains(&headline), "{headline}\n{log}");
     assert_eq!(done_s.len(), 3, "coverage-aware leaves a room undone: {log}");
 
-    // What is held is carried along: who drinks on the sofa is in the living room.
+    // A held item moves along: a person on the sofa drinks in the living room.
     let second = |sentence: &str| -> usize {
         let line = log.lines().find(|line| line.contains(sentence)).unwrap_or_else(|| panic!("no {sentence:?}: {log}"));
         line.trim_start().split_once(" s  ").unwrap().0.parse().unwrap()
@@ -94,7 +90,7 @@ fn the_figures_of_the_demo_follow_from_its_log_and_equal_the_experiments() {
         assert_eq!(room_at(&person, second), Some("living room"), "{log}");
     }
 
-    // Cargo builds it with the tests of its own package.
+    // Cargo builds roomcast-lab only with the tests of the lab's package.
     let lab = Path::new(env!("CARGO_BIN_EXE_roomcast")).with_file_name("roomcast-lab");
     if !lab.exists() {
         crate::skipped::skipped("roomcast-lab is not built: make lab");
@@ -139,7 +135,6 @@ fn latency_measures_every_path_beside_its_yardsticks() {
     assert_eq!(refused.status.code(), Some(i32::from(exit_code::USAGE)));
 }
 
-/// The first screen of the README shows one command and what it prints: both are run again.
 #[test]
 fn the_readme_shows_what_the_command_prints() {
     let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
@@ -147,7 +142,7 @@ fn the_readme_shows_what_the_command_prints() {
     let narration = block("```sh").split('"').nth(1).unwrap().to_owned();
     let output = roomcast(&["score", "--narration", &narration]).output().unwrap();
     let printed = String::from_utf8(output.stdout).unwrap();
-    // Room and probability; processors round differently in the last place.
+    // Processors round differently in the last place.
     let rows = |text: &str| -> Vec<(String, f64)> {
         let rows = text.lines().filter_map(|line| line.split_once(" %"));
         let rows = rows.filter_map(|(row, _)| {

@@ -1,4 +1,4 @@
-//! The front door of `roomcast-ipc`, against a daemon.
+//! The client interface of `roomcast-ipc`, against a daemon.
 
 use std::time::Duration;
 
@@ -34,7 +34,7 @@ fn a_narrators_event_is_confirmed_and_the_daemon_answers_typed_questions() {
     assert!(refused.is_err_and(|error| error.to_string().contains("no-such-item")));
     domain.status(PATIENCE).unwrap();
 
-    // Ada is in the kitchen now, and the forecast says so, where the scores name the next room.
+    // The forecast is about the present; the scores are about the next room.
     let mut forecasts = domain.forecasts().unwrap();
     let forecast = forecasts.next_within(PATIENCE).unwrap().unwrap();
     let kitchen = forecast.rooms().find(|room| room.contains("kitchen")).unwrap().to_owned();

@@ -1,5 +1,3 @@
-//! Habits.
-
 use roomcast_core::ids::PersonId;
 use roomcast_ipc::raw::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_kind};
 use roomcast_ipc::sequence;
@@ -9,14 +7,13 @@ use roomcast_database::rusqlite::Connection;
 
 use super::{World, eventually, habits, includes, recorder_listens, scores_with};
 
-/// Observations of all persons that habits were learned from.
+/// Learned events of all persons.
 fn learned(world: &World) -> f64 {
     let (code, answer, errors) = habits(world, &["show", "--json"]);
     assert_eq!(code, 0, "{errors}");
     answer["persons"].as_array().unwrap().iter().map(|person| person["observations"].as_f64().unwrap()).sum()
 }
 
-/// However a daemon ends, and whatever became of its habits, it begins again, and has learned each observation once.
 #[test]
 fn habits_are_learned_once_over_kills_and_damage() {
     const WALK: &str = "They open the fridge.\nThey grab the kettle.\nThey sit on the sofa.\nThey go to bed.\n";
@@ -32,7 +29,7 @@ fn habits_are_learned_once_over_kills_and_damage() {
     assert_eq!(world.narrate("one", WALK).0, 0);
     let once = eventually("it is learned", || Some(learned(&world)).filter(|learned| *learned > 2.0));
     for number in 2..5_u32 {
-        // Before and after it was written.
+        // Kills before and after a save.
         if number % 2 == 0 {
             eventually("it is written", || is_written().unwrap_or_default().then_some(()));
         }
@@ -65,12 +62,11 @@ fn habits_are_learned_once_over_kills_and_damage() {
     assert_eq!(learned(&world), 0.0);
 }
 
-/// What another home has learned becomes the forecast, and is gone from it when it is forgotten.
 #[test]
 fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     use roomcast_core::habits::{Habits, HabitsOptions, Place};
     const PERSON: PersonId = PersonId(3);
-    // Ten minutes in the living room, ten minutes in the kitchen, the whole day long.
+    // The teacher alternates all day: ten minutes in the living room, ten minutes in the kitchen.
     let mut teacher = Habits::new(HabitsOptions::default());
     let rooms = ["kitchen", "living room", "bathroom"].map(str::to_owned).to_vec();
     teacher.bind(vec!["sofa".to_owned()], rooms, vec![0.0, 1.0, 0.0]);
@@ -90,7 +86,7 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     let narration = node.publisher::<NarrationV1>().unwrap();
     scores_with(&scores, "the first scores", |_| true);
     let mut number = 0;
-    // In the kitchen in a quarter of an hour.
+    // The forecast for the kitchen in 15 minutes.
     let mut kitchen = || {
         number += 1;
         let message = NarrationV1::new(narration_kind::SENTENCE, "They sit on the sofa.").unwrap();
@@ -115,7 +111,7 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     let (_, answer, _) = habits(&world, &["show", "--json"]);
     let shipped = answer["persons"][0]["forecast"][1]["shipped"].as_f64().unwrap();
     assert!(shipped < 0.5, "{answer}");
-    // Every twenty minutes of four days both rooms were left once; a visit of before counts nearly as much as one of now.
+    // In four days each of the two rooms was left every twenty minutes. Past visits count nearly as much as new ones.
     let visits = |room: usize| {
         let line = &answer["visits"][room];
         (line["room"].as_str().unwrap(), line["by_part"].as_array().unwrap().iter().map(|n| n.as_f64().unwrap()).sum())
@@ -131,7 +127,7 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     assert!(code == 3 && errors.contains("the daemon changed nothing"), "{errors}");
     assert!(kitchen() > 0.6);
 
-    // To forget a person is to forget their habits.
+    // If a person is forgotten, their habits are forgotten too.
     let output = world.command(&["person", "forget", "3"]).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     let after = kitchen();
@@ -140,7 +136,6 @@ fn imported_habits_change_the_forecast_until_they_are_forgotten() {
     assert!(world.wait(daemon).0.success());
 }
 
-/// What was narrated before the daemon was there is learned in addition to what it has learned by itself.
 #[test]
 fn habits_are_learned_from_lines_with_times() {
     let mut world = World::new("learn");
@@ -156,19 +151,16 @@ fn habits_are_learned_from_lines_with_times() {
     let ahead = r#"{"text": "They sit on the sofa.", "observed_unix_s": 4e9, "person": 3}"#;
     let lines = (0..5).map(day).collect::<Vec<_>>().join("\n") + "\nThey have no time.\n\n" + ahead;
     std::fs::write(&file, lines).unwrap();
-    // The rest is learned, and what is left out is said.
     let (code, _, errors) = habits(&world, &["learn", file.to_str().unwrap()]);
     let said = errors.contains("line 11: it has no time") && errors.contains("line 13: its time lies");
     assert!(code == 3 && said && errors.contains("2 lines left out"), "{errors}");
     assert_eq!(learned(&world), 11.0);
-    // Without times there is nothing to learn.
     std::fs::write(&file, "They sit on the sofa.\n").unwrap();
     assert_eq!(habits(&world, &["learn", file.to_str().unwrap()]).0, 3);
     assert_eq!(habits(&world, &["learn"]).0, 2);
     assert_eq!(learned(&world), 11.0);
 }
 
-/// What was recorded, and days of activities, teach a home as well.
 #[test]
 fn habits_are_learned_from_a_recording_and_from_days() {
     let mut world = World::new("learn-days");
@@ -201,7 +193,7 @@ fn habits_are_learned_from_a_recording_and_from_days() {
     let of = |person: u64| answer["persons"].as_array().unwrap().iter().find(|own| own["person"] == person).cloned();
     assert_eq!(of(3).unwrap()["observations"], 6.0, "{answer}");
     assert_eq!(habits(&world, &["learn", "--days", days, "--first-day", "soon"]).0, 2);
-    // What is not yet is not learned, nor from a sensor log; and a log in plain seconds harms nothing.
+    // Future events are not learned. A sensor log in seconds instead of milliseconds is refused.
     let (code, _, errors) = habits(&world, &["learn", "--days", days, "--first-day", "2200-01-01"]);
     assert!(code == 3 && errors.contains("day 1, action 1: its time lies"), "{errors}");
     let (log, rules) = (world.directory.path().join("log.tsv"), world.directory.path().join("rules.toml"));
@@ -216,7 +208,6 @@ fn habits_are_learned_from_a_recording_and_from_days() {
     let (code, _, errors) = learn("1709280900000\t1709280905000\tfridge\t-\t-\n");
     assert!(code == 3 && errors.contains("milliseconds"), "{errors}");
     assert_eq!(learned(&world), 9.0);
-    // A restarted daemon knows all of it.
     drop((scores, node));
     world.signal(daemon, Signal::TERM);
     assert!(world.wait(daemon).0.success());

@@ -1,5 +1,3 @@
-//! The running daemon's map.
-
 use std::process::Command;
 
 use roomcast_ipc::raw::{PersonForecastsV1, RoomScoresV1};
@@ -16,7 +14,7 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     let before = scores_with(&scores, "scores", |scores| includes(scores, "camera", 2));
 
-    // The fridge goes from the kitchen to the main room: regrouped, and the model has nothing to do.
+    // The fridge moves from the kitchen to the main room. Labels are regrouped and the model decodes no tokens.
     let (code, answer, error) = apply(&world, MOVED, &[]);
     assert_eq!((code, answer["new_labels"].as_u64()), (0, Some(0)), "{answer} {error}");
     let after =
@@ -27,7 +25,7 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     let (old, new) = (probabilities(&before), probabilities(&after));
     assert!(new["main-room"] > old["main-room"] + 0.01 && new["kitchen"] < old["kitchen"], "{old:?} {new:?}");
 
-    // The scene file changed in the same way gives the same map and the same scores.
+    // The same change in the scene file gives the same map and the same scores.
     let file = world.directory.path().join("changed.json");
     let changes = world.directory.path().join("changes.json");
     let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
@@ -41,7 +39,7 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
         assert!((probability - new[room["id"].as_str().unwrap()]).abs() < 5e-3, "{once} {new:?}");
     }
 
-    // A new room with a new kind of thing: the model is prepared for the words, in the running daemon.
+    // A new label in a new room: the running daemon prepares the model for it.
     let room = r#"[{"change": "add-room", "room": {"id": "garage", "label": "garage",
         "box": {"min_m": [7, 0, 0], "max_m": [10, 3, 2.5]}}, "doors": [{"id": "k-g", "rooms": ["kitchen", "garage"], "position_m": [6.9, 1, 1]}]},
         {"change": "add-item", "item": {"id": "unicycle-1", "label": "unicycle", "position_m": [8, 1, 0.5],
@@ -57,7 +55,6 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     assert!(garage.probability > 0.0 && garage.log_score_nats.is_finite());
     assert!(includes(&with_garage, "camera", 2) && with_garage.window == before.window);
 
-    // It goes again, with what stands in it, and comes back.
     let (code, answer, error) = apply(&world, r#"[{"change": "remove-room", "id": "garage"}]"#, &[]);
     assert_eq!((code, answer["rooms"].as_u64()), (0, Some(3)), "{answer} {error}");
     let without = scores_with(&scores, "scores without a garage", |scores| scores.room_count == 3);
@@ -66,14 +63,13 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     assert_eq!((code, answer["rooms"].as_u64()), (0, Some(4)), "{answer} {error}");
     let with_garage = scores_with(&scores, "scores with a garage again", |scores| scores.room_count == 4);
 
-    // What cannot be is refused, and changes nothing.
     let (code, refused, error) = apply(&world, r#"[{"change": "remove-item", "id": "piano-1"}]"#, &[]);
     assert_eq!((code, &refused["map"]), (i32::from(exit_code::INPUT), &answer["map"]), "{error}");
     assert!(error.contains("there is no item \"piano-1\""), "{error}");
     let (code, refused, error) = apply(&world, MOVED, &["--expect", &"0".repeat(64)]);
     assert_eq!((code, &refused["outcome"]), (i32::from(exit_code::INPUT), &serde_json::json!("other-map")), "{error}");
 
-    // A daemon that is killed begins with the changed map again.
+    // A killed daemon starts again with the changed map.
     world.signal(daemon, Signal::KILL);
     world.wait(daemon);
     world.start_daemon();
@@ -81,7 +77,7 @@ fn the_map_of_a_running_daemon_changes_without_a_restart_and_without_the_model()
     assert_eq!(restarted.map_fingerprint, with_garage.map_fingerprint);
 }
 
-/// What was said before the map changed is not read by the map of now.
+/// After a restart, the daemon does not resolve sentences from before a map change with the new map.
 #[test]
 fn a_daemon_that_is_killed_after_a_map_change_believes_everybody_where_they_were() {
     let mut world = World::new("moved");
@@ -104,6 +100,6 @@ fn a_daemon_that_is_killed_after_a_map_change_believes_everybody_where_they_were
     world.wait(daemon);
     world.start_daemon();
     let (after, ..) = kitchen("a forecast after the restart", &|told| told.epoch != epoch);
-    // Silence makes nobody surer within the seconds that a start takes.
+    // A belief cannot grow without events in the seconds of a restart.
     assert!(changed > 0.7 && after > 0.6 && after < changed + 0.01, "{before} {changed} {after}");
 }

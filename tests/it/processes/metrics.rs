@@ -1,10 +1,7 @@
-//! What is scraped.
-
 use rustix::process::Signal;
 
 use super::{PATIENCE, World, eventually, exit_code};
 
-/// What a scrape of the loopback address gives.
 fn scrape(address: &str) -> String {
     use std::io::{Read, Write};
     let mut stream = std::net::TcpStream::connect(address).unwrap();
@@ -14,7 +11,7 @@ fn scrape(address: &str) -> String {
     text
 }
 
-/// A metric's value; the labels, if any, are part of its name.
+/// The labels, if any, are part of `name`.
 fn metric(text: &str, name: &str) -> Option<f64> {
     text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' ')?.trim().parse().ok())
 }

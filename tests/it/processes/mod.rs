@@ -1,5 +1,4 @@
-//! Real processes in private domains: what holds between narrator, daemon and planner when one is late, doubled, restarted,
-//! fast, foreign or hostile. Nothing here sleeps for a fixed time to prove something, and nothing is held to a time.
+//! Real processes in private domains: late, doubled, restarted, fast or hostile. No test asserts a duration or sleeps for a fixed time as proof.
 
 use roomcast_ipc::raw::{DecisionV1, RobotReportV1, RoomScoresV1};
 use roomcast_ipc::{Node, Subscriber, sequence};
@@ -20,7 +19,6 @@ use roomcast_cli::exit_code;
 use crate::eventually::{PATIENCE, eventually};
 use crate::world::{World, roomcast};
 
-/// The newest scores that satisfy a condition.
 fn scores_with(scores: &Subscriber<RoomScoresV1>, what: &str, holds: impl Fn(&RoomScoresV1) -> bool) -> RoomScoresV1 {
     eventually(what, || scores.newest().unwrap().filter(&holds))
 }
@@ -30,7 +28,6 @@ fn includes(scores: &RoomScoresV1, name: &str, number: u64) -> bool {
     scores.included().iter().any(|included| included.source == source && included.sequence >= number)
 }
 
-/// Memory of a process that no other shares, in KiB.
 fn own_memory_kib(process: u32) -> u64 {
     let rollup = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap();
     let private = rollup.lines().filter(|line| line.starts_with("Private_"));
@@ -40,7 +37,7 @@ fn own_memory_kib(process: u32) -> u64 {
 const MOVED: &str = r#"[{"change": "move-item", "id": "fridge-1", "position_m": [0.5, 0.5, 0.5],
     "box": {"min_m": [0.2, 0.2, 0.0], "max_m": [0.8, 0.8, 1.6]}}]"#;
 
-/// Applies changes to the running daemon's map by the command; gives its exit code and answer.
+/// Applies changes with `roomcast scene apply`; returns exit code, answer and errors.
 fn apply(world: &World, changes: &str, more: &[&str]) -> (i32, serde_json::Value, String) {
     let file = world.directory.path().join("changes.json");
     std::fs::write(&file, changes).unwrap();
@@ -50,17 +47,15 @@ fn apply(world: &World, changes: &str, more: &[&str]) -> (i32, serde_json::Value
     (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
 }
 
-/// Room probabilities by id.
 fn probabilities(scores: &RoomScoresV1) -> std::collections::BTreeMap<String, f64> {
     scores.rooms().iter().map(|room| (room.id().to_owned(), room.probability)).collect()
 }
 
-/// Waits until the recorder has its last port; a narrator that has just left may count as a listener for a while.
+/// A narrator that has just left may count as a listener for a while, so recorders are counted by name.
 fn recorder_listens(node: &Node) {
     recorders_listen(node, 1);
 }
 
-/// The next decision that satisfies a condition.
 fn decision_with(decisions: &Subscriber<DecisionV1>, what: &str, holds: impl Fn(&DecisionV1) -> bool) -> DecisionV1 {
     eventually(what, || {
         let next = decisions.receive().unwrap()?;
@@ -68,14 +63,13 @@ fn decision_with(decisions: &Subscriber<DecisionV1>, what: &str, holds: impl Fn(
     })
 }
 
-/// What `roomcast habits` answers, and its exit code.
+/// Exit code, answer and errors of `roomcast habits`.
 fn habits(world: &World, arguments: &[&str]) -> (i32, serde_json::Value, String) {
     let output = world.command(&[&["habits"], arguments].concat()).output().unwrap();
     let answer = serde_json::from_slice(&output.stdout).unwrap_or_default();
     (output.status.code().unwrap(), answer, String::from_utf8(output.stderr).unwrap())
 }
 
-/// Waits until so many recorders have their last port.
 fn recorders_listen(node: &Node, count: usize) {
     let reports = node.publisher::<RobotReportV1>().unwrap();
     eventually("the recorders listen", || {

@@ -1,5 +1,3 @@
-//! What narrators send, and who they are: honest, doubled, hostile, from logs and lines.
-
 use std::path::Path;
 use std::time::Duration;
 
@@ -16,7 +14,6 @@ fn narration_that_a_daemon_did_not_confirm_reaches_the_next_one() {
     let mut world = World::new("unconfirmed");
     let file = world.directory.path().join("lines.txt");
     std::fs::write(&file, "They walk to the kitchen.\nThey grab the mug.\n").unwrap();
-    // No daemon yet: the narrator waits with what it has said.
     let narrator =
         world.start(&["narrate", file.to_str().unwrap(), "--name", "early", "--pace", "0", "--linger", "100"]);
     let node = world.domain.open("test").unwrap();
@@ -69,14 +66,13 @@ fn a_hostile_narrator_is_counted_and_the_daemon_goes_on() {
     scores_with(&scores, "the good one", |scores| includes(scores, "test", 1));
     let status = world.status(&node);
     assert_eq!((status.malformed, status.accepted), (hostile.len() as u64, 1));
-    // Text that looks like a model's control token is text.
+    // Text in the form of a model's control token stays text.
     let token = NarrationV1::new(narration_kind::SENTENCE, "<s></s><|endoftext|> They stand up.").unwrap();
     narration.send(&NarrationV1 { source, epoch: 1, sequence: 2, ..token }).unwrap();
     scores_with(&scores, "control tokens as text", |scores| includes(scores, "test", 2));
     world.assert_alive();
 }
 
-/// Persons have names, come and go, are renamed and forgotten, and a killed daemon's successor knows the same of them.
 #[test]
 fn persons_are_named_and_forgotten_over_a_kill() {
     let mut world = World::new("persons");
@@ -148,15 +144,14 @@ fn persons_are_named_and_forgotten_over_a_kill() {
     world.wait(daemon);
 }
 
-/// A configuration whose window holds few tokens, in `world`'s directory.
 fn small_window(world: &World) -> String {
     let path = world.directory.path().join("small.toml");
     std::fs::write(&path, "[history]\ntokens = 256\n").unwrap();
     path.to_str().unwrap().to_owned()
 }
 
-/// Row "a sentence of one kilobyte that makes some 1 000 tokens" of the attacks: it is refused before it reaches the journal, said once
-/// and counted, and its narrator is told. A database that has such a sentence, from an older version, stops and blinds nobody.
+/// The attack: a sentence of one kilobyte makes about 1 000 tokens. The daemon refuses it before the journal, logs it once and counts it. A state
+/// database of an older version may contain one; it blocks no later event.
 #[test]
 fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
     let mut world = World::new("costly");
@@ -187,7 +182,7 @@ fn a_sentence_that_costs_more_than_the_window_harms_nobody() {
     assert_eq!((after.window, after.has(score_flags::SCORER_FAILED)), (2, false));
 }
 
-/// Row "an honest narrator's source and epoch with sequence 2^64 - 1" of the attacks.
+/// The attack: another process sends an honest narrator's source and epoch with sequence 2^64 - 1.
 #[test]
 fn what_a_stranger_says_in_a_narrators_name_is_dropped_and_counted() {
     let mut world = World::new("forged");
@@ -210,7 +205,7 @@ fn what_a_stranger_says_in_a_narrators_name_is_dropped_and_counted() {
     assert_eq!(world.status(&node).missed, 0);
 }
 
-/// Row "two narrators of one name (the default's)" of the attacks.
+/// The attack: two narrators use one name, as with the default name.
 #[test]
 fn two_narrators_of_one_name_are_both_heard() {
     let mut world = World::new("namesakes");
@@ -227,7 +222,7 @@ fn two_narrators_of_one_name_are_both_heard() {
     assert_eq!((status.accepted, status.missed, status.forged, status.duplicates), (12, 0, 0, 0));
 }
 
-/// Row "64 invented sources" of the attacks.
+/// The attack: one process sends events from 1 000 invented sources.
 #[test]
 fn invented_sources_lock_nobody_out() {
     let mut world = World::new("invented");
@@ -241,13 +236,13 @@ fn invented_sources_lock_nobody_out() {
     for number in 1..=1000_u32 {
         let source = u64::from(number);
         narration.send(&NarrationV1 { source, epoch: 1, sequence: 1, person: 0, ..said }).unwrap();
-        // No more than the port's buffer holds, so that all of them arrive.
+        // A batch fits into the port's buffer, so that every message arrives.
         if number % 100 == 0 {
             let all = before + source;
             eventually("they are received", || (world.status(&node).received == all).then_some(()));
         }
     }
-    // Narrators that have ended keep what nobody needs; the hostile one has no more than its eight.
+    // The honest narrator has ended. The hostile process has at most eight sources.
     let status = world.status(&node);
     assert!(status.sources <= 9 && (status.persons, status.limited) == (4, 0), "{} sources", status.sources);
     assert_eq!(world.narrate("newcomer", "They sit.\n").0, 0);
@@ -290,7 +285,6 @@ fn a_sensor_log_is_narrated() {
     assert_eq!(world.status(&node).accepted, 7);
 }
 
-/// Every example of the manual is taken by a real daemon.
 #[test]
 fn the_examples_of_json_lines_are_narrated() {
     let manual = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/json-lines.md")).unwrap();
@@ -304,7 +298,7 @@ fn the_examples_of_json_lines_are_narrated() {
     assert!(count >= 8);
 }
 
-/// What was answered before somebody was forgotten is told again to whoever asks the same question again, without them.
+/// A repeated question gets its earlier answer again, without the persons that were forgotten since then.
 #[test]
 fn who_is_forgotten_is_in_no_answer_that_is_given_again() {
     let mut world = World::new("answered");

@@ -1,5 +1,3 @@
-//! Recordings and explanations.
-
 use std::path::Path;
 use std::process::Command;
 
@@ -43,7 +41,7 @@ fn a_running_systems_scores_are_explained_down_to_the_tokens() {
     assert!(std::fs::read_to_string(plan).unwrap().contains("They grab the milk."));
 }
 
-/// Of several persons the rooms are as likely as the daemon publishes them: that somebody's next thing is there.
+/// A room's probability for several persons: at least one person's next item is there.
 #[test]
 fn of_several_persons_the_rooms_are_explained_as_they_are_published() {
     let mut world = World::new("explain-all");
@@ -65,7 +63,7 @@ fn of_several_persons_the_rooms_are_explained_as_they_are_published() {
     assert!(partitions.windows(2).all(falls), "{partitions:?}");
 }
 
-/// How far recorded scores are from those that were computed again, as `explain --recording` says it.
+/// The difference between recorded and recomputed scores, from the output of `explain --recording`.
 fn difference_of(explained: &str) -> f64 {
     let said = explained.split("differ by at most ").nth(1).unwrap().split_whitespace().next().unwrap();
     said.trim_end_matches('.').parse().unwrap()
@@ -78,7 +76,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let node = world.domain.open("test").unwrap();
     let scores = node.subscriber::<RoomScoresV1>().unwrap();
     scores_with(&scores, "the first scores", |_| true);
-    // What was said before the recording belongs to its windows.
+    // Events before the recording belong to its windows.
     assert_eq!(world.narrate("early", "They wake up.\nThey walk to the bathroom.\n").0, 0);
     let file = world.directory.path().join("day.mcap");
     let recorder = world.start(&["record", file.to_str().unwrap()]);
@@ -106,7 +104,6 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     assert_eq!(told.collect::<Vec<_>>().join("\n") + "\n", lines, "{log}");
     assert_eq!(recorded.window, 6);
 
-    // Explained from the file alone, by its number and by its time.
     let explain = |more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_roomcast"));
         let output = command.args(["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
@@ -119,7 +116,7 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let earlier = explain(&["--sequence", &(recorded.sequence - 1).to_string()]);
     assert!(earlier.contains("They grab the milk.") && !earlier.contains("They close the fridge."), "{earlier}");
 
-    // Into a fresh domain: the same narration, and scores that agree as far as the scorer's tolerance goes.
+    // A replay into another domain gives the same narration, and scores within the scorer's tolerance.
     let mut other = World::new("replay");
     other.start_daemon();
     let other_node = other.domain.open("test").unwrap();
@@ -150,18 +147,18 @@ fn a_recorded_run_replays_to_the_same_narration_and_scores_and_explains_any_of_t
     let twice = other.command(&["replay", file.to_str().unwrap(), "--speed", "50"]).output().unwrap();
     let said = String::from_utf8(twice.stderr).unwrap();
     assert!(said.contains("the daemon has taken in 4 of them before and takes none twice"), "{said}");
-    // What the daemon has already needs no waiting.
+    // The daemon has all events, so replay need not wait.
     let at_once =
         other.command(&["replay", file.to_str().unwrap(), "--speed", "50", "--linger", "0"]).output().unwrap();
     assert!(at_once.status.success(), "{at_once:?}");
-    // All of it would be taken for what is so.
+    // A running daemon would treat every recorded message as current.
     let beside = other.command(&["replay", file.to_str().unwrap(), "--all", "--speed", "50"]).output().unwrap();
     assert_eq!(beside.status.code(), Some(i32::from(exit_code::IPC)), "{beside:?}");
     let said = String::from_utf8(beside.stderr).unwrap();
     assert!(said.contains("a daemon (\"roomcast-daemon\") runs in") && !said.contains("replayed in"), "{said}");
 }
 
-/// A narrator that runs on keeps what it said for whoever joins late, also what the home has forgotten since.
+/// A running narrator resends its history to late listeners, including events of persons that were forgotten since then.
 #[test]
 fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     let mut world = World::new("forgotten");
@@ -186,7 +183,7 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     let file = world.directory.path().join("later.mcap");
     let recorder = world.start(&["record", file.to_str().unwrap()]);
     recorder_listens(&node);
-    // What a narrator has to say next hands late listeners the history first.
+    // The next event of a narrator resends its history to late listeners.
     tell("Ada", "They stand up.");
     world.signal(recorder, Signal::TERM);
     let (status, log) = world.wait(recorder);
@@ -202,7 +199,7 @@ fn a_recording_has_nothing_of_who_was_forgotten_before_it_began() {
     assert!(!whole.contains("bob") && moments.filter(|text| text.contains("bob")).count() == 0);
 }
 
-/// The messages of a file that was written for ROS 2, by topic: type, when it was made, bytes.
+/// The messages of a ROS 2 recording by topic: type, creation time, bytes.
 fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64, Vec<u8>)>> {
     let mut topics = std::collections::BTreeMap::<_, Vec<_>>::new();
     for message in mcap::MessageStream::new(bytes).unwrap() {
@@ -217,7 +214,7 @@ fn of_ros2(bytes: &[u8]) -> std::collections::BTreeMap<String, Vec<(String, u64,
     topics
 }
 
-/// Two recorders hear the same: what ROS 2 reads in the one file is what the other, which is replayed, has.
+/// Two recorders run together. The ROS 2 recording must equal the conversion of the other one.
 #[test]
 fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     use roomcast_ros2::content::{of_person, of_rooms};
@@ -244,7 +241,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     assert_eq!(world.narrate("camera", &lines).0, 0);
     let reported = world.command(&["report", "started", "--room", "kitchen", "--note", "all well"]).output().unwrap();
     assert!(reported.status.success(), "{reported:?}");
-    // Whoever speaks ends first, so that both hear the same end.
+    // The senders stop first, so that both recordings end alike.
     for process in [planner, daemon].into_iter().chain(recorders) {
         world.signal(process, Signal::TERM);
         let (status, log) = world.wait(process);
@@ -300,7 +297,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
             })
             .collect()
     };
-    // Each recorder leaves out repeated forecasts by its own clock.
+    // Each recorder drops repeated forecasts by its own clock.
     for (end, ahead_s) in [("", 0.0), ("/in_60s", 60.0), ("/in_600s", 600.0)] {
         let forecasts = own.messages.iter().filter_map(|(_, message)| match message {
             Recorded::Forecast(forecast) => Some(of_rooms(forecast, ahead_s, Header::default()).results),
@@ -328,7 +325,6 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
         assert_eq!(names.count(), of.results.len());
     }
 
-    // It is for others: nothing here reads it as its own.
     for arguments in [&["replay", &theirs][..], &["explain", "--recording", &theirs]] {
         let output = roomcast(arguments).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
@@ -340,7 +336,7 @@ fn a_recording_for_ros_2_says_what_was_narrated_scored_decided_and_reported() {
     }
 }
 
-/// Several persons, one of whom only a presence is known, one who left, and a window that an hour's silence ended.
+/// One person is only present, one leaves, and one window ends after an hour of silence.
 #[test]
 fn a_recorded_household_is_explained_by_name() {
     let mut world = World::new("record-home");
@@ -386,14 +382,12 @@ fn a_recorded_household_is_explained_by_name() {
     assert!(explain(&["--person", "cleopatra"]).contains("They dry the dishes."));
 }
 
-/// What `explain` says of a recording.
 fn explain_recording(file: &Path, more: &[&str]) -> String {
     let output = roomcast(&["explain", "--recording", file.to_str().unwrap()]).args(more).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Sentences that name nobody are of whom the daemon took them for, also where nobody was ever named.
 #[test]
 fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
     let early = [
@@ -410,7 +404,7 @@ fn a_recorded_sentence_without_a_person_is_explained_as_the_daemon_took_it() {
         let file = world.directory.path().join("home.mcap");
         let recorder = world.start(&["record", file.to_str().unwrap()]);
         recorder_listens(&node);
-        // Alone at home, she is not in two rooms within a second.
+        // She is alone at home and cannot be in two rooms within a second.
         let second = ["They dry themselves with the towel.", "They drink the milk."][round];
         let lines = ["They grab the milk.", second, "They close the fridge."];
         for (number, line) in lines.iter().enumerate() {

@@ -1,5 +1,3 @@
-//! Planners and robots.
-
 use std::io::Write;
 use std::process::Stdio;
 
@@ -24,7 +22,7 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     let number = sequence::source_of_name("one");
     let holder = format!("roomcast-planner one {number:016x} (process {})", world.children[first].child.id());
     assert!(log.contains(&holder), "{log}");
-    // A planner that was killed is in nobody's way.
+    // A killed planner does not block its successor.
     world.signal(first, Signal::KILL);
     world.wait(first);
     let third = world.start(&["planner", "--robot", "one", "--know", "0", "--room-time", "0"]);
@@ -36,7 +34,7 @@ fn a_second_planner_of_the_same_robot_is_refused() {
     assert!(world.children[other].child.try_wait().unwrap().is_none());
 }
 
-/// What `roomcast report` ends with, and what it says.
+/// Exit code and errors of `roomcast report`.
 fn report(world: &World, arguments: &[&str], input: &str) -> (i32, String) {
     let mut command = world.command(&[&["report"], arguments].concat());
     let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
@@ -45,7 +43,6 @@ fn report(world: &World, arguments: &[&str], input: &str) -> (i32, String) {
     (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
 }
 
-/// The robot's own word says what is done, and the round outlives the planner.
 #[test]
 fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     let mut world = World::new("robot");
@@ -70,7 +67,7 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     assert_eq!((code, said.as_str()), (0, ""));
     let second = decision_with(&decisions, "the second decision", |decision| decision.sequence > first.sequence);
     assert!(second.has(decision_flags::REPORTED) && second.covered.count_ones() == 1, "{}", second.reason());
-    // The file is written after the decision.
+    // The planner writes the file after it publishes the decision.
     let kept = format!("planner-{:016x}.json", sequence::source_of_name("vacuum"));
     let second_is_kept = |text: &str| text.contains(second.to()) && text.contains(first.to());
     eventually("the round is kept", || {
@@ -84,7 +81,7 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     assert_eq!((again.to(), again.covered), (second.to(), second.covered), "{}", again.reason());
     assert!(again.has(decision_flags::REPORTED), "{}", again.reason());
 
-    // As lines: one is malformed, the others count, and the answer may name the decision of the planner before.
+    // One malformed line does not stop the others. A report may name a decision of the previous planner.
     let lines = format!(
         "{{\"report\": \"done\"}}\n{{\"report\": \"position\", \"position\": [1, 1, 0]}}\n\
          {{\"report\": \"finished\", \"decision\": {}, \"battery\": 0.1}}\n",
@@ -101,7 +98,7 @@ fn a_planner_that_is_killed_in_a_round_goes_on_with_what_its_robot_has_done() {
     assert_eq!((fourth.action, fourth.covered), (action::GO, third.covered), "{}", fourth.reason());
 }
 
-/// Names of participants are ASCII; those of robots are not.
+/// Participants' names must be ASCII; robots' names need not.
 #[test]
 fn a_robot_may_have_any_name() {
     let mut world = World::new("umlaut");
@@ -111,7 +108,7 @@ fn a_robot_may_have_any_name() {
     std::fs::write(&config, "[planner]\nrobot = \"Staubi Ä\"\nknow_s = 0.0\n").unwrap();
     let config = config.to_str().unwrap();
     world.start(&["planner", "--config", config]);
-    // Without a daemon it says that it has no scores.
+    // Without a daemon, the planner's decision reports missing scores.
     let first = decision_with(&decisions, "the first decision", |_| true);
     assert_eq!(first.robot_name(), "Staubi Ä");
     let said = report(&world, &["docked", "--config", config], "");
@@ -136,7 +133,6 @@ fn a_report_that_nobody_can_hear_or_understand_says_so() {
     let output = docked.wait_with_output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() && said.contains("no planner of the robot `robot`"), "{said}");
-    // A planner of another robot hears nothing of this one.
     world.start(&["planner", "--robot", "vacuum", "--know", "0"]);
     eventually("the planner listens", || (reports_port.subscribers() > 1).then_some(()));
     let (code, said) = report(&world, &["finished", "--wait", "0.1"], "");

@@ -1,4 +1,4 @@
-//! The example of a router's access control, as `roomcast-zenoh router` prints it: who gets in, and what each may read and write.
+//! The access control that `roomcast-zenoh router` prints: logins, and each participant's rights to read and write.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -79,7 +79,6 @@ impl World {
     }
 }
 
-/// All that a session hears of a key.
 fn heard(session: &Session, key: &str) -> Arc<Mutex<Vec<String>>> {
     let heard = Arc::<Mutex<Vec<String>>>::default();
     let own = Arc::clone(&heard);
@@ -105,14 +104,14 @@ fn who_has_no_certificate_of_the_sites_authority_does_not_get_in() {
     let mut plain = client(&world.way("robot-1")).unwrap();
     plain.insert_json5("connect/endpoints", &format!("[\"tcp/127.0.0.1:{}\"]", world.port)).unwrap();
     refused("a client without TLS", plain);
-    // Another authority's certificate with the right name.
+    // A certificate of another authority with the right name.
     let other = world.folder.path().join("other");
     std::fs::create_dir(&other).unwrap();
     let (certificate, key) = certify(&other, &authority(), "robot-1");
     let mut wrong = world.way("robot-1");
     (wrong.certificate, wrong.key) = (Some(certificate), Some(key));
     refused("a client with another authority's certificate", client(&wrong).unwrap());
-    // A router that another authority has certified is none.
+    // The client must also refuse a router with another authority's certificate.
     let mut astray = world.way("robot-1");
     let ca = world.folder.path().join("other-ca.pem");
     std::fs::write(&ca, authority().as_ref().pem()).unwrap();
@@ -126,7 +125,7 @@ fn who_has_no_certificate_of_the_sites_authority_does_not_get_in() {
 fn each_reads_and_writes_its_own_keys_alone() {
     let Some(world) = World::new() else { return skipped(NO_ROUTER) };
     let names = ["robot-1", "hall-camera", "operator", "stranger"];
-    // Who listens and who speaks are two sessions: what a session says to itself passes no router.
+    // Listeners and speakers are different sessions: a session's messages to itself pass no router.
     let [robot_ear, hub_ear, operator_ear, stranger_ear] = names.map(|name| world.open(name));
     let [robot, hub, operator, stranger] = names.map(|name| world.open(name));
     let by_operator = heard(&operator_ear, "roomcast/home/*/told/**");
@@ -136,7 +135,7 @@ fn each_reads_and_writes_its_own_keys_alone() {
     let unheard = [(&stranger_ear, "roomcast/**"), (&hub_ear, of_robots), (&robot_ear, of_robots)];
     let unheard = unheard.map(|(session, key)| heard(session, key));
     let put = |session: &Session, key: &str, text: &str| session.put(key, text).wait().unwrap();
-    // What each may not: into others' keys, and in others' names.
+    // Forbidden writes: other participants' keys, and other participants' names.
     for (who, session, keys) in [
         (
             "robot-1",
@@ -159,7 +158,7 @@ fn each_reads_and_writes_its_own_keys_alone() {
             put(session, &format!("roomcast/home/{key}"), &format!("forged by {who}"));
         }
     }
-    // What each may, until it arrives: a session's messages keep their order, so that what it sent before has been judged.
+    // A session's messages keep their order, so when the permitted ones arrive, the earlier ones have been judged.
     eventually("what is allowed arrives", || {
         put(&robot, "roomcast/home/robot-1/told/decision", "own");
         put(&robot, "roomcast/home/robot-1/told/habits", "own");
@@ -179,7 +178,6 @@ fn each_reads_and_writes_its_own_keys_alone() {
     for heard in &unheard {
         assert!(heard.lock().unwrap().is_empty(), "{heard:?}");
     }
-    // Questions: the stranger and the hub get no answer, the operator does.
     let last = "roomcast/home/robot-1/told/scores";
     let _answers = robot
         .declare_queryable("roomcast/home/robot-1/told/**")
@@ -192,7 +190,7 @@ fn each_reads_and_writes_its_own_keys_alone() {
     };
     eventually("the operator's question is answered", || (answered(&operator) > 0).then_some(()));
     assert_eq!((answered(&stranger), answered(&hub)), (0, 0));
-    // Who is there, the operator sees and nobody else.
+    // Only the operator sees liveliness.
     let _token = robot.liveliness().declare_token("roomcast/home/robot-1/alive").wait().unwrap();
     let there = |session: &Session| {
         let replies = session

@@ -1,5 +1,5 @@
-//! A stranger at a router without rules: hostile bytes on every key, messages of many megabytes, names that are none, questions without end.
-//! Everything goes on, and nothing grows.
+//! A hostile peer at a router without rules: hostile bytes on every key, messages of many megabytes, invalid names, endless questions. All services
+//! continue, and memory does not grow.
 
 use std::fs;
 use std::time::Duration;
@@ -10,10 +10,10 @@ use zenoh::Wait;
 
 use crate::support::{NO_ROUTER, Process, Robot, Watch, bridge, eventually, free_port, python, router, skipped};
 
-/// What bridge and hub may ever have held in memory: less than with one of the longest messages.
+/// The limit on the peak memory of bridge and hub: less than with one of the longest messages.
 const MEMORY_KIB_MAX: u64 = 64 << 10;
 
-/// What no reader expects. The last is put together from many parts on its way.
+/// Unexpected payloads. The last one travels in many fragments.
 fn payloads() -> Vec<Vec<u8>> {
     let text = |text: &str| text.as_bytes().to_vec();
     let numbers = text(
@@ -59,7 +59,7 @@ fn keys() -> Vec<String> {
     names.into_iter().flatten().chain(ros2.map(str::to_owned)).collect()
 }
 
-/// The most that a process has held.
+/// Peak memory.
 fn memory_kib(process: &Process) -> u64 {
     let status = fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
@@ -102,7 +102,7 @@ fn a_stranger_without_rules_in_the_way_stops_nothing() {
     for key in keys() {
         for payload in payloads() {
             if payload.len() < 1000 {
-                // Whoever asks has to be answered or refused, whatever it is.
+                // Every question gets an answer or a refusal.
                 let asked = stranger.get(&key).payload(payload.clone()).timeout(Duration::from_millis(200));
                 drop(asked.wait().unwrap());
             }
@@ -114,7 +114,7 @@ fn a_stranger_without_rules_in_the_way_stops_nothing() {
     let mut more = fs::File::options().append(true).open(&lines).unwrap();
     std::io::Write::write_all(&mut more, b"They open the fridge.\n").unwrap();
     has(2);
-    // Another start in the hub's name, as of a second hub: it is believed, and holds the first one up in nothing.
+    // Another epoch in the hub's name, as of a second hub, is accepted and does not delay the first hub.
     let other = r#"{"epoch":"00000000000000aa","sequence":1,"first":1,"age_ns":0,"sent_ns":5,"clock":"0000000000000001","text":"They sleep."}"#;
     stranger.put("roomcast/home/robot-1/narration/hall-camera", other).wait().unwrap();
     has(3);

@@ -1,5 +1,5 @@
-//! The first hours of a day of two robots with real daemons, planners and bridges, played 480 times faster than life. The whole day is played without
-//! processes (`services/src/daemon/played.rs`).
+//! The first hours of a day of two robots with real daemons, planners and bridges, 480 times faster than real time. `services/src/daemon/played.rs`
+//! plays the whole day without processes.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,6 @@ use crate::support::{NO_ROUTER, Robot, eventually, free_port, python, router, sk
 const SPEED: f64 = 480.0;
 const END_MIN: f64 = BEGIN_MIN + 100.0;
 
-/// A robot's daemon and planner, its narrator and its way.
 struct Body {
     robot: Robot,
     decisions: Subscriber<DecisionV1>,
@@ -26,7 +25,7 @@ impl Body {
     fn start(name: &str, way: &str) -> Self {
         let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/household.json");
         let mut robot = Robot::start_with(name, way, &configuration(name, scene, SPEED), "[peers]\nhear = true");
-        // It begins with the day.
+        // The planner starts with the day.
         robot.planner.kill();
         let node = robot.domain.open("day").unwrap();
         let scores = node.subscriber::<RoomScoresV1>().unwrap();
@@ -86,6 +85,6 @@ fn two_robots_with_bridges_enter_no_room_of_each_other() {
     }
     let outcome = Outcome::of(robots.each_ref().map(|body| &body.track), END_MIN);
     println!("{outcome:?}");
-    // A message takes a moment, in which two may decide for one room.
+    // While a message is on its way, two robots may choose one room.
     assert!(outcome.shared_min <= 1.0 && outcome.working_min > 0.0, "{outcome:?}");
 }

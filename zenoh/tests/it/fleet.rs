@@ -1,4 +1,4 @@
-//! A hub, a router and two robots as real processes: what holds while each is killed, stopped and started again.
+//! A hub, a router and two robots as real processes, killed, stopped and restarted.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::File;
@@ -16,17 +16,16 @@ use serde_json::Value;
 
 use crate::support::{NO_ROUTER, Process, Robot, Watch, bridge, eventually, free_port, python, router, skipped};
 
-/// `planner.deadline_ms` as the robots have it: scores that were not confirmed for so long are not acted upon. A decision that is due comes
-/// within as long.
+/// The robots' `planner.deadline_ms`: a planner ignores scores that were not confirmed for this long, and makes a due decision within this time.
 const DEADLINE_NS: u64 = 2_000_000_000;
-/// A stay of a robot, so short that decisions come all the time.
+/// A robot's stay, short for frequent decisions.
 const STAY_S: f64 = 0.25;
 
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).ok().map_or(default, |text| text.parse().unwrap())
 }
 
-/// The same numbers for the same seed.
+/// A seeded generator.
 struct Random(u64);
 
 impl Random {
@@ -49,42 +48,42 @@ fn hub(folder: &Path, way: &str, robots: &[&str], input: &Path) -> Process {
     })
 }
 
-/// What a robot's scores say of the hub's narration; the newest.
+/// The newest confirmation of the hub's narration in a robot's scores.
 fn included(scores: &Subscriber<RoomScoresV1>) -> Option<IncludedV1> {
     let newest = scores.newest().unwrap()?;
     let own = newest.included().iter().filter(|included| included.source == sequence::source_of_name("hall-camera"));
     own.max_by_key(|included| included.sequence).copied()
 }
 
-/// What one planner decided, and how late.
+/// The decisions of one planner, and their delay.
 #[derive(Default)]
 struct Decided {
-    /// When the planner of now was started; those before it.
+    /// Start of the current planner, and the epochs of its predecessors.
     started_ns: u64,
     ended: BTreeSet<u64>,
     last: Option<DecisionV1>,
-    /// Scores by the time of their sending, with their names; the newest last.
+    /// Sending time and name of scores; the newest last.
     scores: VecDeque<(u64, (u64, u64))>,
     made: u64,
     fallbacks: u64,
-    /// The latest decision since the last look, by how long it was due.
+    /// The longest delay of a decision since the last look.
     worst_ns: u64,
     /// Decisions on scores that were not confirmed within the deadline.
     stale: Vec<String>,
 }
 
 impl Decided {
-    /// From when on the planner owes a decision; none while what it said last holds.
+    /// The time at which a decision is due; `None` while the last one holds.
     fn due_ns(&self) -> Option<u64> {
         let Some(last) = &self.last else { return Some(self.started_ns + DEADLINE_NS) };
         if last.has(decision_flags::FALLBACK) {
-            // It holds until there are scores again.
+            // A fallback holds until new scores come.
             return self.scores.iter().map(|(sent_ns, _)| *sent_ns).find(|sent_ns| *sent_ns > last.decided_ns);
         }
         let confirmed_ns = self.scores.back().map_or(0, |(sent_ns, _)| *sent_ns);
         Some(match last.action {
             action::GO => last.decided_ns + last.stay_ns,
-            // One that waits does so for as long as the daemon lives.
+            // A waiting decision holds while the daemon is alive.
             _ => last.decided_ns.max(confirmed_ns) + DEADLINE_NS,
         })
     }
@@ -97,7 +96,7 @@ impl Decided {
     }
 
     fn take(&mut self, decision: DecisionV1) {
-        // What a killed planner had sent arrives late.
+        // Messages of a killed planner may arrive late.
         if self.ended.contains(&decision.epoch) {
             return;
         }
@@ -118,14 +117,14 @@ impl Decided {
         self.last = Some(decision);
     }
 
-    /// How late the latest decision since the last look was; one that is owed now counts, too.
+    /// The longest delay since the last look, including a decision that is overdue now.
     fn worst_ns(&mut self) -> u64 {
         let owed_ns = self.due_ns().map_or(0, |due_ns| clock::monotonic_ns().saturating_sub(due_ns));
         std::mem::take(&mut self.worst_ns).max(owed_ns)
     }
 }
 
-/// Follows a robot's planner in the robot's own domain, whatever happens to daemon, bridge, hub and router.
+/// Follows a robot's planner in the robot's domain, through faults of daemon, bridge, hub and router.
 struct Witness {
     decided: Arc<Mutex<Decided>>,
     stop: Arc<AtomicBool>,
@@ -145,7 +144,7 @@ impl Witness {
             while !ends.load(Ordering::Relaxed) {
                 roomcast_ipc::wait_for_any(&[&decisions, &scores], Duration::from_millis(50)).unwrap();
                 let mut decided = own.lock().unwrap();
-                // Decisions are taken first and read last: the scores that they rest on were sent before them, and are here then.
+                // Decisions are received before the scores and processed after them, so that the scores behind them have arrived.
                 let made: Vec<_> = std::iter::from_fn(|| decisions.receive().unwrap()).collect();
                 while let Some(scores) = scores.receive().unwrap() {
                     decided.take_scores(&scores);
@@ -162,7 +161,6 @@ impl Witness {
         self.decided.lock().unwrap()
     }
 
-    /// Kills the planner and starts another.
     fn restart(&self, planner: &mut Process) {
         let mut decided = self.decided();
         planner.restart();
@@ -179,13 +177,13 @@ impl Drop for Witness {
     }
 }
 
-/// What an operator saw of decisions.
+/// Decisions on the operator's side.
 #[derive(Default)]
 struct Seen {
     decisions: u64,
-    /// Those that looked younger than the deadline.
+    /// Decisions that looked younger than the deadline.
     fresh: u64,
-    /// When each robot's newest was made.
+    /// The time of each robot's newest decision.
     newest_ns: BTreeMap<String, u64>,
 }
 
@@ -195,7 +193,7 @@ impl Seen {
         let Some(robot) = key.strip_suffix("/told/decision") else { return };
         self.decisions += 1;
         let of = |key: &str| line[key].as_u64().unwrap();
-        // Loopback has one clock, by which the claim is judged.
+        // On loopback all processes share one clock, so the claimed age can be checked.
         let made_ns = of("sent_ns").saturating_sub(of("age_ns") - line["held_up_ns"].as_u64().unwrap_or(0));
         let newest_ns = self.newest_ns.entry(robot.to_owned()).or_default();
         *newest_ns = made_ns.max(*newest_ns);
@@ -206,15 +204,15 @@ impl Seen {
         }
     }
 
-    /// Whether decisions of so many robots were seen that were made after a time.
+    /// Whether decisions of `robots` robots arrived that were made after a time.
     fn has_all_since(&self, robots: usize, since_ns: u64) -> bool {
         self.newest_ns.values().filter(|newest_ns| **newest_ns >= since_ns).count() == robots
     }
 }
 
-/// 0 narrations lost, 0 taken twice, no decision on scores that are past their deadline, none that looks fresher than it is, and a decision or
-/// its fallback within the deadline whenever one is due, over as many faults as asked for: `ROOMCAST_FLEET_CYCLES` (by default 12) and
-/// `ROOMCAST_FLEET_CUT_S` (6), the seconds for which the router stands still.
+/// No narration is lost or taken twice, no decision rests on expired scores or looks younger than it is, and a due decision or its fallback comes
+/// within the deadline. `ROOMCAST_FLEET_CYCLES` (default 12) sets the number of faults, `ROOMCAST_FLEET_CUT_S` (default 6) the seconds without the
+/// router.
 #[test]
 fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
     let Some(python) = python() else { return skipped(NO_ROUTER) };
@@ -240,7 +238,7 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
     let path = folder.path().join("lines");
     let mut lines = File::create(&path).unwrap();
     let mut hub = hub(folder.path(), &way, &names, &path);
-    // Whoever follows the scores keeps on through restarts of the daemon.
+    // A subscriber to the scores continues through restarts of the daemon.
     let nodes = [0, 1].map(|robot| robots[robot].domain.open("test").unwrap());
     let scores = [0, 1].map(|robot| nodes[robot].subscriber::<RoomScoresV1>().unwrap());
     let acts = [
@@ -265,7 +263,7 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
             written += 1;
         }
         let robot = random.below(2) as usize;
-        // Each fault at least once in the first eight cycles, then by chance.
+        // The first eight cycles have each fault once; later ones are random.
         let fault = if cycle < 8 { cycle } else { random.below(8) };
         std::thread::sleep(Duration::from_millis(random.below(300)));
         match fault {
@@ -292,13 +290,13 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
                 robots[robot].bridge.kill();
                 writeln!(lines, "{}", acts[0]).unwrap();
                 written += 1;
-                // Sometimes for so long that the planner has to fall back.
+                // Sometimes long enough for a fallback.
                 std::thread::sleep(Duration::from_millis(random.below(5000)));
                 robots[robot].bridge.restart();
                 robots[robot].daemon.restart();
             }
         }
-        // Mostly the next fault waits until the operator sees both robots again; else it falls into the recovery of this one.
+        // Usually the next fault waits until the operator sees both robots again. Otherwise it falls into this recovery.
         let (since_ns, waits) = (clock::monotonic_ns(), random.below(4) > 0);
         while waits && !seen.has_all_since(robots.len(), since_ns) {
             seen.look(
@@ -324,7 +322,7 @@ fn nothing_is_lost_or_taken_twice_over_kills_restarts_and_cuts() {
         assert_eq!((last.sequence, last.accepted), (written, written), "robot {robot}: each once");
     }
     assert!(hub.is_alive() && robots.iter_mut().all(|robot| robot.bridge.is_alive()));
-    // None of the hubs was told of a loss that was none.
+    // No hub reported a false loss.
     assert!(!hub.said().contains("has dropped narration"), "every daemon has accepted all");
     hub.signal(Signal::TERM);
     assert_eq!(hub.wait(), 0);
@@ -353,7 +351,7 @@ fn who_joins_late_has_the_last_values_and_sees_who_is_there() {
     let key = |topic: &str| format!("roomcast/home/robot-1/told/{topic}");
     let first = Watch::start(&watch_config);
     let scores = first.find("scores", |line| line["key"] == key("scores"));
-    // Nothing happens, and nothing is repeated for an hour: who joins now has it all the same, with its age.
+    // Messages are repeated only once an hour, but a late listener gets the newest at once, with their age.
     let late = Watch::start(&watch_config);
     let mut missing = vec!["scores", "forecast", "persons", "decision", "status"];
     let mut alive = false;
@@ -375,7 +373,7 @@ fn who_joins_late_has_the_last_values_and_sees_who_is_there() {
     late.find("the daemon's heartbeat", |line| {
         line["key"] == key("status") && line["silence_ns"].as_u64().is_some_and(|silence_ns| silence_ns < 2_000_000_000)
     });
-    // A daemon that is gone is told of: its silence grows.
+    // A dead daemon shows as growing silence.
     robot.daemon.kill();
     late.find("the daemon's silence", |line| {
         line["key"] == key("status") && line["silence_ns"].as_u64().is_some_and(|silence_ns| silence_ns > 2_000_000_000)
@@ -401,18 +399,18 @@ fn a_hub_ends_when_every_robot_has_what_it_read_and_says_how_it_was_understood()
     )
     .unwrap();
     let (own, text) = (config.clone(), input.clone());
-    // Standard input ends, a file is followed.
+    // Standard input ends; a file would be followed.
     let mut hub = Process::start(folder.path().join("hub.log"), move || {
         let mut command = bridge();
         command.arg("hub").arg("--config").arg(&own).stdin(File::open(&text).unwrap());
         command
     });
-    // The router comes last.
+    // The router starts last.
     let _router = router(folder.path(), &python, port);
     assert_eq!(hub.wait(), 0, "{}", hub.said());
     let said = hub.said();
     assert!(said.contains(r#"{"last":2,"confirmed":2,"refused":2,"lost":0}"#), "{said}");
-    // How the robot's daemon understood both.
+    // The robot's daemon explains its understanding of both lines.
     let explained: Vec<Value> = said.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
     let of = |number: u64| explained.iter().find(|line| line["sequence"] == number).unwrap();
     assert_eq!((&of(1)["event"], &of(1)["place"]), (&"did".into(), &"kitchen".into()), "{said}");
@@ -447,21 +445,21 @@ fn of_two_robots_of_one_name_the_second_ends() {
     let is_connected = |bridge: &Process| bridge.said().contains("connected").then_some(());
     let mut bridges = vec![start(1, "robot-1")];
     eventually("the first one is connected", || is_connected(&bridges[0]));
-    // It has told its status.
+    // Time for the first bridge to publish its status.
     std::thread::sleep(Duration::from_secs(2));
     bridges.extend([start(2, "robot-1"), start(3, "robot-2")]);
     eventually("the second one of the name ends", || (!bridges[1].is_alive()).then_some(()));
     let said = bridges[1].said();
     assert!(said.contains("another bridge uses the robot's name \"robot-1\" at this site, and was first"), "{said}");
     eventually("another name is connected", || is_connected(&bridges[2]));
-    // The session of a killed bridge stays at the router for a while, and keeps out no other.
+    // A killed bridge's session stays at the router for a while, and must not exclude its successor.
     bridges[0].kill();
     std::fs::remove_file(&bridges[1].log).unwrap();
     bridges[1].restart();
     eventually("it is connected", || is_connected(&bridges[1]));
     std::thread::sleep(Duration::from_secs(4));
     assert!(bridges[1..].iter_mut().all(Process::is_alive), "{}", bridges[1].said());
-    // Who is killed leaves shared memory behind.
+    // Killed processes leave shared memory behind.
     bridges.iter_mut().for_each(Process::kill);
     for (number, name) in ["robot-1", "robot-1", "robot-2"].into_iter().enumerate() {
         let root = folder.path().join((number + 1).to_string());

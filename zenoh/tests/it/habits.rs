@@ -1,4 +1,4 @@
-//! Habits stay on the robot unless its configuration shares them; then counts leave it, and nothing else.
+//! Habits stay on the robot unless its configuration shares them. Shared habits are counts only.
 
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -23,7 +23,7 @@ fn counts(of: &Value) -> Vec<f64> {
     of.as_array().unwrap().iter().map(|count| count.as_f64().unwrap()).collect()
 }
 
-/// What `roomcast habits show --json` says of rooms.
+/// The visits of rooms in `roomcast habits show --json`.
 fn own_counts(robot: &Robot) -> BTreeMap<String, Vec<f64>> {
     let mut command = Command::new(roomcast());
     command.args(["habits", "show", "--json", "--domain", robot.domain.name(), "--root"]).arg(robot.domain.root());
@@ -60,7 +60,7 @@ fn habits_stay_on_the_robot_unless_they_are_shared_and_then_are_counts() {
     let watch_config = folder.path().join("watch.toml");
     std::fs::write(&watch_config, &way).unwrap();
     let watch = Watch::start(&watch_config);
-    // The daemon is asked when a bridge starts, and then once a minute.
+    // The bridge asks the daemon at its start, and then once a minute.
     robots.iter_mut().for_each(|robot| robot.bridge.restart());
     let mut heard = Vec::new();
     let shared = watch.find("counts of both visits", |line| {
@@ -75,7 +75,7 @@ fn habits_stay_on_the_robot_unless_they_are_shared_and_then_are_counts() {
     assert_eq!(sums, [("bathroom", 1.0), ("kitchen", 2.0), ("main-room", 0.0)]);
     assert_eq!(told, own_counts(&robots[0]), "as the robot itself has them");
     assert!(shared.get("fault").is_none() && !shared.to_string().contains("Ada"), "{shared}");
-    // The other robot has learned the same, and says nothing of it, asked or not.
+    // The other robot has learned the same, and does not publish it, asked or not.
     assert_eq!(own_counts(&robots[1]), told);
     watch.find("the other robot's scores", |line| {
         let key = line["key"].as_str().unwrap();

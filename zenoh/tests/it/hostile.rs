@@ -1,7 +1,6 @@
-//! What peers, files and lines may hold: messages that were right and then damaged, read by everything that reads them. Nothing panics, what is
-//! accepted keeps what the contract promises, and a spool gives no number twice.
+//! Damaged messages, files and lines, given to every reader. No reader panics, accepted messages keep the contract, and a spool repeats no number.
 //!
-//! `PROPTEST_CASES=20000` tries so many of each kind, by a seed of its own; what fails is printed.
+//! `PROPTEST_CASES=20000` sets the number of cases of each kind. proptest prints a failing case.
 
 use std::fs;
 use std::path::Path;
@@ -34,7 +33,7 @@ fn damage() -> impl Strategy<Value = Vec<Damage>> {
     proptest::collection::vec((0.0..1.0, 0..5_u8, any::<u8>()), 0..6)
 }
 
-/// The bytes with these changes: one is replaced, a digit is put in many times, some are taken out, said twice, or all that follow are cut off.
+/// Applies the changes: a byte is replaced, a digit repeated, bytes removed or doubled, or the rest cut off.
 fn damaged(good: &[u8], damage: &[Damage]) -> Vec<u8> {
     let mut bytes = good.to_vec();
     for (place, what, with) in damage {
@@ -68,7 +67,6 @@ fn observation(kind: u8) -> Observation {
 }
 
 proptest! {
-    /// What a robot tells of habits: refused, or counts of rooms that can be.
     #[test]
     fn counts_of_habits_are_refused_or_can_be(room in ".{0,60}", count in any::<f64>(), damage in damage()) {
         let good = roomcast_zenoh::told::habits(&[(room, [count, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 7.25])]);
@@ -79,7 +77,7 @@ proptest! {
         }
     }
 
-    /// What a hub says: refused, or a message that the daemon would take, whose number is taken once.
+    /// An accepted message is valid for the daemon, and its number is accepted once.
     #[test]
     fn a_damaged_narration_is_refused_or_is_one(kind in any::<u8>(), sequence in 1..u64::MAX, changes in damage()) {
         let narrated = Narrated {
@@ -110,7 +108,7 @@ proptest! {
         prop_assert!(relay.confirmed().confirmed <= sequence);
     }
 
-    /// What a robot confirms: never more than it was sent, whatever it says.
+    /// A robot cannot confirm more than it was sent.
     #[test]
     fn a_damaged_confirmation_confirms_nothing_that_is_not_there(next in any::<u64>(), confirmed in any::<u64>(), changes in damage()) {
         let said = Confirmed { epoch: Hex(7), next, confirmed, refused: 0 };
@@ -124,7 +122,7 @@ proptest! {
         prop_assert!(next.is_none_or(|next| (1..=40).contains(&next)));
     }
 
-    /// A text of ROS 2, and the line of narration in it.
+    /// A ROS 2 text with a line of narration.
     #[test]
     fn a_damaged_text_is_refused_or_is_a_line(text in "(\\{\"text\":\"[a-z. ]{0,40}\",\"observed_unix_s\":1e[0-9]{1,3}\\}|\\[[A-Z][a-z]{1,8}\\] <mug> \\(1\\)|.{0,60})", changes in damage()) {
         let bytes = damaged(&encode(&Text { data: text }).unwrap(), &changes);
@@ -136,14 +134,12 @@ proptest! {
         }
     }
 
-    /// More than may be sent is not even read.
     #[test]
     fn what_is_too_long_is_refused(more in 1..BYTES_MAX) {
         let bytes = vec![b' '; BYTES_MAX + more];
         read::<Confirmed>(&bytes).unwrap_err();
     }
 
-    /// A configuration file with damage is refused or checked, and nothing else.
     #[test]
     fn a_damaged_configuration_is_refused_or_checked(changes in damage()) {
         let folder = tempfile::tempdir().unwrap();
@@ -155,7 +151,7 @@ proptest! {
         }
     }
 
-    /// A spool whose file is damaged while it is closed goes on with numbers that it has not given, or in an epoch of its own.
+    /// A spool that was damaged while closed continues with unused numbers, or in a new epoch.
     #[test]
     fn a_damaged_spool_gives_no_number_twice(count in 1..20_u64, confirmed in 0..20_u64, changes in damage()) {
         let folder = tempfile::tempdir().unwrap();
@@ -184,7 +180,7 @@ proptest! {
         for number in opened.1..=opened.2 {
             let kept = spool.get(number).unwrap();
             prop_assert_eq!(kept.sequence, number);
-            // What is damaged is never narrated.
+            // A damaged entry is never narrated.
             prop_assert_eq!(&kept.observation, &observation((number - 1) as u8));
         }
         spool.append(vec![Dated::new(observation(0), 0, spool.input())]).unwrap();

@@ -1,4 +1,4 @@
-//! A hub alone, whose router is away: what it says and does by itself.
+//! A hub without a router.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rustix::process::Signal;
 
 use crate::support::{Process, bridge, eventually, free_port};
 
-/// A hub that has one narration to send, and nobody to send it to.
+/// A hub with one event to send.
 fn hub(folder: &Path, input: &Path) -> Process {
     let spool = folder.join("spool");
     let observation =
@@ -30,7 +30,7 @@ fn hub(folder: &Path, input: &Path) -> Process {
 #[test]
 fn an_input_that_fails_is_told_while_narration_is_still_sent() {
     let folder = tempfile::tempdir().unwrap();
-    // It can be opened, and not be read: nothing is at the start of a process's memory.
+    // The file opens, but cannot be read: the start of a process's memory is unmapped.
     let mut hub = hub(folder.path(), Path::new("/proc/self/mem"));
     eventually("the log tells of the input", || hub.said().contains("the input cannot be read any more").then_some(()));
     assert!(hub.is_alive(), "the robot has not confirmed what was read before");
@@ -39,7 +39,7 @@ fn an_input_that_fails_is_told_while_narration_is_still_sent() {
     assert!(hub.said().contains("cannot read"), "{}", hub.said());
 }
 
-/// It waits for no writer, and loses none.
+/// The hub does not wait for a writer, and loses no line of the first one.
 #[test]
 fn a_hub_with_a_fifo_starts_reads_its_first_writer_and_stops() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ fn a_hub_with_a_fifo_starts_reads_its_first_writer_and_stops() {
     assert!(hub.said().contains(r#"{"last":2,"confirmed":0,"refused":0,"lost":0}"#), "{}", hub.said());
 }
 
-/// A spool that was removed gave the hub a new start, from the first line of its input on: the robots had each of them twice.
+/// Formerly a removed spool gave the hub a new epoch from the first line of its input, and the robots received every line twice.
 #[test]
 fn a_hub_whose_spool_was_emptied_says_nothing_again() {
     let folder = tempfile::tempdir().unwrap();
@@ -75,7 +75,7 @@ fn a_hub_whose_spool_was_emptied_says_nothing_again() {
     let spool = ["spool/narration.db", "spool/narration.db-wal"].map(|file| folder.path().join(file));
     let has =
         |text: &str| spool.iter().any(|file| String::from_utf8_lossy(&std::fs::read(file).unwrap()).contains(text));
-    // A hub that starts at the end may not have found it yet.
+    // A restarted hub reads from the end of its input and may miss an earlier line, so the line is repeated.
     let say = |text: &str| {
         eventually("the line is kept", || {
             let mut lines = std::fs::OpenOptions::new().append(true).open(&input).unwrap();
@@ -101,7 +101,7 @@ fn a_doubled_signal_is_one_request() {
     let input = folder.path().join("lines");
     std::fs::write(&input, "").unwrap();
     let mut hub = hub(folder.path(), &input);
-    // Its handlers are there before it looks for the router.
+    // The signal handlers are set before the hub connects to the router.
     eventually("it misses the router", || hub.said().contains("router").then_some(()));
     hub.signal(Signal::INT);
     hub.signal(Signal::INT);

@@ -1,5 +1,3 @@
-//! `docs/fleet.md` states the limits of the code.
-
 use std::path::Path;
 
 use roomcast_zenoh::{ask, config, habits, inward, line, link, peers, relay, ros2, spool, wire};

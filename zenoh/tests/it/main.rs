@@ -1,4 +1,4 @@
-//! The tests of `roomcast-zenoh` with real processes, routers and other implementations: one program.
+//! Tests of `roomcast-zenoh` with real processes, routers and other implementations: one program.
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 

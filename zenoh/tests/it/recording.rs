@@ -1,4 +1,4 @@
-//! A recording for ROS 2, as other implementations read it: mcap-ros2-support by the schemas in it, rosbags as a folder of rosbag2.
+//! A ROS 2 recording, read by other implementations: by mcap-ros2-support with the schemas in it, by rosbags as a folder of rosbag2.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -58,7 +58,7 @@ fn two_other_implementations_read_a_recording_as_it_was_made() {
     let narrated = command(&["narrate", &path("lines"), "--pace", "0", "--linger", "100"]).output().unwrap();
     assert!(narrated.status.success(), "{narrated:?}");
     eventually("a decision", || decisions.newest().unwrap());
-    // Whoever speaks ends first, so that both hear the same end.
+    // The senders stop first, so that both recordings end alike.
     for process in [&mut planner, &mut daemon].into_iter().chain(&mut recorders) {
         process.signal(Signal::TERM);
         assert_eq!(process.wait(), 0, "{}", process.said());

@@ -1,4 +1,4 @@
-//! ROS 2, as another implementation of its middleware sees it: zenoh-ros2-sdk for keys and tokens, rosbags for hashes and messages.
+//! ROS 2 topics, checked by other implementations: keys and tokens by zenoh-ros2-sdk, hashes and messages by rosbags.
 
 use std::path::Path;
 use std::process::Command;
@@ -37,7 +37,7 @@ fn another_implementation_hears_every_topic_and_narrates() {
         "/roomcast/markers",
         "/diagnostics",
     ] {
-        // What Nav2 has to know of the mask is said once, before anybody listens.
+        // The mask's information for Nav2 is sent once, before any listener starts.
         let live = topic != "/roomcast/keepout_info";
         assert!(
             !live || heard[topic].is_object(),

@@ -1,4 +1,4 @@
-//! Real processes for tests: a router, robots with daemon, planner and bridge, hubs. All on loopback, each in a folder of its own.
+//! Real processes on loopback: a router, robots with daemon, planner and bridge, hubs.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -16,12 +16,12 @@ use rustix::process::{Pid, Signal, kill_process};
 
 pub const NO_ROUTER: &str = "PyPI's eclipse-zenoh is not installed for the tests (`make zenoh` does, with a network)";
 
-/// Where everything is built.
+/// The target directory.
 pub fn target() -> PathBuf {
     PathBuf::from(env!("CARGO_BIN_EXE_roomcast-zenoh")).ancestors().nth(2).unwrap().to_owned()
 }
 
-/// Python with eclipse-zenoh, where it is installed.
+/// Python with eclipse-zenoh, if installed.
 pub fn python() -> Option<PathBuf> {
     let python =
         std::env::var_os("ROOMCAST_ZENOH_PYTHON").map_or_else(|| target().join("zenoh/bin/python"), PathBuf::from);
@@ -29,7 +29,7 @@ pub fn python() -> Option<PathBuf> {
     has.is_ok_and(|status| status.success()).then_some(python)
 }
 
-/// The robot's program, which `make zenoh` builds before.
+/// The robot's program. `make zenoh` builds it first.
 pub fn roomcast() -> PathBuf {
     let program = std::env::var_os("ROOMCAST_BINARY").map_or_else(|| target().join("release/roomcast"), PathBuf::from);
     assert!(program.exists(), "{} is not there: build it first (cargo build --release)", program.display());
@@ -60,7 +60,7 @@ impl Process {
         process
     }
 
-    /// Kills it where it runs, and starts it again. Its log goes on.
+    /// Kills the process if it runs, and starts it again. Its log continues.
     pub fn restart(&mut self) {
         self.kill();
         let log = File::options().create(true).append(true).open(&self.log).unwrap();
@@ -115,7 +115,6 @@ pub fn router(folder: &Path, python: &Path, port: u16) -> Process {
     router_of(folder, python, port, &config)
 }
 
-/// A router with a configuration.
 pub fn router_of(folder: &Path, python: &Path, port: u16, config: &str) -> Process {
     let file = folder.join("router.json5");
     std::fs::write(&file, config).unwrap();
@@ -144,12 +143,12 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Starts all three. `way` is the bridge's section `[router]`.
+    /// `way` is the bridge's section `[router]`.
     pub fn start(name: &str, way: &str, narrators: &[&str], more: &str) -> Self {
         Self::start_in(name, way, narrators, more, None)
     }
 
-    /// As [`Robot::start`], with a scene of its own.
+    /// Like [`Robot::start`], with another scene.
     pub fn start_in(name: &str, way: &str, narrators: &[&str], more: &str, scene: Option<&Path>) -> Self {
         let known: String = narrators
             .iter()
@@ -163,7 +162,7 @@ impl Robot {
         Self::start_with(name, way, &robot, &format!("{more}\n{heard}"))
     }
 
-    /// One that speaks to ROS 2 alone, with a map of 8 m by 8 m around the shipped flat.
+    /// A robot with a ROS 2 connection only, and a map of 8 m by 8 m around the included flat.
     pub fn start_with_ros2(folder: &Path, port: u16) -> Self {
         std::fs::write(folder.join("map.pgm"), b"P5\n160 160\n255\n").unwrap();
         let map = folder.join("map.yaml");
@@ -175,7 +174,7 @@ impl Robot {
         Self::start_in("robot-1", "", &[], &more, Some(&scene))
     }
 
-    /// As [`Robot::start`], with a configuration of daemon and planner of its own.
+    /// Like [`Robot::start`], with a configuration of daemon and planner.
     pub fn start_with(name: &str, way: &str, robot: &str, more: &str) -> Self {
         static DOMAINS: AtomicU32 = AtomicU32::new(0);
         let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
@@ -215,12 +214,12 @@ impl Drop for Robot {
         for process in [&mut self.bridge, &mut self.planner, &mut self.daemon] {
             process.kill();
         }
-        // Who is killed leaves shared memory behind.
+        // Killed processes leave shared memory behind.
         let _left = self.domain.clean_up();
     }
 }
 
-/// An operator's `watch`, whose lines come one by one.
+/// An operator's `watch`, line by line.
 pub struct Watch {
     child: Child,
     pub lines: Receiver<serde_json::Value>,
@@ -243,7 +242,6 @@ impl Watch {
         Self { child, lines }
     }
 
-    /// Waits for a line that fits.
     pub fn find(&self, what: &str, mut fits: impl FnMut(&serde_json::Value) -> bool) -> serde_json::Value {
         let start = Instant::now();
         loop {

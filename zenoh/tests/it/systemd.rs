@@ -1,4 +1,4 @@
-//! The unit's own command line, as systemd starts it: the bridge says when it is ready and that it lives, also while its router is away.
+//! The bridge under the unit's command line: it reports to systemd that it is ready and alive, also without its router.
 
 use std::any::Any;
 use std::os::unix::net::UnixDatagram;
@@ -14,14 +14,14 @@ use roomcast_zenoh::config::NARRATORS_MAX;
 
 use crate::support::{PATIENCE, Process, bridge, free_port};
 
-/// What follows a key in the unit.
+/// The value of a key in the unit.
 fn of_unit(key: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../systemd/roomcast-zenoh.service");
     let unit = std::fs::read_to_string(path).unwrap();
     unit.lines().find_map(|line| line.strip_prefix(key)).unwrap().to_owned()
 }
 
-/// The unit's bridge with another configuration, and the socket where it says how it is.
+/// The unit's bridge with another configuration, and its notification socket.
 struct Unit {
     domain: Domain,
     process: Process,
@@ -30,7 +30,7 @@ struct Unit {
 }
 
 impl Unit {
-    /// `more` is what the configuration has beside router and domain; no more files may be open than `files`.
+    /// `more` is the configuration besides router and domain; `files` limits the open files.
     fn start(name: &str, more: &str, files: &str) -> Self {
         let folder = tempfile::Builder::new().prefix("rcb-").tempdir_in("/tmp").unwrap();
         let domain = Domain::new(folder.path().join("d"), &format!("{name}-{}", std::process::id())).unwrap();
@@ -57,7 +57,7 @@ impl Unit {
         Self { domain, process, socket, _folder: folder }
     }
 
-    /// Waits until the bridge says a word to systemd, or has ended.
+    /// Waits until the bridge sends a word to systemd, or has ended.
     fn says(&mut self, word: &str) -> bool {
         let start = Instant::now();
         let mut message = [0; 512];
@@ -88,7 +88,7 @@ fn the_units_bridge_says_that_it_lives_while_its_router_is_away() {
     assert!(start.elapsed() < Duration::from_secs(10), "three times before the watchdog would restart it");
 }
 
-/// Starting again does not help. The log says what to change.
+/// A restart does not help, so the log names the setting.
 #[test]
 fn a_scene_that_is_not_there_is_told_with_its_cause_and_is_of_the_configuration() {
     let ros2 = format!("[ros2]\nconnect = \"tcp/127.0.0.1:{}\"\nscene = \"gone.json\"\n", free_port());
@@ -104,7 +104,7 @@ fn a_scene_that_is_not_there_is_told_with_its_cause_and_is_of_the_configuration(
     );
 }
 
-/// All that the manual allows at once.
+/// The largest configuration that the manual permits.
 fn largest(folder: &Path) -> String {
     let map = folder.join("map.yaml");
     std::fs::write(folder.join("map.pgm"), b"P5\n160 160\n255\n").unwrap();
@@ -119,7 +119,7 @@ fn largest(folder: &Path) -> String {
     )
 }
 
-/// The ports of a home in which much is used at once: daemon, narrators, planners, robots, and those that look.
+/// The ports of a busy home: daemon, narrators, planners, robots and observers.
 fn house(domain: &Domain) -> Vec<Box<dyn Any>> {
     let mut ports: Vec<Box<dyn Any>> = Vec::new();
     let daemon = domain.open("daemon").unwrap();
@@ -162,10 +162,10 @@ fn house(domain: &Domain) -> Vec<Box<dyn Any>> {
     ports
 }
 
-/// So often it says that it lives, once a second: for longer than a port is tried to be opened.
+/// One notification a second, for longer than the bridge tries to open a port.
 const SIGNS_OF_LIFE: usize = 12;
 
-/// What the manual allows starts under the unit's own limit, and what does not says why.
+/// The largest permitted configuration starts under the unit's limit. Above the limit, the error says so.
 #[test]
 fn the_largest_configuration_starts_under_the_units_limit_of_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -185,7 +185,6 @@ fn the_largest_configuration_starts_under_the_units_limit_of_files() {
     assert!(said.contains("files are open in this process, of at most 96: raise the limit"), "{said}");
 }
 
-/// As the package installs them.
 #[test]
 fn completions_offer_every_command() {
     for shell in ["bash", "zsh", "fish"] {

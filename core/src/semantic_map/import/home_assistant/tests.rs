@@ -208,8 +208,7 @@ fn registries_of_newer_homes_are_read() {
     assert!(furnished.map.find_label("bed").is_some() && furnished.map.find_label("toy").is_some());
 }
 
-/// Rows "floors times areas" and "entities times aliases" of the attacks: a registry that is too large is refused before rooms are built. Any other
-/// registry is read once.
+/// The attacks: floors times areas, entities times aliases. A registry that is too large is refused before rooms are built; any other is read once.
 #[test]
 fn large_registries_are_refused_or_read_once() {
     let area = |index: usize, aliases: usize| {
