@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::asked::{Answer, Question};
 use super::understood::By;
 
-/// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
+/// A question. A change has a unique name; the same name gets the same answer, without a second change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum PersonQuestion {
@@ -85,7 +85,7 @@ pub struct PersonAnswer {
     /// The change failed on the disk; the question itself was right.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub failed: bool,
-    /// Whether a restarted daemon will know it: only with a state directory.
+    /// Whether a restarted daemon has the change, which needs a state directory.
     pub kept: bool,
     /// All persons that are known now.
     pub persons: Vec<PersonLine>,
