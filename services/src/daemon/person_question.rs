@@ -27,7 +27,7 @@ pub enum PersonQuestion {
         /// A name or a number.
         who: String,
     },
-    /// Forget a person: their history, their forecast, their name, and what the journal has of them.
+    /// Forget a person: their history, their forecast, their name, and their entries in the state database.
     Forget {
         /// The question's name.
         id: String,
@@ -122,12 +122,12 @@ pub struct PlaceLine {
     pub place: String,
     /// The probability that the person is there.
     pub probability: f64,
-    /// The observations that moved it most, the strongest first.
+    /// The events that moved it most, the strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub why: Vec<WhyLine>,
 }
 
-/// One observation that moved a belief.
+/// One event that moved a belief.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WhyLine {
     /// `sensor`, `did`, `present`, `away`, `empty` or `count`.

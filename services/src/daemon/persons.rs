@@ -56,7 +56,7 @@ pub(super) struct Known {
     pub(super) last: EventId,
     /// The time of `last`, which may be late.
     last_ns: i64,
-    /// The voice that reported the person first.
+    /// The quota of the narrator that reported the person first.
     voice: u64,
     /// The newest report by a guarded narrator; `i64::MIN` before the first.
     guarded_ns: i64,
@@ -344,7 +344,8 @@ impl Persons {
         (self.config.asleep_s * 1e9) as i64
     }
 
-    /// The person to drop for one more of `newcomer`: visitors before residents, then the voice with most persons, then the longest silence. A
+    /// The person to drop for one more of `newcomer`: visitors before residents, then persons of the quota with most persons, then the longest
+    /// silence. A
     /// narrator that invents persons drops its own.
     fn least_missed(&self, newcomer: u64) -> Option<PersonId> {
         let told = |voice: u64| {

@@ -18,7 +18,7 @@ use crate::narrator::{Account, Who, line_item};
 use crate::planner::Planner;
 use crate::setup;
 
-/// The daemon's parts, with the real model and a real journal.
+/// The daemon's parts, with the real model and a real state database.
 struct Daemon {
     cycle: Cycle<LlamaModel>,
     intake: Intake,

@@ -169,7 +169,7 @@ impl<M: LanguageModel> Board<M> {
         understood.of(source, epoch, from).map(line).collect()
     }
 
-    /// The event of an observation and its persons. The key is final; free text sets presence in the closed forms only.
+    /// The event as read, and its persons. The key is final; free text sets presence in the closed forms only.
     fn read(&self, observation: &Observation, reporter: Reporter) -> Result<(Who, Event), Reason> {
         let is_keyed = is_keyed(observation);
         let unknown = |count: u8| if is_keyed { Who::Key } else { Who::Unknown(count.clamp(1, COUNT_MAX)) };
@@ -251,7 +251,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// One observation for each person of an event that has one person at most.
+    /// The part of each person in an event that has one person at most.
     fn each(&mut self, own: Observation, who: &Who, reporter: Reporter) -> Vec<Observation> {
         match who {
             Who::Key => Vec::new(),

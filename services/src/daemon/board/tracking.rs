@@ -391,7 +391,7 @@ impl Tracking {
         self.at(person).is_some()
     }
 
-    /// The observations that moved the belief about a person and a place most, the strongest first.
+    /// The events that moved the belief about a person and a place most, the strongest first.
     pub(super) fn why(&self, person: PersonId, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
         let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
         reasons.into_iter().flatten()

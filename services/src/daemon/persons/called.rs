@@ -1,4 +1,4 @@
-//! The texts that name a person, for `forget`: a journal has sentences of others that mention the person.
+//! The texts that name a person, for `forget`: the state database has sentences of others that mention the person.
 
 use std::collections::BTreeSet;
 
