@@ -1,6 +1,5 @@
 //! The prefetcher's thread ([`Ahead`]) at a low priority, so that other threads get most of its core. It stops within one small call of the model
-//! when an
-//! event arrives, and continues with the next [`Now`].
+//! when an event arrives, and continues with the next [`Now`].
 
 use std::io;
 use std::path::Path;
@@ -112,7 +111,7 @@ impl Aside {
         let mut rests_until = Instant::now();
         let Ok(mut news) = self.now.recv() else { return };
         loop {
-            // The pause keeps the quota; a newer look may come meanwhile.
+            // The pause keeps the quota; a newer look may come during it.
             match self.now.recv_deadline(rests_until) {
                 Ok(newer) => {
                     news = newer;

@@ -103,8 +103,7 @@ impl Entry {
 }
 
 /// The time of an event on the monotonic clock; negative before the machine's start. `None` if no clock tells, or if a wall-clock time is in the
-/// future,
-/// so that the wall clock is or was wrong.
+/// future, so that the wall clock is or was wrong.
 fn observed_at_ns(observation: &Observation, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<i64> {
     let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
     match (observation.observed_ns, observation.observed_unix_ns) {
@@ -376,8 +375,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Replaces the map; the next step scores it. Returns the preparation of the model. Until a step succeeds, snapshot and forecasts stay those of
-    /// the
-    /// previous map.
+    /// the previous map.
     ///
     /// # Errors
     ///
@@ -581,8 +579,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Restores the events of a former run without scoring, with their times, and the expectations after some of them. Returns the number of events
-    /// that
-    /// were left out because they cost more tokens than a window holds.
+    /// that were left out because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
         let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
@@ -915,8 +912,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Takes all entries into the histories, then scores the rooms once. Returns the time at which the oldest newly scored event was received, also
-    /// if an
-    /// earlier step failed to score it.
+    /// if an earlier step failed to score it.
     ///
     /// # Errors
     ///
@@ -931,8 +927,8 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// As [`Board::step`], but after `patience_ns` no further person is scored; the next step continues ([`Pipeline::score_within`]). For the waiting
-    /// persons the snapshot has the last scores and does not claim new events, and it is flagged as behind. After a change of the map, it stays
-    /// with the previous map until all persons are scored.
+    /// persons the snapshot has the last scores and does not claim new events, and it is flagged as behind. After a change of the map, it stays with
+    /// the previous map until all persons are scored.
     ///
     /// # Errors
     ///
@@ -1059,8 +1055,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Passes the moves of the last step's events to `tell`, once, for the state database. Without them, a restart would attribute the events by the
-    /// persons
-    /// known then.
+    /// persons known then.
     pub(super) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
         for mut moved in self.moved.drain(..) {
             tell(&moved);
@@ -1091,8 +1086,7 @@ impl<M: LanguageModel> Board<M> {
             let expected = self.followed.get(&person).and_then(Forecaster::expected);
             let own = own.map(|own| expected.unwrap_or(&own.grounded.partition_probability));
             // If events were lost, the model's expectation differs from the stored one, and is written. It is also written if a killed daemon, or a
-            // power
-            // loss, left none.
+            // power loss, left none.
             let is_same = said.get(&person).is_some_and(|said| own.is_none_or(|own| are_alike(said, own)));
             let is_said = |restored| recalled && restored && is_same;
             if let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) {

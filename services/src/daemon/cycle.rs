@@ -1,6 +1,5 @@
 //! The scoring loop without threads, ports, clock and disk: when to score, to retry and to send. Times and the state database's progress are
-//! parameters,
-//! and messages are return values. So the daemon's threads and the simulation of faults (`tests/it/simulated.rs`) drive the same code.
+//! parameters, and messages are return values. So the daemon's threads and the simulation of faults (`tests/it/simulated.rs`) drive the same code.
 
 use std::collections::VecDeque;
 
@@ -76,8 +75,7 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Restores the events of a former run, and lets `intake` know them as duplicates. Returns the number of events that were left out because they
-    /// cost more
-    /// tokens than a window holds.
+    /// cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         recovered.taken().for_each(|event| intake.restore(event));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
@@ -86,8 +84,7 @@ impl<M: LanguageModel> Cycle<M> {
     }
 
     /// Takes in a refused event, which the scores must confirm so that its narrator stops waiting. A confirmation includes all earlier events. So it
-    /// waits
-    /// until the scores contain those.
+    /// waits until the scores contain those.
     pub fn pass_over(&mut self, event: EventId) {
         self.refused.push_back(Refused { behind: self.waiting.len(), event });
         self.pass_over_up_to(0);
@@ -197,8 +194,7 @@ impl<M: LanguageModel> Cycle<M> {
     /// The message to send now, if one is due.
     ///
     /// Scores with events beyond `written` are sent, but do not claim these events. A claim lets the narrator forget the event, so it must survive a
-    /// killed
-    /// daemon.
+    /// killed daemon.
     pub fn message(&mut self, now_ns: BootNs, written: u64, behind: bool) -> Option<&RoomScoresV1> {
         if !self.message_due(now_ns, written) {
             return None;

@@ -294,8 +294,7 @@ impl Relief {
     }
 
     /// Returns the receiver. If the scoring thread lends at this moment, it has found no receiver. The relief thread then takes it back, because
-    /// otherwise
-    /// no thread would receive events during a whole step.
+    /// otherwise no thread would receive events during a whole step.
     fn give_back(&self, inbox: Box<Inbox>) -> Option<Box<Inbox>> {
         // It fails only if the scoring thread has ended; the main thread also sees that.
         let _given = self.to_scoring.send(inbox);

@@ -1,13 +1,11 @@
 //! From a message to an event: the checks, and the counters. Pure: time is a parameter.
 //!
 //! A narrator's start (source and epoch) belongs to the port that first uses it. From any other port its messages are forged. If the configuration
-//! calls
-//! the narrator relayed, another port may continue the start once the first port is closed, as after a restart of a bridge.
-//! A relayed narrator resends its messages above the rate. Later messages wait for these, because otherwise the resent ones would count as lost.
+//! calls the narrator relayed, another port may continue the start once the first port is closed, as after a restart of a bridge. A relayed narrator
+//! resends its messages above the rate. Later messages wait for these, because otherwise the resent ones would count as lost.
 //!
 //! Each port has an equal quota of the followed starts and of the places in a person's window ([`Voice`]). The service has as many ports as quotas,
-//! so no
-//! port can take the quota of an open one.
+//! so no port can take the quota of an open one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -36,7 +34,7 @@ pub const FORMER_SOURCES_MAX: usize = 4096;
 /// How long later messages wait for one above the rate, since it last arrived. A bridge resends it after five seconds, and may have to restart first.
 /// After this time no process has the message.
 pub const HELD_S: u64 = 30;
-/// The common quota of all unknown narrators, if the configuration names any.
+/// The number of the common quota of all unknown narrators, if the configuration names any narrator.
 pub(super) const OTHERS: u64 = 1;
 const FIRST_VOICE: u64 = 2;
 
@@ -248,8 +246,7 @@ impl Intake {
     }
 
     /// Whether a port uses the name of a configured narrator, or a start of a relayed one, that another open port owns. Then [`Intake::note_alive`]
-    /// must get
-    /// the ports whose processes run.
+    /// must get the ports whose processes run.
     #[must_use]
     pub(crate) fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
         let holder = self.holders.get(&source);
@@ -408,8 +405,7 @@ impl Intake {
     }
 
     /// Whether a port speaks for a narrator of the configuration. The first one does while it is open. Other ports with this name count as unknown
-    /// narrators,
-    /// and take none of its quota.
+    /// narrators, and take none of its quota.
     fn holds(&mut self, source: u64, sender: Sender) -> bool {
         let holder = self.holders.entry(source).or_insert(sender);
         if *holder != sender && !self.alive.contains(holder) {
@@ -476,8 +472,7 @@ impl Intake {
     }
 
     /// The quota of the closed port that last spoke for this source. A restarted narrator continues with it, because it must not share the window
-    /// with its
-    /// own past. The quota of an open port stays with that port.
+    /// with its own past. The quota of an open port stays with that port.
     fn voice_left_by(&self, source: u64) -> Option<u64> {
         let starts = self.sources.range((source, 0)..=(source, u64::MAX));
         let last = starts.filter(|(_, known)| known.port.is_some()).max_by_key(|(_, known)| known.turn);
@@ -519,9 +514,8 @@ impl Intake {
     }
 }
 
-/// The relay of the bridge, by its own source file: a test with both sides fails if one of them changes alone.
-/// Neither crate can depend on the other: the bridge would get llama.cpp, and this crate zenoh. They share only the contract; the relay is no part of
-/// it.
+/// The relay of the bridge, by its own source file: a test with both sides fails if one of them changes alone. Neither crate can depend on the other:
+/// the bridge would get llama.cpp, and this crate zenoh. They share only the contract; the relay is no part of it.
 #[cfg(test)]
 #[path = "../../../zenoh/src/relay.rs"]
 mod relay;
@@ -727,8 +721,7 @@ mod tests {
     }
 
     /// A regression: a hub without a lasting queue restarted fourteen times while the daemon was away. The daemon never confirmed starts that it did
-    /// not
-    /// follow, and the bridge resent their messages for ever.
+    /// not follow, and the bridge resent their messages for ever.
     #[test]
     fn of_many_starts_that_a_bridge_relays_each_is_confirmed() {
         const S: u64 = 1_000_000_000;

@@ -345,8 +345,7 @@ impl Persons {
     }
 
     /// The person to drop for one more of `newcomer`: visitors before residents, then persons of the quota with most persons, then the longest
-    /// silence. A
-    /// narrator that invents persons drops its own.
+    /// silence. A narrator that invents persons drops its own.
     fn least_missed(&self, newcomer: u64) -> Option<PersonId> {
         let told = |voice: u64| {
             self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)

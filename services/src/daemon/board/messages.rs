@@ -23,8 +23,7 @@ const SURELY_EMPTY: f64 = 0.9;
 
 impl<M: LanguageModel> Board<M> {
     /// The forecast from `now_ns` on, for `HORIZONS_S`: per room the probability that at least one person is in it. Without an event all rooms are
-    /// equally
-    /// likely, and a flag says so.
+    /// equally likely, and a flag says so.
     pub fn forecast(&mut self, now_ns: BootNs) -> &ForecastV1 {
         self.watch();
         self.track(now_ns);
@@ -200,8 +199,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// The scores of the last step's best items, at most [`MAX_ITEMS`], with the header that ties them to the snapshot. `None` while a changed map
-    /// waits for
-    /// its first scores.
+    /// waits for its first scores.
     pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
         if self.next_rooms.is_some() {
             return None;
@@ -273,8 +271,7 @@ impl<M: LanguageModel> Board<M> {
             self.newest_sources.push((newer, *own));
         }
         // The newest start of each quota first, so that one narrator's starts push out no confirmation of another. Ties are ordered by source, so
-        // that equal
-        // steps give equal messages.
+        // that equal steps give equal messages.
         self.newest_sources.sort_unstable_by_key(|(newer, own)| (*newer, Reverse(own.turn), own.source, own.epoch));
         // A start that was published before, without an event since, needs no confirmation.
         let is_new = |own: &Included| own.turn > self.named_turn;

@@ -45,8 +45,7 @@ fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
 
 proptest! {
     /// The bound on one unknown narrator: with a guard, its events change no score and no forecast of a guarded person, to the last bit. No room
-    /// falls below
-    /// the probability that these persons give it. Both also hold after a restart.
+    /// falls below the probability that these persons give it. Both also hold after a restart.
     #[test]
     fn a_stranger_moves_nothing_of_a_guarded_person(
         said in prop::collection::vec((0..12_usize, 0..4_u32, 0..50_u64, any::<bool>(), 0..16_usize), 1..40),
