@@ -47,7 +47,7 @@ pub(super) struct Aside {
     shared: Arc<Shared>,
     now: Receiver<(u64, Now)>,
     answers: Sender<Answer>,
-    /// The quota of one core.
+    /// The thread's quota of a core, at most 1.
     share: f64,
     on_battery: bool,
     log: Limiter,

@@ -67,7 +67,7 @@ pub struct HabitsLine {
     pub name: Option<String>,
     /// The number of events learned from.
     pub observations: f64,
-    /// About how many hours the person's place was known. Presence counts here, but is no event that habits count.
+    /// About how many hours the person's place was known. Presence counts here, but not in `observations`.
     #[serde(default)]
     pub watched_h: f64,
     /// The horizons of the present forecast; empty if habits add nothing to it.
