@@ -270,7 +270,7 @@ impl Forecaster {
         let is_late = at_s < self.updated_s;
         let at_s = self.come_home(at_s);
         let mentioned =
-            mention.filter(|mention| mention.label < grounding.weights.nrows() && grounding.weights.ncols() == rooms);
+            mention.filter(|mention| mention.label < grounding.weights.rows() && grounding.weights.columns() == rooms);
         // P(label | room) is proportional to the share of the label's items there.
         let misplaced = self.options.misplaced;
         let moved = if self.sensed && !is_late { self.options.moved() } else { 0.0 };
@@ -460,7 +460,8 @@ impl Forecaster {
     /// recently. Scores of the same `number` are used once after each observation, so that after a restart, which restores the expectation and not
     /// the scores, the result is the same.
     pub fn expect_next(&mut self, grounding: &Grounding, label_log_prob_nats: &[f64], number: u64) {
-        let fits = grounding.weights.shape() == (label_log_prob_nats.len(), self.scores.len());
+        let shape = (grounding.weights.rows(), grounding.weights.columns());
+        let fits = shape == (label_log_prob_nats.len(), self.scores.len());
         if !self.expects || !fits || self.expected == Some(number) {
             return;
         }

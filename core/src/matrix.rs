@@ -43,7 +43,7 @@ impl Matrix {
     }
 
     /// The values of a column, from the first row on.
-    pub fn column(&self, column: usize) -> impl Iterator<Item = f64> {
+    pub fn column(&self, column: usize) -> impl Iterator<Item = f64> + Clone {
         self.values.iter().skip(column).step_by(self.columns.max(1)).copied()
     }
 

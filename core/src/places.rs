@@ -102,7 +102,7 @@ impl PlaceMatcher {
             let text = item.or_else(|| map.find_room(name).map(|room| map.rooms[room.0 as usize].label.as_str()))?;
             let label = *label_of_text.get(text)?;
             let is_shared = map.rooms.iter().filter(|room| room.label == text).count() > 1;
-            let has_columns = grounding.weights.ncols() == map.rooms.len();
+            let has_columns = grounding.weights.columns() == map.rooms.len();
             let one = || map.find_one_room(name).map(|room| room.0 as usize);
             let room = (item.is_none() && is_shared && has_columns).then(one).flatten();
             Some(Mention { room, ..label.into() })

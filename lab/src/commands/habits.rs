@@ -178,7 +178,7 @@ fn sensors(
         let label = mentions.last(sentence.as_str()).filter(|found| !found.is_left).map(|found| found.label);
         let own = intervals.get(*interval).and_then(|interval| interval.room);
         let of_interval = own.filter(|room| label.is_none_or(|label| weights[(label, *room)] > 0.0));
-        let only = label.and_then(|label| (0..weights.ncols()).find(|room| weights[(label, *room)] > 0.999));
+        let only = label.and_then(|label| (0..weights.columns()).find(|room| weights[(label, *room)] > 0.999));
         steps.push(Step { at_s: *at_s, sentence, label, room: of_interval.or(only), lacking: false, unseen: false });
     }
     let taken_for_one = taken_for_one(narrated.said.iter().map(|said| &said.item));

@@ -1,4 +1,4 @@
-//! What is scored while nobody waits: guesses at what each person does next. No clock, no thread: [`super::aside`] has these.
+//! Prefetching: guesses of each person's next action, scored while the daemon is idle. [`super::aside`] has the thread and the clock.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -10,31 +10,30 @@ use roomcast_core::narration::Sentence;
 use roomcast_core::prepared::{Answer, Ask, Outlook, PersonOutlook, Preparer};
 use roomcast_core::scorer::{LanguageModel, ModelError, PreparedLabels, ScoreError};
 
-/// Of so many sentences it counts who did them, to say who does the next.
+/// The newest sentences that estimate which person acts next.
 const ACTORS: usize = 16;
 
-/// What the daemon knows at one moment, for whoever works ahead.
+/// The daemon's state, for the prefetcher.
 #[derive(Debug)]
 pub struct Now {
-    /// Who is here, and what they did last.
+    /// The persons and their latest events.
     pub outlook: Outlook,
-    /// Changes when somebody is forgotten.
+    /// Changes when a person is forgotten.
     pub forgotten: u64,
 }
 
-/// Of one person.
 #[derive(Debug, Default)]
 struct Own {
     thread: Thread,
-    /// How many sentences of their history were heard.
+    /// The number of events in the person's history at the last look.
     heard: u64,
-    /// The numbers of the prompts that are answered since.
+    /// The prompts that are answered since the last sentence.
     answered: BTreeSet<u64>,
-    /// Per label `ln s_c` in nats with the drafter's say, since the last sentence; empty where it was not asked.
+    /// Per label `ln s_c` in nats, mixed with the drafter's scores. Empty if the drafter was not asked since the last sentence.
     drafted: Vec<f64>,
 }
 
-/// What is scored ahead, by `M`; `D` has a say in what is guessed.
+/// Prefetches answers with the model `M`; guesses also use the model `D`.
 #[derive(Debug)]
 pub struct Ahead<M, D = M> {
     preparer: Preparer<M>,
@@ -42,35 +41,35 @@ pub struct Ahead<M, D = M> {
     counts: Counts,
     guesser: Guesser,
     labels: Arc<PreparedLabels>,
-    /// How many answers, of all persons together.
+    /// Most guesses after each event, of all persons together.
     most: usize,
     persons: BTreeMap<PersonId, Own>,
-    /// Who did the last sentences.
+    /// The persons of the last sentences.
     actors: Vec<PersonId>,
     now: Option<Now>,
-    /// In reverse.
+    /// In reverse order: the next guess is at the end.
     waiting: Vec<(PersonId, Sentence)>,
 }
 
 impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
-    /// Knows what activity programs say, and answers up to `most` guesses after each event.
+    /// A prefetcher that knows the sentences of activity programs in `counts`, and answers up to `most` guesses after each event.
     pub fn new(preparer: Preparer<M>, counts: Counts, labels: Arc<PreparedLabels>, most: usize) -> Self {
         let guesser = guesser(&counts, &labels);
         let (drafter, persons, actors, now, waiting) = Default::default();
         Self { preparer, drafter, counts, guesser, labels, most, persons, actors, now, waiting }
     }
 
-    /// Guesses with another model's say, too.
+    /// Also uses another model's scores to choose guesses.
     #[must_use]
     pub fn with_drafter(self, drafter: Option<Drafter<D>>) -> Self {
         Self { drafter, ..self }
     }
 
-    /// Learns what was said since the last time, and chooses what to score next.
+    /// Learns the sentences since the last look, and chooses guesses to score.
     pub fn look(&mut self, now: Now) {
         let is_forgotten = self.now.as_ref().is_some_and(|before| before.forgotten != now.forgotten);
         if is_forgotten || self.guesser.is_full() {
-            // It holds sentences of somebody who is forgotten, or can learn no more.
+            // The guesser holds sentences of a forgotten person, or can learn no more.
             self.guesser = guesser(&self.counts, &now.outlook.labels);
             self.persons.clear();
             self.actors.clear();
@@ -95,7 +94,7 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
             let told = history.told();
             let new = usize::try_from(told.saturating_sub(own.heard)).unwrap_or(usize::MAX);
             if new > history.len() {
-                // What lies between is not known: these came after something else.
+                // The sentences between are unknown, so these follow an unknown one.
                 own.thread = Thread::default();
             }
             if told != own.heard {
@@ -108,14 +107,13 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
             }
             own.heard = told;
             if history.is_empty() {
-                // What came before a gap does not say what comes after it.
+                // Sentences before a gap do not predict the next one.
                 own.thread = Thread::default();
             }
         }
         self.actors.drain(..self.actors.len().saturating_sub(ACTORS));
     }
 
-    /// Asks the drafter about somebody of whom something was said since it was asked last.
     fn draft(&mut self, outlook: &Outlook, known: &PersonOutlook) {
         let own = self.persons.get_mut(&known.person).filter(|own| own.drafted.is_empty());
         let (Some(drafter), Some(own)) = (&mut self.drafter, own) else { return };
@@ -145,7 +143,7 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
         }
         guesses.sort_by(|a, b| b.2.total_cmp(&a.2));
         guesses.truncate(self.most);
-        // The model keeps one window read: each person's answers in a row, the likeliest person's first.
+        // The model keeps one decoded window: each person's guesses stand in a row, the most likely person first.
         let mut order: Vec<PersonId> = Vec::new();
         for (person, ..) in &guesses {
             if !order.contains(person) {
@@ -158,10 +156,10 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
         self.waiting.extend(guesses.into_iter().rev().filter_map(sentence));
     }
 
-    /// The next answer; none where all are there.
+    /// The next answer. `None` if all guesses are answered.
     ///
     /// # Errors
-    /// When the model fails or was stopped: nothing more is answered until the next look.
+    /// If the model fails or was stopped: the remaining guesses are dropped until the next look.
     pub fn answer(&mut self) -> Result<Option<Answer>, ScoreError> {
         while let Some((person, sentence)) = self.waiting.pop() {
             let Some(ask) = self.ask(person, &sentence) else { continue };
@@ -175,14 +173,14 @@ impl<M: LanguageModel, D: LanguageModel> Ahead<M, D> {
         Ok(None)
     }
 
-    /// The prompt that a person has after `sentence`, where there is one that is not answered yet.
+    /// `None` if it is answered already.
     fn ask(&mut self, person: PersonId, sentence: &Sentence) -> Option<Ask> {
         let ask = self.preparer.ask(&self.now.as_ref()?.outlook, person, sentence)?;
         let own = self.persons.get(&person)?;
         (!own.answered.contains(&ask.number())).then_some(ask)
     }
 
-    /// Whether all that was chosen is answered.
+    /// Whether all guesses are answered.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.waiting.is_empty()

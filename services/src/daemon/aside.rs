@@ -1,5 +1,5 @@
-//! The thread that scores ahead ([`Ahead`]), at a lower priority than everything else: whoever has something to do gets most of its core. It stops
-//! within a small call of the model when narration comes, and goes on from the next [`Now`].
+//! The prefetcher's thread ([`Ahead`]) at a low priority, so that other threads get most of its core. It stops within one small call of the model
+//! when an event arrives, and continues with the next [`Now`].
 
 use std::io;
 use std::path::Path;
@@ -19,43 +19,41 @@ use crate::clock;
 use crate::logging::Limiter;
 use crate::power;
 
-/// How much nicer than the rest the thread is: it has a ninth of what they have of a core that both want. Under SCHED_IDLE, or with all the niceness
-/// that there is, it would get no time on a busy machine for many seconds, also to leave a lock that another thread waits for, or to end.
+/// The thread's niceness. On a core that another thread also wants, it gets a ninth of that thread's time. Under `SCHED_IDLE` or at niceness 19, the
+/// thread would wait for many seconds on a busy machine. It would then also not release a lock that another thread needs, and not end.
 const NICER: i32 = 10;
 
-/// What both sides share: which moment is worked for, and what the work took.
 #[derive(Debug, Default)]
 struct Shared {
-    /// Grows with every event.
+    /// Grows with every event and every look.
     moment: AtomicU64,
-    /// The moment that is worked for.
+    /// The prefetcher works for this moment. If `moment` is another, its work is stale.
     worked_for: AtomicU64,
     spent_ns: AtomicU64,
 }
 
-/// The scoring thread's side.
 #[derive(Debug)]
 pub(super) struct Desk {
     shared: Arc<Shared>,
     now: Sender<(u64, Now)>,
-    /// To take back what was not read yet.
+    /// Takes back a look that the prefetcher has not read.
     unread: Receiver<(u64, Now)>,
     answers: Receiver<Answer>,
 }
 
-/// The other thread's side.
+/// The prefetcher's side.
 #[derive(Debug)]
 pub(super) struct Aside {
     shared: Arc<Shared>,
     now: Receiver<(u64, Now)>,
     answers: Sender<Answer>,
-    /// What this may take of a core.
+    /// The thread's quota of a core, at most 1.
     share: f64,
     on_battery: bool,
     log: Limiter,
 }
 
-/// Both sides; `share` of a core is taken at most, and on battery none unless `on_battery`.
+/// The two sides. The prefetcher uses at most `share` of a core, and on battery none unless `on_battery`.
 pub(super) fn pair(share: f64, on_battery: bool) -> (Desk, Aside) {
     let shared = Arc::<Shared>::default();
     let ((now, unread), (answered, answers)) = (bounded(1), bounded(ANSWERS_MAX));
@@ -65,47 +63,46 @@ pub(super) fn pair(share: f64, on_battery: bool) -> (Desk, Aside) {
 }
 
 impl Desk {
-    /// Something was narrated: what is being scored is of no use any more, and takes a core and memory from what is.
+    /// Stops the current guess: an event arrived, and the guess would take its core and memory.
     pub(super) fn interrupt(&self) {
         self.shared.moment.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Begins with what is so now, in place of what was not begun.
+    /// Replaces a look that the prefetcher has not read.
     pub(super) fn look(&self, now: Now) {
         let moment = self.shared.moment.fetch_add(1, Ordering::SeqCst) + 1;
         if let Err(TrySendError::Full(now)) = self.now.try_send((moment, now)) {
             let _replaced = self.unread.try_recv();
-            // There is room: nobody else sends. It fails only where the other side has ended, and the main thread sees that too.
+            // There is room, because only this side sends. It fails only if the other side has ended; the main thread also sees that.
             let _sent = self.now.try_send(now);
         }
     }
 
-    /// The answers that have come since.
     pub(super) fn answers(&self) -> impl Iterator<Item = Answer> {
         self.answers.try_iter()
     }
 
-    /// Time of the processor that was spent, in nanoseconds.
+    /// CPU time of the prefetcher, in nanoseconds.
     pub(super) fn spent_ns(&self) -> u64 {
         self.shared.spent_ns.load(Ordering::Relaxed)
     }
 }
 
 impl Drop for Desk {
-    /// Whoever waits for the thread's end waits for a small call of the model.
+    /// The thread then ends within one small call of the model.
     fn drop(&mut self) {
         self.interrupt();
     }
 }
 
 impl Aside {
-    /// Whether what is worked for is over, for the model to look at.
+    /// Tells the model whether the work is stale.
     pub(super) fn is_stopped(&self) -> IsStopped {
         let shared = Arc::clone(&self.shared);
         Arc::new(move || shared.moment.load(Ordering::SeqCst) != shared.worked_for.load(Ordering::SeqCst))
     }
 
-    /// Works until the other side ends.
+    /// Runs until the other side ends.
     pub(super) fn run<M: LanguageModel, D: LanguageModel>(mut self, mut ahead: Ahead<M, D>) {
         if let Err(error) = lower_priority() {
             tracing::warn!(%error, "answers are prepared at the priority of everything else: the system does not lower it");
@@ -114,7 +111,7 @@ impl Aside {
         let mut rests_until = Instant::now();
         let Ok(mut news) = self.now.recv() else { return };
         loop {
-            // What was taken is rested first, while there may be something newer.
+            // The pause keeps the quota; a newer look may come during it.
             match self.now.recv_deadline(rests_until) {
                 Ok(newer) => {
                     news = newer;
@@ -142,10 +139,9 @@ impl Aside {
         }
     }
 
-    /// Scores one guess. Where that fails, nothing is left to do.
     fn answer<M: LanguageModel, D: LanguageModel>(&mut self, ahead: &mut Ahead<M, D>, rests_until: &mut Instant) {
         match self.work(rests_until, || ahead.answer()) {
-            // There is room for all that is kept: who does not take them has no time, and they are soon stale.
+            // A full queue means that the scoring thread is busy; these answers would soon be stale.
             Ok(Some(answer)) => drop(self.answers.try_send(answer)),
             Ok(None) | Err(ScoreError::Model(ModelError::Stopped)) => {}
             Err(error) => {
@@ -156,7 +152,7 @@ impl Aside {
         }
     }
 
-    /// Does something; until then nothing is done, so that this takes its share.
+    /// Sets the pause that keeps the quota after this work.
     fn work<T>(&self, rests_until: &mut Instant, work: impl FnOnce() -> T) -> T {
         let before_ns = thread_ns();
         let done = work();
@@ -166,19 +162,17 @@ impl Aside {
         done
     }
 
-    /// Whether the machine runs on battery, and nothing is to be done then.
     fn pauses(&self) -> bool {
         !self.on_battery && power::is_on_battery(Path::new(power::SUPPLIES))
     }
 }
 
-/// Time that this thread has had of the processor, in nanoseconds.
 fn thread_ns() -> u64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     u64::try_from(i128::from(time.tv_sec) * 1_000_000_000 + i128::from(time.tv_nsec)).unwrap_or_default()
 }
 
-/// On Linux a thread's own.
+/// On Linux, niceness belongs to the thread.
 fn lower_priority() -> io::Result<()> {
     Ok(nice(NICER).map(drop)?)
 }

@@ -1,4 +1,4 @@
-//! How a question is read, and which answers are remembered: who gets no answer asks again, and it must not be done twice.
+//! Reads questions and remembers answers: an asker without an answer asks again, and the change must not be made twice.
 
 use std::collections::VecDeque;
 use std::fmt::Display;
@@ -8,30 +8,24 @@ use serde::de::DeserializeOwned;
 
 /// Most bytes of the name of a question.
 pub const QUESTION_NAME_BYTES_MAX: usize = 128;
-/// Answers of one service that are remembered, for askers that ask again.
+/// Remembered answers of one service.
 pub const ANSWERS_REMEMBERED: usize = 64;
-/// Characters of a reason, which may quote a question.
+/// Most characters of a reason, which may quote the question.
 const REASON_CHARS_MAX: usize = 1000;
 
-/// A question in JSON.
 pub(super) trait Question: DeserializeOwned {
-    /// The name of one that asks for a change: the same one asked again is answered again, and not done again.
+    /// The name of a question that asks for a change. The same name gets the same answer, without a second change.
     fn id(&self) -> Option<&str>;
 }
 
-/// What a question is answered with.
 pub(super) trait Answer: Clone + Serialize {
-    /// Why something was not done.
+    /// The reason for a refusal.
     fn reason(&mut self) -> &mut Option<String>;
 }
 
-/// Reads a question.
-///
-/// # Errors
-/// What is wrong with it.
 fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     let text = asked.map_err(|error| error.to_string())?;
-    // Whoever reads a question with keys takes a list of their values, too.
+    // serde also accepts a list of values in place of keys and values.
     if !text.trim_start().starts_with('{') {
         return Err("it does not begin with `{`: give keys and values".to_owned());
     }
@@ -46,12 +40,11 @@ fn read<Q: Question>(asked: Result<&str, impl Display>) -> Result<Q, String> {
     }
 }
 
-/// A reason, cut.
 fn short(reason: &str) -> String {
     reason.chars().take(REASON_CHARS_MAX).collect()
 }
 
-/// The last answers by their questions' names.
+/// The newest answers by the names of their questions.
 #[derive(Debug)]
 pub(super) struct Answered<T>(VecDeque<(String, T)>);
 
@@ -62,8 +55,7 @@ impl<T> Default for Answered<T> {
 }
 
 impl<T: Answer> Answered<T> {
-    /// Answers a question in JSON: with the answer that one of its name was given before, else with the one that `answer` makes of it, or of
-    /// what is wrong with it.
+    /// Answers a question in JSON: with the remembered answer of the same name, otherwise with `answer`, which also gets a fault of the question.
     pub(super) fn answer<Q: Question>(
         &mut self,
         asked: Result<&str, impl Display>,
@@ -86,23 +78,20 @@ impl<T: Answer> Answered<T> {
 }
 
 impl<T> Answered<T> {
-    /// Takes something out of all answers.
     pub(super) fn cut(&mut self, cut: impl FnMut(&mut T)) {
         self.0.iter_mut().map(|(_, answer)| answer).for_each(cut);
     }
 
-    /// Takes something out of all answers but the last.
     pub(super) fn cut_before_last(&mut self, cut: impl FnMut(&mut T)) {
         let before = self.0.len().saturating_sub(1);
         self.0.iter_mut().take(before).map(|(_, answer)| answer).for_each(cut);
     }
 
-    /// The answer that was given to a question of this name.
     fn get(&self, id: &str) -> Option<&T> {
         self.0.iter().find(|(known, _)| known == id).map(|(_, answer)| answer)
     }
 
-    /// Remembers an answer; the oldest gives way.
+    /// Drops the oldest answer if there are too many.
     fn put(&mut self, id: String, answer: T) {
         if self.0.len() == ANSWERS_REMEMBERED {
             self.0.pop_front();
@@ -125,7 +114,7 @@ mod tests {
         assert_eq!((answered.get("3"), answered.get("0")), (Some(&3), None), "the oldest gave way");
     }
 
-    /// Somebody who is forgotten is in no answer that was given before.
+    /// A forgotten person is in no earlier answer.
     #[test]
     fn remembered_answers_can_be_cut_but_for_the_last() {
         let mut answered = Answered::default();
@@ -156,7 +145,7 @@ mod tests {
         }
     }
 
-    /// What is remembered is bounded: 64 answers with names of a megabyte took 64 MB for each service.
+    /// The names count as memory: 64 answers with names of a megabyte took 64 MB for each service.
     #[test]
     fn a_question_with_a_long_name_is_refused() {
         fn of<Q: Question>(question: &str) {

@@ -1,5 +1,5 @@
-//! From observations to the snapshot that is published: the pipeline's step, with sequence numbers, ages and flags. No clock,
-//! no port: the daemon's loop, the simulation and the tests drive it alike.
+//! From events to the published snapshot: the pipeline's step, with sequence numbers, ages and flags. No clock and no port, so the daemon's loop, the
+//! simulation and the tests drive the same code.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
@@ -47,55 +47,55 @@ mod whereabouts;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BoardError {
-    /// More partitions than a message has places.
+    /// The map has more partitions than a message has places.
     #[error(
         "the map has {partitions} partitions at this level, a message carries at most {MAX_ROOMS}: choose grounding.level = \"room\" or \"group\", or a smaller map"
     )]
     TooManyPartitions {
-        /// How many.
+        /// The number of partitions.
         partitions: usize,
     },
-    /// A partition's id does not fit.
+    /// The id of a partition does not fit into a message.
     #[error(
         "the partition {id:?} cannot be named in a message (at most {NAME_BYTES} bytes): shorten its id in the scene"
     )]
     Name {
         /// The id.
         id: String,
-        /// Why.
+        /// The cause.
         source: MessageError,
     },
 }
 
-/// A map that cannot take the place of the one in use.
+/// A map that cannot replace the one in use.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MapError {
-    /// Messages cannot carry it.
+    /// The map does not fit into messages.
     #[error(transparent)]
     Board(#[from] BoardError),
-    /// It cannot be grounded, or its labels do not fit the model's context.
+    /// The map cannot be grounded, or its labels do not fit the model's context.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
 }
 
-/// An observation and when it was received, in monotonic nanoseconds.
+/// An event, and the time at which it was received.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
-    /// What was observed.
+    /// The event.
     pub observation: Observation,
-    /// When the daemon received it.
+    /// The time on the monotonic clock.
     pub received_ns: BootNs,
-    /// Whether observations of its source were lost before it.
+    /// Whether earlier events of its narrator were lost.
     pub after_gap: bool,
-    /// For whom it counts in its person's window.
+    /// The quota that it counts against in its person's window.
     pub voice: Voice,
-    /// The start of a source, by number and epoch, that gives way to its source.
+    /// The narrator's start (source and epoch) that gave way to this event's start.
     pub leaves: Option<(u64, u64)>,
 }
 
 impl Entry {
-    /// An observation after no gap, for which nobody gives way, of its source's own voice.
+    /// An event after no gap, of its source's own quota, for which no start gave way.
     #[must_use]
     pub fn new(observation: Observation, received_ns: BootNs) -> Self {
         let voice = Voice::of_source(observation.source);
@@ -103,8 +103,8 @@ impl Entry {
     }
 }
 
-/// When something was observed, on the monotonic clock; negative where that was before the machine's start, which the wall clock knows.
-/// None where no clock tells: also where the wall clock stands before that time, so that it was set wrong since, or then.
+/// The time of an event on the monotonic clock; negative before the machine's start. `None` if no clock tells, or if a wall-clock time is in the
+/// future, so that the wall clock is or was wrong.
 fn observed_at_ns(observation: &Observation, now_ns: BootNs, now_unix_ns: UnixNs) -> Option<i64> {
     let signed = |ns: u64| i64::try_from(ns).unwrap_or(i64::MAX);
     match (observation.observed_ns, observation.observed_unix_ns) {
@@ -126,11 +126,11 @@ struct Seen {
     person: PersonId,
     at_ns: i64,
     event: Event,
-    /// A device was found off, and no key says that its person did it.
+    /// A device turned off, and no key says that the person did it.
     is_off: bool,
 }
 
-/// An observation that named nobody, and whom it fitted.
+/// An unnamed event, and the person that it fits.
 #[derive(Debug, Clone, Copy)]
 struct Attributed {
     event: EventId,
@@ -143,109 +143,102 @@ pub struct Board<M> {
     pipeline: Pipeline<M>,
     map: SemanticMap,
     grounding: GroundingOptions,
-    /// What a forecast assumes before it has watched its person.
+    /// The assumptions of a forecast about an unobserved person.
     options: ForecastOptions,
     mentions: PlaceMatcher,
     snapshot: RoomScoresV1,
-    /// The rooms of a changed map, until a step has scored them; the snapshot and the forecasts are of the map before it.
+    /// The rooms of a changed map, until a step has scored them. Until then the snapshot and the forecasts are for the previous map.
     next_rooms: Option<Box<NamedRooms>>,
-    /// The newest forecast; what is beyond the rooms and horizons stays zero.
+    /// Values beyond the rooms and horizons stay zero.
     forecast: Box<ForecastV1>,
-    /// Each person's scores, of the same step as the snapshot.
+    /// Of the same step as the snapshot.
     person_scores: Box<PersonScoresV1>,
-    /// The newest forecast of each person; what is beyond the rooms and horizons stays zero.
+    /// Values beyond the rooms and horizons stay zero.
     person_forecasts: Box<PersonForecastsV1>,
-    /// Who is who, and who is in the house.
     persons: Persons,
-    /// Narrators that the configuration names, by the number of their source, and the events that each may send.
+    /// The narrators of the configuration by source, and the events that each may send.
     named: BTreeMap<u64, May>,
-    /// How the newest events were understood.
     understood: UnderstoodEvents,
-    /// The joint filter, from the first event on that needs it; and the devices that reported.
+    /// The joint filter. `None` before the first event that needs it.
     tracking: Option<Box<Tracking>>,
-    /// While it runs, each person's forecast with its belief.
+    /// Each person's forecast with the belief of the joint filter, while that runs.
     told: BTreeMap<PersonId, Forecaster>,
     sensors: Sensors,
     robots: Robots,
-    /// Local time less the monotonic clock, in seconds.
+    /// Local time minus the monotonic clock, in seconds.
     local_ahead_s: f64,
-    /// Working memory of a step: when each person was observed last, and their number.
+    /// Working memory of a step: the time of each person's newest event, and the person.
     newest_persons: Vec<(i64, PersonId)>,
-    /// What the journal does not know yet: whose an observation that named nobody is, and whose scores are new.
+    /// Attributions of unnamed events, for the state database.
     attributed: Vec<Attributed>,
     rescored: Vec<PersonId>,
-    /// The same of whom observations moved that could be read otherwise by another company.
+    /// The persons that events moved, for the state database. Only events that a daemon with other known persons would attribute differently.
     moved: Vec<Moved>,
-    /// Memory for the moves of further observations.
     no_moves: Vec<Vec<Move>>,
-    /// The same of where everybody was when the map was changed, and of visitors who are gone by silence.
+    /// Beliefs at a change of the map, for the state database.
     believed: Vec<Believed>,
     gone: Vec<PersonId>,
-    /// Events that the forecasts do not have yet.
     seen: VecDeque<Seen>,
-    /// Of the narration that no step has scored yet: when its first was received, of each person and of nobody, and whether some was lost before it.
+    /// The time at which each person's first unscored event was received.
     unscored: BTreeMap<PersonId, BootNs>,
     unscored_ns: Option<BootNs>,
     unscored_gap: bool,
-    /// Rooms that somebody was said to be in and that the map does not have, as they were logged.
+    /// Room names that the map lacks, once they were logged.
     strange_rooms: BTreeSet<String>,
-    /// Texts that resemble a presence form and are none, as they were logged.
+    /// Texts that resemble a presence form, once they were logged.
     near_misses: BTreeSet<String>,
-    /// Working memory of a step: the sources that the scores name, in the order of the message, each with how many newer ones of its voice
-    /// there are.
+    /// Working memory of a step: the sources in the order of the message, each with the number of newer ones of the same quota.
     newest_sources: Vec<(usize, Included)>,
-    /// The newest turn of a source that scores were told with.
+    /// The newest turn of a source in published scores.
     named_turn: u64,
-    /// Per person where they will be; persons unknown to the histories are forgotten.
+    /// The forecasts by person. A person without a history is removed.
     followed: BTreeMap<PersonId, Forecaster>,
-    /// What is learned of the home.
     home: HomeHabits,
-    /// Nothing was told to the journal since it was read: what it says of those who were not heard since needs no repetition.
+    /// The state database was read, and no expectation was written since. Restored persons without new events need no repetition.
     recalled: bool,
-    /// What the model has said after each person's newest restored observation, as far as the journal knows; nothing of who was out.
+    /// The expectation after each person's newest restored event, as the state database has it; empty if the person was out.
     said: BTreeMap<PersonId, Vec<f64>>,
-    /// Changes when somebody is forgotten, whom nobody who works ahead may know any more.
+    /// Changes when a person is forgotten. The prefetcher must then forget its sentences.
     forgotten: u64,
-    /// Grows with each step that asked the model, and with each person whose answers went with them; and what of this and of the forgetting was told to
-    /// whoever works ahead.
+    /// Grows with each step that asked the model, and with each removed person.
     askings: u64,
     told_ahead: (u64, u64),
     prepared: PreparedTally,
 }
 
-/// What was prepared since the start, for the status.
+/// Counters of prefetching since the start, for the status.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PreparedTally {
-    /// Prompts that steps asked about.
+    /// Prompts that steps scored.
     pub asked: u64,
-    /// Answers that were prepared and of use.
+    /// Prefetched answers that were kept.
     pub prepared: u64,
-    /// Prepared answers that a step used.
+    /// Prefetched answers that a step used.
     pub used: u64,
 }
 
-/// Names of rooms that the map does not have which are logged, until the map changes.
+/// Most unknown room names that are logged, until the map changes.
 const STRANGE_ROOMS_LOGGED: usize = 16;
 
-/// Texts that resemble a presence form and are none which are logged, until a restart.
+/// Most texts near a presence form that are logged, until a restart.
 const NEAR_MISSES_LOGGED: usize = 16;
 
-/// Things whose probability is explained by habits.
+/// Most things in an explanation by habits.
 const REASONS: usize = 12;
 
-/// Observations whose memory is used again: more come at once after a stand-still only.
+/// Most events whose memory is kept. Only a stall brings more at once.
 const SEEN_KEPT: usize = 256;
 
-/// The horizons that the forecast is published for, in seconds.
+/// The horizons of the published forecasts, in seconds.
 pub const HORIZONS_S: [f32; MAX_HORIZONS] =
     [0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 300.0, 450.0, 600.0, 900.0, 1800.0, 3600.0];
 
 impl<M: LanguageModel> Board<M> {
-    /// A board without scores; `epoch` is random per start of the daemon, `grounding` what the pipeline's map is grounded by.
+    /// A board without scores. `epoch` is random per start of the daemon; `grounding` has the options of the pipeline's grounding.
     ///
     /// # Errors
     ///
-    /// [`BoardError`] when the map does not fit into a message.
+    /// [`BoardError`] if the map does not fit into a message.
     pub fn new(
         pipeline: Pipeline<M>,
         map: SemanticMap,
@@ -307,13 +300,13 @@ impl<M: LanguageModel> Board<M> {
         })
     }
 
-    /// The same with the names and residents of a home.
+    /// Sets the names and residents of the home.
     #[must_use]
     pub fn with_persons(self, persons: Persons) -> Self {
         Self { persons, ..self }
     }
 
-    /// The same with narrators that the configuration names, by the numbers of their sources ([`PersonsConfig::guard_s`]).
+    /// Sets the narrators of the configuration by source ([`PersonsConfig::guard_s`]).
     ///
     /// [`PersonsConfig::guard_s`]: crate::config::PersonsConfig::guard_s
     #[must_use]
@@ -321,13 +314,12 @@ impl<M: LanguageModel> Board<M> {
         Self { named: named.into_iter().collect(), ..self }
     }
 
-    /// The same with other assumptions about how long people stay.
     #[must_use]
     pub(crate) fn with_forecast(self, options: ForecastOptions) -> Self {
         Self { options, ..self }
     }
 
-    /// The same with habits of the home.
+    /// Sets the habits of the home.
     #[must_use]
     pub fn with_habits(self, mut home: HomeHabits) -> Self {
         home.bind(self.pipeline.grounding());
@@ -340,23 +332,23 @@ impl<M: LanguageModel> Board<M> {
         Reporter { is_unknown, may: may.filter(|_| !is_unknown).unwrap_or(May::DID) }
     }
 
-    /// Has `moved` called after each call of the model's decoder.
+    /// Calls `moved` after each call of the model's decoder.
     pub(super) fn watch_model(&mut self, moved: Progress) {
         self.pipeline.ahead().watch(moved);
     }
 
-    /// The ids of the map's rooms, in the order in which habits have them.
+    /// The ids of the map's rooms, in the order of the habits.
     pub(super) fn room_ids(&self) -> impl Iterator<Item = &str> {
         self.pipeline.grounding().partitions().iter().map(|room| room.id.as_str())
     }
 
-    /// What is learned of the home.
+    /// The habits of the home.
     #[must_use]
     pub fn habits(&self) -> &HomeHabits {
         &self.home
     }
 
-    /// The same, to forget or to replace it, and to take what is to be written.
+    /// The habits of the home, to change them or to take what must be written.
     pub fn habits_mut(&mut self) -> &mut HomeHabits {
         &mut self.home
     }
@@ -367,12 +359,12 @@ impl<M: LanguageModel> Board<M> {
         self.tracking.is_some()
     }
 
-    /// Binds habits that were replaced to the map in use.
+    /// Binds replaced habits to the map in use.
     pub(super) fn bind_habits(&mut self) {
         self.home.bind(self.pipeline.grounding());
     }
 
-    /// Lets habits count the time spent, about once a minute, and gives whether it did.
+    /// Lets habits count time, about once a minute. Returns whether they did.
     pub fn tick(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
         if !self.home.is_tick_due(now_ns) || !self.is_scored() {
             return false;
@@ -383,14 +375,14 @@ impl<M: LanguageModel> Board<M> {
         true
     }
 
-    /// Takes a changed map in place of the one in use; the next step's scores are of it. Gives what it asked of the model. Until a step
-    /// succeeds, snapshot and forecasts stay those of the map before.
+    /// Replaces the map; the next step scores it. Returns the preparation of the model. Until a step succeeds, snapshot and forecasts stay those of
+    /// the previous map.
     ///
     /// # Errors
     ///
-    /// [`MapError`] when the map does not fit into a message, or cannot be grounded; the old one stays in use then.
+    /// [`MapError`] if the map does not fit into a message or cannot be grounded. The old map then stays in use.
     pub fn change_map(&mut self, map: SemanticMap) -> Result<Prepared, MapError> {
-        // What was seen on the old map is understood by it.
+        // Events on the old map are understood by the old map.
         self.watch();
         let rooms = named_rooms(&partitions(&map, self.grounding.level))?;
         let before: Vec<String> = self.pipeline.grounding().label_texts().into_iter().map(str::to_owned).collect();
@@ -413,7 +405,7 @@ impl<M: LanguageModel> Board<M> {
         Ok(prepared)
     }
 
-    /// Takes note of where everybody in the house is believed to be, by the rooms of a changed map: what they said before is not to be read by it.
+    /// Notes the belief about each person in the house, by the rooms of the changed map. A restart must not read earlier events by that map.
     fn note_beliefs(&mut self) {
         let map = self.map_number();
         let (new, rooms) = self.new_places();
@@ -429,7 +421,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Which room of a changed map each room of the newest scores is, and how many the changed one has.
+    /// The index in the changed map of each room of the newest scores, and the number of rooms of the changed map.
     fn new_places(&self) -> (Vec<Option<usize>>, usize) {
         let before = self.snapshot.rooms().iter().map(|room| room.id);
         let after = match self.next_rooms.as_deref() {
@@ -439,19 +431,19 @@ impl<M: LanguageModel> Board<M> {
         (before.map(|id| after.iter().position(|other| *other == id)).collect(), after.len())
     }
 
-    /// Where everybody was believed to be when the map was changed, for the journal; each is told once.
+    /// Passes the beliefs at a change of the map to `tell`, once, for the state database.
     pub fn tell_beliefs(&mut self, tell: impl FnMut(Believed)) {
         self.believed.drain(..).for_each(tell);
     }
 
-    /// Visitors who are gone by silence, for the journal; each is told once.
+    /// Passes the visitors that are gone by silence to `tell`, once, for the state database.
     pub fn tell_gone(&mut self, tell: impl FnMut(PersonId)) {
         self.gone.drain(..).for_each(tell);
     }
 
-    /// After the first good step with a changed map: the snapshot is of it, and the forecasts too.
+    /// Publishes a changed map after its first good step.
     fn adopt_map(&mut self) {
-        // Nearly every step: nothing is allocated for it.
+        // This is nearly every step, so it allocates nothing.
         if self.is_scored() {
             return;
         }
@@ -463,47 +455,46 @@ impl<M: LanguageModel> Board<M> {
         *self.forecast = ForecastV1::default();
         self.home.bind(self.pipeline.grounding());
         if new.len() != rooms || new.iter().enumerate().any(|(place, new)| *new != Some(place)) {
-            // Where somebody is believed to be stays so; what was observed meanwhile is taken in with the new map.
+            // The beliefs stay; events since the change are read with the new map.
             self.followed.values_mut().for_each(|own| own.take_rooms(&new, rooms));
         }
         let ways_in = ways_out(self.pipeline.grounding());
         self.followed.values_mut().for_each(|own| own.come_in_by(&ways_in));
-        // It starts again with the rooms of the changed map.
+        // The filter starts again with the rooms of the changed map.
         self.tracking = None;
         if !self.sensors.is_empty() {
             self.start_tracking(i64::try_from(self.snapshot.computed_ns).unwrap_or(i64::MAX));
         }
     }
 
-    /// Whether the scores are of the map in use: not while a changed map waits for its first ones.
+    /// Whether the scores are for the map in use: false until the first scores of a changed map.
     pub(super) fn is_scored(&self) -> bool {
         self.next_rooms.is_none()
     }
 
-    /// Whether something has changed since the last [`Board::now`].
+    /// Whether the prefetcher's state is stale.
     #[must_use]
     pub(crate) fn is_ahead_due(&self) -> bool {
         self.is_scored() && self.told_ahead != (self.askings, self.forgotten)
     }
 
-    /// What whoever works ahead has to know.
+    /// The state for the prefetcher.
     pub fn now(&mut self) -> Now {
         self.told_ahead = (self.askings, self.forgotten);
         Now { outlook: self.pipeline.ahead().outlook(), forgotten: self.forgotten }
     }
 
-    /// Keeps an answer for when it is asked for, if it is of use.
+    /// Stores a prefetched answer, if it is useful.
     pub fn keep_answer(&mut self, answer: Answer) {
         self.prepared.prepared += u64::from(self.pipeline.ahead().keep_answer(answer));
     }
 
-    /// What was prepared since the start.
+    /// The counters of prefetching since the start.
     #[must_use]
     pub fn prepared(&self) -> PreparedTally {
         self.prepared
     }
 
-    /// After a step: what it asked, and what was ready.
     fn count_prepared(&mut self) {
         let scores = self.pipeline.scores();
         self.prepared.asked += scores.asked as u64;
@@ -514,12 +505,12 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Whoever works ahead is to forget what it has heard.
+    /// Makes the prefetcher forget all sentences.
     pub(super) fn forget_ahead(&mut self) {
         self.forgotten += 1;
     }
 
-    /// All that is behind the newest scores, and what was learned, in the forecasts of `now_ns`.
+    /// The data behind the newest scores, and the habits, with the forecasts of `now_ns`.
     #[must_use]
     pub fn moment(&mut self, now_ns: BootNs) -> Moment {
         self.forecast(now_ns);
@@ -534,7 +525,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// How much of a person's latest forecast comes from where, for some horizons, with the sets.
+    /// The parts of a person's latest forecast, with the room sets, for some horizons.
     pub(super) fn habits_ahead(&self, person: PersonId) -> Vec<HorizonLine> {
         let (Some((sure, shares)), Some((_, sets))) = (self.home.shares(person), self.home.sets(person)) else {
             return Vec::new();
@@ -563,7 +554,7 @@ impl<M: LanguageModel> Board<M> {
         told.map(line).collect()
     }
 
-    /// What was learned of a person, in the latest forecast.
+    /// The part of habits in a person's latest forecast.
     fn habits_of(&self, person: PersonId) -> PersonHabits {
         let labels = self.pipeline.grounding().label_texts();
         let thing = |(label, text): (usize, &&str)| {
@@ -588,8 +579,8 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Enters observations of a former run without scoring: into the histories, and with their times into the forecasts, together with what
-    /// the model said after some of them. Gives how many were left out, because they cost more tokens than a window holds.
+    /// Restores the events of a former run without scoring, with their times, and the expectations after some of them. Returns the number of events
+    /// that were left out because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         let (map, mut costly) = (self.map_number(), 0);
         let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
@@ -597,12 +588,12 @@ impl<M: LanguageModel> Board<M> {
         self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
         let mut forgotten = forgotten.into_iter().peekable();
         let learned = self.home.begin_recall(&observations, now_ns, now_unix_ns);
-        // What is said of several persons after one step is told in no particular order.
+        // Expectations of several persons after one step have no order.
         expectations.sort_by_key(|(after, person, _)| (*after, *person));
         let mut expectations = expectations.iter().peekable();
         for (index, mut observation) in observations.into_iter().enumerate() {
             if observation.by_fit {
-                // The home may have given the person another number since.
+                // The home may have given the person another number in the meantime.
                 observation.person = self.persons.file().current(observation.person);
             }
             if index == learned {
@@ -614,14 +605,14 @@ impl<M: LanguageModel> Board<M> {
             if self.pipeline.intake().is_costly(&observation) {
                 costly += 1;
                 self.pass_over(observation.id());
-                // What was said of its person then rests on it.
+                // The expectation after it rests on it.
                 while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
             let name = observation.id();
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
-                // However little the wall clock says has passed, it was before the machine's start; 0 would say that it has no time.
+                // The event was before the machine's start, whatever the wall clock says. A time of 0 would mean no time.
                 observation.observed_unix_ns = observation.observed_unix_ns.min(started_unix_ns.max(UnixNs(1)));
             }
             let mut at_ns = observed_at_ns(&observation, now_ns, now_unix_ns);
@@ -634,7 +625,7 @@ impl<M: LanguageModel> Board<M> {
             self.pipeline.intake().include(&observation, voice);
             let mut persons = Vec::new();
             if let Some(moves) = moved.remove(&name) {
-                // What the former run refused has no moves.
+                // A refused event has no moves.
                 if !moves.is_empty() {
                     self.weigh_again(&observation, reporter, at_ns);
                 }
@@ -647,13 +638,13 @@ impl<M: LanguageModel> Board<M> {
                     }
                 }
             } else {
-                // An older daemon has not said whom it moved, or one that was killed.
+                // A former run that was killed, or an older version, did not store the moves.
                 let enter = |board: &mut Self, own: Observation| {
                     persons.push(own.person);
                     board.enter_restored(voice, own);
                 };
                 let (is_read_alone, mut moves) = self.attribute(observation, Voice::EARLIER, reporter, at_ns, enter);
-                // It stays so, whoever is known at the next start. Whose one of one person is was told already.
+                // The next start repeats these moves, whoever is known then. An attribution to one person is stored already.
                 if persons.is_empty() || !is_read_alone && moves.len() != 1 {
                     self.moved.push(Moved { observation: name, moves });
                 } else {
@@ -663,13 +654,13 @@ impl<M: LanguageModel> Board<M> {
             }
             while let Some((_, person, expectation)) = expectations.next_if(|(after, ..)| *after <= index) {
                 let person = self.persons.file().current(*person);
-                // Whose the observation was may be lost: then it may be somebody else's now, and says nothing of this one.
+                // The attribution may be lost. The event may then be another person's, and this expectation is void.
                 if !persons.contains(&person) {
                     continue;
                 }
                 let said: Vec<f64> =
                     expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
-                // Of one who is out it is known all the same that they were told of.
+                // For a person who is out, the stored expectation is empty.
                 if said.is_empty() {
                     self.said.insert(person, said);
                 } else if let Some(own) = self.followed.get_mut(&person).filter(|_| expectation.map == map) {
@@ -694,13 +685,13 @@ impl<M: LanguageModel> Board<M> {
         costly
     }
 
-    /// Enters an observation of a former run that is a person's.
+    /// Restores the part of one person in an event of a former run.
     fn enter_restored(&mut self, voice: Voice, own: Observation) {
         let person = own.person;
         self.pipeline.intake().enter(voice, own);
         self.follow();
         match self.persons.get_mut(person) {
-            // They were told of.
+            // The departure was published.
             Some(known) if known.presence == Presence::Gone => _ = self.persons.remove(person),
             Some(known) => known.restored = true,
             None => {}
@@ -708,17 +699,17 @@ impl<M: LanguageModel> Board<M> {
         self.said.remove(&person);
     }
 
-    /// Takes note up to which sequence a former run has dealt with the starts of sources, of which the journal tells no more.
+    /// Sets, per start of a narrator, the last sequence that a former run handled and the state database has dropped.
     pub(super) fn settle(&mut self, settled: BTreeMap<(u64, u64), u64>) {
         self.pipeline.intake().settle(settled);
     }
 
-    /// Takes note of a narration that was refused, so that its narrator does not wait for it.
+    /// Counts a refused event as handled, so that its narrator does not wait for it.
     pub fn pass_over(&mut self, event: EventId) {
         self.pipeline.intake().pass_over(event);
     }
 
-    /// How many tokens a sentence may cost with the map in use.
+    /// The most tokens of a sentence, with the map in use.
     #[must_use]
     pub(crate) fn sentence_tokens_max(&self) -> usize {
         self.pipeline.inside().options().history.tokens
@@ -730,7 +721,7 @@ impl<M: LanguageModel> Board<M> {
         fingerprint.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
     }
 
-    /// Forgets a person altogether, with what `is_theirs` says of others' observations; the next step's scores are without them.
+    /// Forgets a person, and the events of other persons for which `is_theirs` holds. The next step's scores are without them.
     pub(super) fn forget(&mut self, person: PersonId, is_theirs: impl Fn(&Observation) -> bool) {
         self.watch();
         self.lose(person);
@@ -743,7 +734,7 @@ impl<M: LanguageModel> Board<M> {
         self.forget_ahead();
     }
 
-    /// Knows nothing of a person any more, but for what was learned.
+    /// Forgets a person except for the habits.
     fn lose(&mut self, person: PersonId) {
         self.follow();
         self.persons.remove(person);
@@ -764,14 +755,13 @@ impl<M: LanguageModel> Board<M> {
         self.home.lose(person);
     }
 
-    /// Whether time alone changes the scores: a window ends, or a visitor is gone.
+    /// Whether time alone changes the scores: a window ends, a visitor is gone, or the filter believes that a person left.
     #[must_use]
     pub fn is_overdue(&self, now_ns: BootNs) -> bool {
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         self.persons.expired(now_ns).is_some() || self.silent(now_ns).is_some() || self.departed().is_some()
     }
 
-    /// The next person that counts as present although the filter believes that the person left.
     fn departed(&self) -> Option<PersonId> {
         const OUT: f64 = 0.95;
         let is_present =
@@ -780,7 +770,7 @@ impl<M: LanguageModel> Board<M> {
         tracking.persons().iter().copied().find(|person| is_present(person) && tracking.out_now(*person) > OUT)
     }
 
-    /// The next person whose window is to end, because they did nothing for too long.
+    /// The next person with a window that ends because the person was inactive for too long.
     fn silent(&self, now_ns: i64) -> Option<PersonId> {
         let limits = self.pipeline.inside().options().history;
         let mut windows = self.pipeline.inside().histories().iter().filter(|(_, history)| !history.is_empty());
@@ -790,7 +780,6 @@ impl<M: LanguageModel> Board<M> {
         windows.find(|(person, _)| silent(*person)).map(|(person, _)| person)
     }
 
-    /// Does what time alone asks for.
     fn lapse(&mut self, now_ns: BootNs) {
         let now_ns = i64::try_from(now_ns.0).unwrap_or(i64::MAX);
         while let Some(person) = self.silent(now_ns) {
@@ -810,7 +799,7 @@ impl<M: LanguageModel> Board<M> {
             }
         }
         while let Some(person) = self.departed() {
-            // A restart believes the same without a record: the filter says it again.
+            // A restart needs no record of it: the filter repeats it.
             let last = self.persons.get(person).map_or(EventId::new(0, 0, 0), |known| known.last);
             let observed_ns = BootNs(u64::try_from(now_ns).unwrap_or_default());
             let away =
@@ -822,14 +811,14 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Takes the scored observations into the forecasts of their persons, and each person's own scores into theirs.
+    /// Updates the forecasts with the new events, and each person's forecast with their newest scores.
     fn watch(&mut self) {
         if self.next_rooms.is_some() {
-            // The forecasts are of the map before; what is observed waits for the first scores of the new one.
+            // The forecasts are for the previous map. New events wait for the first scores of the changed one.
             return;
         }
         self.follow();
-        // What the model said before something that it has not scored yet says nothing of what comes after that.
+        // Scores without the newest event do not predict the time after it.
         for own in self.pipeline.persons().filter(|own| own.at_home && own.is_current) {
             if let Some(followed) = self.followed.get_mut(&own.person) {
                 followed.expect_next(self.pipeline.grounding(), own.label_log_prob_nats, own.number);
@@ -849,7 +838,6 @@ impl<M: LanguageModel> Board<M> {
         is_learned_of(&self.persons, &self.named, person)
     }
 
-    /// Takes the new events into the forecasts.
     fn follow(&mut self) {
         let grounding = self.pipeline.grounding();
         for seen in self.seen.drain(..) {
@@ -865,7 +853,7 @@ impl<M: LanguageModel> Board<M> {
                 Event::Did(_) if seen.is_off => {}
                 Event::Did(text) => {
                     let mention = self.mentions.last(text.as_str());
-                    // The room and the bed before this deed.
+                    // The place before this action.
                     let was_on_bed = self.persons.get(seen.person).is_some_and(|known| known.on_bed);
                     let (mut near, mut rooms) = ([0.0; MAX_ROOMS], 0);
                     if was_on_bed {
@@ -924,13 +912,12 @@ impl<M: LanguageModel> Board<M> {
         self.seen.drain(..excess);
     }
 
-    /// Takes all entries as one step: every one goes into its history, then the rooms are scored once. Gives when the first narration that
-    /// the scores newly contain was received, also by a step before that failed.
+    /// Takes all entries into the histories, then scores the rooms once. Returns the time at which the oldest newly scored event was received, also
+    /// if an earlier step failed to score it.
     ///
     /// # Errors
     ///
-    /// When the model fails. The observations are in the histories all the same; the snapshot keeps the last good scores, says
-    /// so in its flags, and does not claim the new narration.
+    /// If the model fails. The events stay in the histories. The snapshot keeps the last good scores, sets a flag, and does not claim the new events.
     pub fn step(
         &mut self,
         entries: impl IntoIterator<Item = Entry>,
@@ -941,12 +928,12 @@ impl<M: LanguageModel> Board<M> {
         self.score_within(now_ns, now_unix_ns, u64::MAX)
     }
 
-    /// The first part of a step: the observations enter the histories of their persons. The journal can write them while the model scores.
+    /// The first part of a step: the events enter the histories of their persons. The state database can write them while the model scores.
     pub(super) fn take_in(&mut self, entries: impl IntoIterator<Item = Entry>, now_ns: BootNs, now_unix_ns: UnixNs) {
-        // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
+        // If no forecast was computed since the last step, its events are taken in now, with the scores of that step.
         self.watch();
         if self.next_rooms.is_some() {
-            // A scorer that fails on and on must not fill the memory.
+            // A permanently failing scorer must not fill the memory.
             self.drop_unwatched(SEEN_KEPT);
         }
         self.persons.remove_gone();
@@ -976,7 +963,7 @@ impl<M: LanguageModel> Board<M> {
                 board.pipeline.intake().enter(voice, own);
             };
             let (is_read_alone, moves) = self.attribute(observation, voice, reporter, at_ns, enter);
-            // What moves nobody may be of one who is away, and calls.
+            // A restart must not move a person by an event that moved no person before.
             if !is_read_alone || !is_taken {
                 self.moved.push(Moved { observation: name, moves });
             } else {
@@ -993,7 +980,7 @@ impl<M: LanguageModel> Board<M> {
             );
         }
         if self.next_rooms.is_none() && self.is_overdue(now_ns) {
-            // Who lies in bed does not expire like others. At any other time what was observed waits for the scores to be sent.
+            // Expiry depends on whether a person is in bed, which these events may change. Otherwise the events wait until the scores are sent.
             self.follow();
         }
         self.lapse(now_ns);
@@ -1046,7 +1033,7 @@ impl<M: LanguageModel> Board<M> {
         Ok(received_ns)
     }
 
-    /// Who is who, and who is in the house.
+    /// Names, numbers and presence of the persons.
     #[must_use]
     pub fn persons(&self) -> &Persons {
         &self.persons
@@ -1055,26 +1042,25 @@ impl<M: LanguageModel> Board<M> {
     /// Gives a person a name, or another one.
     ///
     /// # Errors
-    /// In words, when the name is somebody else's or none, or the file cannot be written.
+    /// If the name belongs to another person or is no name, or if the state database cannot be written.
     pub fn rename(&mut self, person: PersonId, name: &str) -> Result<(), NotRenamed> {
         self.persons.rename(person, name)
     }
 
-    /// The same, to give names.
     pub(super) fn persons_mut(&mut self) -> &mut Persons {
         &mut self.persons
     }
 
-    /// What became of the observations of the last good step, for the journal; each is told once.
+    /// Passes the outcomes of the last good step to `tell`, once, for the state database.
     pub fn tell_outcomes(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         self.tell_whose(&mut tell);
         self.tell_expected(tell);
-        // Who does not ask for it has no journal to keep it in.
+        // A caller that stores moves has taken them before.
         self.tell_moved(|_| {});
     }
 
-    /// Whom the observations of the last step moved, nobody included, for the journal; each is told once. A restart that read them again would do so
-    /// with those who are known then.
+    /// Passes the moves of the last step's events to `tell`, once, for the state database. Without them, a restart would attribute the events by the
+    /// persons known then.
     pub(super) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
         for mut moved in self.moved.drain(..) {
             tell(&moved);
@@ -1083,7 +1069,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Of the outcomes those on which scores rest: whose an observation is that names nobody.
+    /// Passes the attributions of unnamed events to `tell`, once. The scores rest on them.
     pub(super) fn tell_whose(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         let map = self.map_number();
         for Attributed { event, person } in self.attributed.drain(..) {
@@ -1091,7 +1077,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// The other outcomes: where each person's next thing is expected. They can wait for the scores and the forecast.
+    /// Passes each person's expectation to `tell`, once. This can wait until the scores and the forecast are sent.
     pub(super) fn tell_expected(&mut self, mut tell: impl FnMut(&Outcome<'_>)) {
         self.watch();
         let map = self.map_number();
@@ -1100,12 +1086,12 @@ impl<M: LanguageModel> Board<M> {
             if self.pipeline.inside().waits(person) {
                 return true;
             }
-            // Of who is out it says whose the observation is.
+            // A person who is out has no expectation; the record confirms the attribution.
             let own = self.pipeline.inside().person(person).filter(|own| own.at_home);
             let expected = self.followed.get(&person).and_then(Forecaster::expected);
             let own = own.map(|own| expected.unwrap_or(&own.grounded.partition_probability));
-            // Where a part of their narration was lost, the model says something else of the rest, and that is what is believed from now on.
-            // And what a daemon that was killed did not tell, or lost with the power, is told now.
+            // If events were lost, the model's expectation differs from the stored one, and is written. It is also written if a killed daemon, or a
+            // power loss, left none.
             let is_same = said.get(&person).is_some_and(|said| own.is_none_or(|own| are_alike(said, own)));
             let is_said = |restored| recalled && restored && is_same;
             if let Some(known) = self.persons.get(person).filter(|known| !is_said(known.restored)) {
@@ -1120,7 +1106,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// The current snapshot, as it was sent last.
+    /// The newest snapshot, as last sent.
     #[must_use]
     pub fn snapshot(&self) -> &RoomScoresV1 {
         &self.snapshot
@@ -1138,46 +1124,46 @@ impl<M: LanguageModel> Board<M> {
         &self.map
     }
 
-    /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
+    /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.watch();
         self.pipeline.ahead().tidy()
     }
 }
 
-/// Whether the daemon learns habits of a person: not of a visitor, nor of a person that only unknown narrators report.
+/// Whether the daemon learns habits of a person: not of visitors, and not of persons that only unknown narrators report.
 fn is_learned_of(persons: &Persons, named: &BTreeMap<u64, May>, person: PersonId) -> bool {
     !persons.is_visitor(person) && (named.is_empty() || persons.is_trusted(person))
 }
 
-/// A smaller share of a thing than this is in the room that somebody is believed in: it is in another one.
+/// A thing with a smaller share in the person's room is in another room.
 const SAME_ROOM: f64 = 0.05;
 
-/// Fills the begin of a row; gives how much of it.
+/// Fills the start of a row. Returns the number of values.
 fn fill(row: &mut [f64], values: impl Iterator<Item = f64>) -> usize {
     row.iter_mut().zip(values).map(|(place, value)| *place = value).count()
 }
 
-/// Whether probabilities are the same but for how the journal rounds them. A wider bound would gain nothing: the included model scores the same window
-/// to the last bit again, also when it has read nothing before, another window moves it by some 1e-2, and no claim waits for what is told again.
+/// Whether two expectations are equal up to the rounding of the state database. A wider bound would gain nothing: the included model scores an equal
+/// window identically to the last bit, also after a restart. Another window changes the probabilities by about 1e-2, and no claim waits for these
+/// records.
 fn are_alike(said: &[f64], now: &[f64]) -> bool {
     const ROUNDING: f64 = 1e-6;
     said.len() == now.len() && said.iter().zip(now).all(|(said, now)| (said - now).abs() < ROUNDING)
 }
 
-/// The label that is turned to, and not left.
+/// The label, unless the person left it.
 fn turned_to(mention: Option<Mention>) -> Option<usize> {
     mention.filter(|found| !found.is_left).map(|found| found.label)
 }
 
-/// A person who is followed from now on.
 fn follower(grounding: &Grounding, options: ForecastOptions, at_ns: i64) -> Forecaster {
     let mut own = Forecaster::new(grounding.partitions().len(), options, seconds(at_ns));
     own.come_in_by(&ways_out(grounding));
     own
 }
 
-/// The partition that a room's name means, by its own name or as the one that the room lies in; none where several have the name.
+/// The partition that a room's name means: by its own name, or as the one that contains the room. `None` if several match.
 fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -> Option<usize> {
     let partitions = grounding.partitions();
     if let Some(with_id) = partitions.iter().position(|partition| partition.id == name) {
@@ -1190,11 +1176,10 @@ fn room_named(name: &str, map: &SemanticMap, grounding: &Grounding) -> Option<us
     let room = map.find_one_room(name)?;
     let mut within = (0..).zip(partitions).filter(|(_, partition)| partition.rooms.contains(&room));
     let (only, _) = within.next()?;
-    // A room in parts is none of them.
+    // A room that is divided into several partitions is none of them.
     within.next().is_none().then_some(only)
 }
 
-/// The partitions that are called so.
 fn rooms_alike<'a>(name: &'a str, grounding: &'a Grounding) -> impl Iterator<Item = usize> + 'a {
     (0..).zip(grounding.partitions()).filter(move |(_, partition)| partition.label == name).map(|(at, _)| at)
 }

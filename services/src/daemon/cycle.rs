@@ -1,6 +1,5 @@
-//! The scoring loop without threads, ports, clock and disk: when to score, when to try again, what to send. Time and the
-//! journal's progress come in as numbers and messages go out as values, so that the daemon's threads and the simulation of faults
-//! (`tests/it/simulated.rs`) drive the same code.
+//! The scoring loop without threads, ports, clock and disk: when to score, to retry and to send. Times and the state database's progress are
+//! parameters, and messages are return values. So the daemon's threads and the simulation of faults (`tests/it/simulated.rs`) drive the same code.
 
 use std::collections::VecDeque;
 
@@ -11,14 +10,14 @@ use roomcast_core::ids::{BootNs, EventId, UnixNs};
 use roomcast_core::pipeline::PipelineError;
 use roomcast_core::scorer::LanguageModel;
 
-/// So much narration is taken by one step at most: scores, heartbeats and signs of life do not wait for all of a flood.
+/// Most events in one step: scores and heartbeats do not wait for a whole flood.
 const STEP_ENTRIES_MAX: usize = 512;
-/// Once a step has taken so long, the model is asked about nobody else in it, for the same reason: one narrator may tell of many persons.
+/// After this time a step scores no further person, for the same reason: one narrator may report many persons.
 const STEP_NS_MAX: u64 = 250_000_000;
-/// A failing scorer is tried again after this.
+/// A failed step is retried after this time.
 const RETRY_NS: u64 = 1_000_000_000;
 
-/// A narration that was refused, and behind how many of those that wait it came.
+/// A refused event, behind so many waiting ones.
 #[derive(Debug)]
 struct Refused {
     behind: usize,
@@ -29,33 +28,31 @@ struct Refused {
 #[derive(Debug)]
 pub struct Cycle<M> {
     board: Board<M>,
-    /// What the next steps take into the histories, each with its number in the journal, 0 without one.
+    /// Events for the next steps, each with its number in the state database, 0 without one.
     waiting: VecDeque<(Entry, u64)>,
-    /// Narrations of which the scores say that they were dealt with as soon as they contain what came before.
+    /// Refused events. The scores confirm them as soon as they contain the events before them.
     refused: VecDeque<Refused>,
-    /// The journal's number of the newest observation in the histories.
+    /// The number in the state database of the newest event in the histories.
     entered_record: u64,
-    /// The same of the newest record that the scores rest on: an observation, or whose one is.
+    /// The number of the newest record that the scores rest on: an event, or an attribution.
     scored_record: u64,
-    /// There is something to score: new narration, persons whom no step had time for, a step that failed, or nothing scored yet.
+    /// There are new events, unscored persons, a failed step, or no scores yet.
     due: bool,
     retry_ns: BootNs,
-    /// The newest scores were not sent yet.
+    /// The newest scores were not sent.
     fresh: bool,
-    /// When the first narration that they newly contain was received.
+    /// The time at which the oldest newly scored event was received.
     received_ns: Option<BootNs>,
     heartbeat_ns: u64,
     sent_ns: BootNs,
-    /// The claims of the last message whose narration was all in the journal.
+    /// The claims of the last message whose events were all in the state database.
     claims: (u32, [IncludedV1; MAX_SOURCES]),
-    /// The last message claimed less than its scores contain.
     not_told: bool,
-    /// That message.
     less: Box<RoomScoresV1>,
 }
 
 impl<M: LanguageModel> Cycle<M> {
-    /// A loop that has scored nothing; `heartbeat_ns` after a message the next one confirms it.
+    /// A loop without scores. If nothing changes, a heartbeat follows `heartbeat_ns` after each message.
     #[must_use]
     pub fn new(board: Board<M>, heartbeat_ns: u64) -> Self {
         Self {
@@ -64,7 +61,7 @@ impl<M: LanguageModel> Cycle<M> {
             refused: VecDeque::new(),
             entered_record: 0,
             scored_record: 0,
-            // The first step scores what the journal gave, or the binding sequence alone.
+            // The first step scores the restored events, or the binding sequence alone.
             due: true,
             retry_ns: BootNs(0),
             fresh: false,
@@ -77,8 +74,8 @@ impl<M: LanguageModel> Cycle<M> {
         }
     }
 
-    /// Takes what the journal kept of a former run into the histories, and makes `intake` know it, so that it is not taken twice. Gives how
-    /// many were left out, because they cost more tokens than a window holds.
+    /// Restores the events of a former run, and lets `intake` know them as duplicates. Returns the number of events that were left out because they
+    /// cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, intake: &mut Intake, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         recovered.taken().for_each(|event| intake.restore(event));
         recovered.ports.iter().for_each(|(name, port)| intake.restore_port(*name, *port));
@@ -86,15 +83,15 @@ impl<M: LanguageModel> Cycle<M> {
         self.board.restore(recovered, now_ns, now_unix_ns)
     }
 
-    /// Takes note of a narration that was refused: scores say that it was dealt with, so that its narrator does not wait for it. They do not before
-    /// they contain what came before it: they claim that with it.
+    /// Takes in a refused event, which the scores must confirm so that its narrator stops waiting. A confirmation includes all earlier events. So it
+    /// waits until the scores contain those.
     pub fn pass_over(&mut self, event: EventId) {
         self.refused.push_back(Refused { behind: self.waiting.len(), event });
         self.pass_over_up_to(0);
         self.due = true;
     }
 
-    /// Passes over what was refused behind so many of those that wait; says whether there was any.
+    /// Passes over the refused events behind so many waiting ones. Returns whether there was one.
     fn pass_over_up_to(&mut self, taken: usize) -> bool {
         let is_next = |own: &&Refused| own.behind <= taken;
         let passed = self.refused.iter().take_while(is_next).count();
@@ -105,31 +102,30 @@ impl<M: LanguageModel> Cycle<M> {
         passed > 0
     }
 
-    /// Takes an accepted observation for the next step; `record` is its number in the journal, 0 without one.
+    /// Takes in an accepted event; `record` is its number in the state database, 0 without one.
     pub fn enter(&mut self, entry: Entry, record: u64) {
         self.waiting.push_back((entry, record));
         self.due = true;
     }
 
-    /// Observations that no step has taken yet.
+    /// The number of events that no step has taken.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.waiting.len()
     }
 
-    /// Whether a step is due: new narration at once, a failed step after a second, and what time alone changes.
+    /// Whether a step is due: at once for a new event, after a second for a failed step, or because time alone changes the scores.
     #[must_use]
     pub fn step_due(&self, now_ns: BootNs) -> bool {
         let due = self.due || self.board.is_overdue(now_ns);
         due && (now_ns >= self.retry_ns || !self.waiting.is_empty())
     }
 
-    /// Takes what waits in, as much as a step takes at most, and scores once: so many persons as there is time for, at least one. Another step
-    /// is due at once where there is more.
+    /// Takes waiting events and scores as many persons as the time allows, at least one. If work remains, another step is due at once.
     ///
     /// # Errors
     ///
-    /// When the model fails. The observations are in the histories all the same, and a later step scores them.
+    /// If the model fails. The events stay in the histories, and a later step scores them.
     pub fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<(), PipelineError> {
         self.step_and_tell(now_ns, now_unix_ns, |_| {})
     }
@@ -162,7 +158,7 @@ impl<M: LanguageModel> Cycle<M> {
             Ok(received_ns) => self.received_ns = received_ns,
             Err(error) => {
                 if !failed_before {
-                    // Planners learn it at once, not with the next heartbeat.
+                    // Planners must know at once, not with the next heartbeat.
                     self.sent_ns = BootNs(0);
                 }
                 self.due = true;
@@ -176,31 +172,28 @@ impl<M: LanguageModel> Cycle<M> {
         Ok(())
     }
 
-    /// The scores rest on a record of the journal beside their narration: they claim nothing before it is written.
+    /// The scores also rest on this record of the state database: they claim no event before it is written.
     pub fn rests_on(&mut self, record: u64) {
         self.scored_record = self.scored_record.max(record);
     }
 
-    /// The journal's number of the newest narration that the scores contain: what [`Cycle::message`] wants written.
+    /// The newest record that the scores rest on. [`Cycle::message`] claims new events once it is written.
     #[must_use]
     pub fn scored_record(&self) -> u64 {
         self.scored_record
     }
 
-    /// Whether there is something to send: new scores, a heartbeat, or claims that had to wait for the journal. `written` is how far the
-    /// journal is.
+    /// Whether new scores, a heartbeat or delayed claims can be sent. `written` is the last written record.
     #[must_use]
     pub(crate) fn message_due(&self, now_ns: BootNs, written: u64) -> bool {
         let confirmation = now_ns.since(self.sent_ns) >= self.heartbeat_ns || (self.not_told && self.durable(written));
         self.board.snapshot().sequence > 0 && (self.fresh || confirmation)
     }
 
-    /// How long there is nothing to do unless something arrives: until the next heartbeat, or until a failed step is tried again. What waits
-    /// for the journal is looked after every few milliseconds.
+    /// The time until the next heartbeat or retry, if no event arrives. Claims that wait for the state database are checked every 50 ms.
     #[must_use]
     pub(crate) fn idle_ns(&self, now_ns: BootNs) -> u64 {
         const JOURNAL_NS: u64 = 50_000_000;
-        // Without scores there is nothing to confirm.
         let heartbeat_ns = match self.board.snapshot().sequence {
             0 => u64::MAX,
             _ => self.sent_ns.saturating_add(self.heartbeat_ns).since(now_ns),
@@ -214,10 +207,10 @@ impl<M: LanguageModel> Cycle<M> {
         written >= self.scored_record
     }
 
-    /// The message that is to be sent now, if one is due.
+    /// The message to send now, if one is due.
     ///
-    /// Scores that contain narration beyond `written` are sent all the same, but do not claim it: a claim is what lets a narrator forget,
-    /// and must survive a killed daemon.
+    /// Scores with events beyond `written` are sent, but do not claim these events. A claim lets the narrator forget the event, so it must survive a
+    /// killed daemon.
     pub fn message(&mut self, now_ns: BootNs, written: u64, behind: bool) -> Option<&RoomScoresV1> {
         if !self.message_due(now_ns, written) {
             return None;
@@ -236,22 +229,22 @@ impl<M: LanguageModel> Cycle<M> {
         Some(&self.less)
     }
 
-    /// When the first narration was received that the newest scores contain and those before them did not; given once.
+    /// Takes the time at which the oldest newly scored event was received.
     pub(crate) fn newly_received_ns(&mut self) -> Option<BootNs> {
         self.received_ns.take()
     }
 
-    /// Makes a step due at once: the map has changed.
+    /// Makes a step due at once, after a change of the map.
     pub fn score_again(&mut self) {
         (self.due, self.retry_ns) = (true, BootNs(0));
     }
 
-    /// The board, to change its map or to forecast.
+    /// The board, to change it.
     pub fn board_mut(&mut self) -> &mut Board<M> {
         &mut self.board
     }
 
-    /// The board alone, for whoever has no use for the loop any more.
+    /// The board, without the loop.
     #[must_use]
     pub fn into_board(self) -> Board<M> {
         self.board
@@ -263,7 +256,7 @@ impl<M: LanguageModel> Cycle<M> {
         &self.board
     }
 
-    /// A small part of the work that can wait until there is nothing else to do. Gives whether there is more.
+    /// Does a small part of the postponed work. Returns whether there is more.
     pub fn tidy(&mut self) -> bool {
         self.board.tidy()
     }

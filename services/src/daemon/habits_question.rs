@@ -1,4 +1,4 @@
-//! Questions about habits: what is asked on `roomcast/v1/habits` and what is answered, and the answers. No port, no clock.
+//! Questions about habits on `roomcast/v1/habits`, and their answers. No port, no clock.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,40 +9,40 @@ use roomcast_core::habits::{BYTES_MAX, PARTS};
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::scorer::LanguageModel;
 
-/// Most bytes of one part of what is imported: a question has a limit.
+/// Most bytes of one part of an import, because a question has a limit.
 pub const PART_BYTES: usize = 1 << 18;
-/// Most bytes of all of it.
+/// Most bytes of a whole import.
 pub const IMPORT_BYTES_MAX: usize = 4 * BYTES_MAX;
 
-/// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
+/// A question. A change has a unique name; the same name gets the same answer, without a second change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum HabitsQuestion {
-    /// How much was learned, and how much of the forecast comes from it.
+    /// The amount of learned habits, and their part in the forecast.
     Show,
-    /// What was learned, as JSON.
+    /// The learned habits as JSON.
     Export,
-    /// Forget what was learned of a person, or all of it.
+    /// Forget the habits of a person, or all habits.
     Forget {
         /// The question's name.
         id: String,
-        /// A name or a number; everybody where left out.
+        /// A name or a number; all persons if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         who: Option<String>,
     },
-    /// Put what was exported in place of what was learned. It comes in parts, in their order, each with a name of its own.
+    /// Replace all habits by an export. Its parts come in order, each with its own name.
     Import {
         /// The question's name.
         id: String,
-        /// The name of the whole.
+        /// The name of the whole import.
         whole: String,
-        /// Which part this is, from 0.
+        /// The index of this part, from 0.
         part: usize,
-        /// How many there are.
+        /// The number of parts.
         parts: usize,
         /// The part.
         text: String,
-        /// How many observations the daemon may have learned since it started, for nothing of it to be lost; any number where left out.
+        /// The import is refused if [`HabitsAnswer::taken`] is another number, because newer habits would be lost. Any number if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         expected: Option<u64>,
     },
@@ -57,63 +57,63 @@ impl Question for HabitsQuestion {
     }
 }
 
-/// What is known of a person.
+/// The habits of a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HabitsLine {
     /// The number.
     pub person: PersonId,
-    /// The name, where there is one.
+    /// The name, if the person has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Observations that were learned from.
+    /// The number of events learned from.
     pub observations: f64,
-    /// For about how many hours it was known where they were; who is told by presence alone does no thing that could be counted.
+    /// About how many hours the person's place was known. Presence counts here, but not in `observations`.
     #[serde(default)]
     pub watched_h: f64,
-    /// Of the present forecast; empty where nothing is added to it.
+    /// The horizons of the present forecast; empty if habits add nothing to it.
     pub forecast: Vec<HorizonLine>,
 }
 
-/// How often a room was visited, by anybody.
+/// The visits of a room by all persons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VisitsLine {
     /// The room's id.
     pub room: String,
-    /// How many visits ended in each part of the day, from midnight on, to a hundredth: older ones count less.
+    /// Ended visits in each part of the day, from midnight on, rounded to a hundredth. Older visits count less.
     pub by_part: [f64; PARTS],
 }
 
 /// The answer.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct HabitsAnswer {
-    /// Whether it was done.
+    /// Whether the question was done.
     pub done: bool,
-    /// Why not, or what is left to do.
+    /// The reason for a refusal, or the work that is left.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Whether a restarted daemon will know it: only with a state directory.
+    /// Whether a restarted daemon has the habits, which needs a state directory.
     pub kept: bool,
-    /// Whether anything is learned now.
+    /// Whether the daemon learns now.
     pub learn: bool,
-    /// Names of things that are known.
+    /// The number of known things.
     pub names: usize,
-    /// Contexts that are known.
+    /// The number of known contexts.
     pub contexts: usize,
-    /// Counts in them.
+    /// The number of counts in these contexts.
     pub counts: usize,
-    /// Bytes in memory.
+    /// The size in memory.
     pub bytes: usize,
-    /// How often what is known was changed since the daemon started: by an observation, by forgetting, by an import.
+    /// The number of changes since the daemon started: by an event, by forgetting, by an import.
     pub taken: u64,
-    /// Whether nothing changed because the daemon has learned something that was not expected.
+    /// Whether an import was refused because the daemon learned in the meantime.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub learned_meanwhile: bool,
-    /// Persons of whom something is known.
+    /// The persons with habits.
     pub persons: Vec<HabitsLine>,
-    /// How often each room of the map was visited, of all persons together; it names nobody.
+    /// The visits of each room of the map by all persons together.
     #[serde(default)]
     pub visits: Vec<VisitsLine>,
-    /// What was asked for by [`HabitsQuestion::Export`].
+    /// The answer to [`HabitsQuestion::Export`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub export: Option<String>,
 }
@@ -124,7 +124,7 @@ impl Answer for HabitsAnswer {
     }
 }
 
-/// What has come of an import so far.
+/// The parts of an unfinished import.
 #[derive(Debug, Default)]
 pub(super) struct Importing {
     whole: String,
@@ -133,7 +133,7 @@ pub(super) struct Importing {
 }
 
 impl Importing {
-    /// Takes a part; gives the whole once it is complete.
+    /// Adds a part. Returns the whole import if this is its last part.
     fn take(&mut self, whole: &str, (part, parts): (usize, usize), text: &str) -> Result<Option<String>, String> {
         if part == 0 {
             *self = Self { whole: whole.to_owned(), ..Self::default() };
@@ -151,16 +151,15 @@ impl Importing {
     }
 }
 
-/// What is to be done with the file after a question.
+/// The work on the disk after a question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum After {
-    /// Nothing.
     Nothing,
-    /// It is to be written, and what was set aside is to be removed.
+    /// The habits must be written, and earlier answers dropped.
     Forget,
 }
 
-/// Does what was asked, but for the disk.
+/// Does everything but the work on the disk.
 pub(super) fn answer<M: LanguageModel>(
     board: &mut Board<M>,
     importing: &mut Importing,
@@ -189,7 +188,7 @@ pub(super) fn answer<M: LanguageModel>(
                     "nothing was learned of {who:?}: `roomcast habits show` says of whom something was"
                 ));
             }
-            // Whoever guesses what comes next has heard what they did.
+            // The prefetcher also knows the person's events.
             board.forget_ahead();
             after = After::Forget;
             Ok(())
@@ -234,12 +233,11 @@ pub(super) fn answer<M: LanguageModel>(
     (answer, after)
 }
 
-/// A count as it is told. The sum of no counts is a zero with a sign, which it loses here.
+/// Adding zero removes the sign of a negative zero, such as an empty sum.
 fn hundredth(count: f64) -> f64 {
     (count * 100.0).round() / 100.0 + 0.0
 }
 
-/// How often each room was visited.
 fn visits<M: LanguageModel>(board: &Board<M>) -> Vec<VisitsLine> {
     let line =
         |(room, by_part): (&str, [f64; PARTS])| VisitsLine { room: room.to_owned(), by_part: by_part.map(hundredth) };
@@ -286,7 +284,7 @@ mod tests {
         board.with_habits(HomeHabits::new(memory, Zone::UTC))
     }
 
-    /// Who is told by presence alone was observed doing nothing, and is known all the same.
+    /// Presence without an action counts as time in a known place.
     #[test]
     fn hours_in_known_places_count_without_a_thing() {
         let mut memory = Memory::new(HabitsOptions::default());
@@ -295,7 +293,6 @@ mod tests {
         (0..=180).for_each(|minute| {
             memory.habits.tick(PersonId(7), 1e9 + 60.0 * f64::from(minute), &mut |_, p| p.fill(0.5))
         });
-        // Also after a restart.
         memory.habits = Habits::from_bytes(HabitsOptions::default(), &memory.habits.to_bytes()).unwrap();
         let mut board = board(memory);
         let (answer, _) = answer(&mut board, &mut Importing::default(), Ok(HabitsQuestion::Show), BootNs(0));
@@ -303,7 +300,7 @@ mod tests {
         assert!(line.observations == 0.0 && (line.watched_h - 3.0).abs() < 0.1, "{line:?}");
     }
 
-    /// Somebody who was forgotten while `habits learn` ran was known again when it ended; of two that ran at once, one was lost.
+    /// A regression: an import by `habits learn` restored persons that were forgotten while it ran, and of two imports at once, one was lost.
     #[test]
     fn nothing_is_put_in_place_of_what_was_changed_meanwhile() {
         let mut memory = Memory::new(HabitsOptions::default());
@@ -338,7 +335,7 @@ mod tests {
         }
     }
 
-    /// Whoever is meant is whom a question about persons means: a number is one in digits alone.
+    /// Names are read as in questions about persons: a number has digits only.
     #[test]
     fn a_name_that_reads_like_a_number_is_a_name() {
         let ada = person_number("ada");
@@ -355,7 +352,7 @@ mod tests {
         assert!(is_done(format!(" {ada} ")) && !is_done("ada".to_owned()), "it is forgotten");
     }
 
-    /// What only an import can be answered with is in no other answer, of which docs/json.md has the keys.
+    /// `docs/json.md` lists the keys of each answer.
     #[test]
     fn an_answer_has_no_key_of_another_question() {
         let told = |answer: &HabitsAnswer| serde_json::to_string(answer).unwrap();

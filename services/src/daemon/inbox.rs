@@ -1,4 +1,4 @@
-//! What hears narrators: the port, the intake and the journal. It belongs to one thread at a time.
+//! The receiver: port, intake and state database. It belongs to one thread at a time.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,28 +19,27 @@ use crate::clock;
 use crate::logging::Limiter;
 use crate::stop::Stop;
 
-/// Observations that may wait for the scorer.
+/// Most events that wait for the scorer.
 pub(super) const QUEUE: usize = 65_536;
-/// Messages taken from the port at once: a flood of them must not keep the scorer from its steps.
+/// Most messages in one read of the port: a flood must not delay the scorer's steps.
 const AT_ONCE: usize = 2048;
-/// The relief thread has the inbox at most so long after a step; an event that comes meanwhile wakes both threads.
+/// The relief thread returns the receiver at most this long after a step. An event in this time wakes both threads.
 const RELIEF: Duration = Duration::from_millis(5);
 
 const FAST_CLOCK: &str = "the clock of this narrator's input is fast: its events count as observed now, and older ones as newer than they \
     are; set the clock of the machine that dates them (NTP)";
 
-/// Counters of the intake, and sources known.
+/// The intake's counters, and the number of known sources.
 pub(super) type Counters = Arc<Mutex<(IntakeCounters, usize)>>;
 
-/// Hears narrators, for whoever has it.
+/// Receives events for the thread that holds it.
 pub(super) struct Inbox {
     narration: Subscriber<NarrationV1>,
-    /// What the port gave last.
     message: Box<NarrationV1>,
     intake: Intake,
     journal: Option<Journal>,
     counters: Counters,
-    /// The port was not emptied the last time.
+    /// The last read left messages in the port.
     more: bool,
     log_refused: Limiter,
     log_costly: Limiter,
@@ -70,14 +69,14 @@ impl Inbox {
         }
     }
 
-    /// Sleeps until there is narration or `patience` has passed, as long as `awake` lets it; gives what is there to `take`.
+    /// Sleeps until an event arrives or `patience` has passed, if `awake` lets it. Passes all received events to `take`.
     fn listen(&mut self, patience: Duration, awake: &mut Awake, take: impl FnMut(Heard)) {
-        // The port wakes once for all that came, so nothing would wake for what was left there.
+        // The port wakes once for all its messages, so it would not wake for the remaining ones.
         let narration = &self.narration;
         let waited = if self.more { Ok(true) } else { awake.wait(patience, |patience| narration.wait(patience)) };
         let received = waited.and_then(|_| self.drain(take));
         if let Err(error) = received {
-            // A port that fails may recover, when file descriptors become free for instance.
+            // A failed port may recover, for instance when file descriptors become free.
             if let Some(not_told) = self.log_port.pass(clock::monotonic_ns()) {
                 tracing::error!(%error, not_told, "cannot receive narration");
             }
@@ -97,7 +96,7 @@ impl Inbox {
             if !self.intake.knows_port(sender) {
                 self.intake.note_alive(self.narration.senders());
             }
-            // A killed narrator's successor has its voice at once.
+            // The successor of a killed narrator takes over its quota at once.
             let epoch = received.as_ref().map_or(0, |received| received.epoch);
             if self.intake.is_contested(source, epoch, sender) {
                 self.intake.note_alive(self.narration.senders().into_iter().filter(|sender| sender.is_running()));
@@ -133,7 +132,7 @@ impl Inbox {
                 ),
                 Taken::Costly { tokens, most, first } => {
                     take(Heard::PassedOver(EventId::new(source, self.message.epoch, self.message.sequence)));
-                    // Sources may be invented.
+                    // A limit, because a process can invent any number of sources.
                     if first && let Some(not_told) = self.log_costly.pass(now_ns) {
                         tracing::warn!(
                             source,
@@ -163,32 +162,31 @@ impl Inbox {
     }
 }
 
-/// What the inbox gives the scorer.
+/// An event for the scorer.
 pub(super) enum Heard {
-    /// An accepted observation, with its number in the journal.
+    /// An accepted event, and its number in the state database.
     Entry(Entry, u64),
-    /// One that was refused for good.
+    /// A refused event.
     PassedOver(EventId),
 }
 
-/// The scoring thread's side of the inbox: it has it, or has lent it to the relief thread.
+/// The scoring thread's side: it holds the receiver, or has lent it to the relief thread.
 pub(super) struct Lending {
     own: Option<Box<Inbox>>,
-    /// The relief thread has ended, and the inbox with it.
+    /// The relief thread has ended with the receiver.
     is_lost: bool,
     to_relief: Sender<Box<Inbox>>,
     from_relief: Receiver<Box<Inbox>>,
-    /// What the relief thread received.
     queue: Receiver<Heard>,
-    /// The relief thread is to keep the inbox.
+    /// The relief thread must keep the receiver.
     busy: Arc<AtomicBool>,
     awake: Awake,
 }
 
 impl Lending {
-    /// With the inbox, and the relief thread's side of it; this one stays awake as `awake` says.
+    /// The two sides; the scoring thread starts with the receiver, and waits as `awake` says.
     pub(super) fn new(inbox: Inbox, awake: Awake, progress: Progress, stop: Stop) -> (Self, Relief) {
-        // There is one inbox: sending it never waits.
+        // There is one receiver, so sending it never blocks.
         let ((to_relief, from_scoring), (to_scoring, from_relief)) = (bounded(1), bounded(1));
         let (queue_in, queue) = bounded(QUEUE);
         let busy = Arc::new(AtomicBool::new(false));
@@ -197,42 +195,38 @@ impl Lending {
         (Self { own: Some(Box::new(inbox)), is_lost: false, to_relief, from_relief, queue, busy, awake }, relief)
     }
 
-    /// Gives the inbox to the relief thread until [`Lending::call_back`], if it does not have it already.
+    /// Lends the receiver to the relief thread until [`Lending::call_back`], unless the relief thread has it.
     pub(super) fn lend(&mut self) {
         self.busy.store(true, Ordering::SeqCst);
-        // It may have come back unnoticed, while something else did. One that comes back right now the relief thread takes again.
+        // The receiver may have returned unnoticed. If it returns at this moment, the relief thread takes it back ([`Relief::give_back`]).
         if let Some(inbox) = self.own.take().or_else(|| self.from_relief.try_recv().ok()) {
-            // It fails only when the relief thread is gone, and the main thread sees that too.
+            // It fails only if the relief thread has ended; the main thread also sees that.
             let _handed = self.to_relief.send(inbox);
         }
     }
 
-    /// Lets the relief thread return the inbox.
     pub(super) fn call_back(&self) {
         self.busy.store(false, Ordering::SeqCst);
     }
 
-    /// Whether the inbox is at hand.
     pub(super) fn is_here(&self) -> bool {
         self.own.is_some()
     }
 
-    /// Whether it will never come back.
     pub(super) fn is_lost(&self) -> bool {
         self.is_lost
     }
 
-    /// Observations that the relief thread received.
+    /// Events from the relief thread that are not taken yet.
     pub(super) fn waiting(&self) -> usize {
         self.queue.len()
     }
 
-    /// Whether more was received, or lies in the port, than was taken.
     pub(super) fn has_more(&self) -> bool {
         !self.queue.is_empty() || self.own.as_ref().is_some_and(|inbox| inbox.more)
     }
 
-    /// Sleeps until there is narration or `patience` has passed, and gives all that was received to `take`.
+    /// Sleeps until an event arrives or `patience` has passed. Passes all received events to `take`.
     pub(super) fn listen(&mut self, patience: Duration, mut take: impl FnMut(Heard)) {
         let mut has_taken = false;
         if self.own.is_none() {
@@ -248,7 +242,7 @@ impl Lending {
                 default(patience) => {}
             }
         }
-        // First what the relief thread received, while it had the inbox.
+        // Events of the relief thread are older than those in the port.
         for heard in self.queue.try_iter() {
             has_taken = true;
             take(heard);
@@ -265,11 +259,11 @@ impl Lending {
     }
 }
 
-/// Listens while the scoring thread is busy.
+/// Receives while the scoring thread is busy.
 pub(super) struct Relief {
     from_scoring: Receiver<Box<Inbox>>,
     to_scoring: Sender<Box<Inbox>>,
-    /// What was given to the scoring thread, and not taken by it.
+    /// Receivers that were returned to the scoring thread and not taken.
     given: Receiver<Box<Inbox>>,
     queue: Sender<Heard>,
     busy: Arc<AtomicBool>,
@@ -279,17 +273,17 @@ pub(super) struct Relief {
 
 impl Relief {
     pub(super) fn run(self) {
-        // The scorer needs the cores.
+        // It does not spin: the scorer needs the cores.
         let mut asleep = Awake::new(0);
         let moved = |now_ns| self.progress.relief_ns.store(now_ns, Ordering::Relaxed);
         loop {
-            // Without the inbox it has nothing to do, and so cannot stand still. It ends with the scoring thread.
+            // Without the receiver it cannot hang. It ends with the scoring thread.
             moved(u64::MAX);
             let Ok(inbox) = self.from_scoring.recv() else { return };
             let mut own = Some(inbox);
             while let Some(mut inbox) = own {
                 moved(clock::monotonic_ns().0);
-                // It fails only when the scoring thread is gone, and the main thread sees that too.
+                // It fails only if the scoring thread has ended; the main thread also sees that.
                 inbox.listen(RELIEF, &mut asleep, |heard| drop(self.queue.send(heard)));
                 own = if self.is_to_keep() { Some(inbox) } else { self.give_back(inbox) };
             }
@@ -300,10 +294,10 @@ impl Relief {
         self.busy.load(Ordering::SeqCst) && !self.stop.requested()
     }
 
-    /// Gives the inbox to the scoring thread. Where that lends it at this moment it has found it nowhere: it comes back, since otherwise nobody would
-    /// hear anything for a whole step.
+    /// Returns the receiver. If the scoring thread lends at this moment, it has found no receiver. The relief thread then takes it back, because
+    /// otherwise no thread would receive events during a whole step.
     fn give_back(&self, inbox: Box<Inbox>) -> Option<Box<Inbox>> {
-        // It fails only when the scoring thread is gone, and the main thread sees that too.
+        // It fails only if the scoring thread has ended; the main thread also sees that.
         let _given = self.to_scoring.send(inbox);
         if self.is_to_keep() { self.given.try_recv().ok() } else { None }
     }
@@ -326,12 +320,10 @@ mod tests {
         let (mut lending, relief) = Lending::new(inbox, Awake::new(0), Progress::default(), Stop::default());
         lending.lend();
         let inbox = relief.from_scoring.try_recv().unwrap();
-        // Called back, and lent again before it has come.
         lending.call_back();
         assert!(!relief.is_to_keep());
         lending.lend();
         let inbox = relief.give_back(inbox).expect("it is heard from during the step");
-        // Called back for good.
         lending.call_back();
         assert!(relief.give_back(inbox).is_none());
         lending.listen(Duration::from_millis(1), drop);

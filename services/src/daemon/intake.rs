@@ -1,10 +1,11 @@
-//! From a message to an observation: what is taken, what is refused, and what is counted. Pure: time comes in as a number.
+//! From a message to an event: the checks, and the counters. Pure: time is a parameter.
 //!
-//! A start of a source (its number and epoch) belongs to the port that first used it; what another port says in its name is forged. Of a
-//! narrator that the configuration calls relayed, another port goes on once that one is closed: a bridge that started again. What such a
-//! narrator said above its rate is given again, and nothing behind it is taken before: with a later number it would count as lost. Ports
-//! have equal shares of what is limited: sources that are followed, and places in a person's window ([`Voice`]). The service
-//! has as many ports as there are shares, so that what a living port holds no other can take.
+//! A narrator's start (source and epoch) belongs to the port that first uses it. From any other port its messages are forged. If the configuration
+//! calls the narrator relayed, another port may continue the start once the first port is closed, as after a restart of a bridge. A relayed narrator
+//! resends its messages above the rate. Later messages wait for these, because otherwise the resent ones would count as lost.
+//!
+//! Each port has an equal quota of the followed starts and of the places in a person's window ([`Voice`]). The service has as many ports as quotas,
+//! so no port can take the quota of an open one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -25,84 +26,82 @@ use crate::line::{AHEAD_NS, FAST_NS};
 use crate::message_text::event_of;
 use crate::token_bucket::TokenBucket;
 
-/// Most starts of sources of one port that are followed: the longest silent gives way to another of the same port.
+/// Most followed starts of one port. The start with the longest silence gives way to another of the same port.
 pub const SOURCES_OF_A_PORT: usize = SOURCES_MAX / NarrationV1::SERVICE.publishers;
-/// Most ports that are remembered, those of ended processes included.
+/// Most remembered ports, those of ended processes included.
 const PORTS_MAX: usize = 64;
-/// Most starts of sources that have given way and of which is remembered whose they are and what they said last. Beyond that the older half
-/// goes of the port that has most of them.
+/// Most remembered starts that are not followed, with port and last sequence. If there are more, the port with most of them loses the older half.
 pub const FORMER_SOURCES_MAX: usize = 4096;
-/// How long what a relayed narrator said above its rate is waited for, since it came last: a bridge gives it again after five seconds, and may
-/// have to start first. After that nobody has it any more.
+/// How long later messages wait for one above the rate, since it last arrived. A bridge resends it after five seconds, and may have to restart first.
+/// After this time no process has the message.
 pub const HELD_S: u64 = 30;
-/// The number of the voice of all narrators that the configuration does not name, where it names any.
+/// The number of the common quota of all unknown narrators, if the configuration names any narrator.
 pub(super) const OTHERS: u64 = 1;
-/// Ports and named narrators have the voices from here on.
 const FIRST_VOICE: u64 = 2;
 
-/// What became of a message.
+/// The outcome of a message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Taken {
-    /// It goes into the history.
+    /// The event goes into the history.
     Accepted {
-        /// The observation.
+        /// The event.
         observation: Observation,
-        /// Observations of this source that were lost before it.
+        /// The number of this start's events that were lost before it.
         missed: u64,
-        /// For whom it counts in its person's window.
+        /// The quota that it counts against in its person's window.
         voice: Voice,
-        /// The start of a source, by number and epoch, that gives way to its source.
+        /// The start (source and epoch) that gave way to its start.
         leaves: Option<(u64, u64)>,
-        /// The first of its start that this port says, so that a successor has to be told whose it is.
+        /// It is the port's first event of this start. The state database must keep the owner.
         binds: bool,
-        /// How far its time lay ahead, if that is more than a second; it counts as observed now.
+        /// The lead of its time if that is more than a second; the event then counts as observed now.
         ahead_ns: Option<u64>,
     },
-    /// It was taken before.
+    /// The event was accepted before.
     Duplicate,
-    /// Its port sends too fast, or has to give again first what it sent too fast.
+    /// The port exceeded its rate limit, or must resend dropped messages first.
     Limited,
-    /// Its source belongs to another port.
+    /// The start belongs to another port.
     Forged,
-    /// Its sentence alone costs more tokens than a window holds; nothing could be scored with it.
+    /// The sentence alone has more tokens than a window holds, so it cannot be scored.
     Costly {
-        /// What it costs.
+        /// The tokens of the sentence.
         tokens: usize,
-        /// What a sentence may cost.
+        /// The most tokens of a sentence.
         most: usize,
-        /// The first of its source.
+        /// It is the first such sentence of its start.
         first: bool,
     },
-    /// It cannot be an observation; counted, logged, dropped.
+    /// The message is no event. It is counted, logged and dropped.
     Malformed(String),
 }
 
 /// Counters since the start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct IntakeCounters {
-    /// Messages received, in any condition.
+    /// Received messages, malformed ones included.
     pub received: u64,
-    /// Those that went into a history.
+    /// Messages that went into a history.
     pub accepted: u64,
-    /// Those received before.
+    /// Messages that were accepted before.
     pub duplicates: u64,
-    /// Those that never arrived.
+    /// Events that never arrived.
     pub missed: u64,
-    /// Those that were malformed.
+    /// Malformed messages.
     pub malformed: u64,
-    /// Those above their port's rate.
+    /// Messages above the rate of their port.
     pub limited: u64,
-    /// Those in the name of another port's source.
+    /// Messages for a start of another port.
     pub forged: u64,
-    /// Those that cost more tokens than a window holds.
+    /// Sentences with more tokens than a window holds.
     pub costly: u64,
-    /// Those that a clock dated more than a second ahead.
+    /// Events that a clock dated more than a second ahead.
     pub ahead: u64,
-    /// How far ahead the newest of them was dated.
+    /// The lead of the newest of them.
     pub ahead_ns: u64,
 }
 
-/// What a sentence costs, and what it may cost: as many tokens as the map's labels leave a window.
+/// The tokens of a sentence, and their limit: the room that the map's labels leave in a window.
 #[derive(Clone)]
 pub struct SentenceCost {
     count: TokenCounter,
@@ -110,16 +109,16 @@ pub struct SentenceCost {
 }
 
 impl SentenceCost {
-    /// Counts with the model's own tokeniser; `most` changes with the map.
+    /// Counts with the model's tokeniser. `most` changes with the map.
     #[must_use]
     pub fn new(count: TokenCounter, most: Arc<AtomicUsize>) -> Self {
         Self { count, most }
     }
 
-    /// What a sentence costs and may cost, where it costs too much.
+    /// The tokens of a sentence and their limit, if the sentence exceeds it.
     fn excess(&self, sentence: &str) -> Option<(usize, usize)> {
         let most = self.most.load(Ordering::Relaxed);
-        // No tokeniser makes more tokens than bytes, a space before the sentence, and the one behind it.
+        // An upper bound without the tokeniser: one token per byte, a space before the sentence, and the separator after it.
         if sentence.len() + 2 <= most {
             return None;
         }
@@ -134,16 +133,15 @@ impl fmt::Debug for SentenceCost {
     }
 }
 
-/// One start of a source.
 #[derive(Debug, Clone)]
 struct Source {
     follower: Follower,
-    /// None while only a former run of the daemon has heard it, which did not say whose it is.
+    /// `None` if a former run of the daemon did not store the port.
     port: Option<Sender>,
-    /// A successor will be told.
+    /// The state database has the port.
     bound: bool,
     trust: u32,
-    /// A number that grows with every message of any source.
+    /// The number of its newest message among all messages.
     turn: u64,
     costly: bool,
 }
@@ -153,21 +151,20 @@ struct Port {
     bucket: TokenBucket,
     voice: u64,
     turn: u64,
-    /// What a relayed narrator said above the rate.
+    /// A relayed narrator's message above the rate.
     held: Option<Held>,
 }
 
-/// A narration of a start of a source that is waited for.
+/// A message that its narrator must resend.
 #[derive(Debug, Clone, Copy)]
 struct Held {
     start: (u64, u64),
     sequence: u64,
-    /// When it came last.
     at_ns: BootNs,
 }
 
 impl Port {
-    /// Whether a relayed narrator's message may be taken: there is a token, and nothing is waited for that comes before it.
+    /// Whether a relayed narrator's message is accepted: there is a token, and no earlier message is awaited.
     fn admits(&mut self, start: (u64, u64), sequence: u64, now_ns: BootNs) -> bool {
         let since_ns = |held: &Held| now_ns.since(held.at_ns);
         self.held = self.held.filter(|held| since_ns(held) < HELD_S * 1_000_000_000);
@@ -180,17 +177,17 @@ impl Port {
     }
 }
 
-/// Decides about each message; remembers per start of a source what was taken.
+/// Decides about each message, and remembers the accepted sequence of each start.
 #[derive(Debug, Clone, Default)]
 pub struct Intake {
     limits: IntakeLimits,
     narrators: BTreeMap<u64, KnownNarrator>,
     cost: Option<SentenceCost>,
     sources: BTreeMap<(u64, u64), Source>,
-    /// Those that have given way to others: nobody else may go on with them.
+    /// Starts that gave way. No other port may continue them.
     former: BTreeMap<(u64, u64), Source>,
     ports: BTreeMap<Sender, Port>,
-    /// Which port speaks for a narrator that the configuration names.
+    /// The port that speaks for each narrator of the configuration.
     holders: BTreeMap<u64, Sender>,
     alive: BTreeSet<Sender>,
     voices: u64,
@@ -199,28 +196,28 @@ pub struct Intake {
 }
 
 impl Intake {
-    /// Nothing taken yet.
+    /// An intake without events.
     #[must_use]
     pub fn new(limits: IntakeLimits) -> Self {
         Self { limits, voices: FIRST_VOICE, ..Self::default() }
     }
 
-    /// Knows these narrators by name. Whoever is not among them then counts as one voice with all others.
+    /// The narrators of the configuration. All others then share one quota.
     #[must_use]
     pub(crate) fn with_narrators(mut self, narrators: &[KnownNarrator]) -> Self {
         self.narrators = narrators.iter().map(|known| (source_of_name(&known.name), known.clone())).collect();
         self
     }
 
-    /// Refuses sentences by what they cost.
+    /// Refuses sentences with too many tokens.
     #[must_use]
     pub fn with_cost(mut self, cost: SentenceCost) -> Self {
         self.cost = Some(cost);
         self
     }
 
-    /// Takes note of an observation that a former run of the daemon took, by its source, epoch and sequence, so that it is not taken twice; they
-    /// come in their order, and of too many sources those count that were heard last.
+    /// Takes note of an event of a former run, so that it is not accepted twice. Events come in order. If there are too many starts, the latest ones
+    /// count.
     pub fn restore(&mut self, event: EventId) {
         let name = event.start();
         self.make_room_for_source(name);
@@ -231,26 +228,26 @@ impl Intake {
         source.turn = turn;
     }
 
-    /// Takes note of whose a start of a source is, by its number and epoch, where it is still remembered.
+    /// Takes note of the port of a start that is still remembered.
     pub(crate) fn restore_port(&mut self, name: (u64, u64), port: Sender) {
         if let Some(source) = self.sources.get_mut(&name).or_else(|| self.former.get_mut(&name)) {
             (source.port, source.bound) = (Some(port), true);
         }
     }
 
-    /// Whether a port was heard before. Of one that was not, [`Intake::note_alive`] is to say which others there are now.
+    /// Whether a port is known. Before a new port's message, [`Intake::note_alive`] must get the open ports.
     #[must_use]
     pub fn knows_port(&self, sender: Sender) -> bool {
         self.ports.contains_key(&sender)
     }
 
-    /// Takes note of the ports that are open: what they hold no other can take.
+    /// Takes note of the open ports, whose quotas no other port can take.
     pub fn note_alive(&mut self, alive: impl IntoIterator<Item = Sender>) {
         self.alive = alive.into_iter().collect();
     }
 
-    /// Whether a port uses the name of a configured narrator for which another one speaks, or a start of a relayed one that another began, as
-    /// far as is known. Then [`Intake::note_alive`] is to say whether that one is still there.
+    /// Whether a port uses the name of a configured narrator, or a start of a relayed one, that another open port owns. Then [`Intake::note_alive`]
+    /// must get the ports whose processes run.
     #[must_use]
     pub(crate) fn is_contested(&self, source: u64, epoch: u64, sender: Sender) -> bool {
         let holder = self.holders.get(&source);
@@ -259,7 +256,6 @@ impl Intake {
         [holder, owner].into_iter().flatten().any(|other| *other != sender && self.alive.contains(other))
     }
 
-    /// What is remembered of a start of a source.
     fn followed(&self, start: (u64, u64)) -> Option<&Source> {
         self.sources.get(&start).or_else(|| self.former.get(&start))
     }
@@ -268,7 +264,7 @@ impl Intake {
         self.narrators.get(&source).is_some_and(|known| known.relayed)
     }
 
-    /// Judges what a port gave: a message that has passed [`roomcast_ipc::raw::Message::check`], or why it has not.
+    /// Judges a message that has passed [`roomcast_ipc::raw::Message::check`], or counts its fault.
     pub fn receive(&mut self, received: Result<&NarrationV1, MessageError>, sender: Sender, now_ns: BootNs) -> Taken {
         match received {
             Ok(message) => self.take(message, sender, now_ns),
@@ -323,9 +319,9 @@ impl Intake {
             return Taken::Limited;
         }
         let known = self.followed(start);
-        // What was taken may be said again by anybody, a replay for instance.
+        // Any port may repeat an accepted event, as a replay does.
         if known.is_some_and(|known| message.sequence <= known.follower.sequence()) {
-            // Of what gave way long ago that takes no place from others.
+            // A start that gave way takes no place from others by a repetition.
             if self.sources.contains_key(&start) {
                 self.claim(start, sender, turn);
             }
@@ -378,12 +374,12 @@ impl Intake {
             source: message.source,
             epoch: message.epoch,
             sequence: message.sequence,
-            // An observation cannot lie in the future: a narrator's clock is not trusted beyond that. Without any time it is of now.
+            // An event cannot lie in the future, whatever the narrator's clock says. An event without a time is from now.
             observed_ns: match (message.observed_ns, message.observed_unix_ns) {
                 (0, 0) => now_ns,
                 (observed_ns, _) => BootNs(observed_ns.min(now_ns.0)),
             },
-            // Further ahead, the two times are of no one clock.
+            // With a larger lead, the two times are from different clocks.
             observed_unix_ns: UnixNs(message.observed_unix_ns.saturating_sub(if ahead_ns > AHEAD_NS {
                 0
             } else {
@@ -403,14 +399,14 @@ impl Intake {
         self.counters
     }
 
-    /// Starts of sources known.
+    /// The number of followed starts.
     #[must_use]
     pub fn sources(&self) -> usize {
         self.sources.len()
     }
 
-    /// Whether a port speaks for a narrator that the configuration names: the first that does, for as long as it is open. Whoever else uses the
-    /// name meanwhile is one of the others, and takes none of its places.
+    /// Whether a port speaks for a narrator of the configuration. The first one does while it is open. Other ports with this name count as unknown
+    /// narrators, and take none of its quota.
     fn holds(&mut self, source: u64, sender: Sender) -> bool {
         let holder = self.holders.entry(source).or_insert(sender);
         if *holder != sender && !self.alive.contains(holder) {
@@ -419,7 +415,7 @@ impl Intake {
         *holder == sender
     }
 
-    /// A start of a source that is followed from now on: what is remembered of it, or nothing yet.
+    /// Follows a start, with its remembered state if there is one.
     fn source(&mut self, name: (u64, u64), trust: u32, turn: u64) -> &mut Source {
         let Self { sources, former, .. } = self;
         sources.entry(name).or_insert_with(|| {
@@ -429,7 +425,7 @@ impl Intake {
         })
     }
 
-    /// Follows a start of a source no more, and remembers whose it is.
+    /// Stops following a start, and remembers its port.
     fn retire(&mut self, name: (u64, u64)) {
         let Some(source) = self.sources.remove(&name) else { return };
         self.former.insert(name, source);
@@ -440,7 +436,7 @@ impl Intake {
         for (name, source) in &self.former {
             of_ports.entry(source.port).or_default().push((source.turn, *name));
         }
-        // Of as many, those of the port that was silent for longest.
+        // Between ports with equally many, the one with the longest silence.
         let newest = |own: &[(u64, (u64, u64))]| own.iter().map(|(turn, _)| *turn).max();
         let most = of_ports.into_values().max_by_key(|own| (own.len(), std::cmp::Reverse(newest(own))));
         let Some(mut own) = most else { return };
@@ -454,7 +450,7 @@ impl Intake {
         self.narrators.get(&source).map_or(0, |known| known.trust)
     }
 
-    /// A port, known or new; `source` is the one that it speaks for first.
+    /// A known or new port; `source` is the first narrator that it speaks for.
     fn port(&mut self, sender: Sender, source: u64, now_ns: BootNs) -> &mut Port {
         if !self.ports.contains_key(&sender) && self.ports.len() >= PORTS_MAX {
             let silent = self.ports.iter().min_by_key(|(port, known)| (self.alive.contains(port), known.turn));
@@ -476,8 +472,8 @@ impl Intake {
         })
     }
 
-    /// The voice of the closed port that spoke last for this source: a narrator that starts again goes on with it, since it must not share
-    /// the window with what it said itself. The voice of an open port stays with that port.
+    /// The quota of the closed port that last spoke for this source. A restarted narrator continues with it, because it must not share the window
+    /// with its own past. The quota of an open port stays with that port.
     fn voice_left_by(&self, source: u64) -> Option<u64> {
         let starts = self.sources.range((source, 0)..=(source, u64::MAX));
         let last = starts.filter(|(_, known)| known.port.is_some()).max_by_key(|(_, known)| known.turn);
@@ -487,7 +483,7 @@ impl Intake {
         (!taken).then_some(voice)
     }
 
-    /// Makes a start of a source the port's, if it is nobody's yet; gives the one that gives way to it.
+    /// Assigns a start to the port if it has none. Returns the start that gives way to it.
     fn claim(&mut self, name: (u64, u64), sender: Sender, turn: u64) -> Option<(u64, u64)> {
         let mut left = None;
         if self.sources.get(&name).is_none_or(|known| known.port.is_none()) {
@@ -505,7 +501,8 @@ impl Intake {
         left
     }
 
-    /// Where a new one has no room, the one goes that no living port holds, is trusted least, and was silent for longest.
+    /// If a new start has no room, one gives way: the start without an open port first, then the least trusted, then the one with the longest
+    /// silence.
     fn make_room_for_source(&mut self, name: (u64, u64)) -> Option<(u64, u64)> {
         if self.sources.contains_key(&name) || self.sources.len() < SOURCES_MAX {
             return None;
@@ -518,9 +515,8 @@ impl Intake {
     }
 }
 
-/// What gives the daemon a relayed narrator's narration, by the bridge's own file: tests of both together find where one of them changes alone.
-/// Neither crate can use the other. The bridge would get llama.cpp by this one, and this one zenoh by the bridge. What both use is the contract,
-/// and how the bridge keeps to it is no part of that.
+/// The relay of the bridge, by its own source file: a test with both sides fails if one of them changes alone. Neither crate can depend on the other:
+/// the bridge would get llama.cpp, and this crate zenoh. They share only the contract; the relay is no part of it.
 #[cfg(test)]
 #[path = "../../../zenoh/src/relay.rs"]
 mod relay;
@@ -530,7 +526,6 @@ mod relay;
 #[expect(dead_code, reason = "the relay needs some of it")]
 mod delay;
 
-/// What of the bridge's messages the relay needs.
 #[cfg(test)]
 mod wire {
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -563,7 +558,6 @@ mod tests {
         NarrationV1 { source, epoch, sequence, observed_ns: 5, ..NarrationV1::new(kind, text).unwrap() }
     }
 
-    /// The observation of a message that is taken, and who gives way.
     fn accepted(taken: Taken) -> (Observation, Voice, Option<(u64, u64)>) {
         let Taken::Accepted { observation, voice, leaves, .. } = taken else { panic!("{taken:?}") };
         (observation, voice, leaves)
@@ -601,7 +595,7 @@ mod tests {
         assert!(matches!(intake.take(&nonsense, PORT, BootNs(10)), Taken::Malformed(why) if why.contains("perhaps")));
     }
 
-    /// What no narrator of this program sends, and ports can have.
+    /// Narrators of this program send no such names, but other ports can.
     #[test]
     fn what_is_no_name_of_a_person_is_malformed() {
         let mut intake = Intake::new(IntakeLimits::default());
@@ -625,12 +619,11 @@ mod tests {
         });
         assert_eq!(taken.count(), 5);
         assert!(matches!(intake.take(&message(18, 1, 1, "B."), OTHER, BootNs(0)), Taken::Accepted { .. }));
-        // A tenth of a second later there is room for one; what it lost is known as missed.
         let later = intake.take(&message(7, 1, 101, "C."), PORT, BootNs(100_000_000));
         assert!(matches!(later, Taken::Accepted { missed: 97, .. }), "{later:?}");
     }
 
-    /// A bridge gives again what it knows to be above the rate only by silence: what came between must not make it lost.
+    /// A bridge learns only by silence that a message was above the rate. Messages between must not make it count as lost.
     #[test]
     fn nothing_that_a_relayed_narrator_says_too_fast_is_lost() {
         const S: u64 = 1_000_000_000;
@@ -647,7 +640,7 @@ mod tests {
             let limits = IntakeLimits { rate_per_s: 1000.0, burst: 2.0 };
             let mut intake = Intake::new(limits).with_narrators(&[known(relayed)]);
             let (mut sent, mut taken, mut missed) = (0, Vec::new(), 0);
-            // Three new ones a second; every five seconds all of 32 that nobody has confirmed again.
+            // Three new ones a second; every five seconds the bridge resends all unconfirmed ones, at most 32.
             for tenth in 0..3000 {
                 let confirmed = taken.last().copied().unwrap_or(0);
                 let again = if tenth % 50 == 0 { confirmed + 1..sent + 1 } else { 0..0 };
@@ -667,7 +660,7 @@ mod tests {
             assert_eq!((taken.iter().copied().eq(1..=taken.len() as u64), missed == 0), (relayed, relayed));
             assert!(taken.len() > 100, "{}", taken.len());
         }
-        // What its hub has given up is not waited for without end, and a start before it does not hold up the next for longer.
+        // The hub may have given up a message. The wait for it ends, also for the next start.
         for next in [(1, 7), (2, 1)] {
             let mut intake = Intake::new(IntakeLimits { rate_per_s: 1.0, burst: 1.0 }).with_narrators(&[known(true)]);
             accepted(intake.take(&message(hall, 1, 1, "A."), PORT, BootNs(0)));
@@ -678,7 +671,7 @@ mod tests {
         }
     }
 
-    /// The bridge's relay gives again what was above the rate while other lines come, however these are spaced.
+    /// The relay resends messages above the rate between new ones, at any interval.
     #[test]
     fn nothing_that_a_bridge_relays_above_the_rate_is_lost() {
         const S: u64 = 1_000_000_000;
@@ -698,7 +691,7 @@ mod tests {
             let mut relay = Relay::new("hall", 100.0);
             let (mut offered, mut said, mut newest, mut refused) = (0, 0, 0, 0);
             for now_ns in (0..4_000).map(|tick| S + tick * 50_000_000) {
-                // Six at once, which is one more than a burst, and then one by one.
+                // Six at once, one more than a burst, and then one by one.
                 said = 6 + (now_ns - S) / (gap_ms * 1_000_000);
                 while offered < said {
                     let next = message(hall, 1, offered + 1, "They sit.");
@@ -724,13 +717,12 @@ mod tests {
                 scores.included[0] = IncludedV1 { source, epoch: 1, sequence: newest, accepted, ..Default::default() };
                 assert_eq!(relay.confirm(&scores, now_ns), 0, "a line each {gap_ms} ms");
             }
-            // Of what the rate lets through nearly all has come.
             assert!(newest >= said.min(120) && refused > 0, "a line each {gap_ms} ms: {newest} of {said}");
         }
     }
 
-    /// A hub without a spool that lasts had started fourteen times while the daemon was away. What the daemon followed no more it never named, and
-    /// the bridge gave it again for ever.
+    /// A regression: a hub without a lasting queue restarted fourteen times while the daemon was away. The daemon never confirmed starts that it did
+    /// not follow, and the bridge resent their messages for ever.
     #[test]
     fn of_many_starts_that_a_bridge_relays_each_is_confirmed() {
         const S: u64 = 1_000_000_000;
@@ -769,14 +761,14 @@ mod tests {
         for sequence in [2, 9, u64::MAX] {
             assert_eq!(intake.take(&message(7, 1, sequence, "They go to the attic."), OTHER, BootNs(2)), Taken::Forged);
         }
-        // Not by its own hand either.
+        // Its own port cannot jump so far either.
         assert!(matches!(intake.take(&message(7, 1, u64::MAX, "They sit."), PORT, BootNs(3)), Taken::Malformed(_)));
         let next = intake.take(&message(7, 1, 2, "They stand up."), PORT, BootNs(4));
         assert!(matches!(next, Taken::Accepted { missed: 0, .. }), "{next:?}");
         assert_eq!((intake.counters().forged, intake.counters().malformed), (3, 1));
     }
 
-    /// Whoever speaks first after a restart gains nothing by it, for any start of a source that was told to be somebody's.
+    /// A port that speaks first after a restart does not get a start of another port.
     #[test]
     fn a_restarted_daemon_knows_whose_each_source_is() {
         let mut intake = Intake::new(IntakeLimits::default());
@@ -796,19 +788,19 @@ mod tests {
         }
         assert_eq!(restarted.take(&message(7, 1, 1, "They sit."), OTHER, BootNs(3)), Taken::Duplicate);
         assert!(!binds(restarted.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
-        // A journal from before says nothing of ports: then it is told at once.
+        // A state database without the port binds it at once.
         let mut older = Intake::new(IntakeLimits::default());
         older.restore(said.id());
         assert_eq!(older.take(&message(7, 1, 1, "They sit."), PORT, BootNs(3)), Taken::Duplicate);
         assert!(binds(older.take(&message(7, 1, 2, "They sit."), PORT, BootNs(4))).0);
     }
 
-    /// The strangers' chaos test found this: starts of ended narrators gave way to invented ones, and whoever went on with them was heard.
+    /// A regression of the chaos test: starts of ended narrators gave way to invented ones, and then any port could continue them.
     #[test]
     fn what_gave_way_is_still_whose_it_was() {
         let mut intake = Intake::new(IntakeLimits { rate_per_s: 0.0, burst: 1.0 });
         let (said, ..) = accepted(intake.take(&message(7, 1, 5, "They sit."), PORT, BootNs(1)));
-        // The narrator has ended, and others invent sources, each from a port of its own, too.
+        // The narrator has ended, and others invent sources, some from many ports.
         let invent = |intake: &mut Intake| {
             intake.note_alive([OTHER]);
             for n in 0..10_000 {
@@ -826,7 +818,7 @@ mod tests {
         }
         assert_eq!(intake.take(&message(7, 1, 5, "They sit."), OTHER, BootNs(3)), Taken::Duplicate);
         assert!(intake.former.len() <= FORMER_SOURCES_MAX);
-        // And after a restart, in whose journal the invented ones come last.
+        // After a restart, the invented ones are the newest in the state database.
         let mut restarted = Intake::new(IntakeLimits::default());
         restarted.restore(said.id());
         for source in 1000..1100 {
@@ -840,7 +832,7 @@ mod tests {
         ));
     }
 
-    /// A name is no password, but who uses one that is in use has none of its places.
+    /// A port that uses the name of an open port gets none of its quota.
     #[test]
     fn the_name_of_a_living_narrator_gives_nobody_its_voice() {
         let named =
@@ -855,7 +847,6 @@ mod tests {
         let stranger = voice(2, OTHER, &[PORT, OTHER]);
         assert_eq!((own.share, stranger), (4, Voice { number: OTHERS, share: 1 }));
         assert_eq!(voice(3, PORT, &[PORT, OTHER]), own);
-        // Its successor has it when it is gone.
         let next = Sender::simulated(3);
         assert_eq!(voice(4, next, &[OTHER, next]), own);
         assert_eq!(voice(5, OTHER, &[OTHER, next]), stranger);
@@ -874,11 +865,11 @@ mod tests {
         }
     }
 
-    /// A narrator that starts again does not share the window with its own past; who uses the name of a living one gains nothing.
+    /// A restarted narrator does not share the window with its own past. A port that uses the name of an open port gains nothing.
     #[test]
     fn a_narrator_that_starts_again_keeps_its_voice() {
         let [third, fourth] = [3, 4].map(Sender::simulated);
-        // Starts of one narrator, each on a port, with the ports that are open then.
+        // Starts of one narrator, each on a port, with the open ports at that time.
         let voices = |starts: &[(Sender, &[Sender])]| -> Vec<Voice> {
             let mut intake = Intake::new(IntakeLimits::default());
             let start = |(epoch, (port, alive)): (u64, &(Sender, &[Sender]))| {
@@ -887,7 +878,7 @@ mod tests {
             };
             (1..).zip(starts).map(start).collect()
         };
-        // The first one lives, and who spoke last in the name had another voice.
+        // The first port is open, and the last speaker of this name had another quota.
         let told = voices(&[(PORT, &[PORT]), (OTHER, &[PORT, OTHER]), (third, &[PORT, third])]);
         assert!(told[1] != told[0] && told[2] != told[0], "{told:?}");
         let told = voices(&[(PORT, &[PORT]), (OTHER, &[OTHER]), (third, &[third]), (fourth, &[third, fourth])]);
@@ -919,7 +910,7 @@ mod tests {
             if relayed {
                 assert!(matches!(taken, Taken::Accepted { binds: true, missed: 0, .. }), "{taken:?}");
                 assert_eq!(intake.take(&message(hall, 1, 3, "C."), third, BootNs(0)), Taken::Forged);
-                // So does one after a restart of the daemon, to which the journal has said whose it was.
+                // Another port also continues after a restart of the daemon, by the restored port.
                 let mut next = Intake::new(IntakeLimits::default()).with_narrators(&[known(true)]);
                 next.restore(first.id());
                 next.restore_port((hall, 1), PORT);
@@ -931,7 +922,7 @@ mod tests {
         }
     }
 
-    /// Row "64 invented sources" of the attacks: nobody who lives is locked out, forgotten or outspoken, also after a restart.
+    /// Row "64 invented sources" of the attacks: open ports keep their starts, their memory and their quota, also after a restart.
     #[test]
     fn invented_sources_lock_nobody_out() {
         let mut intake = Intake::new(IntakeLimits::default());
@@ -946,7 +937,7 @@ mod tests {
         }
         assert_eq!(intake.sources(), 1 + SOURCES_OF_A_PORT);
         assert_eq!(intake.take(&message(1, 1, 1, "A."), PORT, BootNs(0)), Taken::Duplicate);
-        // Processes that come and go leave what they used behind, until others need the place.
+        // Ended processes leave their starts until others need the places.
         for port in 3..1000 {
             let sender = Sender::simulated(port);
             intake.note_alive([PORT, OTHER, sender]);
@@ -968,7 +959,7 @@ mod tests {
         }
     }
 
-    /// Whoever is not named counts as one voice with all others, so that more processes have no more of a window.
+    /// Unknown narrators share one quota, so more processes get no more of a window.
     #[test]
     fn narrators_that_are_named_have_voices_of_their_own() {
         let named = KnownNarrator {
@@ -988,7 +979,7 @@ mod tests {
         let others: Vec<_> =
             (2..9).map(|n| voice(intake.take(&message(n, 1, 1, "A."), Sender::simulated(n), BootNs(0)))).collect();
         assert!(others.iter().all(|other| *other == others[0] && *other != own));
-        // What nobody living holds, the named keep longest.
+        // Of the starts without an open port, those of named narrators stay longest.
         let (said, ..) = accepted(intake.take(&message(3, 1, 2, "A."), Sender::simulated(3), BootNs(0)));
         for source in 0..100 {
             intake.restore(EventId { source: 50 + source, ..said.id() });
@@ -1006,10 +997,10 @@ mod tests {
         let taken = intake.take(&message(7, 1, 1, &long), PORT, BootNs(0));
         assert_eq!(taken, Taken::Costly { tokens: 121, most: 100, first: true });
         assert!(matches!(intake.take(&message(7, 1, 2, &long), PORT, BootNs(0)), Taken::Costly { first: false, .. }));
-        // It was dealt with: neither is it missed, nor taken when it comes again.
+        // It is done: it does not count as missed, and a repetition is a duplicate.
         assert!(matches!(intake.take(&message(7, 1, 3, "A."), PORT, BootNs(0)), Taken::Accepted { missed: 0, .. }));
         assert_eq!(intake.take(&message(7, 1, 1, &long), PORT, BootNs(0)), Taken::Duplicate);
-        // Words decide, not bytes; and a map with more labels leaves less.
+        // Words count, not bytes; a map with more labels leaves less room.
         accepted(intake.take(&message(7, 1, 4, &"abcdefghij ".repeat(49)), PORT, BootNs(0)));
         most.store(20, Ordering::Relaxed);
         assert!(matches!(intake.take(&message(7, 1, 5, &"abc ".repeat(10)), PORT, BootNs(0)), Taken::Costly { .. }));
@@ -1020,7 +1011,7 @@ mod tests {
     fn an_event_of_a_fast_clock_counts_as_observed_now_and_is_counted() {
         let (now_ns, unix_ns) = (100 * S, 1_000_000 * S);
         let mut intake = Intake::new(IntakeLimits::default());
-        // By how many seconds the clock is fast, the event's age by a right one, and how far ahead its time lies.
+        // The lead of the clock, the age of the event, and the resulting lead of its time, in seconds.
         for (sequence, (fast_s, age_s, ahead_s)) in (1..).zip([(0, 0, 0), (2, 0, 2), (2, 1, 1), (59, 0, 59), (2, 5, 0)])
         {
             let dated = NarrationV1 {

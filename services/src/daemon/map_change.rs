@@ -1,5 +1,4 @@
-//! Changes to the map in use: what is asked on `roomcast/v1/map-change`, what is answered, and the file that keeps a changed map
-//! over a restart. Pure but for that file.
+//! Changes of the map in use: the questions on `roomcast/v1/map-change`, their answers, and the file that keeps a changed map over a restart.
 
 use std::path::{Path, PathBuf};
 
@@ -10,9 +9,8 @@ use crate::state_file;
 use roomcast_core::semantic_map::delta::MapChange;
 use roomcast_core::semantic_map::{MAX_FILE_BYTES, SemanticMap};
 
-/// The changed map's file in the state directory.
 pub(super) const FILE: &str = "changed-map.json";
-/// Most bytes of it that are read: a scene, as JSON writes it again.
+/// Most bytes of the file: a scene, as the daemon writes it.
 const FILE_BYTES_MAX: u64 = 2 * MAX_FILE_BYTES;
 
 impl Question for MapQuestion {
@@ -21,20 +19,20 @@ impl Question for MapQuestion {
     }
 }
 
-/// A question: change the map in use.
+/// A question that changes the map in use.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapQuestion {
-    /// A name that no other question has: the same one asked again is answered again, and not done again.
+    /// A unique name. The same name gets the same answer, without a second change.
     pub id: String,
-    /// The fingerprint, hexadecimal, that the map in use must have; any where left out.
+    /// The hexadecimal fingerprint that the map in use must have; any if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_map: Option<String>,
     /// The changes, all or none; `scenes/README.md` documents them.
     pub changes: Vec<MapChange>,
 }
 
-/// What became of a change.
+/// The outcome of a change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
@@ -42,38 +40,38 @@ pub enum Outcome {
     Applied,
     /// The question or its changes are malformed; nothing changed.
     Refused,
-    /// The map in use is not the one that was expected; nothing changed.
+    /// The map in use has another fingerprint; nothing changed.
     OtherMap,
 }
 
 /// The answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MapAnswer {
-    /// What became of the change.
+    /// The outcome of the change.
     pub outcome: Outcome,
-    /// Why, where it was not applied.
+    /// Why the change was not applied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Fingerprint of the map in use now, hexadecimal.
+    /// The fingerprint of the map in use, hexadecimal.
     pub map: String,
     /// The daemon's epoch, hexadecimal.
     pub epoch: String,
-    /// Scores with a greater sequence are of the map in use now.
+    /// Scores with a greater sequence are for this map.
     pub sequence: u64,
-    /// Rooms of the map in use now.
+    /// The number of rooms.
     pub rooms: usize,
-    /// Items of it.
+    /// The number of items.
     pub items: usize,
-    /// Items of it that lie in no room.
+    /// The number of items that lie in no room.
     pub outside: usize,
-    /// Labels that the model did not know before.
+    /// The number of labels that are new to the model.
     pub new_labels: usize,
-    /// Whether the model was prepared for the map's labels again: where some are new, and, where scores are corrected, where some are gone.
+    /// Whether the model was prepared for the labels again: if labels are new, or if scores are corrected and labels are gone.
     #[serde(alias = "prepared_anew")]
     pub prepared_again: bool,
-    /// How long it took to change, check and regroup the map, and to prepare the model, in nanoseconds.
+    /// The time to change, check and regroup the map and to prepare the model, in nanoseconds.
     pub regrouped_in_ns: u64,
-    /// Whether a restarted daemon will have the changed map: only with a state directory.
+    /// Whether a restarted daemon has the changed map, which needs a state directory.
     pub kept: bool,
 }
 
@@ -83,7 +81,7 @@ impl Answer for MapAnswer {
     }
 }
 
-/// Keeps a changed map over a restart, as long as the configured scene stays the one that was changed.
+/// Keeps a changed map over a restart, until the configured scene changes.
 #[derive(Debug)]
 pub struct KeptMap {
     path: PathBuf,
@@ -92,20 +90,19 @@ pub struct KeptMap {
 
 #[derive(Serialize, Deserialize)]
 struct KeptFile {
-    /// Fingerprint of the configured scene.
+    /// The fingerprint of the configured scene.
     base: String,
     scene: serde_json::Value,
 }
 
 impl KeptMap {
-    /// In the state directory, for the configured scene.
+    /// A file in the state directory, for the configured scene.
     #[must_use]
     pub fn new(directory: &Path, configured: &SemanticMap) -> Self {
         Self { path: directory.join(FILE), base: hex::encode(configured.fingerprint()) }
     }
 
-    /// The map that was kept, if it is a changed form of the configured scene. A file that cannot be used is left where it is, and
-    /// the log says so.
+    /// The kept map, if it is a changed form of the configured scene. An unusable file stays in place, and the log says why.
     #[must_use]
     pub fn load(&self) -> Option<SemanticMap> {
         let text = match state_file::read(&self.path, FILE_BYTES_MAX) {
@@ -135,10 +132,10 @@ impl KeptMap {
         }
     }
 
-    /// Keeps a map; the old file stays whole until the new one is.
+    /// Keeps a map. The old file stays until the new one is complete.
     ///
     /// # Errors
-    /// When the state directory cannot be written.
+    /// If the state directory cannot be written.
     pub fn keep(&self, map: &SemanticMap) -> std::io::Result<()> {
         let scene = serde_json::from_str(&map.to_json())?;
         let text = serde_json::to_string(&KeptFile { base: self.base.clone(), scene })?;

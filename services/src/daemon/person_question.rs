@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::asked::{Answer, Question};
 use super::understood::By;
 
-/// A question. Changes have a name that no other question has: the same one asked again is answered again, and not done again.
+/// A question. A change has a unique name; the same name gets the same answer, without a second change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "ask", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum PersonQuestion {
@@ -27,7 +27,7 @@ pub enum PersonQuestion {
         /// A name or a number.
         who: String,
     },
-    /// Forget a person: their history, their forecast, their name, and what the journal has of them.
+    /// Forget a person: their history, their forecast, their name, and their entries in the state database.
     Forget {
         /// The question's name.
         id: String,
@@ -85,7 +85,7 @@ pub struct PersonAnswer {
     /// The change failed on the disk; the question itself was right.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub failed: bool,
-    /// Whether a restarted daemon will know it: only with a state directory.
+    /// Whether a restarted daemon has the change, which needs a state directory.
     pub kept: bool,
     /// All persons that are known now.
     pub persons: Vec<PersonLine>,
@@ -122,12 +122,12 @@ pub struct PlaceLine {
     pub place: String,
     /// The probability that the person is there.
     pub probability: f64,
-    /// The observations that moved it most, the strongest first.
+    /// The events that moved it most, the strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub why: Vec<WhyLine>,
 }
 
-/// One observation that moved a belief.
+/// One event that moved a belief.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WhyLine {
     /// `sensor`, `did`, `present`, `away`, `empty` or `count`.

@@ -25,7 +25,6 @@ pub(super) const LATE_NS: i64 = 60_000_000_000;
 /// Times of one source may be out of order by this much: clock errors and delays on the way.
 const ORDER_NS: i64 = 100_000_000;
 
-/// A person's name, and its form for comparison.
 #[derive(Debug, Clone, PartialEq)]
 struct Name {
     said: Box<str>,
@@ -50,15 +49,15 @@ pub(super) struct Known {
     pub(super) presence: Presence,
     /// The start of this presence.
     pub(super) since_ns: i64,
-    /// The time of the newest event.
+    /// The newest time of an event.
     pub(super) heard_ns: i64,
     /// The time of the newest action; `i64::MIN` before the first.
     pub(super) did_ns: i64,
     /// The newest event: source, epoch, sequence.
     pub(super) last: EventId,
-    /// Its own time.
+    /// The time of `last`, which may be late.
     last_ns: i64,
-    /// The voice that reported the person first.
+    /// The quota of the narrator that reported the person first.
     voice: u64,
     /// The newest report by a guarded narrator; `i64::MIN` before the first.
     guarded_ns: i64,
@@ -73,7 +72,6 @@ pub(super) struct Known {
 }
 
 impl Known {
-    /// Whether a guarded narrator reported the person.
     fn is_trusted(&self) -> bool {
         self.guarded_ns > i64::MIN
     }
@@ -98,7 +96,6 @@ pub enum NotRenamed {
 #[derive(Debug, Default, Clone)]
 pub struct Persons {
     config: PersonsConfig,
-    /// The names of the configuration.
     residents: Vec<ReadName>,
     not_persons: Vec<ReadName>,
     file: PersonsFile,
@@ -119,12 +116,10 @@ impl Persons {
         self.known.iter().map(|(number, known)| (*number, known))
     }
 
-    /// The person of a number.
     pub(super) fn get(&self, number: PersonId) -> Option<&Known> {
         self.known.get(&number)
     }
 
-    /// The person of a number, to change it.
     pub(super) fn get_mut(&mut self, number: PersonId) -> Option<&mut Known> {
         self.known.get_mut(&number)
     }
@@ -144,7 +139,6 @@ impl Persons {
         alike.next().filter(|_| alike.next().is_none()).unwrap_or(number)
     }
 
-    /// Whether the person of a number has a name.
     fn is_number_named(&self, number: PersonId) -> bool {
         self.known.get(&number).is_some_and(|known| known.name.is_some()) || self.file.of_number(number).is_some()
     }
@@ -260,12 +254,10 @@ impl Persons {
         guard_ns > 0 && self.known.get(&number).is_some_and(|known| at_ns <= known.guarded_ns.saturating_add(guard_ns))
     }
 
-    /// Whether any person is guarded.
     pub(super) fn is_anybody_guarded(&self, at_ns: i64) -> bool {
         self.known.keys().any(|number| self.is_guarded(*number, at_ns))
     }
 
-    /// Whether a guarded narrator reported a person.
     pub(super) fn is_trusted(&self, number: PersonId) -> bool {
         self.known.get(&number).is_some_and(Known::is_trusted)
     }
@@ -279,7 +271,6 @@ impl Persons {
         if is_next && is_near { at_ns.max(known.last_ns) } else { at_ns }
     }
 
-    /// Records a report by a guarded narrator.
     pub(super) fn guard(&mut self, number: PersonId, at_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             known.guarded_ns = known.guarded_ns.max(at_ns);
@@ -354,8 +345,8 @@ impl Persons {
         (self.config.asleep_s * 1e9) as i64
     }
 
-    /// The person to drop for one more of `newcomer`: visitors before residents, then the voice with most persons, then the longest silence. A
-    /// narrator that invents persons drops its own.
+    /// The person to drop for one more of `newcomer`: visitors before residents, then persons of the quota with most persons, then the longest
+    /// silence. A narrator that invents persons drops its own.
     fn least_missed(&self, newcomer: u64) -> Option<PersonId> {
         let told = |voice: u64| {
             self.known.values().filter(|known| known.voice == voice).count() + usize::from(voice == newcomer)
@@ -366,7 +357,6 @@ impl Persons {
         self.iter().min_by_key(rank).map(|(number, _)| number)
     }
 
-    /// Forgets a person. Returns whether the person was known.
     pub(super) fn remove(&mut self, number: PersonId) -> bool {
         self.known.remove(&number).is_some()
     }
@@ -386,7 +376,6 @@ impl Persons {
         self.known.get(&number).is_some_and(expires) && self.is_visitor(number)
     }
 
-    /// Whether all known persons and all residents are away.
     pub(super) fn nobody_is_home(&self) -> bool {
         self.are_all_away() && !self.misses_residents()
     }
@@ -401,12 +390,10 @@ impl Persons {
         known > 0 && present == 0
     }
 
-    /// Whether a resident was never observed.
     pub(super) fn misses_residents(&self) -> bool {
         self.residents().any(|number| !self.known.contains_key(&number))
     }
 
-    /// The numbers of the configured residents.
     fn residents(&self) -> impl Iterator<Item = PersonId> {
         self.config.residents.iter().map(|who| who.parse().unwrap_or_else(|_| self.number_of(who)))
     }
@@ -417,7 +404,6 @@ impl Persons {
         here.map(|(number, _)| number).find(|number| self.has_expired(*number, now_ns))
     }
 
-    /// Marks a visitor as gone.
     pub(super) fn expire(&mut self, number: PersonId, now_ns: i64) {
         if let Some(known) = self.known.get_mut(&number) {
             (known.presence, known.since_ns, known.on_bed, known.told) = (Presence::Gone, now_ns, false, false);
@@ -449,7 +435,6 @@ impl Persons {
         numbers
     }
 
-    /// Whether the configuration lists residents.
     pub(super) fn has_residents(&self) -> bool {
         !self.config.residents.is_empty()
     }
@@ -478,14 +463,12 @@ impl Persons {
         who.parse().ok().filter(|_| is_number(who)).unwrap_or_else(|| self.number_of(who))
     }
 
-    /// All names of all persons.
     fn all_names(&self) -> impl Iterator<Item = &str> {
         let kept = self.file.persons().iter().flat_map(KeptPerson::names);
         let known = self.known.values().filter_map(|known| Some(&*known.name.as_ref()?.said));
         kept.chain(known).chain(self.config.residents.iter().map(String::as_str))
     }
 
-    /// All names of a person, in lower case.
     pub(super) fn names_of(&self, number: PersonId) -> Vec<String> {
         let kept = self.file.of_number(number).into_iter().flat_map(KeptPerson::names);
         kept.chain(self.name_of(number)).map(str::to_lowercase).collect()
@@ -507,7 +490,7 @@ impl Persons {
     /// Gives a person a name that outlives restarts.
     ///
     /// # Errors
-    /// What is wrong with the name, its owner, or why it cannot be stored.
+    /// If the name is wrong, belongs to another person, or cannot be stored.
     pub(super) fn rename(&mut self, number: PersonId, name: &str) -> Result<(), NotRenamed> {
         let name = name.trim();
         check_name(name).map_err(NotRenamed::Refused)?;
@@ -546,7 +529,6 @@ impl Persons {
         &self.file
     }
 
-    /// The names that the home gave, to remove one.
     pub(super) fn file_mut(&mut self) -> &mut PersonsFile {
         &mut self.file
     }
@@ -571,7 +553,6 @@ impl Persons {
         numbers.into_iter().map(line).collect()
     }
 
-    /// The [`person_flags`] of a person.
     pub(super) fn flags(&self, number: PersonId, now_ns: i64) -> u32 {
         let Some(known) = self.known.get(&number) else { return 0 };
         let flag = |holds: bool, flag: u32| if holds { flag } else { 0 };
@@ -581,7 +562,6 @@ impl Persons {
             | flag(self.is_visitor(number), person_flags::VISITOR)
     }
 
-    /// A person's name in a message.
     pub(super) fn name_bytes(&self, number: PersonId) -> [u8; NAME_BYTES] {
         text::encode_cut(self.name_of(number).unwrap_or_default())
     }
@@ -598,7 +578,6 @@ pub fn flag_words(flags: u32) -> impl Iterator<Item = &'static str> {
     words.into_iter().filter(move |(flag, _)| flags & flag != 0).map(|(_, word)| word)
 }
 
-/// The value of a presence in messages.
 pub(super) fn presence_value(of: Presence) -> u32 {
     match of {
         Presence::Unknown => presence::UNKNOWN,

@@ -1,4 +1,4 @@
-//! Whole days on the daemon and the planner without threads, ports and clock.
+//! Whole days with the daemon and the planner, without threads, ports and clock.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
@@ -19,7 +19,7 @@ use crate::narrator::{Account, Who, line_item};
 use crate::planner::Planner;
 use crate::setup;
 
-/// The daemon's parts, with the real model and a real journal.
+/// The daemon's parts, with the real model and a real state database.
 struct Daemon {
     cycle: Cycle<LlamaModel>,
     intake: Intake,
@@ -52,7 +52,7 @@ impl Daemon {
         self.cycle.enter(Entry::new(observation, now_ns), record);
     }
 
-    /// Scores, and writes its messages where they are due, in the order of the scoring thread; gives whether they were due.
+    /// Scores, and publishes in the order of the scoring thread. Returns whether a message was due.
     fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> bool {
         let handle = self.journal.handle();
         while self.cycle.step_due(now_ns) {
@@ -78,18 +78,16 @@ impl Daemon {
     }
 }
 
-/// A step of the day.
 const STEP_NS: u64 = 10_000_000_000;
 const MINUTE_NS: u64 = 60_000_000_000;
 const BEGIN_NS: u64 = 1_000 * MINUTE_NS;
-/// The wall clock is ahead by this.
+/// The wall clock is ahead of the boot clock by this time.
 const UNIX_NS: u64 = 1_790_000_000_000_000_000;
 
 fn clocks(now_ns: u64) -> (BootNs, UnixNs) {
     (BootNs(now_ns), UnixNs(UNIX_NS + now_ns))
 }
 
-/// A robot's daemon and planner.
 struct Brain {
     config: Config,
     /// `None` between a kill and the next start.
@@ -129,7 +127,6 @@ impl Brain {
         self.planner = Self::planner(&self.config, now_ns.0).with_kept(kept);
     }
 
-    /// The narrator says something to the daemon.
     fn narrate(&mut self, account: &mut Account, port: u64, line: &str, now_ns: u64) {
         let (now_ns, unix_ns) = clocks(now_ns);
         let item = line_item(line, &Who::Somebody).unwrap();
@@ -137,7 +134,6 @@ impl Brain {
         self.daemon().hear(&message, port, now_ns);
     }
 
-    /// The daemon scores and the planner decides.
     fn step(&mut self, now_ns: u64) -> Option<DecisionV1> {
         let (now_ns, unix_ns) = clocks(now_ns);
         let Self { daemon, planner, .. } = self;
@@ -208,7 +204,7 @@ fn each_person_is_found_over_a_day_a_night_and_two_restarts() {
     assert!(!recovered.settled.is_empty(), "no events went: {}", recovered.observations.len());
 }
 
-/// One day of two robots, which hear the decisions of each other or do not.
+/// One day of two robots. If the bridge runs, each hears the other's decisions.
 fn fleet_day(is_bridged: bool) -> Outcome {
     let mut robots = ROBOTS.map(|name| (Brain::start(&fleet_day::configuration(name, SCENE, 1.0)), Track::new()));
     let mut narrators = ROBOTS.map(|_| Account::new("sensors", 1));

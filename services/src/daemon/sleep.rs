@@ -1,11 +1,9 @@
-//! Whether a person is on a bed or asleep, from the last thing and the words of what they did.
+//! Whether a person is on a bed or asleep, by the last thing and the words of the action.
 
 use roomcast_core::text::has_words;
 
-/// Words of things that people sleep on.
 const BEDS: [&str; 8] = ["bed", "beds", "mattress", "crib", "cot", "bunk", "futon", "bassinet"];
 
-/// Whether people sleep on a thing of this label.
 pub(super) fn is_bed(label: &str) -> bool {
     label.split(' ').next_back().is_some_and(|word| BEDS.contains(&word))
 }
@@ -29,7 +27,7 @@ pub(super) fn may_be_done_lying(text: &str) -> bool {
     !UPRIGHT.iter().any(|words| has_words(text, words))
 }
 
-/// The deeds of a text, one after the other: "lies down in bed" and "turns off the lamp".
+/// The actions in a text, in order: "lies down in bed" and "turns off the lamp".
 pub(super) fn deeds(text: &str) -> impl Iterator<Item = &str> {
     text.split(" and ").flat_map(|part| part.split([',', ';'])).map(str::trim).filter(|deed| !deed.is_empty())
 }

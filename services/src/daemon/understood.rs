@@ -60,13 +60,11 @@ pub enum By {
 /// One event as the daemon understood it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Understood {
-    /// Its id.
     pub(super) id: EventId,
     /// The event; a presence form counts as presence.
     pub(super) event: Event,
     persons: [PersonId; COUNT_MAX as usize],
     count: u8,
-    /// How they were found.
     pub(super) by: By,
     /// Why it changed no belief.
     pub(super) reason: Option<Reason>,
@@ -107,7 +105,6 @@ impl Understood {
     }
 }
 
-/// The newest events.
 #[derive(Debug, Clone, Default)]
 pub(super) struct UnderstoodEvents(VecDeque<Understood>);
 
@@ -124,7 +121,6 @@ impl UnderstoodEvents {
         self.0.iter().filter(move |own| own.id.start() == (source, epoch) && own.id.sequence >= from)
     }
 
-    /// Forgets the events of a person.
     pub(super) fn forget(&mut self, person: PersonId) {
         self.0.retain(|own| !own.persons().contains(&person));
     }

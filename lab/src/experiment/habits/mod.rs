@@ -444,7 +444,7 @@ impl Watch<'_> {
         let weights = self.grounding.weights();
         let mut labels = vec![0.0; self.labels];
         for (room, p) in rooms.iter().enumerate() {
-            let total = weights.column(room).sum();
+            let total = weights.column(room).sum::<f64>();
             if total > 0.0 {
                 labels.iter_mut().enumerate().for_each(|(label, sum)| *sum += p * weights[(label, room)] / total);
             }

@@ -18,12 +18,10 @@ use crate::config::May;
 /// A person takes an unnamed event above this share: more than one half, and no rounding.
 const HALF: f64 = 0.55;
 
-/// A narrator as far as its events are concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in super::super) struct Reporter {
     /// The configuration names narrators, and this one is not among them.
     pub(in super::super) is_unknown: bool,
-    /// The events that it may send.
     pub(in super::super) may: May,
 }
 
@@ -34,7 +32,6 @@ enum Who {
     Key,
     /// A known name at the start of the text.
     Named(PersonId, Box<str>),
-    /// So many unknown persons.
     Unknown(u8),
     /// All persons, or none: the event is about the house or a room.
     House,
@@ -172,7 +169,7 @@ impl<M: LanguageModel> Board<M> {
         understood.of(source, epoch, from).map(line).collect()
     }
 
-    /// The event of an observation and its persons. The key is final; free text sets presence in the closed forms only.
+    /// The event as read, and its persons. The key is final; free text sets presence in the closed forms only.
     fn read(&self, observation: &Observation, reporter: Reporter) -> Result<(Who, Event), Reason> {
         let is_keyed = is_keyed(observation);
         let unknown = |count: u8| if is_keyed { Who::Key } else { Who::Unknown(count.clamp(1, COUNT_MAX)) };
@@ -238,7 +235,6 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Logs once that a sentence resembles a presence form and is none.
     fn note_near_miss(&mut self, observation: &Observation, event: &Event) {
         let Event::Did(text) = event else { return };
         if !observation.may_be_form || self.near_misses.len() >= NEAR_MISSES_LOGGED {
@@ -255,7 +251,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// One observation for each person of an event that has one person at most.
+    /// The part of each person in an event that has one person at most.
     fn each(&mut self, own: Observation, who: &Who, reporter: Reporter) -> Vec<Observation> {
         match who {
             Who::Key => Vec::new(),
@@ -274,7 +270,6 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Takes note of the only person of an unnamed event, for the journal.
     fn note_attributed(&mut self, own: &Observation, persons: &[PersonId]) {
         if let [person] = *persons {
             self.attributed.push(Attributed { event: own.id(), person });
@@ -400,7 +395,7 @@ impl<M: LanguageModel> Board<M> {
         self.tell_robots(BootNs(at_ns.try_into().unwrap_or_default()));
     }
 
-    /// Weighs an event of a former run. Whom it moved is known.
+    /// Weighs an event of a former run, which has stored its persons.
     pub(super) fn weigh_again(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) {
         if let Ok((who, event)) = self.read(observation, reporter) {
             let own = Observation { event, name: observation.name.clone(), ..*observation };
@@ -408,8 +403,8 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above one half. A person whom the
-    /// filter believes to be out, or back, changes presence.
+    /// The parts of an event without a name, after the filter weighed it: a person takes it with a posterior above one half. If the filter believes
+    /// that a person is out, or back, the presence changes.
     fn shares(&mut self, own: &Observation, count: u8) -> Vec<Observation> {
         /// A person is out above the first, and in below the second, whatever the event says.
         const OUT: (f64, f64) = (0.9, 0.1);
@@ -546,7 +541,6 @@ impl<M: LanguageModel> Board<M> {
         true
     }
 
-    /// Logs once that the map lacks a room that a narrator names, or has several of that name.
     fn note_room(&mut self, room: &str) {
         let is_unknown = self.next_rooms.is_none() && room_named(room, &self.map, self.pipeline.grounding()).is_none();
         if is_unknown && self.strange_rooms.len() < STRANGE_ROOMS_LOGGED && self.strange_rooms.insert(room.to_owned()) {
@@ -560,7 +554,6 @@ impl<M: LanguageModel> Board<M> {
     }
 }
 
-/// The word for an event in JSON.
 fn kind(event: &Event) -> &'static str {
     match event {
         Event::Did(_) => "did",

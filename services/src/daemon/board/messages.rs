@@ -1,4 +1,4 @@
-//! What the board tells: scores, forecasts and items as messages.
+//! The board's messages: scores, forecasts and items.
 
 use std::cmp::Reverse;
 
@@ -19,12 +19,12 @@ use roomcast_ipc::text;
 use super::{Board, BoardError, HORIZONS_S, HomeHabits};
 use crate::daemon::persons::{message_ns, presence_value};
 
-/// The house counts as empty from this probability on.
+/// The house counts as empty above this probability.
 const SURELY_EMPTY: f64 = 0.9;
 
 impl<M: LanguageModel> Board<M> {
-    /// Where persons will be from `now_ns` on, for the horizons of `HORIZONS_S`: of several persons, the probability that any of them is in
-    /// a room. Without an observation every room is as likely, and a flag says so.
+    /// The forecast from `now_ns` on, for `HORIZONS_S`: per room the probability that at least one person is in it. Without an event all rooms are
+    /// equally likely, and a flag says so.
     pub fn forecast(&mut self, now_ns: BootNs) -> &ForecastV1 {
         self.watch();
         self.track(now_ns);
@@ -37,7 +37,7 @@ impl<M: LanguageModel> Board<M> {
         (message.minor, message.flags) = (2, 0);
         let persons = || self.persons.iter().filter(|(_, known)| known.presence != Presence::Gone);
         let followed = if tracker.is_some() { &self.told } else { &self.followed };
-        // Somebody who lives here may be anywhere, also out, as long as nothing was observed of them.
+        // A resident without an event may be anywhere, also out.
         let not_known = self.followed.is_empty() || self.persons.is_anybodys_guess();
         if not_known {
             message.flags |= forecast_flags::NOT_KNOWN;
@@ -45,7 +45,7 @@ impl<M: LanguageModel> Board<M> {
         if persons().any(|(_, known)| known.restored) {
             message.flags |= forecast_flags::RESTORED;
         }
-        // Persons that the filter does not follow count by their own forecasts.
+        // Persons outside the joint filter count by their own forecasts.
         let tracking = self.tracking.as_deref();
         let untracked: Vec<&Forecaster> = match tracking {
             Some(own) => followed.iter().filter(|(person, _)| !own.follows(**person)).map(|(_, own)| own).collect(),
@@ -70,7 +70,7 @@ impl<M: LanguageModel> Board<M> {
         }
         let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
         let mut elsewhere = [1.0; MAX_HORIZONS];
-        // The joint belief differs from the product of the persons' own by what persons still have in common then.
+        // The joint belief differs from the product of the persons' beliefs by the persons' dependence that remains at the horizon.
         let mut common = [1.0; MAX_HORIZONS];
         for (person, own) in followed {
             let by_habit = self.home.forecast(*person, own, now_ns, &HORIZONS_S);
@@ -108,7 +108,7 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// Runs the joint filter to a time and gives each forecaster its belief.
+    /// Advances the joint filter, and gives each forecaster its belief.
     fn track(&mut self, now_ns: BootNs) {
         let Some(tracking) = &mut self.tracking else { return };
         tracking.look(i64::try_from(now_ns.0).unwrap_or(i64::MAX), self.local_ahead_s);
@@ -119,7 +119,7 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Where each person will be, as [`Board::forecast`]; of at most [`MAX_PERSONS`], those that [`Board::persons`] names.
+    /// Each person's forecast, as [`Board::forecast`], of at most [`MAX_PERSONS`].
     pub fn person_forecasts(&mut self, now_ns: BootNs) -> &PersonForecastsV1 {
         self.watch();
         self.track(now_ns);
@@ -150,7 +150,7 @@ impl<M: LanguageModel> Board<M> {
                     continue;
                 }
                 let Some(own) = own else {
-                    // Who is gone is followed no more; of somebody present no clock told when anything was observed.
+                    // Persons that are gone have no forecast. A present person has none if the events had no time.
                     let is_here = presence == Presence::Present;
                     let even = if is_here { 1.0 / rooms.max(1) as f32 } else { 0.0 };
                     place.probability.iter_mut().take(rooms).for_each(|row| row[horizon] = even);
@@ -172,9 +172,9 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// The scores of the last good step as a message, to be sent at `now_ns`: again unchanged when `heartbeat`.
+    /// The scores of the last good step as a message to send at `now_ns`; `heartbeat` if they are unchanged.
     pub fn message(&mut self, now_ns: BootNs, heartbeat: bool, behind: bool) -> &RoomScoresV1 {
-        // What a failed scorer is behind with has a flag of its own.
+        // `SCORER_FAILED` covers this case.
         let waits = !self.snapshot.has(score_flags::SCORER_FAILED) && self.pipeline.inside().is_behind();
         let behind = behind || waits;
         let message = &mut self.snapshot;
@@ -185,8 +185,7 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// Each person's scores of the last good step as a message, to be sent at `now_ns`: of at most [`MAX_PERSONS`], those who were observed
-    /// last.
+    /// Each person's scores of the last good step as a message to send at `now_ns`, of at most [`MAX_PERSONS`].
     pub fn person_scores(&mut self, now_ns: BootNs) -> &PersonScoresV1 {
         self.watch();
         let message = &mut *self.person_scores;
@@ -200,8 +199,8 @@ impl<M: LanguageModel> Board<M> {
         message
     }
 
-    /// The items' scores of the last step, of at most [`MAX_ITEMS`] the best, with the header that ties them to the snapshot; none while a
-    /// changed map waits for its first scores.
+    /// The scores of the last step's best items, at most [`MAX_ITEMS`], with the header that ties them to the snapshot. `None` while a changed map
+    /// waits for its first scores.
     pub fn items(&self) -> Option<(ItemScoresHeaderV1, impl ExactSizeIterator<Item = ItemScoreV1> + '_)> {
         if self.next_rooms.is_some() {
             return None;
@@ -234,7 +233,6 @@ impl<M: LanguageModel> Board<M> {
         Some((header, items))
     }
 
-    /// Copies the pipeline's scores into the snapshot.
     pub(super) fn fill(&mut self) {
         let scores = self.pipeline.scores();
         let snapshot = &mut self.snapshot;
@@ -273,10 +271,10 @@ impl<M: LanguageModel> Board<M> {
                 scores.included.iter().filter(|other| other.voice == own.voice && other.turn > own.turn).count();
             self.newest_sources.push((newer, *own));
         }
-        // Each voice's newest first, so that nobody's confirmation is pushed out by another's sources; by source where all is equal, so
-        // that the same step gives the same message.
+        // The newest start of each quota first, so that one narrator's starts push out no confirmation of another. Ties are ordered by source, so
+        // that equal steps give equal messages.
         self.newest_sources.sort_unstable_by_key(|(newer, own)| (*newer, Reverse(own.turn), own.source, own.epoch));
-        // A source that was named before, and has said nothing since, waits for no confirmation.
+        // A start that was published before, without an event since, needs no confirmation.
         let is_new = |own: &Included| own.turn > self.named_turn;
         let cut = self.newest_sources.iter().skip(MAX_SOURCES).any(|(_, own)| is_new(own));
         self.named_turn = self.newest_sources.iter().map(|(_, own)| own.turn).max().unwrap_or_default();
@@ -296,18 +294,17 @@ impl<M: LanguageModel> Board<M> {
         self.fill_persons();
     }
 
-    /// Copies each person's scores into their message.
     fn fill_persons(&mut self) {
         self.newest_persons.clear();
         self.newest_persons.extend(self.persons.iter().map(|(person, known)| (known.heard_ns, person)));
-        // Residents before visitors, of both those of whom a named narrator has told, and of these who was observed last: strangers may invent as many
-        // as they like.
+        // Residents come before visitors, then persons of named narrators, then persons with newer events. Unknown narrators can invent any number of
+        // persons.
         let persons = &self.persons;
         let rank = |(heard_ns, person): &(i64, PersonId)| {
             (persons.is_visitor(*person), !persons.is_trusted(*person), Reverse(*heard_ns), *person)
         };
         self.newest_persons.sort_unstable_by_key(rank);
-        // Who finds no place among them is not told of, and waits for nothing.
+        // A person without a place is not published, and waits for nothing.
         for (_, person) in self.newest_persons.drain(MAX_PERSONS.min(self.newest_persons.len())..) {
             if let Some(known) = self.persons.get_mut(person) {
                 known.told = true;
@@ -320,7 +317,6 @@ impl<M: LanguageModel> Board<M> {
         (message.computed_ns, message.map_fingerprint) = (snapshot.computed_ns, snapshot.map_fingerprint);
         message.persons = snapshot.persons;
         message.room_count = snapshot.room_count;
-        // Those beyond the rooms are zero in the snapshot, too.
         for (id, room) in message.id.iter_mut().zip(&snapshot.room) {
             *id = room.id;
         }
@@ -329,7 +325,7 @@ impl<M: LanguageModel> Board<M> {
         for &(heard_ns, person) in &self.newest_persons {
             let Some(known) = self.persons.get_mut(person) else { continue };
             let own = self.pipeline.inside().person(person);
-            // Who is gone has no scores, and is told of all the same.
+            // Persons that are gone have no scores, but are published once.
             if own.is_none() && known.presence != Presence::Gone {
                 continue;
             }
@@ -369,7 +365,7 @@ impl<M: LanguageModel> Board<M> {
     }
 }
 
-/// The sets of a person's latest forecast, and how much of it was learned.
+/// The room sets of a person's latest forecast, and the learned share of it.
 fn write_learned(home: &HomeHabits, person: PersonId, place: &mut PersonForecastV1) {
     if let Some((coverage, sets)) = home.sets(person) {
         place.set_coverage = coverage as f32;
@@ -386,12 +382,11 @@ fn write_learned(home: &HomeHabits, person: PersonId, place: &mut PersonForecast
     }
 }
 
-/// The row of a horizon.
 fn row(rows: &[f64], horizon: usize) -> Option<&[f64]> {
     rows.chunks_exact((rows.len() / HORIZONS_S.len()).max(1)).nth(horizon)
 }
 
-/// How a message says how scores were reached.
+/// The message's value for the way in which scores were reached.
 fn reached_value(effort: Effort) -> u32 {
     match effort {
         Effort::Exact => reached::EXACT,
@@ -401,10 +396,9 @@ fn reached_value(effort: Effort) -> u32 {
     }
 }
 
-/// The rooms of a message, and how many they are.
+/// The rooms of a message, and their number.
 pub(super) type NamedRooms = ([RoomV1; MAX_ROOMS], u32);
 
-/// The rooms of a message for these partitions, without scores.
 pub(super) fn named_rooms(partitions: &[Partition]) -> Result<NamedRooms, BoardError> {
     if partitions.len() > MAX_ROOMS {
         return Err(BoardError::TooManyPartitions { partitions: partitions.len() });

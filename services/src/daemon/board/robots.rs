@@ -18,12 +18,11 @@ const SILENT_NS: u64 = (ROBOT_SILENT_S * 1e9) as u64;
 /// Unchanged rooms are given to the filter again after this time.
 const AGAIN_NS: u64 = 60_000_000_000;
 
-/// One robot.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Robot {
     room: Option<usize>,
     to: Option<usize>,
-    /// It stands: at its dock, after its work, or in a pause.
+    /// At its dock, after its work, or in a pause.
     stands: bool,
     /// It reported at least once. A robot that does not obey makes no motion.
     reports: bool,
@@ -72,14 +71,13 @@ impl Robots {
         rooms
     }
 
-    /// The rooms have other numbers now.
+    /// The map's rooms have other numbers now.
     pub(super) fn forget_rooms(&mut self) {
         self.robots.clear();
     }
 }
 
 impl<M: LanguageModel> Board<M> {
-    /// Takes in where a robot is.
     pub(in crate::daemon) fn see_report(&mut self, report: &RobotReportV1, now_ns: BootNs) {
         let is_bare = report.kind == report_kind::BATTERY && report.position_m().is_none() && report.room().is_empty();
         if is_bare || report.is_order() {
@@ -111,7 +109,6 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Takes in where a robot goes.
     pub(in crate::daemon) fn see_decision(&mut self, decision: &DecisionV1, now_ns: BootNs) {
         let to = room_named(decision.to(), &self.map, self.pipeline.grounding());
         let Some(robot) = self.robots.get(decision.robot) else { return };
@@ -127,7 +124,6 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Gives the filter the robots' rooms.
     pub(super) fn tell_robots(&mut self, now_ns: BootNs) {
         self.robots.told_ns = now_ns;
         if let Some(tracking) = &mut self.tracking {

@@ -44,8 +44,8 @@ fn observation(person: PersonId, at_ns: u64, sentence: &str) -> Observation {
 }
 
 proptest! {
-    /// The bound on what one narrator alone does: with a guard, whatever a stranger says moves nothing of a person of whom a named one tells, to
-    /// the last bit, and no room falls below what those persons give it; nor after a restart.
+    /// The bound on one unknown narrator: with a guard, its events change no score and no forecast of a guarded person, to the last bit. No room
+    /// falls below the probability that these persons give it. Both also hold after a restart.
     #[test]
     fn a_stranger_moves_nothing_of_a_guarded_person(
         said in prop::collection::vec((0..12_usize, 0..4_u32, 0..50_u64, any::<bool>(), 0..16_usize), 1..40),
@@ -79,16 +79,16 @@ proptest! {
                 "They open the fridge.", "They sit on the sofa.", "They leave the house.", "They go to bed.", "away", "gone", "present in the kitchen",
                 "present in the living room", "They walk to the sofa.", "They come home.", "present", "They watch television.",
             ][what];
-            // It dates what it says as it likes.
+            // It may date its events at will.
             let mut strange = entry(if takes_number { NAMED } else { 9 }, strange, who, at_ns - later_s * S, text);
             strange.observation.epoch = 9;
-            // A journal does not say whose voice had said what: after a restart a source's number counts.
+            // The state database does not keep quotas: after a restart the source counts.
             if !takes_number {
                 heard.push(strange.observation.clone());
             }
             with.step([strange], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
             without.step([], BootNs(at_ns), UnixNs(1_000_000 * S + at_ns)).unwrap();
-            // What a named one says of nobody by name means the same.
+            // Unnamed events of the named narrator mean the same persons.
             let named = [(PersonId::SOMEBODY, "They grab the mug."), (PersonId::SOMEBODY, "They walk to the sofa."), (PersonId::SOMEBODY, "away"), (PersonId(1), "They sit on the sofa.")];
             if let Some((who, text)) = named.get(named_says) {
                 let own = entry(NAMED, own, *who, at_ns, text);
@@ -122,8 +122,8 @@ proptest! {
     }
 }
 
-/// What strangers say, also by the number of a named narrator's source, changes nobody whom a named one means: neither "she", nor whom what names
-/// nobody fits.
+/// Events of an unknown narrator, also with the source of a named one, change neither "she" nor the attribution of unnamed events of a named
+/// narrator.
 #[test]
 fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     const NAMED: u64 = 7;
@@ -196,7 +196,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     }
 }
 
-/// Without a guard, and when it is over, a stranger is heard.
+/// An unknown narrator counts without a guard, and after its end.
 #[test]
 fn a_guard_ends() {
     let config = |guard_s| PersonsConfig { guard_s, ..PersonsConfig::default() };
@@ -218,7 +218,7 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
     Recovered { observations: observations.into_iter().collect(), ..Recovered::default() }
 }
 
-/// A power cut may take the record of whose an observation is and leave what the model said after it.
+/// A power loss may take an attribution and leave the expectation after it.
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     let said = |person: PersonId, index: usize, probability: [f32; 2]| {
@@ -241,7 +241,6 @@ fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     assert_ne!(restored(vec![own]), restored(Vec::new()));
 }
 
-/// Fails as often as it is told to.
 #[derive(Debug)]
 struct Failing {
     table: TableModel,
@@ -332,7 +331,7 @@ fn occupied(board: &mut Board<TableModel>, room: usize, now_ns: u64) -> f32 {
     board.forecast(BootNs(now_ns)).probability[room][0]
 }
 
-/// Narrators that said one thing each, one after the other, wait for nothing; those that say it at once wait for their places.
+/// Narrators with one event each, in separate steps, wait for nothing. If too many report in one step, some wait for a place.
 #[test]
 fn only_what_waits_is_cut() {
     let mut board = board();
@@ -371,7 +370,7 @@ fn a_restart_remembers_where_everybody_is() {
     assert!(was > 0.7, "{was}");
     assert_eq!(before.forecast(BootNs(now_ns)).flags, 0);
 
-    // The same boot, and a later one, whose clock begins again and whose journal's monotonic times are dropped.
+    // The same boot, and a later boot with a new monotonic clock. Then the monotonic times of the state database are dropped.
     for later_boot in [false, true] {
         let mut after = board();
         let kept = DAY.map(|(at_s, sentence)| {
@@ -395,7 +394,7 @@ fn a_restart_remembers_where_everybody_is() {
     }
 }
 
-/// What a failed step took in is told by the step that scores it: its wait is the longest there is.
+/// The step that scores the events of a failed step reports them, with the longest wait.
 #[test]
 fn a_failed_step_loses_neither_gap_nor_latency() {
     let failures = Rc::<Cell<u32>>::default();
@@ -409,7 +408,6 @@ fn a_failed_step_loses_neither_gap_nor_latency() {
     let snapshot = board.snapshot();
     assert_eq!((snapshot.received_ns, snapshot.wait_ns), (2 * S, 3 * S));
     assert_eq!(snapshot.flags, score_flags::GAP);
-    // Once.
     assert_eq!(board.step([], BootNs(6 * S), UnixNs(6 * S)).unwrap(), None);
     assert_eq!((board.snapshot().received_ns, board.snapshot().wait_ns, board.snapshot().flags), (2 * S, 0, 0));
 }
@@ -437,7 +435,7 @@ fn of_too_many_persons_those_are_told_who_were_observed_last() {
     assert_eq!(told.persons, 12);
 }
 
-/// Each person's forecast rests on what the model says of them, and not on what it says of another.
+/// Each person's forecast uses only the scores of that person.
 #[test]
 fn a_persons_forecast_is_that_of_the_person_alone() {
     let mut alone = [0, 1].map(|_| board());
@@ -453,7 +451,7 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     told.check().unwrap();
     assert_eq!((told.persons().len(), told.rooms().collect::<Vec<_>>()), (2, vec!["kitchen", "living-room"]));
     for (own, person) in alone.iter_mut().zip(told.persons()) {
-        // To the bit, and alone also to the bit what the snapshot says.
+        // Equal to the last bit; for a person alone, also to the snapshot.
         let of_own = *own.person_scores(BootNs(100 * S));
         assert_eq!(of_own.persons(), [*person]);
         for (room, scores) in own.snapshot().rooms().iter().enumerate() {
@@ -475,14 +473,14 @@ fn a_persons_forecast_is_that_of_the_person_alone() {
     }
 }
 
-/// What works ahead for a board, and up to how many guesses at a time.
+/// A prefetcher for a board, with at most so many guesses.
 fn ahead_of(board: &Board<TableModel>, most: usize) -> Ahead<TableModel> {
     let counts = Counts::from_json(crate::embedded::FORMS).unwrap();
     let preparer = board.pipeline().inside().preparer(Arc::new(|| false)).unwrap().unwrap();
     Ahead::new(preparer, counts, Arc::clone(board.pipeline().inside().prepared()), most)
 }
 
-/// As the daemon does while nobody waits; gives how many were answered.
+/// Prefetches as the idle daemon does. Returns the number of answers.
 fn work_ahead(board: &mut Board<TableModel>, ahead: &mut Ahead<TableModel>) -> usize {
     assert!(board.is_ahead_due());
     ahead.look(board.now());
@@ -496,8 +494,7 @@ fn work_ahead(board: &mut Board<TableModel>, ahead: &mut Ahead<TableModel>) -> u
     answers
 }
 
-/// The loop of a quiet daemon: guesses are scored, what comes is among them, and the message says so with the scores of one that guesses
-/// nothing.
+/// The loop of an idle daemon: an event that was guessed is flagged, and its scores equal those without prefetching.
 #[test]
 fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     let (mut board, mut behind) = (board(), board());
@@ -519,7 +516,7 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
     }
     assert_eq!(board.prepared().used, flagged);
     assert!(flagged >= 16, "{flagged} of 24 were prepared");
-    // Whoever says ever new sentences does not end it for the others.
+    // A person with ever new sentences does not end prefetching for other persons.
     for n in 100..100 + roomcast_core::guess::FORMS_MAX as u64 {
         board
             .step(
@@ -536,14 +533,14 @@ fn what_is_guessed_while_nobody_waits_is_there_when_it_is_narrated() {
         work_ahead(&mut board, &mut ahead);
     }
     assert!(board.prepared().used > used + 3, "{:?}", board.prepared());
-    // What is forgotten is guessed no more.
+    // Forgotten sentences are not guessed.
     assert!(format!("{ahead:?}").contains("serenade"));
     board.forget(PersonId(1), |_| false);
     ahead.look(board.now());
     assert!(!format!("{ahead:?}").contains("serenade"));
 }
 
-/// What is prepared goes by another model's word, too.
+/// A drafter changes the guesses.
 #[test]
 fn another_model_has_a_say_in_what_is_guessed() {
     let mut board = board();
@@ -563,7 +560,7 @@ fn another_model_has_a_say_in_what_is_guessed() {
     assert!((1..20).any(|seed| prepared(Some(seed)) != alone));
 }
 
-/// Another person's answers stay until that person does something.
+/// The answers of an inactive person stay.
 #[test]
 fn answers_of_who_did_nothing_are_not_prepared_again() {
     let mut board = board();
@@ -577,19 +574,19 @@ fn answers_of_who_did_nothing_are_not_prepared_again() {
         .unwrap();
     let both = work_ahead(&mut board, &mut ahead);
     assert!(both > 0);
-    // A new snapshot, and nothing that the model was asked about.
+    // A new snapshot without a new prompt.
     board.change_map(board.map().clone()).unwrap();
     board.step([], BootNs(2 * S), UnixNs(1_000_002 * S)).unwrap();
     assert!(!board.is_ahead_due());
     ahead.look(board.now());
     assert!(ahead.answer().unwrap().is_none(), "all are there");
-    // Somebody's forgetting empties all.
+    // Forgetting a person drops all answers.
     board.forget(PersonId(2), |_| false);
     board.step([], BootNs(3 * S), UnixNs(1_000_003 * S)).unwrap();
     assert!(work_ahead(&mut board, &mut ahead) > 0);
 }
 
-/// Somebody who invents persons takes nobody's place in the messages, whom a named narrator has told of.
+/// Invented persons take no place in the messages from a person of a named narrator.
 #[test]
 fn strangers_take_no_place_of_a_guarded_person() {
     const NAMED: u64 = 7;
@@ -617,7 +614,7 @@ fn strangers_take_no_place_of_a_guarded_person() {
     assert!(told.persons().iter().any(|own| own.name() == "Ada"));
 }
 
-/// What sensors said is not in the window of narration, and stays known over a change of the map all the same.
+/// A presence is not in the window of events, but survives a change of the map.
 #[test]
 fn a_room_that_is_added_makes_nobody_leave_theirs() {
     let failures = Rc::<Cell<u32>>::default();
@@ -645,8 +642,7 @@ fn slow_board() -> Board<TableModel> {
     Board::new(pipeline, map, options, 1).unwrap()
 }
 
-/// Between any two steps the daemon hears, sends and shows that it lives: no step may ask the model about everybody, in a flood, after a start
-/// and with a changed map.
+/// The daemon receives, sends and reports life between steps. So no step may score all persons: in a flood, after a start, or with a changed map.
 #[test]
 fn a_step_scores_few_persons_and_claims_no_others() {
     const INVENTED: u64 = 40;
@@ -682,7 +678,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     assert!(!cycle.step_due(BootNs(20 * S)) && !last.has(score_flags::BEHIND));
     assert_eq!((claim(&last, 9), claim(&last, 5)), (INVENTED, 1));
 
-    // A changed map is told of when everybody has scores of it; until then heartbeats go out.
+    // A changed map is published once all persons have scores of it. Until then heartbeats go out.
     let lamp = r#"[{"change": "add-item", "item": {"id": "lamp-1", "label": "lamp", "position_m": [1, 1, 1], "box": {"min_m": [0.9, 0.9, 0.9], "max_m": [1.1, 1.1, 1.1]}}}]"#;
     let map = cycle.board().map().changed(parse_changes(lamp).unwrap()).unwrap();
     cycle.board_mut().change_map(map).unwrap();
@@ -693,7 +689,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     assert!(step(&mut cycle).is_some_and(|message| message.map_fingerprint != first.map_fingerprint));
     assert!(cycle.board().is_scored() && !cycle.step_due(BootNs(20 * S)));
 
-    // After a start, whoever was heard of last comes first.
+    // After a start, the person with the newest event is scored first.
     let mut again = crate::daemon::cycle::Cycle::new(slow_board(), 250_000_000);
     let kept = recovered(flood.chain([heard(5, 1, PersonId(1))]));
     again.board_mut().restore(kept, BootNs(20 * S), UnixNs(1_000_020 * S));
@@ -705,7 +701,7 @@ fn a_step_scores_few_persons_and_claims_no_others() {
     assert_eq!((claim(&last, 9), last.has(score_flags::BEHIND)), (INVENTED, false));
 }
 
-/// The first of two bedrooms was believed in, and a robot entered the other one, in which somebody slept.
+/// A regression: of two bedrooms the daemon believed in the first, and a robot entered the other one with a sleeping person.
 #[test]
 fn a_name_that_several_rooms_have_is_any_of_them() {
     let map =
@@ -729,7 +725,7 @@ fn a_name_that_several_rooms_have_is_any_of_them() {
     assert!(other > 0.8, "nobody knows which one: {other}");
 }
 
-/// A narrator's clock that is ahead, or one that was set back before the machine was started again.
+/// The narrator's clock is fast, or the clock was set back before the machine started again.
 #[test]
 fn what_another_boot_dates_later_than_now_was_before_the_start() {
     let kept = DAY.map(|(at_s, sentence)| {
@@ -752,7 +748,7 @@ fn what_another_boot_dates_later_than_now_was_before_the_start() {
     assert!(sofa > 0.7, "{sofa}");
 }
 
-/// A refused sentence behind a flood claimed the part of it that no step had taken: its narrator counted that as lost.
+/// A regression: a refused sentence behind a flood claimed the waiting part of the flood, and its narrator counted these events as lost.
 #[test]
 fn what_is_refused_claims_nothing_that_waits_before_it() {
     let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
@@ -778,7 +774,7 @@ fn what_is_refused_claims_nothing_that_waits_before_it() {
     assert_eq!(claim(&mut cycle), Some(603));
 }
 
-/// Of a flood a step takes a part, and what scores rest on never becomes less.
+/// A step takes a part of a flood, and the record that scores rest on only grows.
 #[test]
 fn a_flood_is_taken_in_parts() {
     let mut cycle = crate::daemon::cycle::Cycle::new(board(), 250_000_000);
@@ -786,7 +782,7 @@ fn a_flood_is_taken_in_parts() {
     (1..=600).for_each(|number| cycle.enter(heard(number), number));
     cycle.step(BootNs(S), UnixNs(S)).unwrap();
     assert_eq!((cycle.waiting(), cycle.step_due(BootNs(S)), cycle.scored_record()), (88, true, 512));
-    // Whose an observation is was written behind all of them.
+    // The attribution was written after all of them.
     cycle.rests_on(700);
     cycle.step(BootNs(S), UnixNs(S)).unwrap();
     assert_eq!((cycle.waiting(), cycle.step_due(BootNs(S)), cycle.scored_record()), (0, false, 700));

@@ -25,7 +25,6 @@ const SENSORS_MAX: usize = 256;
 const TRUST: f64 = 0.99;
 const TRUST_OTHERS: f64 = 0.7;
 
-/// The last report of a device.
 #[derive(Debug, Clone)]
 struct Last {
     report: Arc<SensorReport>,
@@ -45,10 +44,7 @@ fn device_of(source: u64, report: &SensorReport) -> Device {
 pub(super) struct Sensors(BTreeMap<Device, Last>);
 
 impl Sensors {
-    /// Takes note of a report.
-    ///
-    /// # Errors
-    /// The device has a newer report, or there are too many devices.
+    /// Fails if the device has a newer report, or if there are too many devices.
     pub(super) fn note(
         &mut self,
         (source, report): (u64, &Arc<SensorReport>),
@@ -76,7 +72,6 @@ impl Sensors {
         self.0.values().any(|last| is_on(last) && is_theirs(last))
     }
 
-    /// Forgets the devices of a person.
     pub(super) fn forget(&mut self, person: PersonId) {
         self.0.retain(|_, own| own.person != Some(person));
     }
@@ -102,11 +97,9 @@ pub(super) struct Tracking {
     room: Option<usize>,
 }
 
-/// What an event says, for the filter.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Said<'a> {
     pub(super) event: &'a Event,
-    /// The narrator.
     pub(super) source: u64,
     /// The person, if the event names one.
     pub(super) who: Option<PersonId>,
@@ -181,7 +174,7 @@ impl Tracking {
         Some(own)
     }
 
-    /// The tracker's index of a person, who is added if there is room.
+    /// The tracker's index of a person; a new person is added if there is room.
     pub(super) fn index_of(&mut self, person: PersonId) -> Option<usize> {
         if let Some(known) = self.persons.iter().position(|other| *other == person) {
             return Some(known);
@@ -241,7 +234,6 @@ impl Tracking {
         self.refill();
     }
 
-    /// Fills all persons' movement again.
     fn refill(&mut self) {
         let hour = self.hour;
         for index in 0..self.persons.len() {
@@ -327,14 +319,12 @@ impl Tracking {
         self.looked_ns = Some(now_ns);
     }
 
-    /// Takes in the rooms in which robots may move.
     pub(super) fn robots(&mut self, robots: &Robots, at_ns: i64) {
         self.looked_ns = None;
         let rooms = robots.rooms(self.tracker.home(), BootNs(u64::try_from(at_ns).unwrap_or_default()));
         self.tracker.observe(seconds(at_ns), &Observation::Robot { rooms: &rooms }, TRUST);
     }
 
-    /// Removes a person.
     pub(super) fn remove(&mut self, person: PersonId) {
         if let Some(index) = self.persons.iter().position(|other| *other == person) {
             self.tracker.remove_person(index);
@@ -362,7 +352,6 @@ impl Tracking {
         self.is_stale
     }
 
-    /// The persons in the filter's order.
     pub(super) fn persons(&self) -> &[PersonId] {
         &self.persons
     }
@@ -398,12 +387,11 @@ impl Tracking {
         }
     }
 
-    /// Whether the filter follows a person.
     pub(super) fn follows(&self, person: PersonId) -> bool {
         self.at(person).is_some()
     }
 
-    /// The observations that moved the belief about a person and a place most, the strongest first.
+    /// The events that moved the belief about a person and a place most, the strongest first.
     pub(super) fn why(&self, person: PersonId, room: Option<usize>) -> impl Iterator<Item = tracker::Reason> {
         let reasons = self.at(person).map_or([None; 3], |index| self.now.why(index, room));
         reasons.into_iter().flatten()
@@ -420,12 +408,10 @@ impl Tracking {
         noisy.filter_map(|(sensor, learned, usual)| Some((&*self.sensors.get(sensor)?.0.2, learned, usual)))
     }
 
-    /// The room of the last event.
     pub(super) fn room(&self) -> Option<usize> {
         self.room
     }
 
-    /// The filter at the time of the last look.
     pub(super) fn now(&self) -> &Tracker {
         &self.now
     }

@@ -1,4 +1,4 @@
-//! "Why is Jon in the hallway?": the belief about a person, and the observations that moved it most.
+//! "Why is Jon in the hallway?": the belief about a person, and the events that moved it most.
 
 use roomcast_core::ids::{BootNs, PersonId};
 use roomcast_core::scorer::LanguageModel;
@@ -10,7 +10,7 @@ use crate::habits_reason::ELSEWHERE;
 
 /// Less probable places are left out.
 const LEAST: f64 = 0.005;
-/// An observation is clear above the first change of the log-odds, and strong above the second.
+/// An event is clear above the first change of the log-odds, and strong above the second.
 const CLEAR: (f64, f64) = (0.7, 2.0);
 
 impl<M: LanguageModel> Board<M> {

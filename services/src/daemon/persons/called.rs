@@ -1,4 +1,4 @@
-//! The texts that name a person, for `forget`: a journal has sentences of others that mention the person.
+//! The texts that name a person, for `forget`: the state database has sentences of others that mention the person.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,6 @@ const FORMER_WORDS: usize = 3;
 #[derive(Debug)]
 pub(in super::super) struct Called {
     person: PersonId,
-    /// The person's own names.
     own: BTreeSet<String>,
     /// The names of others that hold a word of an own name: "anna maria" next to "anna".
     others: BTreeSet<String>,

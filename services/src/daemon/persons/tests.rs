@@ -20,7 +20,7 @@ const S: u64 = 1_000_000_000;
 const STUDIO: &str = include_str!("../../../../scenes/studio.json");
 const FLAT: &str = include_str!("../../../../scenes/flat.json");
 
-/// A daemon without threads, and its journal.
+/// A daemon without threads, and its state database.
 struct House {
     board: Board<TableModel>,
     config: PersonsConfig,
@@ -82,7 +82,6 @@ impl House {
         self.board.tell_outcomes(|outcome| journal.push(outcome));
     }
 
-    /// Another narrator says something at once.
     fn after_by(&mut self, source: u64, who: &str, text: &str) {
         self.said += 1;
         self.now_ns += S;
@@ -96,14 +95,13 @@ impl House {
         self.step(Some(Entry::new(observation, BootNs(self.now_ns))));
     }
 
-    /// Time passes, and then somebody says or does something.
     fn after(&mut self, seconds: u64, who: &str, text: &str) {
         self.wait(seconds);
         let observation = self.observation(who, text);
         self.enter(observation);
     }
 
-    /// Time passes; the loop looks once at its end whether that changes something.
+    /// The loop checks once, at the end, whether time changed something, and returns that.
     fn wait(&mut self, seconds: u64) -> bool {
         self.now_ns += seconds * S;
         let overdue = self.board.is_overdue(BootNs(self.now_ns));
@@ -125,7 +123,7 @@ impl House {
         self.person(who).map(|person| person.presence)
     }
 
-    /// How likely somebody is in each room now, and elsewhere.
+    /// The probability that a person is in each room now, and elsewhere.
     fn now(&mut self) -> (Vec<f32>, f32) {
         let forecast = self.board.forecast(BootNs(self.now_ns));
         forecast.check().unwrap();
@@ -136,12 +134,10 @@ impl House {
         self.board.snapshot().persons
     }
 
-    /// The daemon is killed and starts again.
     fn restart(&mut self) {
         self.restart_on(board(&self.config));
     }
 
-    /// The same on another board.
     fn restart_on(&mut self, board: Board<TableModel>) {
         let recovered = self.journal.recovered();
         self.board = board;
@@ -679,10 +675,10 @@ fn a_restart_keeps_presence_windows_and_forecasts() {
                     let flags = before.flags | person_flags::RESTORED;
                     assert_eq!(*after, PersonV1 { flags, ..*before }, "{round} {who} {what}");
                 }
-                // Who fell silent before the start is gone again.
+                // A person that fell silent before the start is gone again.
                 let here = |forecast: &&roomcast_ipc::raw::PersonForecastV1| forecast.presence != presence::GONE;
                 for (before, after) in before.1.iter().filter(here).zip(after.1.iter().filter(here)) {
-                    // The joint filter starts again with the events that the journal kept.
+                    // The joint filter starts again with the stored events.
                     assert!(before.elsewhere.iter().zip(&after.elsewhere).all(|(a, b)| (a - b).abs() < 0.1));
                     for (before, after) in before.probability.iter().zip(&after.probability) {
                         assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 0.1), "{before:?} {after:?}");
@@ -781,7 +777,7 @@ fn names_without_accents_mean_the_same_person() {
     let named: Vec<_> = house.board.persons().iter().map(|(number, _)| number).collect();
     assert_eq!(named, [person_number("Zoë")]);
     assert_eq!(house.board.persons().name_of(named[0]), Some("Zoë"));
-    // Of one who does not live here the first spelling stays, whatever the accents.
+    // A visitor keeps the first spelling, whatever the accents.
     house.after(1, "Renée", "present");
     house.after(1, "renee", "away");
     let renee = person_number("Renée");
@@ -808,19 +804,16 @@ fn the_later_event_of_a_source_counts_despite_a_rounded_time() {
     assert_eq!(house.board.persons().get(person_number("Ada")).unwrap().presence, Presence::Present);
 }
 
-/// The known persons with their presence.
 fn presences(house: &House) -> BTreeMap<PersonId, Presence> {
     let here = house.board.persons().iter().filter(|(_, known)| known.presence != Presence::Gone);
     here.map(|(number, known)| (number, known.presence)).collect()
 }
 
-/// The known persons with their presence and the time of their last event.
 fn heard(house: &House) -> BTreeMap<PersonId, (Presence, i64)> {
     let known = house.board.persons().iter();
     known.map(|(number, known)| (number, (known.presence, known.heard_ns))).collect()
 }
 
-/// Somebody is forgotten, also in the journal.
 fn forget(house: &mut House, who: &str) -> PersonAnswer {
     let question = PersonQuestion::Forget { id: "1".to_owned(), who: who.to_owned() };
     let House { board, journal, .. } = house;
