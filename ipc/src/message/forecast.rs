@@ -34,7 +34,7 @@ layout! {
         32 => room_count: u32,
         /// Horizons, at most 16.
         36 => horizon_count: u32,
-        /// Person, or [`crate::ALL_PERSONS`].
+        /// Person, or [`crate::raw::ALL_PERSONS`].
         40 => person: u32,
         /// Minor version of the layout: 1 has `flags`, 2 has `elsewhere`; they are 0 before.
         44 => minor: u32,

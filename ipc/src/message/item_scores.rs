@@ -39,7 +39,7 @@ layout! {
         48 => label: [u8; NAME_BYTES],
         /// s_i = s_c / n_l, in nats; of several persons, the mean of their shares of their label mass, times the mean label mass.
         96 => log_score_nats: f64,
-        /// Index of its room in [`crate::RoomScoresV1::rooms`], or [`NO_PARTITION`].
+        /// Index of its room in [`crate::raw::RoomScoresV1::rooms`], or [`NO_PARTITION`].
         104 => partition: u32,
         /// Items of the map with this label. Captions and rooms of that name count in n_l too, and not here.
         108 => label_items: u32,

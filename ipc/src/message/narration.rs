@@ -38,7 +38,7 @@ layout! {
         24 => observed_ns: u64,
         /// When it was observed: Unix nanoseconds, for people.
         32 => observed_unix_ns: u64,
-        /// Which person, where `person_name` is empty; each has a history of its own. [`crate::ALL_PERSONS`] is an unknown
+        /// Which person, where `person_name` is empty; each has a history of its own. [`crate::raw::ALL_PERSONS`] is an unknown
         /// person: the daemon weighs the event for all persons.
         40 => person: u32,
         /// One of [`narration_kind`].

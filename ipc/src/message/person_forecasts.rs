@@ -15,9 +15,9 @@ layout! {
     pub struct PersonForecastV1 [4416] {
         /// The person's number.
         0 => person: u32,
-        /// One of [`crate::presence`].
+        /// One of [`crate::raw::presence`].
         4 => presence: u32,
-        /// Bits of [`crate::person_flags`].
+        /// Bits of [`crate::raw::person_flags`].
         8 => flags: u32,
         /// Zero.
         12 => reserved_a: [u8; 4],
