@@ -383,12 +383,7 @@ impl Metrics {
         for HabitsLine { person, observations, forecast, .. } in &learned.persons {
             self.habits_observations.get_or_create(&Person { person: person.0 }).set(*observations);
             for line in forecast {
-                for (part, share) in [
-                    ("model", line.shipped),
-                    ("persistence", line.persistence),
-                    ("leaving", line.leaving),
-                    ("later", line.later),
-                ] {
+                for (part, share) in [("model", line.shipped), ("leaving", line.leaving), ("later", line.later)] {
                     let of = ForecastPart { person: person.0, horizon_s: line.horizon_s as u32, part };
                     self.habits_shares.get_or_create(&of).set(share);
                 }

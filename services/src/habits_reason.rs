@@ -18,9 +18,7 @@ pub struct HorizonLine {
     pub horizon_s: f64,
     /// The forecast without habits.
     pub shipped: f64,
-    /// The person is still, or again, in the same place.
-    pub persistence: f64,
-    /// The hazard of leaving, and the next place.
+    /// The length of stays, and the next place.
     pub leaving: f64,
     /// The place at this horizon after similar times before.
     pub later: f64,
@@ -167,17 +165,15 @@ impl fmt::Display for PersonHabits {
             writeln!(f, "  Next thing:")?;
         }
         for ThingReason { label, shares } in self.things.iter().take(SHOWN) {
-            let Shares { probability, model, habit, recency, hour, staying, observations } = shares;
+            let Shares { probability, model, habit, hour, observations } = shares;
             writeln!(
                 f,
-                "    {label} {}: language model {}, {} {}, recency {}, hour {}, staying {}; {}",
+                "    {label} {}: language model {}, {} {}, hour {}; {}",
                 percent(*probability),
                 percent(*model),
                 self::habit(observations),
                 percent(*habit),
-                percent(*recency),
                 percent(*hour),
-                percent(*staying),
                 from(observations, ""),
             )?;
         }
@@ -185,27 +181,25 @@ impl fmt::Display for PersonHabits {
             writeln!(f, "  Its room:")?;
         }
         for RoomReason { room, shares } in self.rooms.iter().take(SHOWN) {
-            let RoomShares { probability, model, habit, things, hour, staying, observations } = shares;
+            let RoomShares { probability, model, habit, things, hour, observations } = shares;
             writeln!(
                 f,
-                "    {room} {}: language model {}, {} {}, the next thing {}, hour {}, staying {}; {}",
+                "    {room} {}: language model {}, {} {}, the next thing {}, hour {}; {}",
                 percent(*probability),
                 percent(*model),
                 self::habit(observations),
                 percent(*habit),
                 percent(*things),
                 percent(*hour),
-                percent(*staying),
                 from(observations, " in this room"),
             )?;
         }
         for line in &self.forecast {
             write!(
                 f,
-                "  In {}: forecast without habits {}, staying {}, leaving {}, such times before {}",
+                "  In {}: forecast without habits {}, leaving {}, such times before {}",
                 ahead(line.horizon_s),
                 percent(line.shipped),
-                percent(line.persistence),
                 percent(line.leaving),
                 percent(line.later),
             )?;
@@ -250,21 +244,13 @@ mod tests {
 
     #[test]
     fn a_text_says_where_a_probability_comes_from_and_from_how_much() {
-        let shares = Shares {
-            probability: 0.5,
-            model: 0.25,
-            habit: 0.5,
-            recency: 0.125,
-            hour: 0.125,
-            staying: 0.0,
-            observations: [40.0, 12.0, 3.0, 0.0],
-        };
+        let shares =
+            Shares { probability: 0.5, model: 0.25, habit: 0.5, hour: 0.25, observations: [40.0, 12.0, 3.0, 0.0] };
         let line = HorizonLine {
             horizon_s: 900.0,
             shipped: 0.25,
-            persistence: 0.25,
             leaving: 0.25,
-            later: 0.25,
+            later: 0.5,
             set: vec!["kitchen".to_owned(), ELSEWHERE.to_owned()],
             set_probability: Some(0.45),
         };
@@ -279,7 +265,7 @@ mod tests {
         let text = learned.to_string();
         for part in [
             "from 41 observations",
-            "mug 50 %: language model 25 %, habit 50 %, recency 12 %, hour 12 %, staying 0 %; from 40 observations: 12 after the last object, ",
+            "mug 50 %: language model 25 %, habit 50 %, hour 25 %; from 40 observations: 12 after the last object, ",
             "In 15 min: forecast without habits 25 %",
             "; set for 90 % on the long run, 45 % by this forecast: kitchen, elsewhere",
         ] {

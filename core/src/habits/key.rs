@@ -4,113 +4,90 @@
 /// No label before this one.
 pub(crate) const NONE: u16 = u16::MAX;
 
-/// Which count it is; also which numbers follow in the key.
+/// Which count it is; also which numbers follow in the key. Files hold the numbers: those of kinds that are no longer counted stay unused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Kind {
-    /// Other objects after the last zero to five objects; the longest contexts by a digest.
+    /// Other things after the last zero to five things; the longest contexts by a digest.
     Object0 = 1,
-    Object1,
-    Object2,
-    Object3,
-    Object4,
-    Object5,
-    /// Whether the last object is mentioned again: by how often it was, and after the last one to three objects.
-    Again0,
-    Again1,
-    Again2,
-    Again3,
-    /// Objects by part of the day and kind of day; after the last object by part of the day.
-    ObjectHour,
-    ObjectAfterHour,
-    /// Rooms in which an object was.
-    RoomOfObject,
-    /// Next rooms: after a room; after one to three objects; after a room by part of the day.
-    Room0,
-    Room1,
-    Room2,
-    Room3,
-    RoomHour,
-    /// Exits and time spent: by time since the place was entered; by place as well; by part of the day as well.
-    Stay,
-    StayPlace,
-    StayPlaceHour,
-    /// Where a stay leads to: by place; by part of the day as well.
-    Exit,
-    ExitHour,
+    Object1 = 2,
+    Object2 = 3,
+    Object3 = 4,
+    Object4 = 5,
+    Object5 = 6,
+    /// Whether the last thing is mentioned again: by how often it was, and after the last one to three things.
+    Again0 = 7,
+    Again1 = 8,
+    Again2 = 9,
+    Again3 = 10,
+    /// Things by part of the day; after the last thing by part of the day.
+    ObjectHour = 11,
+    ObjectAfterHour = 12,
+    /// Rooms in which a thing was.
+    RoomOfObject = 13,
+    /// Next rooms: after a room; after one to three things; after a room by part of the day; by time spent and pace.
+    Room0 = 14,
+    Room1 = 15,
+    Room2 = 16,
+    Room3 = 17,
+    RoomHour = 18,
+    RoomDwellPace = 31,
+    /// Where a stay leads: by place; by part of the day as well.
+    Exit = 22,
+    ExitHour = 23,
     /// Places a horizon later: by place; by hour as well; by time spent and hour as well.
-    Later,
-    LaterHour,
-    LaterDwell,
-    /// Next rooms: after a room and the one or two before it; after an object by the time between the last two observations; after a room by
-    /// the time spent there, and by the time between observations as well.
-    RoomBefore,
-    RoomBefore2,
-    RoomPace,
-    RoomDwell,
-    RoomDwellPace,
+    Later = 24,
+    LaterHour = 25,
+    LaterDwell = 26,
+    /// Exits and time spent: by time since the place was entered; by place as well; by part of the day as well.
+    Stay = 19,
+    StayPlace = 20,
+    StayPlaceHour = 21,
 }
 
 impl Kind {
-    pub(crate) const ALL: [Self; 31] = [
-        Self::Object0,
-        Self::Object1,
-        Self::Object2,
-        Self::Object3,
-        Self::Object4,
-        Self::Object5,
-        Self::Again0,
-        Self::Again1,
-        Self::Again2,
-        Self::Again3,
-        Self::ObjectHour,
-        Self::ObjectAfterHour,
-        Self::RoomOfObject,
-        Self::Room0,
-        Self::Room1,
-        Self::Room2,
-        Self::Room3,
-        Self::RoomHour,
-        Self::Stay,
-        Self::StayPlace,
-        Self::StayPlaceHour,
-        Self::Exit,
-        Self::ExitHour,
-        Self::Later,
-        Self::LaterHour,
-        Self::LaterDwell,
-        Self::RoomBefore,
-        Self::RoomBefore2,
-        Self::RoomPace,
-        Self::RoomDwell,
-        Self::RoomDwellPace,
-    ];
+    /// Every kind, which of the key's three numbers are things and which are places, and the symbol that is counted.
+    const ALL: [(Self, [Number; 4]); 27] = {
+        use Number::{Object as O, Place as P, Plain as N};
+        [
+            (Self::Object0, [N, N, N, O]),
+            (Self::Object1, [O, N, N, O]),
+            (Self::Object2, [O, O, N, O]),
+            (Self::Object3, [O, O, O, O]),
+            (Self::Object4, [N, N, N, O]),
+            (Self::Object5, [N, N, N, O]),
+            (Self::Again0, [N, N, N, N]),
+            (Self::Again1, [O, N, N, N]),
+            (Self::Again2, [O, O, N, N]),
+            (Self::Again3, [O, O, O, N]),
+            (Self::ObjectHour, [N, N, N, O]),
+            (Self::ObjectAfterHour, [O, N, N, O]),
+            (Self::RoomOfObject, [O, N, N, P]),
+            (Self::Room0, [P, N, N, P]),
+            (Self::Room1, [O, N, N, P]),
+            (Self::Room2, [O, O, N, P]),
+            (Self::Room3, [O, O, O, P]),
+            (Self::RoomHour, [P, N, N, P]),
+            (Self::RoomDwellPace, [P, N, N, P]),
+            (Self::Exit, [P, N, N, P]),
+            (Self::ExitHour, [P, N, N, P]),
+            (Self::Later, [P, N, N, P]),
+            (Self::LaterHour, [P, N, N, P]),
+            (Self::LaterDwell, [P, N, N, P]),
+            (Self::Stay, [N, N, N, N]),
+            (Self::StayPlace, [P, N, N, N]),
+            (Self::StayPlaceHour, [P, N, N, N]),
+        ]
+    };
 
-    /// Which of the key's three numbers are objects and which are places; the symbol counted comes last.
+    /// The kind with this number in a file, if it is still counted.
+    pub(crate) fn of(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().map(|(kind, _)| kind).find(|kind| *kind as u8 == number)
+    }
+
+    /// What the numbers of a key stand for; the symbol counted comes last.
     pub(crate) fn layout(self) -> [Number; 4] {
-        use Number::{Object, Place, Plain};
-        match self {
-            Self::Object0 | Self::Object4 | Self::Object5 => [Plain, Plain, Plain, Object],
-            Self::Again0 => [Plain; 4],
-            Self::Again1 => [Object, Plain, Plain, Plain],
-            Self::Again2 => [Object, Object, Plain, Plain],
-            Self::Again3 => [Object, Object, Object, Plain],
-            Self::Object1 | Self::ObjectAfterHour => [Object, Plain, Plain, Object],
-            Self::Object2 => [Object, Object, Plain, Object],
-            Self::Object3 => [Object, Object, Object, Object],
-            Self::ObjectHour => [Plain, Plain, Plain, Object],
-            Self::RoomOfObject | Self::Room1 | Self::RoomPace => [Object, Plain, Plain, Place],
-            Self::Room0 | Self::RoomHour | Self::RoomDwell | Self::RoomDwellPace => [Place, Plain, Plain, Place],
-            Self::RoomBefore => [Place, Place, Plain, Place],
-            Self::RoomBefore2 => [Place, Place, Place, Place],
-            Self::Room2 => [Object, Object, Plain, Place],
-            Self::Room3 => [Object, Object, Object, Place],
-            Self::Stay => [Plain; 4],
-            Self::StayPlace | Self::StayPlaceHour => [Place, Plain, Plain, Plain],
-            Self::Exit | Self::ExitHour | Self::Later | Self::LaterHour | Self::LaterDwell => {
-                [Place, Plain, Plain, Place]
-            }
-        }
+        Self::ALL.into_iter().find(|(kind, _)| *kind == self).map_or([Number::Plain; 4], |(_, layout)| layout)
     }
 }
 
@@ -152,7 +129,7 @@ pub(crate) fn digest(context: &[u16]) -> [u16; 3] {
 
 /// The parts of a key; none when its kind is unknown.
 pub(crate) fn parts(key: u64) -> Option<(Kind, u8, [u16; 3])> {
-    let kind = Kind::ALL.into_iter().find(|kind| *kind as u64 == key >> 56)?;
+    let kind = Kind::of((key >> 56) as u8)?;
     Some((kind, (key >> 48) as u8, [(key >> 32) as u16, (key >> 16) as u16, key as u16]))
 }
 
@@ -162,7 +139,7 @@ mod tests {
 
     #[test]
     fn every_key_can_be_taken_apart() {
-        for kind in Kind::ALL {
+        for (kind, _) in Kind::ALL {
             assert_eq!(parts(key(kind, 63, [1, NONE, 0xabcd])), Some((kind, 63, [1, NONE, 0xabcd])));
         }
         assert_eq!(parts(u64::MAX), None);

@@ -15,11 +15,12 @@
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FixedShare<const N: usize> {
     weights: [f64; N],
+    prior: [f64; N],
 }
 
 impl<const N: usize> FixedShare<N> {
     pub(crate) fn new(prior: [f64; N]) -> Self {
-        Self { weights: prior }
+        Self { weights: prior, prior }
     }
 
     /// As [`FixedShare::new`], with the first expert's weight set, and the others' as the prior divides the rest. The bound is then
@@ -27,9 +28,20 @@ impl<const N: usize> FixedShare<N> {
     pub(crate) fn beginning_with(first: f64, prior: [f64; N]) -> Self {
         let mut weights = prior;
         let rest: f64 = prior.iter().skip(1).sum();
+        if rest <= 0.0 {
+            return Self { weights: prior, prior };
+        }
         weights.iter_mut().skip(1).for_each(|weight| *weight *= (1.0 - first) / rest);
         weights.iter_mut().take(1).for_each(|weight| *weight = first);
-        Self { weights }
+        Self { weights, prior }
+    }
+
+    /// Without those that do not count.
+    pub(crate) fn of(prior: [f64; N], counts: [bool; N]) -> [f64; N] {
+        let mut prior = prior;
+        prior.iter_mut().zip(counts).filter(|(_, counts)| !counts).for_each(|(p, _)| *p = 0.0);
+        let total: f64 = prior.iter().sum();
+        prior.map(|p| p / total)
     }
 
     /// What each expert counts for; sums to one.
@@ -37,12 +49,9 @@ impl<const N: usize> FixedShare<N> {
         &self.weights
     }
 
-    /// Weights that were stored; those that are none are ignored.
-    pub(crate) fn restore(&mut self, weights: [f64; N]) {
-        let total: f64 = weights.iter().sum();
-        if weights.iter().all(|weight| *weight >= 0.0) && (total - 1.0).abs() < 1e-6 {
-            self.weights = weights;
-        }
+    /// What each expert counts for, to take up weights that were stored.
+    pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
+        &mut self.weights
     }
 
     /// The mixture's probability for an outcome to which the experts give `probabilities`.
@@ -51,7 +60,8 @@ impl<const N: usize> FixedShare<N> {
     }
 
     /// Learns from an outcome to which the experts gave `probabilities`; `rate` is above 0 and at most 1.
-    pub(crate) fn learn(&mut self, probabilities: &[f64; N], prior: &[f64; N], share: f64, rate: f64) {
+    pub(crate) fn learn(&mut self, probabilities: &[f64; N], share: f64, rate: f64) {
+        let prior = &self.prior;
         let mut total = 0.0;
         for (weight, p) in self.weights.iter_mut().zip(probabilities) {
             let p = p.max(f64::MIN_POSITIVE);
@@ -93,7 +103,7 @@ mod tests {
             for outcome in &outcomes {
                 loss -= mixture.mix(outcome).ln();
                 losses.iter_mut().zip(outcome).for_each(|(sum, p)| *sum -= p.ln());
-                mixture.learn(outcome, &prior, share, rate);
+                mixture.learn(outcome, share, rate);
                 prop_assert!((mixture.weights().iter().sum::<f64>() - 1.0).abs() < 1e-9);
             }
             for (own, prior) in losses.into_iter().zip(prior) {
@@ -110,7 +120,7 @@ mod tests {
             for outcome in 0..at + more {
                 let p = if outcome < at { [0.9, 0.1] } else { [0.1, 0.9] };
                 loss -= mixture.mix(&p).ln();
-                mixture.learn(&p, &prior, share, 1.0);
+                mixture.learn(&p, share, 1.0);
             }
             let best = -0.9f64.ln() * (at + more) as f64;
             let switched = -(share * 0.5).ln();

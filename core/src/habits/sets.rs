@@ -213,16 +213,6 @@ impl AdaptiveSets {
         let possible = |seen: &f32| if seen.is_finite() && *seen > 0.0 { f64::from(*seen) } else { 0.0 };
         self.seen.iter_mut().zip(seen).for_each(|(own, seen)| *own = possible(seen));
         self.total = self.seen.iter().sum();
-        self.take_up(miss, outcomes);
-    }
-
-    /// As [`AdaptiveSets::restore`] from what version 2 of the file held: one less the probability that the truth had, each time.
-    pub(crate) fn restore_scores(&mut self, miss: f64, outcomes: u64, scores: &[f32]) {
-        scores.iter().filter(|score| (0.0..=1.0).contains(*score)).for_each(|score| self.see(1.0 - f64::from(*score)));
-        self.take_up(miss, outcomes);
-    }
-
-    fn take_up(&mut self, miss: f64, outcomes: u64) {
         self.outcomes = outcomes;
         if miss.is_finite() {
             self.miss = miss.clamp(-SERIES, 1.0 + SERIES);

@@ -11,13 +11,12 @@ use super::counts::Seen;
 ///
 /// `index` gives the place of a symbol in `p`; symbols that have none are left out. Gives the weight that `p'` keeps, and N.
 pub(crate) fn smooth(
-    seen: Option<Seen<'_>>,
+    seen: Seen<'_>,
     discount: f64,
     concentration: f64,
     index: impl Fn(u16) -> Option<usize>,
     p: &mut [f64],
 ) -> (f64, f64) {
-    let Some(seen) = seen else { return (1.0, 0.0) };
     let (mut total, mut freed) = (0.0, 0.0);
     seen.symbols().filter(|(symbol, _)| index(*symbol).is_some()).for_each(|(_, count)| {
         total += count;
@@ -55,7 +54,7 @@ mod tests {
             }
             let mut p = [0.1; 10];
             let index = |symbol: u16| (symbol < 10).then_some(usize::from(symbol));
-            let (kept, total) = smooth(counts.get(1, 0), discount, concentration, index, &mut p);
+            let (kept, total) = counts.get(1, 0).map_or((1.0, 0.0), |seen| smooth(seen, discount, concentration, index, &mut p));
             prop_assert!((p.iter().sum::<f64>() - 1.0).abs() < 1e-9);
             prop_assert!(p.iter().all(|p| *p > 0.0) && (0.0..=1.0).contains(&kept) && total >= 0.0);
         }

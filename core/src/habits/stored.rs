@@ -1,19 +1,23 @@
-//! What was learned as bytes and as JSON: versioned, checksummed, bounded, and never believed before it was checked.
+//! What was learned as bytes and as JSON: versioned, checksummed, bounded, and checked before it is believed.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::key::Kind;
-use crate::parsing::list_of_keyed;
+use super::key::{Kind, NONE, Number, SLOT_MASK, key, parts};
+use super::names::{Names, Numbered};
+use super::pool::POWERS;
+use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
+use crate::ids::PersonId;
+use crate::parsing::{Keyed, json_says, list_of_keyed};
 
 /// Begins every file.
 const MAGIC: &[u8; 8] = b"RCHABITS";
 /// Changes when older programs cannot read the file.
-pub(crate) const VERSION: u16 = 3;
-/// The oldest one that is read: it had fewer forecasts of rooms, and scores of sets one by one.
-pub(crate) const VERSION_2: u16 = 2;
+pub(crate) const VERSION: u16 = 4;
+/// The oldest version that is read. Versions 2 and 3 had other experts and finer classes of time spent; 2 had scores of sets one by one.
+const OLDEST: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
 /// Bytes behind the version that say nothing.
 const UNUSED_BYTES: usize = 8;
@@ -38,7 +42,7 @@ pub enum StoredError {
     },
     /// Another version wrote it.
     #[error(
-        "the habits are of version {found}, this program reads versions {VERSION_2} and {VERSION}: use the program that wrote them, or forget them"
+        "the habits are of version {found}, this program reads versions {OLDEST} to {VERSION}: use the program that wrote them, or forget them"
     )]
     Version {
         /// Which.
@@ -69,6 +73,8 @@ pub(crate) struct StoredName {
 /// What was learned of one horizon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredAnchor {
+    /// Since version 4 part of the person's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) weights: Vec<f64>,
     pub(crate) stayed: f64,
     pub(crate) sampled: f64,
@@ -84,12 +90,9 @@ pub(crate) struct StoredPerson {
     pub(crate) number: u32,
     pub(crate) slot: u8,
     pub(crate) observations: f64,
-    pub(crate) stayed: f64,
-    pub(crate) turned: f64,
-    /// How often an object was mentioned again, of how many times.
+    /// How often a thing was mentioned again, of how many times.
     pub(crate) repeated: [f64; 2],
-    /// Weights of the mixtures of objects, of staying, of destinations, of both bases, of mentioning again, powers of the products with what
-    /// is known of them, and how far contexts are relied on.
+    /// What [`Person::learned`] gives, one after the other.
     pub(crate) weights: Vec<f64>,
     #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) anchors: Vec<StoredAnchor>,
@@ -137,8 +140,7 @@ impl Stored {
         for person in &self.persons {
             out.0.extend_from_slice(&person.number.to_le_bytes());
             out.0.push(person.slot);
-            [person.observations, person.stayed, person.turned].into_iter().for_each(|value| out.double(value));
-            person.repeated.into_iter().for_each(|value| out.double(value));
+            [person.observations].into_iter().chain(person.repeated).for_each(|value| out.double(value));
             out.doubles(&person.weights);
             out.length(person.anchors.len());
             for anchor in &person.anchors {
@@ -176,7 +178,7 @@ impl Stored {
         }
         let Some((version, _)) = rest.split_first_chunk::<2>() else { return Err(StoredError::Checksum) };
         let found = u16::from_le_bytes(*version);
-        if !(VERSION_2..=VERSION).contains(&found) {
+        if !(OLDEST..=VERSION).contains(&found) {
             return Err(StoredError::Version { found });
         }
         let Some((body, sum)) = bytes.split_last_chunk::<CHECKSUM_BYTES>() else { return Err(StoredError::Checksum) };
@@ -191,15 +193,53 @@ impl Stored {
         stored.checked()
     }
 
+    /// From an earlier version: which forecasts were right is learned again, and counts of kinds that are no longer used are dropped.
+    fn convert(&mut self) {
+        for person in &mut self.persons {
+            person.weights.clear();
+            if self.version == OLDEST {
+                person
+                    .anchors
+                    .iter_mut()
+                    .for_each(|anchor| (anchor.miss, anchor.outcomes, anchor.scores) = (f64::NAN, 0, Vec::new()));
+            }
+        }
+        self.rows.retain(|row| Kind::of(row.kind).is_some() || row.kind > 31);
+        let mut coarser: BTreeMap<_, StoredRow> = BTreeMap::new();
+        for mut row in std::mem::take(&mut self.rows) {
+            // Two classes of time spent are one now.
+            match Kind::of(row.kind) {
+                Some(Kind::Stay | Kind::StayPlace | Kind::StayPlaceHour) => row.after[1] = row.after[1].div_ceil(2),
+                Some(Kind::LaterDwell) => row.after[1] = row.after[1] & 0xff00 | (row.after[1] & 0xff).div_ceil(2),
+                _ => {
+                    self.rows.push(row);
+                    continue;
+                }
+            }
+            let own = coarser
+                .entry((row.kind, row.slot, row.after, row.counts.len()))
+                .or_insert_with(|| StoredRow { counts: Vec::new(), ..row.clone() });
+            own.touched_min = own.touched_min.max(row.touched_min);
+            for (symbol, count) in row.counts {
+                match own.counts.iter_mut().find(|(known, _)| *known == symbol) {
+                    Some((_, known)) => *known += count,
+                    None => own.counts.push((symbol, count)),
+                }
+            }
+        }
+        self.rows.extend(coarser.into_values());
+        self.version = VERSION;
+    }
+
     /// Nothing impossible is in it: numbers are finite and in range. Counts of nothing, which earlier versions wrote, are dropped.
     pub(crate) fn checked(mut self) -> Result<Self, StoredError> {
-        if !(VERSION_2..=VERSION).contains(&self.version) {
+        if !(OLDEST..=VERSION).contains(&self.version) {
             return Err(StoredError::Version { found: self.version });
         }
         let positive = |value: f64| (0.0..=MOST).contains(&value);
         for person in &self.persons {
             let [repeated, turned] = person.repeated;
-            let own = [person.observations, person.stayed, person.turned, repeated, turned];
+            let own = [person.observations, repeated, turned];
             let of_anchors = person.anchors.iter().flat_map(|anchor| [anchor.stayed, anchor.sampled]);
             if !own.into_iter().chain(of_anchors).all(positive) {
                 return Err(malformed(format!("a count of person {} is no count", person.number)));
@@ -210,16 +250,16 @@ impl Stored {
                     person.number
                 )));
             }
-            if !(person.stayed <= person.turned
-                && repeated <= turned
-                && person.anchors.iter().all(|a| a.stayed <= a.sampled && a.sampled > 0.0))
-            {
+            if repeated > turned || !person.anchors.iter().all(|a| a.stayed <= a.sampled && a.sampled > 0.0) {
                 return Err(malformed(format!("person {} stayed more often than there were times", person.number)));
             }
         }
+        if self.version < VERSION {
+            self.convert();
+        }
         let (mut contexts, mut symbols) = (BTreeSet::new(), BTreeSet::new());
         for row in &mut self.rows {
-            if !Kind::ALL.iter().any(|kind| *kind as u8 == row.kind) {
+            if Kind::of(row.kind).is_none() {
                 return Err(malformed(format!("unknown kind {} of counts", row.kind)));
             }
             if !row.counts.iter().all(|(_, count)| count.is_finite() && *count >= 0.0) {
@@ -308,13 +348,16 @@ impl Reader<'_> {
         })
     }
 
-    fn person(&mut self) -> Option<StoredPerson> {
+    fn person(&mut self, version: u16) -> Option<StoredPerson> {
+        let (number, slot, observations) = (self.long()?, self.take::<1>()?[0], self.double()?);
+        if version < VERSION {
+            // How often the person stayed, of how many times.
+            self.take::<16>()?;
+        }
         Some(StoredPerson {
-            number: self.long()?,
-            slot: self.take::<1>()?[0],
-            observations: self.double()?,
-            stayed: self.double()?,
-            turned: self.double()?,
+            number,
+            slot,
+            observations,
             repeated: [self.double()?, self.double()?],
             weights: self.list(Self::double)?,
             anchors: self.list(Self::anchor)?,
@@ -339,8 +382,192 @@ impl Reader<'_> {
             version,
             objects: self.list(Self::name)?,
             places: self.list(Self::name)?,
-            persons: self.list(Self::person)?,
+            persons: self.list(|read| read.person(version))?,
             rows: self.list(Self::row)?,
         })
+    }
+}
+
+/// What learned numbers are.
+enum Learned<'a> {
+    /// Weights, which sum to one.
+    Weights(&'a mut [f64]),
+    /// Powers, each with how much is known of it.
+    Powers(&'a mut [[f64; 2]]),
+}
+
+impl Person {
+    /// The learned numbers, always in the same order.
+    fn learned(&mut self) -> Vec<Learned<'_>> {
+        let Self { things, rooms, stays, .. } = self;
+        let mut all = vec![
+            Learned::Weights(things.pool.mixture.weights_mut()),
+            Learned::Powers(&mut things.pool.powers),
+            Learned::Weights(things.again.weights_mut()),
+        ];
+        for pool in [&mut rooms.staying, &mut rooms.destination] {
+            all.extend([Learned::Weights(pool.mixture.weights_mut()), Learned::Powers(&mut pool.powers)]);
+        }
+        all.extend(stays.anchors.iter_mut().map(|anchor| Learned::Weights(anchor.mixture.weights_mut())));
+        all
+    }
+
+    fn stored(&mut self) -> StoredPerson {
+        let weights = self.learned().into_iter().flat_map(|learned| match learned {
+            Learned::Weights(weights) => weights.to_vec(),
+            Learned::Powers(powers) => powers.as_flattened().to_vec(),
+        });
+        let weights = weights.collect();
+        let anchors = self.stays.anchors.iter().map(|anchor| {
+            let ((miss, outcomes, scores), [stayed, sampled]) = (anchor.sets.state(), anchor.stayed);
+            StoredAnchor { weights: Vec::new(), stayed, sampled, miss, outcomes, scores: scores.collect() }
+        });
+        StoredPerson {
+            number: self.number.0,
+            slot: self.slot,
+            observations: self.observations,
+            repeated: self.things.repeated,
+            weights,
+            anchors: anchors.collect(),
+        }
+    }
+
+    /// Takes up what was stored; numbers that cannot be are learned again.
+    fn restore(&mut self, from: &StoredPerson) -> Result<(), StoredError> {
+        self.observations = from.observations;
+        self.things.repeated = [from.repeated[0], from.repeated[1].max(1.0)];
+        let mut rest = from.weights.as_slice();
+        for learned in if rest.is_empty() { Vec::new() } else { self.learned() } {
+            let length = match &learned {
+                Learned::Weights(own) => own.len(),
+                Learned::Powers(own) => own.as_flattened().len(),
+            };
+            let Some((given, after)) = rest.split_at_checked(length) else {
+                return Err(malformed(format!("weights of person {} are missing", from.number)));
+            };
+            rest = after;
+            let are_possible =
+                |[power, information]: &[f64; 2]| POWERS.contains(power) && (0.0..=MOST).contains(information);
+            match learned {
+                Learned::Weights(own)
+                    if given.iter().all(|weight| *weight >= 0.0) && (given.iter().sum::<f64>() - 1.0).abs() < 1e-6 =>
+                {
+                    own.copy_from_slice(given);
+                }
+                Learned::Powers(own) if given.as_chunks().0.iter().all(are_possible) => {
+                    own.copy_from_slice(given.as_chunks().0)
+                }
+                Learned::Weights(_) | Learned::Powers(_) => {}
+            }
+        }
+        if from.anchors.len() != self.stays.anchors.len() {
+            return Err(malformed(format!("horizons of person {} are missing", from.number)));
+        }
+        for (anchor, from) in self.stays.anchors.iter_mut().zip(&from.anchors) {
+            anchor.stayed = [from.stayed, from.sampled];
+            anchor.sets.restore(from.miss, from.outcomes, &from.scores);
+        }
+        Ok(())
+    }
+}
+
+impl Habits {
+    pub(crate) fn stored(&self) -> Stored {
+        let names = |names: &Names| {
+            names.iter().map(|(name, seen_min)| StoredName { name: name.to_owned(), seen_min }).collect()
+        };
+        let row = |(key, touched_min, counts): (u64, u32, Vec<(u16, f32)>)| {
+            let (kind, slot, after) = parts(key)?;
+            Some(StoredRow { kind: kind as u8, slot, after, touched_min, counts })
+        };
+        Stored {
+            version: VERSION,
+            objects: names(&self.home.things),
+            places: names(&self.home.places),
+            persons: self.persons.clone().iter_mut().map(Person::stored).collect(),
+            rows: self.counts.rows().into_iter().filter_map(row).collect(),
+        }
+    }
+
+    /// Takes up what was stored. No map is bound, and nobody is anywhere.
+    fn restore(options: HabitsOptions, stored: &Stored) -> Result<Self, StoredError> {
+        let mut habits = Self::new(options);
+        let names = [(&stored.objects, &mut habits.home.things, 0), (&stored.places, &mut habits.home.places, 1)];
+        for (names, own, known) in names {
+            for (at, StoredName { name, seen_min }) in names.iter().enumerate() {
+                let fits = at < known && own.iter().nth(at).is_some_and(|(own, _)| own == name)
+                    || own.add(name.clone(), *seen_min) == Numbered::As(at as u16);
+                if !fits {
+                    return Err(malformed(format!("the name {name:?} comes twice, is too long, or is one too many")));
+                }
+            }
+        }
+        let mut slots = BTreeSet::new();
+        for from in &stored.persons {
+            let number = PersonId(from.number);
+            let is_known = habits.known_person(number).is_some();
+            if is_known || usize::from(from.slot) >= PERSONS_MAX || !slots.insert(from.slot) {
+                return Err(malformed(format!(
+                    "person {} comes twice, or in a place that does not exist",
+                    from.number
+                )));
+            }
+            let mut person = Person::new(number, from.slot, &options);
+            person.restore(from)?;
+            habits.persons.push(person);
+        }
+        for row in &stored.rows {
+            let Some(kind) = Kind::of(row.kind) else { continue };
+            let exists = |(is, number): (Number, u16)| match is {
+                Number::Object => number == NONE || usize::from(number) < habits.home.things.len(),
+                Number::Place => number == NONE || usize::from(number) < habits.home.places.len(),
+                Number::Plain => true,
+            };
+            let [first, second, third, counted] = kind.layout();
+            let is_whole = slots.contains(&(row.slot & SLOT_MASK))
+                && [first, second, third].into_iter().zip(row.after).all(exists)
+                && row.counts.iter().all(|(symbol, _)| *symbol != NONE && exists((counted, *symbol)));
+            if !is_whole {
+                return Err(malformed("a count names a person or a thing that has no name"));
+            }
+            for (symbol, count) in &row.counts {
+                habits.counts.add(key(kind, row.slot, row.after), *symbol, f64::from(*count), row.touched_min);
+            }
+        }
+        Ok(habits)
+    }
+
+    /// What was learned, as bytes with a version and a checksum: counts of names and hours, no sentences.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        self.stored().to_bytes()
+    }
+
+    /// Takes up what [`Habits::to_bytes`] gave. Limits are those of `options`: what is too much is left out, the least useful first.
+    ///
+    /// # Errors
+    /// When the bytes are damaged, of another version, or say something impossible: [`StoredError`] says which. Nothing is taken up then.
+    pub fn from_bytes(options: HabitsOptions, bytes: &[u8]) -> Result<Self, StoredError> {
+        Self::restore(options, &Stored::from_bytes(bytes)?)
+    }
+
+    /// What was learned, as JSON for people and other programs.
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON: a fault of the program.
+    pub fn to_json(&self) -> Result<String, StoredError> {
+        serde_json::to_string(&self.stored()).map_err(|error| malformed(error.to_string()))
+    }
+
+    /// Takes up what [`Habits::to_json`] gave.
+    ///
+    /// # Errors
+    /// As [`Habits::from_bytes`].
+    pub fn from_json(options: HabitsOptions, json: &str) -> Result<Self, StoredError> {
+        if json.len() > 4 * BYTES_MAX {
+            return Err(StoredError::TooLarge { bytes: json.len() });
+        }
+        let Keyed(stored): Keyed<Stored> = serde_json::from_str(json).map_err(|error| malformed(json_says(&error)))?;
+        Self::restore(options, &stored.checked()?)
     }
 }

@@ -2,12 +2,7 @@
 
 use super::Habits;
 use super::key::{Kind, NONE, key};
-use super::moment;
-
-/// Hours of one part of the day, from midnight on, in local time.
-pub const PART_HOURS: u16 = 3;
-/// Parts of a day.
-pub const PARTS: usize = 24 / PART_HOURS as usize;
+use super::moment::{self, PARTS};
 
 impl Habits {
     /// Per room of the map that is bound, how many visits ended in each part of the day. Older ones count less, as everywhere.
@@ -20,9 +15,9 @@ impl Habits {
             seen.map(|seen| seen.symbols().map(|(_, count)| count).sum::<f64>()).sum()
         };
         let room = |room| {
-            let place = self.frame.place_number(room);
+            let place = self.home.places.number(room);
             std::array::from_fn(|part| place.map_or(0.0, |place| ended(place, part as u16)))
         };
-        (0..self.frame.rooms.len()).map(room).collect()
+        (0..self.home.rooms()).map(room).collect()
     }
 }

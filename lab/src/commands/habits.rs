@@ -7,7 +7,7 @@ use super::{LikeThingsArgs, ModelArgs, maps, report_first_faults};
 use roomcast_cli::choice::choice;
 use roomcast_cli::{CommandResult, Failure, count, exit_code, print, print_json, ranges, table, tell_unfit};
 use roomcast_core::grounding::Grounding;
-use roomcast_core::habits::HabitsOptions;
+use roomcast_core::habits::{HabitsOptions, Without};
 use roomcast_core::narration::Event;
 use roomcast_core::places::PlaceMatcher;
 use roomcast_core::prompt::BindingSequence;
@@ -53,6 +53,10 @@ pub(super) struct HabitsArgs {
     /// The binding sequence: default, p0 to p5, or a text of your own.
     #[arg(long, value_name = "TEXT", default_value = "default")]
     binding: BindingSequence,
+    /// Measure the mixture without a part of it, too, or without several at once (joined by commas); "each" leaves out each part in turn. May
+    /// be given several times.
+    #[arg(long, value_name = "PARTS")]
+    without: Vec<String>,
     #[command(flatten)]
     like_things: LikeThingsArgs,
     #[command(flatten)]
@@ -87,6 +91,7 @@ pub(super) fn run(args: &HabitsArgs) -> CommandResult {
         binding: args.binding.clone(),
         habits: HabitsOptions { half_life_days: args.half_life, ..HabitsOptions::default() },
         forecast: args.like_things.options(),
+        without: reduced(&args.without)?,
         seed: args.model.seed,
     };
     let progress = Progress::new("sentences", trace.steps.len());
@@ -233,6 +238,44 @@ fn tell_absences(Absences { intervals, labels, others }: &Absences) {
     roomcast_cli::tell(format_args!("roomcast: {absences} by {}; {others} with other words", labels.join(", ")));
 }
 
+/// The mixtures that lack some parts.
+fn reduced(given: &[String]) -> Result<Vec<(String, Without)>, Failure> {
+    let each = || Without::names().map(str::to_owned).collect();
+    let given = given.iter().flat_map(|names| if names == "each" { each() } else { vec![names.clone()] });
+    let without = |names: String| {
+        let mut without = Without::default();
+        for name in names.split(',') {
+            without = without.and(name).ok_or_else(|| {
+                let all = Without::names().collect::<Vec<_>>().join(", ");
+                Failure::new(exit_code::USAGE, format!("the mixture has no part {name:?}; its parts are {all}"))
+            })?;
+        }
+        Ok((format!("-{names}"), without))
+    };
+    given.map(without).collect()
+}
+
+/// The change of each target in nats when a part is left out, with intervals by day.
+fn ablation(report: &Report) -> Table {
+    let header: Vec<_> = ["without"].into_iter().chain(TARGETS).collect();
+    let mut table = Table::new("ablation", "Loss without a part, less that of the whole mixture (nats)", &header);
+    let all = || report.differences.iter().filter(|d| d.day == ALL && d.less.starts_with('-'));
+    let mut names: Vec<&str> = Vec::new();
+    all().for_each(|d| {
+        if !names.contains(&d.less.as_str()) {
+            names.push(&d.less)
+        }
+    });
+    for name in names {
+        let cell = |target: &str| match all().find(|d| d.less == name && d.target == target) {
+            Some(d) => format!("{:.4} [{:.4}, {:.4}]", -d.nll_nats, -d.nll_ci95[1], -d.nll_ci95[0]),
+            None => String::new(),
+        };
+        table.rows.push([name[1..].to_owned()].into_iter().chain(TARGETS.map(cell)).collect());
+    }
+    table
+}
+
 fn called(day: Days) -> String {
     match day {
         Days::One(day) => day.to_string(),
@@ -256,13 +299,13 @@ fn tables(report: &Report) -> Vec<Table> {
     let mut all = Table::new("habits", "All days, and the second half of them", &header);
     let with = |value: f64, [low, high]: [f64; 2]| format!("{value:.3} [{low:.3}, {high:.3}]");
     for day in [ALL, HALF, UNSEEN] {
-        for row in report.rows.iter().filter(|row| row.day == day) {
+        for row in report.rows.iter().filter(|row| row.day == day && !row.predictor.starts_with('-')) {
             let less =
                 report.differences.iter().find(|d| d.day == day && d.target == row.target && d.less == row.predictor);
             all.rows.push(vec![
                 called(day),
                 row.target.to_owned(),
-                row.predictor.to_owned(),
+                row.predictor.clone(),
                 row.n.to_string(),
                 row.ci95.map_or_else(|| format!("{:.3}", row.nll_nats), |ci95| with(row.nll_nats, ci95.nll_nats)),
                 row.ci95.map_or_else(|| format!("{:.3}", row.top1), |ci95| with(row.top1, ci95.top1)),
@@ -294,7 +337,12 @@ fn tables(report: &Report) -> Vec<Table> {
             format!("{:.2}", row.size_mean_never_empty),
         ]);
     }
-    vec![all, sets, cleaning(report)]
+    let mut tables = vec![all, sets, cleaning(report)];
+    let ablation = ablation(report);
+    if !ablation.rows.is_empty() {
+        tables.push(ablation);
+    }
+    tables
 }
 
 fn cleaning(report: &Report) -> Table {

@@ -544,8 +544,7 @@ impl<M: LanguageModel> Board<M> {
             HorizonLine {
                 horizon_s: f64::from(*horizon_s),
                 shipped: 1.0 - sure + sure * shares.shipped,
-                persistence: sure * shares.persistence,
-                leaving: sure * shares.semi_markov,
+                leaving: sure * shares.leaving,
                 later: sure * shares.later,
                 set: held.chain(set.elsewhere.then(|| ELSEWHERE.to_owned())).collect(),
                 set_probability: of_places,

@@ -16,7 +16,7 @@ use chains::{Chain, ORDER_MAX, Style};
 use cleaning::{Cleaning, STAY_S, Sight};
 use roomcast_core::forecast::{ForecastOptions, Forecaster};
 use roomcast_core::grounding::{GroundedScores, Grounding};
-use roomcast_core::habits::{AdaptiveSets, Habits, HabitsOptions, Issued, Place, SetOptions, Turn};
+use roomcast_core::habits::{AdaptiveSets, Habits, HabitsOptions, Issued, Place, SetOptions, Turn, Without};
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::history::HistoryLimits;
 use roomcast_core::prompt::BindingSequence;
@@ -93,6 +93,8 @@ pub struct Options {
     pub habits: HabitsOptions,
     /// What the forecast without habits assumes.
     pub forecast: ForecastOptions,
+    /// Mixtures that lack some parts, with their names. They are predictors behind the others.
+    pub without: Vec<(String, Without)>,
     /// Of the bootstrap.
     pub seed: u64,
 }
@@ -119,8 +121,8 @@ pub const UNSEEN: Days = Days::Some("unseen-scripts");
 pub struct Row {
     /// Which days.
     pub day: Days,
-    /// Who forecasts.
-    pub predictor: &'static str,
+    /// The predictor.
+    pub predictor: String,
     /// What.
     pub target: &'static str,
     /// Cases.
@@ -146,8 +148,8 @@ pub struct Difference {
     pub day: Days,
     /// What is forecast.
     pub target: &'static str,
-    /// Whose figures are taken from the mixture's.
-    pub less: &'static str,
+    /// The predictor whose figures are taken from the mixture's.
+    pub less: String,
     /// In nats.
     pub nll_nats: f64,
     /// 95 % interval of it.
@@ -324,6 +326,8 @@ struct Watch<'a> {
     labels: usize,
     mixture: Habits,
     without_model: Habits,
+    /// Mixtures that lack some parts.
+    reduced: Vec<Habits>,
     forecaster: Forecaster,
     baselines: Baselines,
     objects: Others,
@@ -376,6 +380,7 @@ impl Watch<'_> {
         let turn = Turn { person: PERSON, label: step.label, room: step.room, at_s: step.at_s };
         self.mixture.observe(&turn);
         self.without_model.observe(&turn);
+        self.reduced.iter_mut().for_each(|habits| habits.observe(&turn));
         self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);
         // A thing's room is told by its words, a place by the whole trace.
         let told = self.trace.place_at(step.at_s);
@@ -403,10 +408,14 @@ impl Watch<'_> {
         self.forecaster.expect_next(self.grounding, scores, 0);
         // The forecast without habits: where it expects the next thing.
         let expected = self.forecaster.expected().map_or(rooms, <[f64]>::to_vec);
-        let mut forecasts = vec![Forecast::default(); PREDICTORS.len()];
+        let mut forecasts = vec![Forecast::default(); PREDICTORS.len() + self.reduced.len()];
         let of = |objects, rooms| Forecast { objects, rooms, another: None };
         let mixed = self.mixture.mix(PERSON, step.at_s, &labels).to_vec();
         forecasts[MIXTURE] = of(mixed, self.mixture.next_rooms(PERSON, step.at_s, &expected).to_vec());
+        for (forecast, habits) in forecasts[PREDICTORS.len()..].iter_mut().zip(&mut self.reduced) {
+            let mixed = habits.mix(PERSON, step.at_s, &labels).to_vec();
+            *forecast = of(mixed, habits.next_rooms(PERSON, step.at_s, &expected).to_vec());
+        }
         let even = (vec![1.0 / self.labels as f64; self.labels], vec![1.0 / self.rooms as f64; self.rooms]);
         let learned = self.without_model.mix(PERSON, step.at_s, &even.0).to_vec();
         forecasts[WITHOUT_MODEL] = of(learned, self.without_model.next_rooms(PERSON, step.at_s, &even.1).to_vec());
@@ -521,6 +530,7 @@ impl Watch<'_> {
         }
         self.mixture.be(PERSON, known, from_s);
         self.without_model.be(PERSON, known, from_s);
+        self.reduced.iter_mut().for_each(|habits| habits.be(PERSON, known, from_s));
     }
 
     /// A moment: what was forecast for it is scored and learned, then later places are forecast.
@@ -537,6 +547,7 @@ impl Watch<'_> {
             p[*rooms] = 1.0 - home;
         };
         self.mixture.tick(PERSON, now_s, &mut shipped);
+        self.reduced.iter_mut().for_each(|habits| habits.tick(PERSON, now_s, &mut shipped));
         let mut forecasts = Vec::new();
         for horizon in &self.horizons {
             let mut p = vec![0.0; places];
@@ -557,14 +568,25 @@ impl Watch<'_> {
             for ahead_s in [0.0, STAY_S] {
                 let (mut row, mut p, mut set) = (vec![0.0; places], Vec::new(), Vec::new());
                 shipped(ahead_s, &mut row);
-                self.mixture.at(PERSON, now_s, ahead_s, &row, &mut p);
+                self.mixture.at_times(PERSON, (now_s, &[ahead_s]), &row, &mut p, &mut shares);
                 self.mixture.room_set(PERSON, ahead_s, &p, false, &mut set);
                 in_set.iter_mut().zip(set).for_each(|(held, own)| *held |= own);
             }
             let sight = Sight { shipped: &in_rooms(&without), mixture: &in_rooms(&with), set: &in_set[..places - 1] };
             self.cleaning.stay((now_s, self.trace.day(now_s)), &sight, self.trace);
         }
-        let even = vec![1.0; places];
+        // Per mixture what it says of all horizons, row by row.
+        let all_shipped = forecasts.concat();
+        let mut shares = Vec::new();
+        let mut ahead = |habits: &mut Habits, shipped: &[f64]| {
+            let mut rows = Vec::new();
+            habits.at_times(PERSON, (now_s, &HORIZONS_S), shipped, &mut rows, &mut shares);
+            rows.chunks_exact_mut(places).for_each(normalise);
+            rows
+        };
+        let whole = ahead(&mut self.mixture, &all_shipped);
+        let without_model = ahead(&mut self.without_model, &vec![1.0; all_shipped.len()]);
+        let reduced: Vec<_> = self.reduced.iter_mut().map(|habits| ahead(habits, &all_shipped)).collect();
         let day = self.trace.day(now_s);
         for (index, (horizon, mut shipped)) in self.horizons.iter_mut().zip(forecasts).enumerate() {
             while horizon.waiting.front().is_some_and(|waiting| waiting.due_s <= now_s) {
@@ -588,13 +610,13 @@ impl Watch<'_> {
             if now_s + horizon.horizon_s > until_s {
                 continue;
             }
-            let (mut mixture, mut without_model) = (Vec::new(), Vec::new());
-            self.mixture.at(PERSON, now_s, horizon.horizon_s, &shipped, &mut mixture);
-            self.without_model.at(PERSON, now_s, horizon.horizon_s, &even, &mut without_model);
-            [&mut mixture, &mut without_model, &mut shipped].into_iter().for_each(|p| normalise(p));
+            let of_horizon = |rows: &Vec<f64>| rows[index * places..][..places].to_vec();
+            let (mixture, without_model) = (of_horizon(&whole), of_horizon(&without_model));
+            normalise(&mut shipped);
             let fitted = staying(Some(here), horizon.others.stayed / horizon.others.turned, places);
             let certain = staying(Some(here), 0.95, places);
             let mut predicted = vec![Vec::new(); PREDICTORS.len()];
+            predicted.extend(reduced.iter().map(of_horizon));
             (predicted[MIXTURE], predicted[MODEL]) = (mixture.clone(), shipped.clone());
             (predicted[STAY], predicted[PERSISTENCE], predicted[WITHOUT_MODEL]) = (certain, fitted, without_model);
             for ((predictor, _), chain) in CHAINS.into_iter().zip(&horizon.others.chains) {
@@ -636,6 +658,8 @@ pub fn run<M: LanguageModel>(
     let begins_s = trace.steps.first().map(|step| step.at_s).or(trace.places.first().map(|(from_s, _)| *from_s));
     let mut binder = Binder::new(map, grounding, ItemChoice::default());
     let promise = |never_empty| AdaptiveSets::new(SetOptions { never_empty, ..options.habits.sets });
+    let reduced = options.without.iter().map(|(name, _)| name.as_str());
+    let predictors: Vec<_> = PREDICTORS.into_iter().chain(reduced).collect();
     let mut watch = Watch {
         trace,
         grounding,
@@ -643,6 +667,9 @@ pub fn run<M: LanguageModel>(
         labels,
         mixture: bound(options.habits, grounding),
         without_model: bound(options.habits, grounding),
+        reduced: (options.without.iter())
+            .map(|(_, without)| bound(HabitsOptions { without: *without, ..options.habits }, grounding))
+            .collect(),
         forecaster: Forecaster::new(rooms, options.forecast, begins_s.unwrap_or_default()),
         baselines: Baselines::new(statistics, &mut binder, grounding),
         objects: Others::new(),
@@ -669,8 +696,8 @@ pub fn run<M: LanguageModel>(
         last_s: f64::NEG_INFINITY,
         cases: Vec::new(),
         tally: Tally {
-            sums: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
-            unseen: vec![Vec::new(); PREDICTORS.len() * TARGETS.len()],
+            sums: vec![Vec::new(); predictors.len() * TARGETS.len()],
+            unseen: vec![Vec::new(); predictors.len() * TARGETS.len()],
         },
         cleaning: Cleaning::new(rooms, options.seed),
         told: 0,
@@ -712,10 +739,10 @@ pub fn run<M: LanguageModel>(
         watch.horizons.iter_mut().for_each(|horizon| horizon.waiting.clear());
     }
     source.flush()?;
-    Ok(report(&watch, options, source.computed()))
+    Ok(report(&watch, &predictors, options, source.computed()))
 }
 
-fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
+fn report(watch: &Watch<'_>, predictors: &[&str], options: &Options, computed: usize) -> Report {
     let days = watch.tally.sums.iter().map(Vec::len).max().unwrap_or(0);
     let stretch = |predictor: usize, target: usize, day: Days| {
         let of = if day == UNSEEN { &watch.tally.unseen } else { &watch.tally.sums };
@@ -732,7 +759,7 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
     let mut rows = Vec::new();
     let mut differences = Vec::new();
     for (target, target_name) in TARGETS.iter().enumerate() {
-        for (predictor, predictor_name) in PREDICTORS.iter().enumerate() {
+        for (predictor, predictor_name) in predictors.iter().enumerate() {
             for day in (1..=days).map(Days::One).chain(whole.clone()) {
                 let groups = stretch(predictor, target, day);
                 let summary: Summary = summarise(&groups, options.seed);
@@ -741,7 +768,7 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
                 }
                 rows.push(Row {
                     day,
-                    predictor: predictor_name,
+                    predictor: (*predictor_name).to_owned(),
                     target: target_name,
                     n: summary.cases,
                     nll_nats: summary.nll_nats,
@@ -758,7 +785,7 @@ fn report(watch: &Watch<'_>, options: &Options, computed: usize) -> Report {
                     differences.push(Difference {
                         day,
                         target: target_name,
-                        less: predictor_name,
+                        less: (*predictor_name).to_owned(),
                         nll_nats: less.nll_nats,
                         nll_ci95: ci95.nll_nats,
                         top1: less.top1,
@@ -833,6 +860,7 @@ mod tests {
             binding: BindingSequence::default(),
             habits: HabitsOptions::default(),
             forecast,
+            without: Vec::new(),
             seed: 1,
         };
         run(trace, (map, grounding), &mut source, &Statistics::default(), &options, &Progress::hidden())

@@ -416,10 +416,10 @@ fn sets_and_their_grounds_are_told_of_each_person() {
     assert_eq!((learned.forecast.len(), learned.coverage), (3, 0.9));
     assert!(learned.forecast.iter().all(|line| !line.set.is_empty()), "{learned}");
     let thing = &learned.things[0].shares;
-    let sum = thing.model + thing.habit + thing.recency + thing.hour + thing.staying;
+    let sum = thing.model + thing.habit + thing.hour;
     assert!((sum - 1.0).abs() < 1e-6 && thing.observations[0] > 10.0, "{thing:?}");
     let room = &learned.rooms[0].shares;
-    let sum = room.model + room.habit + room.things + room.hour + room.staying;
+    let sum = room.model + room.habit + room.things + room.hour;
     assert!((sum - 1.0).abs() < 1e-6 && room.observations[0] > 10.0, "{room:?}");
     let total: f64 = learned.rooms.iter().map(|room| room.shares.probability).sum();
     assert!((total - 1.0).abs() < 1e-6, "{total}");

@@ -1,0 +1,187 @@
+//! Where a person is a time later, by how long stays last and where they lead.
+//!
+//! A stay of some age in a place ends at the rate of exits over time spent. Each level has the next wider one as its prior: place and part of the
+//! day, over place, over all rooms, over the shipped stay. Time out of the house has the shipped absence as its prior, since rooms say nothing of
+//! how long it lasts. Stays that end lead where earlier ones led, and begin anew there.
+
+use super::key::NONE;
+use super::moment::{self, CLASSES, PART_HOURS, class_s, time_class};
+use super::names::ELSEWHERE;
+use super::parts::Expert;
+use super::rooms::normalise;
+use super::stays::{EXITS, MINUTES, SHIPPED_AWAY_S, exit_contexts, stay_contexts};
+use super::whose::View;
+
+/// Farther ahead than this the forecast no longer changes, in seconds.
+const FARTHEST_S: f64 = 4.0 * 3_600.0;
+/// The shortest and the longest step, in seconds, and how much of the time ahead a step is between them.
+const STEPS_S: [f64; 2] = [15.0, 300.0];
+const STEP_SHARE: f64 = 0.2;
+/// How many exits the wider level is worth.
+const RATE_STRENGTH: f64 = 2.0;
+/// Discount and concentration of where exits lead.
+const EXIT: [(f64, f64); 2] = [(0.25, 2.0), (0.25, 4.0)];
+/// Scale of the stay in a room that the shipped forecast begins with, in seconds.
+const SHIPPED_STAY_S: f64 = 120.0;
+
+/// The stay that goes on: where, unless a person came back into an unknown room, and for how long.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Stay {
+    pub(crate) here: Option<usize>,
+    pub(crate) spent_s: f64,
+}
+
+/// What is computed on the way.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Leaving {
+    /// Per place and age of a stay, the rate of leaving, and the share of persons in it.
+    rates: Vec<[f64; CLASSES]>,
+    mass: Vec<[f64; CLASSES]>,
+    /// Per place where it leads, row by row.
+    leads: Vec<f64>,
+    left: Vec<f64>,
+}
+
+/// The share that is gone after a time at a rate: `1 - exp(-x)`, to three digits up to one, without its cost.
+fn gone(x: f64) -> f64 {
+    if x < 1.0 { x / (1.0 + x * (0.5 + x / 12.0)) } else { 1.0 - (-x).exp() }
+}
+
+impl Leaving {
+    /// Per horizon (ascending) and place, row by row into `out`.
+    pub(crate) fn forecast(
+        &mut self,
+        view: View<'_>,
+        from: Stay,
+        now_s: f64,
+        next_rooms: &[f64],
+        horizons_s: &[f64],
+        out: &mut Vec<f64>,
+    ) {
+        let (places, part) = (view.home.places(), moment::part_of_day(now_s, PART_HOURS));
+        out.clear();
+        self.leads.clear();
+        for place in 0..places {
+            self.lead(
+                view,
+                place,
+                part,
+                next_rooms
+                    .get(..places - 1)
+                    .filter(|_| Some(place) == from.here && view.without.uses(Expert::NextRoom as u8)),
+            );
+        }
+        let elsewhere = places - 1;
+        self.mass.clear();
+        self.mass.resize(places, [0.0; CLASSES]);
+        // After a return the way since then is followed.
+        let mut at_s = 0.0;
+        match from.here {
+            Some(here) => self.mass[here][usize::from(time_class(from.spent_s))] = 1.0,
+            None => {
+                at_s = -from.spent_s.clamp(0.0, FARTHEST_S);
+                let led = &self.leads[elsewhere * places..];
+                self.mass.iter_mut().zip(led).for_each(|(mass, led)| mass[0] = *led);
+            }
+        }
+        let farthest_s = horizons_s.last().map_or(0.0, |horizon_s| horizon_s.min(FARTHEST_S));
+        self.rate(view, part, from, usize::from(time_class(farthest_s - at_s.min(0.0))));
+        self.step_until(&mut at_s, 0.0);
+        if from.here.is_none() {
+            // Until now they did not leave again.
+            self.mass[elsewhere] = [0.0; CLASSES];
+        }
+        for horizon_s in horizons_s {
+            self.step_until(&mut at_s, horizon_s.min(FARTHEST_S));
+            out.extend(self.mass.iter().map(|mass| mass.iter().sum::<f64>()));
+            let begin = out.len() - places;
+            normalise(&mut out[begin..]);
+        }
+    }
+
+    /// Appends where a place leads.
+    fn lead(&mut self, view: View<'_>, place: usize, part: u16, next_rooms: Option<&[f64]>) {
+        let places = view.home.places();
+        let begin = self.leads.len();
+        self.leads.resize(begin + places, 1.0);
+        let row = &mut self.leads[begin..];
+        // Where this stay leads the mixture of rooms knows better than even chances. It knows nothing of leaving the house.
+        if let Some(next) = next_rooms {
+            let known: f64 = next.iter().enumerate().filter(|(room, _)| *room != place).map(|(_, p)| p).sum();
+            let others = (places - 1 - usize::from(place < places - 1)) as f64;
+            if known > 0.0 {
+                row.iter_mut().zip(next).for_each(|(p, next)| *p = others * next / known);
+            }
+        }
+        row[place] = 0.0;
+        normalise(row);
+        let index = |number| view.home.places.index(number).filter(|other| *other != place);
+        for (context, strength) in
+            exit_contexts(view.home.places.number(place).unwrap_or(NONE), part).into_iter().zip(EXIT)
+        {
+            view.smooth(context, strength, index, row);
+        }
+    }
+
+    /// The rates of leaving, of ages that stays can have.
+    fn rate(&mut self, view: View<'_>, part: u16, from: Stay, newest: usize) {
+        let places = view.home.places();
+        self.rates.clear();
+        self.rates.resize(places, [0.0; CLASSES]);
+        let oldest = usize::from(time_class(from.spent_s));
+        for (place, rates) in self.rates.iter_mut().enumerate() {
+            let number = view.home.places.number(place).unwrap_or(NONE);
+            let scale_s = if number == ELSEWHERE { SHIPPED_AWAY_S } else { SHIPPED_STAY_S };
+            for (age, rate) in rates.iter_mut().enumerate() {
+                if age > newest && (Some(place) != from.here || age < oldest) {
+                    continue;
+                }
+                let [begin_s, end_s] = class_s(age);
+                *rate = 2.0 / (scale_s + 0.5 * (begin_s + end_s));
+                for (kind, after) in stay_contexts(number, age as u16, part) {
+                    for (seen, _) in view.seen(kind, after) {
+                        let (exits, spent_s) = (seen.count(EXITS), 60.0 * seen.count(MINUTES));
+                        *rate = (exits + RATE_STRENGTH) / (spent_s + RATE_STRENGTH / *rate);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Everybody leaves, arrives and grows older.
+    fn step_until(&mut self, at_s: &mut f64, until_s: f64) {
+        let places = self.mass.len();
+        while *at_s < until_s {
+            let step_s = (STEP_SHARE * *at_s).clamp(STEPS_S[0], STEPS_S[1]).min(until_s - *at_s);
+            self.left.clear();
+            for (mass, rates) in self.mass.iter_mut().zip(&self.rates) {
+                let (mut older, mut left) = (0.0, 0.0);
+                for (age, (mass, rate)) in mass.iter_mut().zip(rates).enumerate() {
+                    let leaves = *mass * gone(step_s * rate);
+                    let [begin_s, end_s] = class_s(age);
+                    let grows =
+                        if age + 1 < CLASSES { (*mass - leaves) * gone(step_s / (end_s - begin_s)) } else { 0.0 };
+                    *mass += older - leaves - grows;
+                    (older, left) = (grows, left + leaves);
+                }
+                self.left.push(left);
+            }
+            for (left, leads) in self.left.iter().zip(self.leads.chunks_exact(places)) {
+                self.mass.iter_mut().zip(leads).for_each(|(mass, lead)| mass[0] += left * lead);
+            }
+            *at_s += step_s;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_share_that_is_gone_is_known_to_three_digits() {
+        for x in [0.0, 0.01, 0.3, 0.7, 0.999, 1.0, 3.0, 50.0] {
+            assert!((gone(x) - (1.0 - (-x).exp())).abs() < 1e-3, "{x}");
+        }
+    }
+}
