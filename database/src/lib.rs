@@ -53,7 +53,7 @@ pub enum DatabaseError {
         source: io::Error,
     },
     /// Another process has it.
-    #[error("database {}: another process uses it; stop that process, or give this one another state directory", path.display())]
+    #[error("database {}: another process uses it; stop that process, or give this one another directory", path.display())]
     Locked {
         /// The file.
         path: PathBuf,
@@ -187,8 +187,8 @@ impl Database {
         }
         self.write(|transaction| {
             // In this order a table follows the tables of its references.
-            let mut query = transaction
-                .prepare("SELECT name FROM sqlite_schema WHERE type = 'table' AND name <> 'meta' ORDER BY rowid")?;
+            let mut query =
+                transaction.prepare("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY rowid")?;
             let tables: Vec<String> = query.query_map([], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
             let mut copied = 0;
             for (table, order) in tables.iter().flat_map(|table| [(table, "ASC"), (table, "DESC")]) {
@@ -310,6 +310,12 @@ impl Database {
         Ok(())
     }
 
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// The connection.
     ///
     /// # Errors
@@ -335,17 +341,30 @@ impl Database {
     /// # Errors
     /// When the disk refuses, or no name leads to the file any more.
     pub fn sync(&mut self) -> rusqlite::Result<()> {
+        self.write_synced(|transaction| {
+            let count = "INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1";
+            transaction.prepare_cached(count)?.execute([]).map(|_| ())
+        })
+    }
+
+    /// Does some work in one transaction, which is on the disk afterwards, with all commits before it.
+    ///
+    /// # Errors
+    /// As [`Database::write`] and [`Database::sync`].
+    pub fn write_synced<T>(
+        &mut self,
+        work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>,
+    ) -> rusqlite::Result<T> {
         if self.wal_bytes() > WAL_BYTES_MAX {
             self.checkpoint("PASSIVE")?;
         }
-        let connection = self.connection()?;
         // A commit in this mode syncs the log, and with it all commits before.
-        connection.pragma_update(None, "synchronous", "full")?;
-        let done = connection
-            .execute("INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1", []);
-        connection.pragma_update(None, "synchronous", "normal")?;
-        done?;
-        self.require_name()
+        self.connection()?.pragma_update(None, "synchronous", "full")?;
+        let done = self.write(work);
+        self.connection()?.pragma_update(None, "synchronous", "normal")?;
+        let done = done?;
+        self.require_name()?;
+        Ok(done)
     }
 
     fn checkpoint(&self, mode: &str) -> rusqlite::Result<()> {
@@ -410,6 +429,7 @@ impl Database {
 pub fn is_damage(error: &rusqlite::Error) -> bool {
     use rusqlite::Error::{
         FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, QueryReturnedNoRows, SqliteFailure,
+        Utf8Error,
     };
     match error {
         SqliteFailure(error, _) => {
@@ -427,9 +447,11 @@ pub fn is_damage(error: &rusqlite::Error) -> bool {
                         | ErrorCode::SystemIoFailure
                 )
         }
-        FromSqlConversionFailure(..) | IntegralValueOutOfRange(..) | InvalidColumnType(..) | QueryReturnedNoRows => {
-            true
-        }
+        FromSqlConversionFailure(..)
+        | IntegralValueOutOfRange(..)
+        | InvalidColumnType(..)
+        | QueryReturnedNoRows
+        | Utf8Error(..) => true,
         _ => false,
     }
 }

@@ -58,8 +58,8 @@ use roomcast_ipc::raw::{
 use roomcast_services::config::{IntakeLimits, PersonsConfig, PlannerConfig};
 use roomcast_services::daemon::journal::{Record, SCHEMA, Writer};
 use roomcast_services::daemon::{
-    Board, Cycle, Entry, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken, Zone,
-    decode_memory, encode_memory,
+    Board, Cycle, Entry, HabitRows, HomeHabits, Intake, Memory, Persons, PersonsFile, Recovered, SentenceCost, Taken,
+    Zone,
 };
 use roomcast_services::narrator::{Account, Item, Who};
 use roomcast_services::planner::{Planner, ReportFault};
@@ -377,7 +377,7 @@ struct World {
     told: BTreeSet<PersonId>,
     /// Whether habits are learned, and the file that holds them.
     learns: bool,
-    habits_disk: Option<Vec<u8>>,
+    habits: Option<HabitRows>,
     /// Sentences that were ever accepted, and those of them that a killed daemon took with it and that nobody has said again.
     lessons: BTreeSet<EventId>,
     unheard: BTreeSet<EventId>,
@@ -535,7 +535,7 @@ impl World {
             names: PersonsFile::default(),
             told: BTreeSet::new(),
             learns: false,
-            habits_disk: None,
+            habits: None,
             lessons: BTreeSet::new(),
             unheard: BTreeSet::new(),
             accepted: Vec::new(),
@@ -839,44 +839,28 @@ impl World {
         Ok(())
     }
 
-    /// What was learned is written, if the disk is not full.
+    /// Habits are written behind the events that taught them.
     fn keep_habits(&mut self) {
         if !self.awake() || !self.learns {
             return;
         }
-        let is_full = self.rng.random_bool(0.2);
+        let waiting = self.daemon.as_ref().map_or(0, |daemon| daemon.records.len());
+        self.hand_over(waiting);
         let Some(daemon) = &mut self.daemon else { return };
         let habits = daemon.cycle.board_mut().habits_mut();
-        match habits.memory_if_changed() {
-            Some(_) if is_full => habits.keep_changed(),
-            Some(memory) => {
-                self.habits_disk = Some(encode_memory(&memory));
-                self.tally.habits_written += 1;
-            }
-            None => {}
+        let Some(memory) = habits.memory_if_changed() else { return };
+        match daemon.writer.write_habits(HabitRows::of(&memory).unwrap(), false) {
+            Err(_) => daemon.cycle.board_mut().habits_mut().keep_changed(),
+            Ok(()) => self.tally.habits_written += 1,
         }
     }
 
-    /// The file of habits is damaged while nobody runs, or another version has written it.
-    fn damage_habits(&mut self) {
-        let Some(bytes) = &mut self.habits_disk else { return };
-        match self.rng.random_range(0..3) {
-            0 => bytes.truncate(self.rng.random_range(0..bytes.len())),
-            1 => bytes[..8].copy_from_slice(b"RCHOME0\n"),
-            _ => {
-                let at = self.rng.random_range(0..bytes.len());
-                bytes[at] ^= 1 << self.rng.random_range(0..8);
-            }
-        }
-    }
-
-    /// What a starting daemon knows of the home.
+    /// The habits of a starting daemon.
     fn memory(&mut self) -> Memory {
         let options = HabitsOptions { learn: self.learns, half_life_days: 0.0, ..HabitsOptions::default() };
-        let Some(bytes) = self.habits_disk.take() else { return Memory::new(options) };
-        match decode_memory(&bytes, options) {
+        let Some(rows) = self.habits.take() else { return Memory::new(options) };
+        match rows.memory(options) {
             Ok(memory) => {
-                self.habits_disk = Some(bytes);
                 self.tally.habits_read += 1;
                 if self.planted == Planted::NoNamesOfLessons { Memory::of(memory.habits) } else { memory }
             }
@@ -1437,9 +1421,6 @@ impl World {
         if self.rng.random_bool(0.15) {
             self.damage_disk();
         }
-        if self.rng.random_bool(0.15) {
-            self.damage_habits();
-        }
         Ok(())
     }
 
@@ -1485,6 +1466,7 @@ impl World {
         {
             newest.event = Event::Did(Sentence::new("They do thing 1\u{31}1 with the pam.").unwrap());
         }
+        self.habits = recovered.habits.take();
         let pipeline = self.pipeline(0, self.options.history, &self.failures);
         let config =
             PersonsConfig { residents: self.residents.clone(), visitor_s: VISITOR_S, ..PersonsConfig::default() };
@@ -2102,7 +2084,6 @@ fn no_seed_violates_an_invariant() {
             total.kept,
             total.habits_written,
             total.habits_read,
-            total.habits_lost,
             total.clocks_set,
             total.suspended,
             total.power_lost,

@@ -23,7 +23,7 @@ use crate::line::{Age, LINE_BYTES_MAX, line_of};
 use crate::link::{Declare, Link, LinkError};
 use crate::namesake::{Order, Rival};
 use crate::robot::notify;
-use crate::spool::{Dated, Place, Spool, SpoolError, open_plain};
+use crate::spool::{self, Dated, Place, Spool, SpoolError, open_plain};
 use crate::stop::Stop;
 use crate::understood::Understood;
 use crate::wire::{self, Confirmed, Fault, Hex, Narrated, Said};
@@ -86,7 +86,7 @@ impl HubError {
                 source.kind(),
                 io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied | io::ErrorKind::IsADirectory
             ),
-            Self::Spool(error) => error.is_of_configuration(),
+            Self::Spool(error) => spool::is_of_configuration(error),
             Self::Link(_) | Self::Panic { .. } | Self::Thread(_) => false,
         }
     }
@@ -529,7 +529,7 @@ impl Hub {
                         next,
                         last,
                         not_told,
-                        "a robot expects a number far ahead of the spool, and does not take what comes: where the spool is an old copy, end this hub and empty the file narration in it"
+                        "a robot expects a number far ahead of the spool, and does not take what comes: if the spool is an old copy, end this hub and empty the files narration.db and narration.db-wal in it"
                     );
                 }
             }

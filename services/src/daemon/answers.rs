@@ -10,8 +10,8 @@ use roomcast_core::pipeline::Prepared;
 use roomcast_core::scorer::LanguageModel;
 
 use super::board::Board;
-use super::habits_file::Keeper;
 use super::journal::JournalHandle;
+use super::keeper::Keeper;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};

@@ -937,23 +937,12 @@ impl<M: LanguageModel> Board<M> {
         now_ns: BootNs,
         now_unix_ns: UnixNs,
     ) -> Result<Option<BootNs>, PipelineError> {
-        self.step_within(entries, now_ns, now_unix_ns, u64::MAX)
+        self.take_in(entries, now_ns, now_unix_ns);
+        self.score_within(now_ns, now_unix_ns, u64::MAX)
     }
 
-    /// The same, but once `patience_ns` have passed nobody else is scored: the next step goes on ([`Pipeline::score_within`]). The snapshot then
-    /// has the last scores of those who wait, does not claim what they wait for, and says that it is behind. After a change of the map it
-    /// stays of the map before until everybody has scores of the new one.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::step`].
-    pub fn step_within(
-        &mut self,
-        entries: impl IntoIterator<Item = Entry>,
-        now_ns: BootNs,
-        now_unix_ns: UnixNs,
-        patience_ns: u64,
-    ) -> Result<Option<BootNs>, PipelineError> {
+    /// The first part of a step: the observations enter the histories of their persons. The journal can write them while the model scores.
+    pub(super) fn take_in(&mut self, entries: impl IntoIterator<Item = Entry>, now_ns: BootNs, now_unix_ns: UnixNs) {
         // What nobody wanted a forecast from, nor was there time for: with the scores of its own step.
         self.watch();
         if self.next_rooms.is_some() {
@@ -1008,6 +997,21 @@ impl<M: LanguageModel> Board<M> {
             self.follow();
         }
         self.lapse(now_ns);
+    }
+
+    /// The second part of a step. After `patience_ns` it scores no further person: the next step goes on ([`Pipeline::score_within`]). The snapshot
+    /// then has the last scores of the persons who wait, does not claim their observations, and says that it is behind. After a change of the map it
+    /// stays of the map before until all persons have scores of the new one.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::step`].
+    pub(super) fn score_within(
+        &mut self,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
+        patience_ns: u64,
+    ) -> Result<Option<BootNs>, PipelineError> {
         if let Err(error) = self.pipeline.score_within(patience_ns) {
             self.snapshot.flags |= score_flags::SCORER_FAILED;
             self.count_prepared();

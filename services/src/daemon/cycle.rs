@@ -131,6 +131,20 @@ impl<M: LanguageModel> Cycle<M> {
     ///
     /// When the model fails. The observations are in the histories all the same, and a later step scores them.
     pub fn step(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) -> Result<(), PipelineError> {
+        self.step_and_tell(now_ns, now_unix_ns, |_| {})
+    }
+
+    /// The same; `tell` gets the board after the observations have entered the histories, and before the model scores them.
+    ///
+    /// # Errors
+    ///
+    /// As [`Cycle::step`].
+    pub(super) fn step_and_tell(
+        &mut self,
+        now_ns: BootNs,
+        now_unix_ns: UnixNs,
+        tell: impl FnOnce(&mut Board<M>),
+    ) -> Result<(), PipelineError> {
         let failed_before = self.board.snapshot().has(score_flags::SCORER_FAILED);
         let most = self.waiting.len().min(STEP_ENTRIES_MAX);
         let taken = self.waiting.drain(..most);
@@ -140,7 +154,9 @@ impl<M: LanguageModel> Cycle<M> {
             entry
         });
         let sequence = self.board.snapshot().sequence;
-        let stepped = self.board.step_within(entries, now_ns, now_unix_ns, STEP_NS_MAX);
+        self.board.take_in(entries, now_ns, now_unix_ns);
+        tell(&mut self.board);
+        let stepped = self.board.score_within(now_ns, now_unix_ns, STEP_NS_MAX);
         let is_news = self.pass_over_up_to(most);
         match stepped {
             Ok(received_ns) => self.received_ns = received_ns,

@@ -22,8 +22,10 @@ use roomcast_database::{Connection, Database, Schema};
 use roomcast_ipc::Sender as Port;
 
 use self::forget::IsTheirs;
-pub(super) use self::old::persons as old_persons;
+pub use self::learned::HabitRows;
+pub use self::old::memory as old_memory;
 pub use self::old::records as old_records;
+pub(super) use self::old::{habits as old_habits, persons as old_persons};
 pub use self::record::{Believed, Expectation, KeptPerson, Move, Moved, Outcome, Record};
 pub use self::recovered::Recovered;
 use self::writer::SyncDue;
@@ -31,6 +33,7 @@ pub use self::writer::Writer;
 use crate::state_file;
 
 mod forget;
+mod learned;
 mod old;
 mod record;
 mod recovered;
@@ -71,6 +74,8 @@ enum Work {
     Append(Record),
     /// Replace the persons with a name that the home gave, and answer.
     Persons { persons: Vec<KeptPerson>, done: Sender<io::Result<()>> },
+    /// Write the habits, and answer.
+    Habits { rows: Box<HabitRows>, is_forgotten: bool, done: Sender<io::Result<()>> },
     /// Take a person out, and answer.
     Forget { person: PersonId, is_theirs: Box<IsTheirs>, done: Sender<io::Result<usize>> },
 }
@@ -212,6 +217,15 @@ impl JournalHandle {
         self.ask(|done| Work::Persons { persons, done }, until)
     }
 
+    /// Writes the habits. If a person is forgotten, no byte of the old rows stays.
+    ///
+    /// # Errors
+    /// When the disk refuses, or takes longer than until then.
+    pub(super) fn write_habits(&self, rows: HabitRows, is_forgotten: bool, until: Instant) -> io::Result<()> {
+        let rows = Box::new(rows);
+        self.ask(|done| Work::Habits { rows, is_forgotten, done }, until)
+    }
+
     fn ask<T>(&self, work: impl FnOnce(Sender<io::Result<T>>) -> Work, until: Instant) -> io::Result<T> {
         let (done, answer) = bounded(1);
         let queue = self.sink.lock().unwrap_or_else(PoisonError::into_inner).work.clone();
@@ -307,6 +321,10 @@ fn do_work(writer: &mut Writer, first: Work, queue: &Receiver<Work>) {
             Work::Persons { persons, done } => {
                 append(writer, std::mem::take(&mut batch));
                 let _told = done.send(writer.write_persons(&persons).map_err(io_error));
+            }
+            Work::Habits { rows, is_forgotten, done } => {
+                append(writer, std::mem::take(&mut batch));
+                let _told = done.send(writer.write_habits(*rows, is_forgotten).map_err(io_error));
             }
             Work::Forget { person, is_theirs, done } => {
                 append(writer, std::mem::take(&mut batch));

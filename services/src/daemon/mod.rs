@@ -13,6 +13,7 @@
 //! thread, not two. Before a step that may take long it hands the inbox to the relief thread, so that nothing that arrives meanwhile is
 //! lost: it waits in a queue and becomes part of the next step. The relief thread returns the inbox soon after the step.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
@@ -33,11 +34,12 @@ use crate::notify::notify;
 use crate::participant::join;
 use crate::setup::{self, SetupError};
 use crate::stop::Stop;
-use habits_file::Keeper;
 use inbox::{Counters, Inbox, Lending};
+use keeper::Keeper;
 
 use roomcast_core::draft::Drafter;
 use roomcast_core::guess::Counts;
+use roomcast_core::habits::HabitsOptions;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_database::SetAside;
@@ -52,11 +54,11 @@ mod asked;
 mod board;
 mod cycle;
 mod habits;
-mod habits_file;
 mod habits_question;
 mod inbox;
 mod intake;
 pub mod journal;
+mod keeper;
 mod map_change;
 mod person_question;
 mod persons;
@@ -72,10 +74,9 @@ pub use asked::{ANSWERS_REMEMBERED, QUESTION_NAME_BYTES_MAX};
 pub use board::{Board, BoardError, Entry, MapError};
 pub use cycle::Cycle;
 pub use habits::{HomeHabits, Memory, NoZone, Zone};
-pub use habits_file::{HabitsFile, decode_memory, encode_memory};
 pub use habits_question::{HabitsAnswer, HabitsLine, HabitsQuestion, IMPORT_BYTES_MAX, PART_BYTES, VisitsLine};
 pub use intake::{FORMER_SOURCES_MAX, HELD_S, Intake, IntakeCounters, SOURCES_OF_A_PORT, SentenceCost, Taken};
-pub use journal::{Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
+pub use journal::{HabitRows, Journal, JournalError, JournalHandle, JournalOptions, KeptPerson, Recovered};
 pub use map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 pub use person_question::{
     NoisySensor, PersonAnswer, PersonLine, PersonQuestion, PlaceLine, UnderstoodLine, UnderstoodPerson, Whereabouts,
@@ -185,7 +186,9 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (journal, mut recovered) =
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
-    let Loaded { board, ahead, kept_map, keeper, token_counter } = load(config, names, model, aside.is_stopped())?;
+    let kept = (journal.as_ref().map(Journal::handle), recovered.habits.take());
+    let Loaded { board, ahead, kept_map, keeper, token_counter } =
+        load(config, names, kept, model, aside.is_stopped())?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
@@ -243,6 +246,7 @@ struct Loaded<M> {
 fn load<M: LanguageModel + Send + 'static>(
     config: &Config,
     names: PersonsFile,
+    (journal, habits): (Option<JournalHandle>, Option<HabitRows>),
     model: impl FnOnce(&Config) -> Result<M, SetupError> + Send,
     is_stopped: IsStopped,
 ) -> Result<Loaded<M>, DaemonError> {
@@ -262,14 +266,9 @@ fn load<M: LanguageModel + Send + 'static>(
     // Who only names narrators elsewhere does not say that those here are strangers.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
     let named = config.daemon.narrator.iter().filter(|_| guards);
-    let (keeper, memory) = match &state {
-        Some(directory) => {
-            let (file, memory) = HabitsFile::load(directory, config.habits.options());
-            let keeper = Keeper::start(file).map_err(|source| DaemonError::Thread { name: "habits", source })?;
-            (Some(keeper), memory)
-        }
-        None => (None, Memory::new(config.habits.options())),
-    };
+    let keeper = journal.map(Keeper::start).transpose();
+    let keeper = keeper.map_err(|source| DaemonError::Thread { name: "habits", source })?;
+    let memory = memory(state.as_deref(), habits, config.habits.options());
     let preparer = match config.scoring.prepare {
         0 => Ok(None),
         _ => pipeline.inside().preparer(Arc::clone(&is_stopped)),
@@ -290,6 +289,23 @@ fn load<M: LanguageModel + Send + 'static>(
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
         .with_habits(HomeHabits::new(memory, Zone::local()));
     Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
+}
+
+/// The habits in the state database, or in the file of an earlier version.
+fn memory(directory: Option<&Path>, rows: Option<HabitRows>, options: HabitsOptions) -> Memory {
+    let memory = match rows {
+        Some(rows) => rows
+            .memory(options)
+            .map_err(|reason| {
+                tracing::warn!(
+                    reason,
+                    "the habits in the state database cannot be used: only its events are learned again"
+                );
+            })
+            .ok(),
+        None => directory.and_then(|directory| journal::old_habits(directory, options)),
+    };
+    memory.unwrap_or_else(|| Memory::new(options))
 }
 
 /// The embedded model beside a configured one, for guesses. None where that is the embedded one itself, and where there is no memory for two.

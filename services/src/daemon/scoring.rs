@@ -15,11 +15,12 @@ use sd_notify::NotifyState;
 use super::answers::{FORGET_PATIENCE, answer_about_person, answer_change, write_habits};
 use super::aside::Desk;
 use super::asked::{Answered, Question};
+use super::board::Board;
 use super::cycle::Cycle;
-use super::habits_file::Keeper;
 use super::habits_question::{self, After, HabitsAnswer, HabitsQuestion, Importing};
 use super::inbox::{Counters, Heard, Lending, QUEUE};
 use super::journal::JournalHandle;
+use super::keeper::Keeper;
 use super::map_change::{KeptMap, MapAnswer, MapQuestion, Outcome};
 use super::person_question::{PersonAnswer, PersonQuestion};
 use super::{LOG_INTERVAL_NS, Progress};
@@ -268,16 +269,15 @@ impl<M: LanguageModel> Scoring<M> {
     fn step(&mut self, now_ns: BootNs) -> bool {
         self.tally.steps += 1;
         let waited = self.cycle.waiting();
-        let done = self.cycle.step(now_ns, clock::unix_ns());
-        self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
-        // Whose an observation is does not depend on scores: a model that fails takes nothing of it.
+        // Attributions do not depend on scores: the journal writes them while the model scores.
         let (journal, mut attributed) = (&self.journal, 0);
-        self.cycle.board_mut().tell_moved(|moved| {
-            attributed = journal.as_ref().map_or(0, |journal| journal.keep_moved(moved));
-        });
-        self.cycle.board_mut().tell_whose(|outcome| {
-            attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome));
-        });
+        let mut tell = |board: &mut Board<M>| {
+            board.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.keep_moved(moved)));
+            board.tell_whose(|outcome| attributed = journal.as_ref().map_or(0, |journal| journal.append(outcome)));
+        };
+        let done = self.cycle.step_and_tell(now_ns, clock::unix_ns(), &mut tell);
+        tell(self.cycle.board_mut());
+        self.tally.merged += ((waited - self.cycle.waiting()) as u64).saturating_sub(1);
         self.cycle.rests_on(attributed);
         if let Err(error) = done {
             self.tally.failed_steps += 1;
@@ -488,7 +488,7 @@ impl<M: LanguageModel> Scoring<M> {
                     is_new = true;
                     if let Err(error) = write_habits(board, keeper.as_ref(), Instant::now() + FORGET_PATIENCE) {
                         answer.reason = Some(format!(
-                            "it holds until the daemon starts again: the habits file cannot be written: {error}"
+                            "it holds until the daemon starts again: the habits cannot be written: {error}"
                         ));
                         answer.kept = false;
                     }

@@ -5,6 +5,8 @@ use roomcast_ipc::raw::{NarrationV1, PersonForecastsV1, RoomScoresV1, narration_
 use roomcast_ipc::sequence;
 use rustix::process::Signal;
 
+use roomcast_database::rusqlite::Connection;
+
 use super::{World, eventually, habits, includes, recorder_listens, scores_with};
 
 /// Observations of all persons that habits were learned from.
@@ -14,7 +16,7 @@ fn learned(world: &World) -> f64 {
     answer["persons"].as_array().unwrap().iter().map(|person| person["observations"].as_f64().unwrap()).sum()
 }
 
-/// However a daemon ends, and whatever became of its file, it begins again, and has learned each observation once.
+/// However a daemon ends, and whatever became of its habits, it begins again, and has learned each observation once.
 #[test]
 fn habits_are_learned_once_over_kills_and_damage() {
     const WALK: &str = "They open the fridge.\nThey grab the kettle.\nThey sit on the sofa.\nThey go to bed.\n";
@@ -23,14 +25,16 @@ fn habits_are_learned_once_over_kills_and_damage() {
     std::fs::write(&config, "[habits]\nsave_s = 1.0\n").unwrap();
     let (config, state) = (config.to_str().unwrap().to_owned(), world.state());
     let start = |world: &mut World| world.start(&["daemon", "--config", &config, "--state", state.to_str().unwrap()]);
-    let file = world.state().join("habits");
+    let file = world.state().join("roomcast.db");
+    let database = || Connection::open(&file).unwrap();
+    let is_written = || database().query_row("SELECT count(*) > 0 FROM habit", [], |row| row.get::<_, bool>(0));
     let mut daemon = start(&mut world);
     assert_eq!(world.narrate("one", WALK).0, 0);
     let once = eventually("it is learned", || Some(learned(&world)).filter(|learned| *learned > 2.0));
     for number in 2..5_u32 {
         // Before and after it was written.
         if number % 2 == 0 {
-            eventually("it is written", || file.exists().then_some(()));
+            eventually("it is written", || is_written().unwrap_or_default().then_some(()));
         }
         world.signal(daemon, Signal::KILL);
         world.wait(daemon);
@@ -41,28 +45,22 @@ fn habits_are_learned_once_over_kills_and_damage() {
     }
     world.signal(daemon, Signal::TERM);
     assert!(world.wait(daemon).0.success());
-    let mode = std::os::unix::fs::PermissionsExt::mode(&std::fs::metadata(&file).unwrap().permissions());
-    assert_eq!(mode & 0o777, 0o600);
-    let whole = std::fs::read(&file).unwrap();
-    assert!(!String::from_utf8_lossy(&whole).contains("They"), "words of things, no sentences");
     daemon = start(&mut world);
     assert_eq!(learned(&world), 4.0 * once);
 
-    // Half of the file: it is set aside, and the journal teaches what it holds.
+    // Damaged habits are learned again from the events.
     world.signal(daemon, Signal::KILL);
     world.wait(daemon);
-    std::fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+    database().execute("UPDATE habit SET count = count + 1", []).unwrap();
     daemon = start(&mut world);
     assert_eq!(learned(&world), 4.0 * once);
-    assert!(world.state().join("habits.damaged").exists());
-    // Forgotten is forgotten over a kill, also what was set aside.
+    // Forgotten habits stay forgotten over a kill.
     assert_eq!(habits(&world, &["forget", "--person", "eve"]).0, 3);
     let (code, _, errors) = habits(&world, &["forget", "--all"]);
     assert_eq!((code, learned(&world)), (0, 0.0), "{errors}");
-    assert!(!world.state().join("habits.damaged").exists());
     world.signal(daemon, Signal::KILL);
     let (_, log) = world.wait(daemon);
-    assert!(log.contains("the habits file cannot be used"), "{log}");
+    assert!(log.contains("the habits in the state database cannot be used"), "{log}");
     start(&mut world);
     assert_eq!(learned(&world), 0.0);
 }

@@ -13,7 +13,7 @@ use roomcast_zenoh::config::Config;
 use roomcast_zenoh::delivery::Delivery;
 use roomcast_zenoh::line::line;
 use roomcast_zenoh::relay::{Offered, Relay};
-use roomcast_zenoh::spool::{Dated, Place, Spool, SpoolError};
+use roomcast_zenoh::spool::{self, Dated, Place, Spool, SpoolError};
 use roomcast_zenoh::told::Teller;
 use roomcast_zenoh::wire::{Arrived, BYTES_MAX, Confirmed, Hex, Kind, Narrated, Observation, Who, read};
 
@@ -22,7 +22,7 @@ use crate::eventually::eventually;
 /// A process that another test starts inherits the lock of an open spool, for a moment.
 fn open(folder: &Path) -> Spool {
     eventually("the spool is free", || match Spool::open(folder, 64) {
-        Err(SpoolError::InUse { .. }) => None,
+        Err(SpoolError::Locked { .. }) => None,
         opened => Some(opened.unwrap()),
     })
 }
@@ -167,8 +167,9 @@ proptest! {
                 spool.append(vec![Dated::new(observation(number as u8), 7, Some(place))]).unwrap();
             }
             spool.confirm(confirmed.min(count)).unwrap();
-            let file = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
-            let file = file.into_iter().find(|path| !path.ends_with("lock")).unwrap();
+            // All is in one file.
+            let file = folder.path().join(spool::FILE);
+            spool.compact().unwrap();
             (file, (spool.epoch(), spool.last()))
         };
         let good = fs::read(&file).unwrap();

@@ -604,8 +604,7 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
         house.board.tell_outcomes(|_| {});
     }
     let memory = house.memory();
-    let bytes = crate::daemon::encode_memory(&memory);
-    let read = crate::daemon::decode_memory(&bytes, options(true)).unwrap();
+    let read = crate::daemon::HabitRows::of(&memory).unwrap().memory(options(true)).unwrap();
     assert!(read.habits.learned().counts >= counts && read.habits.learned().observations > observations);
 }
 

@@ -7,6 +7,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use roomcast_core::forecast::PACES;
+use roomcast_core::habits::{BYTES_MAX as HABITS_BYTES_MAX, Habits, HabitsOptions};
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, Sentence};
 use roomcast_core::parsing::{Keyed, json_says};
@@ -14,12 +15,19 @@ use roomcast_ipc::Sender as Port;
 use roomcast_ipc::raw::NAME_BYTES;
 
 use super::record::{Expectation, KeptPerson, Move, Moved, Record};
+use crate::daemon::habits::{Heard, Memory};
 use crate::state_file;
 
 /// The older half, then the current one.
 const FILES: [&str; 2] = ["narration.journal.old", "narration.journal"];
 /// The names that the home gave.
 const PERSONS: &str = "persons.json";
+/// The habits, and a file that was damaged.
+pub(super) const HABITS: [&str; 2] = ["habits", "habits.damaged"];
+/// All files.
+pub(super) const ALL: [&str; 5] = [FILES[0], FILES[1], PERSONS, HABITS[0], HABITS[1]];
+/// Most names of learned events that are read.
+const NAMES_MAX: u32 = 4_096;
 /// Most bytes of them that are read.
 const PERSONS_BYTES_MAX: u64 = 1 << 20;
 const PAYLOAD_BYTES_MAX: usize = 64 << 10;
@@ -56,11 +64,11 @@ fn newest(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Removes the files of earlier versions, large files that they set aside included.
-pub(super) fn remove(directory: &Path) -> io::Result<()> {
-    for file in FILES.into_iter().chain([PERSONS]) {
+/// Removes files of earlier versions, large files that they set aside included.
+pub(super) fn remove(directory: &Path, files: &[&str]) -> io::Result<()> {
+    for file in files {
         let aside = (1..=64).map(|number| format!("{file}.large-{number}"));
-        for name in aside.chain([file.to_owned(), "narration.journal.next".to_owned()]) {
+        for name in aside.chain([(*file).to_owned(), "narration.journal.next".to_owned()]) {
             match fs::remove_file(PathBuf::from(directory).join(name)) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                 _ => {}
@@ -83,6 +91,35 @@ pub(in crate::daemon) fn persons(directory: &Path) -> Vec<KeptPerson> {
 fn parse(text: &str) -> Result<Vec<KeptPerson>, String> {
     let persons: Vec<Keyed<KeptPerson>> = serde_json::from_str(text).map_err(|error| json_says(&error))?;
     Ok(persons.into_iter().map(|Keyed(person)| person).collect())
+}
+
+/// The habits in the file of an earlier version. A file that is damaged gives none, and the log says so.
+pub(in crate::daemon) fn habits(directory: &Path, options: HabitsOptions) -> Option<Memory> {
+    let path = directory.join(HABITS[0]);
+    let read = state_file::read_bytes(&path, HABITS_BYTES_MAX as u64 + 24 * u64::from(NAMES_MAX) + 24);
+    let read = read.map_err(|error| error.to_string());
+    read.and_then(|bytes| bytes.map(|bytes| memory(&bytes, options)).transpose()).unwrap_or_else(|reason| {
+        tracing::warn!(reason, path = %path.display(), "the habits file of an earlier version cannot be used: only the events in the state database are learned");
+        None
+    })
+}
+
+/// The habits in the bytes of that file.
+///
+/// # Errors
+/// When the bytes are damaged, of another version, or say something impossible: why.
+pub fn memory(bytes: &[u8], options: HabitsOptions) -> Result<Memory, String> {
+    let early = || "it ends early".to_owned();
+    let mut rest = bytes.strip_prefix(b"RCHOME1\n").ok_or("it does not begin as one of this version")?;
+    if take_u32(&mut rest).ok_or_else(early)? != crc32fast::hash(rest) {
+        return Err("its checksum is wrong".to_owned());
+    }
+    let watched_until_s = f64::from_bits(take_u64(&mut rest).ok_or_else(early)?);
+    let count = take_u32(&mut rest).filter(|count| *count <= NAMES_MAX && !watched_until_s.is_nan());
+    let count = count.ok_or("it says something impossible")?;
+    let heard = (0..count).map(|_| take_event(&mut rest)).collect::<Option<Vec<_>>>().ok_or_else(early)?;
+    let habits = Habits::from_bytes(options, rest).map_err(|error| error.to_string())?;
+    Ok(Memory { habits, heard: Heard::new(heard), watched_until_s })
 }
 
 /// The records of some files' bytes, oldest first; damage is stepped over.

@@ -7,6 +7,7 @@ use roomcast_core::narration::Observation;
 use roomcast_database::SetAside;
 use roomcast_ipc::Sender as Port;
 
+use super::learned::HabitRows;
 use super::record::{Expectation, KeptPerson, Move};
 
 /// The content of the database at the start.
@@ -31,6 +32,8 @@ pub struct Recovered {
     pub settled: BTreeMap<(u64, u64), u64>,
     /// The persons with a name that the home gave.
     pub persons: Vec<KeptPerson>,
+    /// The habits; `None` if they were never written.
+    pub habits: Option<HabitRows>,
     /// Events that cannot be read.
     pub damaged: u64,
     /// A damaged database that a new one has replaced.

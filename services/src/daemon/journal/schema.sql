@@ -52,5 +52,23 @@ CREATE TABLE source (
     PRIMARY KEY (source, epoch)
 ) WITHOUT ROWID, STRICT;
 
+-- The names that habits know, by kind ('thing' or 'place') and number.
+CREATE TABLE habit_name (kind TEXT NOT NULL, number INTEGER NOT NULL, name TEXT NOT NULL, seen_min INTEGER NOT NULL, PRIMARY KEY (kind, number))
+WITHOUT ROWID, STRICT;
+
+-- The habits' model of a person, as JSON; its `slot` is the person in the lower six bits of `habit.slot`.
+CREATE TABLE habit_person (person INTEGER PRIMARY KEY, model TEXT NOT NULL) STRICT;
+
+-- How often a symbol followed a context, with a half-life, as of the minute of the last change.
+CREATE TABLE habit (
+    kind INTEGER NOT NULL, slot INTEGER NOT NULL, after_1 INTEGER NOT NULL, after_2 INTEGER NOT NULL, after_3 INTEGER NOT NULL,
+    symbol INTEGER NOT NULL, count REAL NOT NULL, touched_min INTEGER NOT NULL,
+    PRIMARY KEY (kind, slot, after_1, after_2, after_3, symbol)
+) WITHOUT ROWID, STRICT;
+
+-- The last learned event of each start of a narrator: habits learn no event twice.
+CREATE TABLE learned (source INTEGER NOT NULL, epoch INTEGER NOT NULL, sequence INTEGER NOT NULL, place INTEGER NOT NULL, PRIMARY KEY (source, epoch))
+WITHOUT ROWID, STRICT;
+
 -- The names that the home gave; `resident` is null where the configuration decides. `former` is a JSON list of earlier names.
 CREATE TABLE person (number INTEGER PRIMARY KEY, name TEXT NOT NULL, resident INTEGER, former TEXT NOT NULL, place INTEGER NOT NULL) STRICT;

@@ -9,9 +9,10 @@ use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, RoomName, SensorReport, Sentence, person_number};
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_database::Transaction;
-use roomcast_database::rusqlite::{self, OptionalExtension, Row, named_params, params};
+use roomcast_database::rusqlite::{self, Error, OptionalExtension, Row, named_params, params};
 use roomcast_ipc::Sender as Port;
 
+use super::learned::HabitRows;
 use super::record::{EVENT_BYTES, Expectation, KeptPerson, Move, Moved, PART_BYTES, Record};
 use super::recovered::Recovered;
 
@@ -360,14 +361,15 @@ pub(super) fn events(transaction: &Transaction<'_>) -> Result<(Vec<Known>, u64)>
     let (mut known, mut damaged) = (Vec::new(), 0);
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        match event_at(row)? {
-            Some(mut event) => {
+        match event_at(row) {
+            Ok(Some(mut event)) => {
                 if row.get(14)? {
                     event.moves = Some(moves.remove(&event.id).unwrap_or_default());
                 }
                 known.push(event);
             }
-            None => damaged += 1,
+            Ok(None) | Err(Error::Utf8Error(..) | Error::IntegralValueOutOfRange(..)) => damaged += 1,
+            Err(error) => return Err(error),
         }
     }
     Ok((known, damaged))
@@ -414,7 +416,8 @@ fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {
 /// The content that a starting daemon needs.
 pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let (known, damaged) = events(transaction)?;
-    let mut recovered = Recovered { damaged, persons: persons(transaction)?, ..Recovered::default() };
+    let (persons, habits) = (persons(transaction)?, HabitRows::read(transaction)?);
+    let mut recovered = Recovered { damaged, persons, habits, ..Recovered::default() };
     let mut ids = Vec::with_capacity(known.len());
     let mut newest = HashSet::new();
     for Known { id, mut observation, is_of_this_boot, found, moves } in known {

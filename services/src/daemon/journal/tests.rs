@@ -527,3 +527,73 @@ fn a_sync_waits_for_silence_and_not_longer_than_promised() {
     due.synced(false, at(2210));
     assert_eq!(due.at(), Some(at(3210)));
 }
+
+#[test]
+fn habits_are_rows_that_are_written_once_and_forgotten_whole() {
+    use roomcast_core::habits::{HabitsOptions, Place, Turn};
+
+    use crate::daemon::Memory;
+    use crate::daemon::habits::Heard;
+
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    assert_eq!(recovered.habits, None);
+    let options = HabitsOptions::default();
+    let mut memory = Memory::new(options);
+    memory.habits.bind(vec!["bed".to_owned()], vec!["secret-room".to_owned()], vec![1.0]);
+    memory.watched_until_s = 1e9 + 600.0;
+    let learn = |memory: &mut Memory, person: u32, sequence: u64| {
+        let at_s = 1e9 + 60.0 * sequence as f64;
+        memory.habits.observe(&Turn { person: PersonId(person), label: Some(0), room: Some(0), at_s });
+        memory.heard = Heard::new([EventId::new(4, 5, 6), EventId::new(1, 2, sequence)]);
+    };
+    (1..5).for_each(|sequence| learn(&mut memory, 1, sequence));
+    memory.habits.be(PersonId(1), Place::Elsewhere, 1e9 + 600.0);
+    let rows = HabitRows::of(&memory).unwrap();
+    own.write_habits(rows.clone(), false).unwrap();
+    let other = Connection::open(directory.path().join(FILE)).unwrap();
+    let changes = || other.query_row("SELECT sum(count) FROM habit", [], |row| row.get::<_, f64>(0)).unwrap();
+    let before = changes();
+    learn(&mut memory, 1, 5);
+    own.write_habits(HabitRows::of(&memory).unwrap(), false).unwrap();
+    assert!(changes() > before);
+    // No event is learned twice: the start of a narrator has one row.
+    other.execute("INSERT INTO learned VALUES (1, 2, 7, 9)", []).unwrap_err();
+    drop(own);
+    let (mut own, recovered) = writer(directory.path(), 1 << 20);
+    let again = recovered.habits.unwrap().memory(options).unwrap();
+    assert_eq!(again.habits.to_bytes(), memory.habits.to_bytes());
+    assert_eq!((again.heard, again.watched_until_s), (memory.heard.clone(), memory.watched_until_s));
+    // A flipped bit that SQLite does not see.
+    other.execute("UPDATE habit SET count = count + 1", []).unwrap();
+    let damaged = own.recover().unwrap().habits.unwrap().memory(options);
+    assert!(damaged.unwrap_err().contains("checksum"));
+    drop(other);
+    own.write_habits(HabitRows::of(&Memory::new(options)).unwrap(), true).unwrap();
+    assert!(!text_of(directory.path()).contains("secret-room"));
+}
+
+/// The page of the database shows queries that work.
+#[test]
+fn the_queries_of_the_manual_find_rows() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    let yesterday = UnixNs(crate::clock::unix_ns().0 - 86_400_000_000_000);
+    let said = |sequence: u64, event: Event| Observation {
+        name: Some("ada".into()),
+        observed_unix_ns: yesterday,
+        event,
+        ..observation(sequence)
+    };
+    let presences = ["present in the kitchen", "away", "present"].map(|text| Event::presence(text).unwrap());
+    own.write((1..).zip(presences).map(|(sequence, presence)| event(&said(sequence, presence)))).unwrap();
+    drop(own);
+    let database = Connection::open(directory.path().join(FILE)).unwrap();
+    let manual = include_str!("../../../../docs/database.md");
+    let queries: Vec<_> = manual.split("\n\n").filter(|part| part.starts_with("    SELECT")).collect();
+    assert_eq!(queries.len(), 5);
+    for query in queries {
+        let mut statement = database.prepare(query.trim().trim_end_matches(';')).unwrap();
+        assert!(statement.exists([]).unwrap(), "{query}");
+    }
+}

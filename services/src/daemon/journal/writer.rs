@@ -12,6 +12,7 @@ use roomcast_database::{Database, DatabaseError, SetAside, is_damage};
 use roomcast_core::ids::PersonId;
 
 use super::forget::{self, IsTheirs};
+use super::learned::HabitRows;
 use super::record::{KeptPerson, Record};
 use super::recovered::Recovered;
 use super::{Progress, old, store};
@@ -112,6 +113,8 @@ pub struct Writer {
     lacks_pages: bool,
     /// Events that trims have deleted.
     trimmed: usize,
+    /// The habits in the database.
+    habits: HabitRows,
     pub(super) progress: Arc<Progress>,
 }
 
@@ -141,6 +144,7 @@ impl Writer {
             unsynced,
             lacks_pages: false,
             trimmed: 0,
+            habits: HabitRows::default(),
             progress,
         };
         let recovered = match writer.start() {
@@ -157,7 +161,9 @@ impl Writer {
     fn start(&mut self) -> Result<Recovered, Error> {
         self.begin()?;
         self.import()?;
-        self.recover()
+        let recovered = self.recover()?;
+        self.habits = recovered.habits.clone().unwrap_or_default();
+        Ok(recovered)
     }
 
     /// The content for a daemon that starts now.
@@ -253,6 +259,11 @@ impl Writer {
         if self.lacks_pages {
             self.reopen()?;
             self.commit(true)?;
+            let habits = &self.habits;
+            self.database.write(|transaction| {
+                HabitRows::clear(transaction)?;
+                habits.write(transaction, &HabitRows::default())
+            })?;
             self.lacks_pages = false;
         }
         Ok(())
@@ -316,7 +327,8 @@ impl Writer {
         let (theirs, is_changed) =
             self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number))?;
         let removed = self.database.remove_set_aside();
-        let removed = removed.and_then(|()| self.directory.as_deref().map_or(Ok(()), old::remove));
+        let removed = removed
+            .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::ALL)));
         removed.map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
@@ -324,6 +336,25 @@ impl Writer {
             self.bytes = self.database.write(store::bytes)?;
         }
         Ok(theirs)
+    }
+
+    /// Writes the habits, with the records that the disk refused before. If a person is forgotten, no byte of the old rows stays.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn write_habits(&mut self, rows: HabitRows, is_forgotten: bool) -> Result<(), Error> {
+        self.write([])?;
+        let before = &self.habits;
+        let written = self.database.write(|transaction| rows.write(transaction, before));
+        written.inspect_err(|error| self.recover_from(error))?;
+        self.habits = rows;
+        if is_forgotten {
+            if let Some(directory) = &self.directory {
+                old::remove(directory, &old::HABITS).map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
+            }
+            self.erase()?;
+        }
+        Ok(())
     }
 
     /// Replaces the persons with a name that the home gave, on the disk.

@@ -1,0 +1,232 @@
+//! Habits as rows. A write changes the rows that differ from the last write, in one transaction with the events before it.
+
+use std::collections::BTreeMap;
+
+use roomcast_core::habits::{Habits, HabitsOptions};
+use roomcast_core::ids::EventId;
+use roomcast_database::Transaction;
+use roomcast_database::rusqlite::{OptionalExtension, Result, params};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::daemon::habits::{Heard, Memory};
+
+/// Names are of things or of places.
+const KINDS: [&str; 2] = ["thing", "place"];
+
+/// A count's kind, the number of its person, its context, and the symbol that followed.
+type Key = (u8, u8, [u16; 3], u16);
+
+/// All rows of the habits.
+#[derive(Debug, Default, Clone, PartialEq)]
+pub struct HabitRows {
+    version: u16,
+    /// Time spent was counted until then, in seconds since 1970, local time.
+    watched_until_s: f64,
+    /// By kind and number, each with the minute when it was last seen.
+    names: BTreeMap<(usize, u32), (String, u32)>,
+    /// Models of persons as JSON, by number.
+    persons: BTreeMap<u32, String>,
+    /// Each with the minute of its last change.
+    counts: BTreeMap<Key, (f32, u32)>,
+    /// The last learned event of each start of a narrator, the newest last.
+    learned: Vec<EventId>,
+    /// The rows are not those that were written: SQLite does not notice a flipped bit in a number.
+    is_damaged: bool,
+}
+
+/// The JSON of [`Habits::to_json`].
+#[derive(Serialize, Deserialize)]
+struct Stored {
+    version: u16,
+    objects: Vec<Name>,
+    places: Vec<Name>,
+    persons: Vec<Value>,
+    rows: Vec<Row>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Name {
+    name: String,
+    seen_min: u32,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Row {
+    kind: u8,
+    slot: u8,
+    after: [u16; 3],
+    touched_min: u32,
+    counts: Vec<(u16, f32)>,
+}
+
+impl HabitRows {
+    /// The rows of a memory.
+    ///
+    /// # Errors
+    /// When the habits cannot be written as JSON: a fault of the program.
+    pub fn of(memory: &Memory) -> std::result::Result<Self, String> {
+        let json = memory.habits.to_json().map_err(|error| error.to_string())?;
+        let Stored { version, objects, places, persons, rows } =
+            serde_json::from_str(&json).map_err(|error| error.to_string())?;
+        let names = [objects, places].into_iter().enumerate().flat_map(|(kind, names)| {
+            (0..).zip(names).map(move |(number, Name { name, seen_min })| ((kind, number), (name, seen_min)))
+        });
+        let number =
+            |person: &Value| person.get("number").and_then(Value::as_u64).and_then(|number| number.try_into().ok());
+        let persons = persons.iter().filter_map(|person| Some((number(person)?, person.to_string())));
+        let counts = rows.into_iter().flat_map(|Row { kind, slot, after, touched_min, counts }| {
+            counts.into_iter().map(move |(symbol, count)| ((kind, slot, after, symbol), (count, touched_min)))
+        });
+        Ok(Self {
+            version,
+            watched_until_s: memory.watched_until_s,
+            names: names.collect(),
+            persons: persons.collect(),
+            counts: counts.collect(),
+            learned: memory.heard.names().to_vec(),
+            is_damaged: false,
+        })
+    }
+
+    /// The memory of these rows.
+    ///
+    /// # Errors
+    /// When the rows are damaged or of another version: the reason.
+    pub fn memory(&self, options: HabitsOptions) -> std::result::Result<Memory, String> {
+        if self.is_damaged {
+            return Err("their checksum is wrong".to_owned());
+        }
+        let names = |kind: usize| {
+            let own = self.names.range((kind, 0)..(kind + 1, 0)).map(|(_, (name, seen_min))| (name.clone(), *seen_min));
+            own.map(|(name, seen_min)| Name { name, seen_min }).collect()
+        };
+        let mut rows = Vec::<Row>::new();
+        for ((kind, slot, after, symbol), (count, touched_min)) in &self.counts {
+            let is_same = |row: &&mut Row| (row.kind, row.slot, row.after) == (*kind, *slot, *after);
+            match rows.last_mut().filter(is_same) {
+                Some(row) => row.counts.push((*symbol, *count)),
+                None => rows.push(Row {
+                    kind: *kind,
+                    slot: *slot,
+                    after: *after,
+                    touched_min: *touched_min,
+                    counts: vec![(*symbol, *count)],
+                }),
+            }
+        }
+        let persons =
+            self.persons.values().map(|person| serde_json::from_str(person)).collect::<serde_json::Result<_>>();
+        let persons = persons.map_err(|error| error.to_string())?;
+        let (objects, places) = (names(0), names(1));
+        let stored = Stored { version: self.version, objects, places, persons, rows };
+        let json = serde_json::to_string(&stored).map_err(|error| error.to_string())?;
+        let habits = Habits::from_json(options, &json).map_err(|error| error.to_string())?;
+        Ok(Memory { habits, heard: Heard::new(self.learned.iter().copied()), watched_until_s: self.watched_until_s })
+    }
+
+    /// Writes the rows that differ from the `before` ones.
+    pub(super) fn write(&self, transaction: &Transaction<'_>, before: &Self) -> Result<()> {
+        let mut delete = transaction.prepare_cached("DELETE FROM habit_name WHERE kind = ?1 AND number = ?2")?;
+        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO habit_name VALUES (?1, ?2, ?3, ?4)")?;
+        changes(&before.names, &self.names, |(kind, number), name| match name {
+            Some((name, seen_min)) => write.execute(params![KINDS[*kind], number, name, seen_min]),
+            None => delete.execute(params![KINDS[*kind], number]),
+        })?;
+        let mut delete = transaction.prepare_cached("DELETE FROM habit_person WHERE person = ?1")?;
+        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO habit_person VALUES (?1, ?2)")?;
+        changes(&before.persons, &self.persons, |person, model| match model {
+            Some(model) => write.execute(params![person, model]),
+            None => delete.execute([person]),
+        })?;
+        let mut delete = transaction.prepare_cached(
+            "DELETE FROM habit WHERE (kind, slot, after_1, after_2, after_3, symbol) = (?1, ?2, ?3, ?4, ?5, ?6)",
+        )?;
+        let mut write =
+            transaction.prepare_cached("INSERT OR REPLACE INTO habit VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)")?;
+        changes(&before.counts, &self.counts, |(kind, slot, [first, second, third], symbol), count| match count {
+            Some((count, touched_min)) => {
+                write.execute(params![kind, slot, first, second, third, symbol, count, touched_min])
+            }
+            None => delete.execute(params![kind, slot, first, second, third, symbol]),
+        })?;
+        transaction.execute("DELETE FROM learned", [])?;
+        let mut write = transaction.prepare_cached("INSERT INTO learned VALUES (?1, ?2, ?3, ?4)")?;
+        for (place, EventId { source, epoch, sequence }) in (0_i64..).zip(&self.learned) {
+            write.execute(params![source.cast_signed(), epoch.cast_signed(), sequence.cast_signed(), place])?;
+        }
+        let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO meta VALUES (?1, ?2)")?;
+        write.execute(params!["habits_version", self.version])?;
+        write.execute(params!["habits_until_s", self.watched_until_s])?;
+        write.execute(params!["habits_checksum", self.checksum()]).map(|_| ())
+    }
+
+    fn checksum(&self) -> u32 {
+        let Self { version, watched_until_s, names, persons, counts, learned, .. } = self;
+        let mut hasher = crc32fast::Hasher::new();
+        let few = format!("{version} {} {names:?} {persons:?} {learned:?}", watched_until_s.to_bits());
+        hasher.update(few.as_bytes());
+        for ((kind, slot, [first, second, third], symbol), (count, touched_min)) in counts {
+            hasher.update(&[*kind, *slot]);
+            [first, second, third, symbol].into_iter().for_each(|number| hasher.update(&number.to_le_bytes()));
+            hasher.update(&count.to_le_bytes());
+            hasher.update(&touched_min.to_le_bytes());
+        }
+        hasher.finalize()
+    }
+
+    /// Deletes all rows.
+    pub(super) fn clear(transaction: &Transaction<'_>) -> Result<()> {
+        transaction
+            .execute_batch("DELETE FROM habit_name; DELETE FROM habit_person; DELETE FROM habit; DELETE FROM learned")
+    }
+
+    /// Reads the rows; `None` if habits were never written.
+    pub(super) fn read(transaction: &Transaction<'_>) -> Result<Option<Self>> {
+        let mut meta = transaction.prepare("SELECT value FROM meta WHERE key = ?1")?;
+        let Some(version) = meta.query_row(["habits_version"], |row| row.get(0)).optional()? else { return Ok(None) };
+        let watched_until_s = meta.query_row(["habits_until_s"], |row| row.get(0)).optional()?;
+        let checksum = meta.query_row(["habits_checksum"], |row| row.get::<_, u32>(0)).optional()?;
+        let mut query = transaction.prepare("SELECT kind = 'place', number, name, seen_min FROM habit_name")?;
+        let names = query.query_map([], |row| {
+            Ok(((usize::from(row.get::<_, bool>(0)?), row.get(1)?), (row.get(2)?, row.get(3)?)))
+        })?;
+        let names = names.collect::<Result<_>>()?;
+        let mut query = transaction.prepare("SELECT person, model FROM habit_person")?;
+        let persons = query.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?.collect::<Result<_>>()?;
+        let mut query = transaction.prepare("SELECT * FROM habit")?;
+        let counts = query.query_map([], |row| {
+            let after = [row.get(2)?, row.get(3)?, row.get(4)?];
+            Ok(((row.get(0)?, row.get(1)?, after, row.get(5)?), (row.get(6)?, row.get(7)?)))
+        })?;
+        let counts = counts.collect::<Result<_>>()?;
+        let mut query = transaction.prepare("SELECT source, epoch, sequence FROM learned ORDER BY place")?;
+        let learned = query.query_map([], |row| {
+            let number = |at| row.get::<_, i64>(at).map(i64::cast_unsigned);
+            Ok(EventId::new(number(0)?, number(1)?, number(2)?))
+        })?;
+        let learned = learned.collect::<Result<_>>()?;
+        let watched_until_s = watched_until_s.unwrap_or(f64::NEG_INFINITY);
+        let rows = Self { version, watched_until_s, names, persons, counts, learned, is_damaged: false };
+        let is_damaged = checksum != Some(rows.checksum());
+        Ok(Some(Self { is_damaged, ..rows }))
+    }
+}
+
+/// Calls `write` with each key whose value has changed: the new value, or `None` for a key that is gone.
+fn changes<K: Ord, V: PartialEq>(
+    before: &BTreeMap<K, V>,
+    now: &BTreeMap<K, V>,
+    mut write: impl FnMut(&K, Option<&V>) -> Result<usize>,
+) -> Result<()> {
+    let mut before = before.iter().peekable();
+    for (key, value) in now {
+        while let Some((gone, _)) = before.next_if(|(old, _)| *old < key) {
+            write(gone, None)?;
+        }
+        if before.next_if(|(old, _)| *old == key).is_none_or(|(_, old)| old != value) {
+            write(key, Some(value))?;
+        }
+    }
+    before.try_for_each(|(gone, _)| write(gone, None).map(|_| ()))
+}
