@@ -107,3 +107,7 @@ mod household;
 #[cfg(test)]
 #[path = "../../tests/support/fleet_day.rs"]
 mod fleet_day;
+
+#[cfg(test)]
+#[path = "../../tests/support/eventually.rs"]
+mod eventually;

@@ -10,15 +10,20 @@ use roomcast_ipc::{Node, Publisher, Subscriber, clock};
 
 use crate::eventually::eventually;
 use crate::household_day::{BEGIN_MIN, House, Robot, configuration, live};
+use crate::processes::includes;
 use crate::world::World;
 
 const SPEED: f64 = 480.0;
+const NARRATORS: [&str; 2] = ["sensors", "camera"];
 const MINUTE: Duration = Duration::from_millis(125);
 const END_MIN: u32 = BEGIN_MIN + 90;
 
 struct Processes {
     world: World,
-    begin: Instant,
+    /// Lines that each narrator was given.
+    told: [u64; 2],
+    /// The first decision, until the robot follows it.
+    first: Option<DecisionV1>,
     forecasts: Subscriber<PersonForecastsV1>,
     scores: Subscriber<RoomScoresV1>,
     decisions: Subscriber<DecisionV1>,
@@ -35,12 +40,9 @@ impl Processes {
         std::fs::write(&config, configuration(scene, world.state().to_str().unwrap(), SPEED)).unwrap();
         let node = world.domain.open("household").unwrap();
         let (forecasts, scores) = (node.subscriber().unwrap(), node.subscriber::<RoomScoresV1>().unwrap());
-        for arguments in [
-            &["daemon"][..],
-            &["planner"],
-            &["narrate", "-", "--name", "sensors"],
-            &["narrate", "-", "--name", "camera"],
-        ] {
+        let decisions = node.subscriber::<DecisionV1>().unwrap();
+        let [sensors, camera] = NARRATORS.map(|name| ["narrate", "-", "--name", name]);
+        for arguments in [&["daemon"][..], &["planner"], &sensors, &camera] {
             let mut command = world.command(arguments);
             command.arg("--config").arg(&config).stdin(Stdio::piped());
             world.spawn(command);
@@ -49,42 +51,58 @@ impl Processes {
             }
         }
         Self {
-            begin: Instant::now(),
+            told: [0; 2],
+            first: Some(eventually("the planner decides", || decisions.receive().unwrap())),
             forecasts,
             scores,
-            decisions: node.subscriber().unwrap(),
+            decisions,
             reports: node.publisher().unwrap(),
             newest: Default::default(),
             _node: node,
             world,
         }
     }
+
+    /// Takes in the newest forecasts and scores.
+    fn hear(&mut self) {
+        if let Some(newest) = self.forecasts.newest().unwrap() {
+            *self.newest.0 = newest;
+        }
+        if let Some(newest) = self.scores.newest().unwrap() {
+            *self.newest.1 = newest;
+        }
+    }
 }
 
 impl House for Processes {
     fn narrate(&mut self, narrator: &'static str, line: String) {
-        let process = &mut self.world.children[if narrator == "sensors" { 2 } else { 3 }].child;
+        let number = NARRATORS.iter().position(|name| *name == narrator).unwrap();
+        self.told[number] += 1;
+        let process = &mut self.world.children[2 + number].child;
         writeln!(process.stdin.as_mut().unwrap(), "{line}").unwrap();
     }
 
     fn restart(&mut self) {}
 
     fn pass(&mut self, minute: u32, robot: &mut Robot) {
-        let end = self.begin + MINUTE * (minute + 1 - BEGIN_MIN);
-        while Instant::now() < end {
-            let at_min = f64::from(BEGIN_MIN) + self.begin.elapsed().div_duration_f64(MINUTE);
-            let decided: Vec<_> = std::iter::from_fn(|| self.decisions.receive().unwrap()).collect();
+        // On a busy machine the minute waits for the narration before it.
+        eventually("the forecast knows the narration", || {
+            self.hear();
+            let is_included = |(name, told): (&&str, &u64)| *told == 0 || includes(&self.newest.1, name, *told);
+            let is_known = NARRATORS.iter().zip(&self.told).all(is_included);
+            (is_known && self.newest.0.sequence >= self.newest.1.sequence).then_some(())
+        });
+        let begin = Instant::now();
+        while begin.elapsed() < MINUTE {
+            let at_min = f64::from(minute) + begin.elapsed().div_duration_f64(MINUTE);
+            let others = std::iter::from_fn(|| self.decisions.receive().unwrap());
+            let decided: Vec<_> = self.first.take().into_iter().chain(others).collect();
             for report in robot.act(at_min, &decided, (clock::monotonic_ns(), clock::unix_ns())) {
                 self.reports.send(&report).unwrap();
             }
             self.reports.tick().unwrap();
-            self.forecasts.wait(end.saturating_duration_since(Instant::now()).min(MINUTE / 10)).unwrap();
-            if let Some(newest) = self.forecasts.newest().unwrap() {
-                *self.newest.0 = newest;
-            }
-        }
-        if let Some(newest) = self.scores.newest().unwrap() {
-            *self.newest.1 = newest;
+            self.forecasts.wait(MINUTE / 10).unwrap();
+            self.hear();
         }
         self.world.assert_alive();
     }

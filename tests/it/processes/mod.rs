@@ -23,7 +23,7 @@ fn scores_with(scores: &Subscriber<RoomScoresV1>, what: &str, holds: impl Fn(&Ro
     eventually(what, || scores.newest().unwrap().filter(&holds))
 }
 
-fn includes(scores: &RoomScoresV1, name: &str, number: u64) -> bool {
+pub(crate) fn includes(scores: &RoomScoresV1, name: &str, number: u64) -> bool {
     let source = sequence::source_of_name(name);
     scores.included().iter().any(|included| included.source == source && included.sequence >= number)
 }
