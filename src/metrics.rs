@@ -628,8 +628,7 @@ mod tests {
         let line = HorizonLine {
             horizon_s: 900.0,
             shipped: 0.25,
-            persistence: 0.5,
-            leaving: 0.125,
+            leaving: 0.625,
             later: 0.125,
             set: Vec::new(),
             set_probability: None,
@@ -649,7 +648,7 @@ mod tests {
             "roomcast_habits_names 3",
             "roomcast_habits_observations{person=\"7\"} 41.5",
             "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"model\"} 0.25",
-            "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"persistence\"} 0.5",
+            "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"leaving\"} 0.625",
         ] {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }

@@ -225,9 +225,8 @@ impl Stays {
         self.advance(counts, slot, now_s, learn);
         let places = home.places();
         for (index, (anchor, horizon_s)) in self.anchors.iter_mut().zip(ANCHORS_S).enumerate() {
-            while let Some(Waiting { at_s, entered_s, place, issued, rows }) =
-                anchor.waiting.pop_front_if(|waiting| waiting.at_s + horizon_s <= now_s)
-            {
+            while anchor.waiting.front().is_some_and(|waiting| waiting.at_s + horizon_s <= now_s) {
+                let Some(Waiting { at_s, entered_s, place, issued, rows }) = anchor.waiting.pop_front() else { break };
                 let due_s = at_s + horizon_s;
                 let truth = if due_s >= self.entered_s { self.place } else { self.before };
                 // What was not watched is not known.
