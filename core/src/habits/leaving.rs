@@ -4,13 +4,18 @@
 //! day, over place, over all rooms, over the shipped stay. Time out of the house has the shipped absence as its prior, since rooms say nothing of
 //! how long it lasts. Stays that end lead where earlier ones led, and begin anew there.
 
-use super::key::NONE;
+use super::key::{Kind, NONE};
 use super::moment::{self, CLASSES, PART_HOURS, class_s, time_class};
 use super::names::ELSEWHERE;
 use super::parts::Expert;
 use super::rooms::normalise;
-use super::stays::{EXITS, MINUTES, SHIPPED_AWAY_S, exit_contexts, stay_contexts};
 use super::whose::View;
+
+/// Symbols of the counts of stays.
+pub(crate) const EXITS: u16 = 0;
+pub(crate) const MINUTES: u16 = 1;
+/// Scale of the stay out of the house that the shipped forecast begins with, in seconds.
+pub(crate) const SHIPPED_AWAY_S: f64 = 14_400.0;
 
 /// Farther ahead than this the forecast no longer changes, in seconds.
 const FARTHEST_S: f64 = 4.0 * 3_600.0;
@@ -172,6 +177,17 @@ impl Leaving {
             *at_s += step_s;
         }
     }
+}
+
+/// The contexts of a stay. A time out of the house does not count for the length of stays in rooms.
+pub(crate) fn stay_contexts(place: u16, spent: u16, part: u16) -> impl Iterator<Item = (Kind, [u16; 3])> {
+    let all = (Kind::Stay, [NONE, spent, NONE]);
+    let rest = [(Kind::StayPlace, [place, spent, NONE]), (Kind::StayPlaceHour, [place, spent, part])];
+    (place != ELSEWHERE).then_some(all).into_iter().chain(rest)
+}
+
+pub(crate) fn exit_contexts(place: u16, part: u16) -> [(Kind, [u16; 3]); 2] {
+    [(Kind::Exit, [place, NONE, NONE]), (Kind::ExitHour, [place, part, NONE])]
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 
 use super::counts::Counts;
 use super::key::{Kind, NONE, key};
-use super::leaving::{Leaving, Stay};
+use super::leaving::{EXITS, Leaving, MINUTES, SHIPPED_AWAY_S, Stay, exit_contexts, stay_contexts};
 use super::mixture::FixedShare;
 use super::moment::{self, CLASSES_S, PART_HOURS, time_class};
 use super::names::{ELSEWHERE, Home};
@@ -40,9 +40,6 @@ const LATER: usize = 3;
 const SAMPLE_S: f64 = 60.0;
 /// After a longer silence of the whole system the time is no stay.
 const GAP_S: f64 = 36.0 * 3_600.0;
-/// Symbols of the counts of stays.
-pub(crate) const EXITS: u16 = 0;
-pub(crate) const MINUTES: u16 = 1;
 /// How many samples the wider level is worth in what is counted directly.
 const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
 /// Samples that a horizon begins with: half of them stayed.
@@ -54,8 +51,6 @@ const FLOOR: f64 = 1e-3;
 const ARRIVAL_S: f64 = 600.0;
 /// How many returns the shipped forecast of a person who is back is worth: it says where they are in the long run.
 const BACK_STRENGTH: f64 = 1.0;
-/// Scale of the stay out of the house that the shipped forecast begins with, in seconds.
-pub(crate) const SHIPPED_AWAY_S: f64 = 14_400.0;
 
 /// A forecast that waits for its outcome.
 #[derive(Debug, Clone)]
@@ -375,17 +370,6 @@ impl Stays {
         p.fill((1.0 - stay) / others.max(1) as f64);
         p[here] = if others > 0 { stay } else { 1.0 };
     }
-}
-
-/// What is counted of a stay. A time out of the house says nothing of how long stays in rooms last.
-pub(crate) fn stay_contexts(place: u16, spent: u16, part: u16) -> impl Iterator<Item = (Kind, [u16; 3])> {
-    let all = (Kind::Stay, [NONE, spent, NONE]);
-    let rest = [(Kind::StayPlace, [place, spent, NONE]), (Kind::StayPlaceHour, [place, spent, part])];
-    (place != ELSEWHERE).then_some(all).into_iter().chain(rest)
-}
-
-pub(crate) fn exit_contexts(place: u16, part: u16) -> [(Kind, [u16; 3]); 2] {
-    [(Kind::Exit, [place, NONE, NONE]), (Kind::ExitHour, [place, part, NONE])]
 }
 
 /// Where a person who is in a place is a horizon later.
