@@ -51,7 +51,11 @@ fn plain_rust() -> String {
                 let _ = writeln!(
                     docs,
                     "{}",
-                    line.replace("[`", "").replace("`]", "").replace("crate::", "").replace('`', "")
+                    line.replace("[`", "")
+                        .replace("`]", "")
+                        .replace("crate::raw::", "")
+                        .replace("crate::", "")
+                        .replace('`', "")
                 );
                 continue;
             }
