@@ -597,3 +597,19 @@ fn the_queries_of_the_manual_find_rows() {
         assert!(statement.exists([]).unwrap(), "{query}");
     }
 }
+
+#[test]
+fn a_failed_sync_writes_events_again_and_habits_that_were_never_written_stay_so() {
+    let outer = tempfile::tempdir().unwrap();
+    let (state, gone) = (outer.path().join("state"), outer.path().join("gone"));
+    fs::create_dir(&state).unwrap();
+    let (mut own, _) = writer(&state, 1 << 20);
+    own.write([event(&observation(1))]).unwrap();
+    fs::rename(&state, &gone).unwrap();
+    fs::create_dir(&state).unwrap();
+    own.sync().unwrap_err();
+    own.write([event(&observation(2))]).unwrap();
+    let recovered = own.recover().unwrap();
+    let sequences: Vec<_> = recovered.observations.iter().map(|own| own.sequence).collect();
+    assert_eq!((sequences, recovered.habits), (vec![1, 2], None));
+}

@@ -113,8 +113,8 @@ pub struct Writer {
     lacks_pages: bool,
     /// Events that trims have deleted.
     trimmed: usize,
-    /// The habits in the database.
-    habits: HabitRows,
+    /// The habits in the database; `None` if they were never written.
+    habits: Option<HabitRows>,
     pub(super) progress: Arc<Progress>,
 }
 
@@ -144,7 +144,7 @@ impl Writer {
             unsynced,
             lacks_pages: false,
             trimmed: 0,
-            habits: HabitRows::default(),
+            habits: None,
             progress,
         };
         let recovered = match writer.start() {
@@ -162,7 +162,7 @@ impl Writer {
         self.begin()?;
         self.import()?;
         let recovered = self.recover()?;
-        self.habits = recovered.habits.clone().unwrap_or_default();
+        self.habits.clone_from(&recovered.habits);
         Ok(recovered)
     }
 
@@ -259,11 +259,12 @@ impl Writer {
         if self.lacks_pages {
             self.reopen()?;
             self.commit(true)?;
-            let habits = &self.habits;
-            self.database.write(|transaction| {
-                HabitRows::clear(transaction)?;
-                habits.write(transaction, &HabitRows::default())
-            })?;
+            if let Some(habits) = &self.habits {
+                self.database.write(|transaction| {
+                    HabitRows::clear(transaction)?;
+                    habits.write(transaction, &HabitRows::default())
+                })?;
+            }
             self.lacks_pages = false;
         }
         Ok(())
@@ -344,10 +345,11 @@ impl Writer {
     /// When the disk refuses.
     pub fn write_habits(&mut self, rows: HabitRows, is_forgotten: bool) -> Result<(), Error> {
         self.write([])?;
-        let before = &self.habits;
+        let nothing = HabitRows::default();
+        let before = self.habits.as_ref().unwrap_or(&nothing);
         let written = self.database.write(|transaction| rows.write(transaction, before));
         written.inspect_err(|error| self.recover_from(error))?;
-        self.habits = rows;
+        self.habits = Some(rows);
         if is_forgotten {
             if let Some(directory) = &self.directory {
                 old::remove(directory, &old::HABITS).map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
