@@ -638,7 +638,6 @@ mod tests {
         let line = HorizonLine {
             horizon_s: 900.0,
             shipped: 0.25,
-            persistence: 0.5,
             leaving: 0.125,
             later: 0.125,
             set: Vec::new(),
@@ -659,7 +658,6 @@ mod tests {
             "roomcast_habits_names 3",
             "roomcast_habits_observations{person=\"7\"} 41.5",
             "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"model\"} 0.25",
-            "roomcast_habits_forecast_share{person=\"7\",horizon_s=\"900\",part=\"persistence\"} 0.5",
         ] {
             assert!(text.lines().any(|own| own == line), "{line}\n{text}");
         }

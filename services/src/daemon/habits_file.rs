@@ -56,7 +56,12 @@ impl HabitsFile {
         };
         let memory = match read {
             Ok(None) => None,
-            Ok(Some(Ok(memory))) => Some(memory),
+            Ok(Some(Ok(memory))) => {
+                if memory.habits.is_converted() {
+                    tracing::info!(path = %path.display(), "the habits file is of an earlier version: its counts are kept, and which forecasts were right is learned again");
+                }
+                Some(memory)
+            }
             Ok(Some(Err(reason))) => {
                 let aside = fs::rename(&path, directory.join(ASIDE));
                 unusable = aside.is_err();
