@@ -218,6 +218,7 @@ pub struct Habits {
     home: Home,
     counts: Counts,
     persons: Vec<Person>,
+    is_converted: bool,
 }
 
 impl Habits {
@@ -233,6 +234,7 @@ impl Habits {
             home: Home { things: Names::new(options.names_max), places, shares: Vec::new() },
             counts: Counts::new(Limits { rows: options.contexts_max, blocks: options.blocks_max, half_life_min }),
             persons: Vec::new(),
+            is_converted: false,
             options,
         }
     }

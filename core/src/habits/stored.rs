@@ -21,6 +21,8 @@ const OLDEST: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
 /// Bytes behind the version that say nothing.
 const UNUSED_BYTES: usize = 8;
+/// Bytes of each person that only earlier versions use.
+const UNUSED_OF_PERSON: usize = 16;
 /// Largest state that is read, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
 
@@ -112,6 +114,9 @@ pub(crate) struct StoredRow {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Stored {
     pub(crate) version: u16,
+    /// Whether an earlier version wrote it.
+    #[serde(skip)]
+    is_converted: bool,
     #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) objects: Vec<StoredName>,
     #[serde(deserialize_with = "list_of_keyed")]
@@ -140,7 +145,9 @@ impl Stored {
         for person in &self.persons {
             out.0.extend_from_slice(&person.number.to_le_bytes());
             out.0.push(person.slot);
-            [person.observations].into_iter().chain(person.repeated).for_each(|value| out.double(value));
+            out.double(person.observations);
+            out.0.extend_from_slice(&[0; UNUSED_OF_PERSON]);
+            person.repeated.into_iter().for_each(|value| out.double(value));
             out.doubles(&person.weights);
             out.length(person.anchors.len());
             for anchor in &person.anchors {
@@ -216,9 +223,8 @@ impl Stored {
                     continue;
                 }
             }
-            let own = coarser
-                .entry((row.kind, row.slot, row.after, row.counts.len()))
-                .or_insert_with(|| StoredRow { counts: Vec::new(), ..row.clone() });
+            let empty = || StoredRow { counts: Vec::new(), ..row.clone() };
+            let own = coarser.entry((row.kind, row.slot, row.after)).or_insert_with(empty);
             own.touched_min = own.touched_min.max(row.touched_min);
             for (symbol, count) in row.counts {
                 match own.counts.iter_mut().find(|(known, _)| *known == symbol) {
@@ -228,7 +234,7 @@ impl Stored {
             }
         }
         self.rows.extend(coarser.into_values());
-        self.version = VERSION;
+        (self.version, self.is_converted) = (VERSION, true);
     }
 
     /// Nothing impossible is in it: numbers are finite and in range. Counts of nothing, which earlier versions wrote, are dropped.
@@ -348,12 +354,9 @@ impl Reader<'_> {
         })
     }
 
-    fn person(&mut self, version: u16) -> Option<StoredPerson> {
+    fn person(&mut self) -> Option<StoredPerson> {
         let (number, slot, observations) = (self.long()?, self.take::<1>()?[0], self.double()?);
-        if version < VERSION {
-            // How often the person stayed, of how many times.
-            self.take::<16>()?;
-        }
+        self.take::<UNUSED_OF_PERSON>()?;
         Some(StoredPerson {
             number,
             slot,
@@ -380,9 +383,10 @@ impl Reader<'_> {
         self.take::<UNUSED_BYTES>()?;
         Some(Stored {
             version,
+            is_converted: false,
             objects: self.list(Self::name)?,
             places: self.list(Self::name)?,
-            persons: self.list(|read| read.person(version))?,
+            persons: self.list(Self::person)?,
             rows: self.list(Self::row)?,
         })
     }
@@ -482,6 +486,7 @@ impl Habits {
         };
         Stored {
             version: VERSION,
+            is_converted: false,
             objects: names(&self.home.things),
             places: names(&self.home.places),
             persons: self.persons.clone().iter_mut().map(Person::stored).collect(),
@@ -492,11 +497,13 @@ impl Habits {
     /// Takes up what was stored. No map is bound, and nobody is anywhere.
     fn restore(options: HabitsOptions, stored: &Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
+        habits.is_converted = stored.is_converted;
         let names = [(&stored.objects, &mut habits.home.things, 0), (&stored.places, &mut habits.home.places, 1)];
         for (names, own, known) in names {
             for (at, StoredName { name, seen_min }) in names.iter().enumerate() {
-                let fits = at < known && own.iter().nth(at).is_some_and(|(own, _)| own == name)
-                    || own.add(name.clone(), *seen_min) == Numbered::As(at as u16);
+                let is_known = at < known && own.iter().nth(at).is_some_and(|(own, _)| own == name);
+                let fits = is_known || own.add(name.clone(), *seen_min) == Numbered::As(at as u16);
+                own.date(at as u16, *seen_min);
                 if !fits {
                     return Err(malformed(format!("the name {name:?} comes twice, is too long, or is one too many")));
                 }
@@ -535,6 +542,12 @@ impl Habits {
             }
         }
         Ok(habits)
+    }
+
+    /// Whether an earlier version wrote what was read: its counts are kept, and which forecasts were right is learned again.
+    #[must_use]
+    pub fn is_converted(&self) -> bool {
+        self.is_converted
     }
 
     /// What was learned, as bytes with a version and a checksum: counts of names and hours, no sentences.

@@ -415,6 +415,7 @@ fn where_somebody_was_is_known_until_they_go_on() {
 fn what_version_2_learned_is_still_known() {
     let json = include_str!("version-2.json");
     let mut habits = Habits::from_json(HabitsOptions::default(), json).unwrap();
+    assert!(habits.is_converted());
     let stored: Stored = serde_json::from_str(json).unwrap();
     assert!(Habits::from_bytes(*habits.options(), &stored.to_bytes()).unwrap().to_bytes() == habits.to_bytes());
     habits.bind(
@@ -428,7 +429,7 @@ fn what_version_2_learned_is_still_known() {
     habits.observe(&Turn { person, label: Some(2), room: Some(0), at_s });
     let objects = habits.mix(person, at_s, &[1.0 / 3.0; 3]).to_vec();
     let rooms = habits.next_rooms(person, at_s, &[0.5; 2]).to_vec();
-    assert!(objects[1] > 0.6 && rooms[1] > 0.6, "{objects:?} {rooms:?}");
+    assert!(objects[1] > 0.4 && rooms[1] > 0.6, "{objects:?} {rooms:?}");
     let (mut p, mut set) = (Vec::new(), Vec::new());
     at(&mut habits, person, at_s, 60.0, &[1.0 / 3.0; 3], &mut p);
     habits.room_set(person, 60.0, &p, false, &mut set);

@@ -53,7 +53,7 @@ pub trait ByteImage: Sized {
     /// The message's bytes in order, as they lie in shared memory: for a log that must give back every bit.
     ///
     /// ```
-    /// use roomcast_ipc::{ByteImage, NarrationV1, narration_kind};
+    /// use roomcast_ipc::raw::{ByteImage, NarrationV1, narration_kind};
     ///
     /// let message = NarrationV1::new(narration_kind::SENTENCE, "They grab the mug.")?;
     /// assert_eq!(NarrationV1::from_bytes(&message.to_bytes()), Some(message));

@@ -68,7 +68,7 @@ impl NarrationV1 {
     /// [`MessageError`] when the text is empty, too long or has control characters.
     ///
     /// ```
-    /// use roomcast_ipc::{NarrationV1, narration_kind};
+    /// use roomcast_ipc::raw::{NarrationV1, narration_kind};
     ///
     /// let message = NarrationV1::new(narration_kind::ACTION, "[Grab] <mug> (1)")?;
     /// assert_eq!(message.text(), "[Grab] <mug> (1)");
