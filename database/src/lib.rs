@@ -428,8 +428,8 @@ impl Database {
 #[must_use]
 pub fn is_damage(error: &rusqlite::Error) -> bool {
     use rusqlite::Error::{
-        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, QueryReturnedNoRows, SqliteFailure,
-        Utf8Error,
+        FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnIndex, InvalidColumnType, QueryReturnedNoRows,
+        SqlInputError, SqliteFailure, Utf8Error,
     };
     match error {
         SqliteFailure(error, _) => {
@@ -449,6 +449,9 @@ pub fn is_damage(error: &rusqlite::Error) -> bool {
         }
         FromSqlConversionFailure(..)
         | IntegralValueOutOfRange(..)
+        // A damaged schema has other columns.
+        | InvalidColumnIndex(..)
+        | SqlInputError { .. }
         | InvalidColumnType(..)
         | QueryReturnedNoRows
         | Utf8Error(..) => true,

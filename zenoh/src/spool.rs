@@ -11,7 +11,7 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::Path;
 
 use roomcast_database::rusqlite::{self, OptionalExtension, Row, params};
-use roomcast_database::{Database, DatabaseError, Schema, Transaction};
+use roomcast_database::{Database, DatabaseError, Schema, Transaction, is_damage};
 use roomcast_ipc::own_file::require_own;
 use roomcast_ipc::{clock, sequence};
 use rustix::fs::OFlags;
@@ -182,7 +182,7 @@ impl Spool {
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
         made.map_err(failed("make the folder of"))?;
         let is_new = !path.exists();
-        let (database, set_aside) = Database::open(&path, SCHEMA)?;
+        let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
         let failed_sqlite = |source| SpoolError::Sqlite { path: path.clone(), source };
         let found = match is_new {
             true => read_old(folder).map_err(failed("read the queue of an earlier version before"))?,
@@ -190,7 +190,13 @@ impl Spool {
         };
         let found = match found {
             None => Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() },
-            Some(_) if !is_new => read(database.connection().map_err(failed_sqlite)?).map_err(failed_sqlite)?,
+            Some(_) if !is_new => match read(&database) {
+                Err(error) if is_damage(&error) => {
+                    set_aside = Some(database.start_anew(&error)?);
+                    read(&database).map_err(failed_sqlite)?
+                }
+                found => found.map_err(failed_sqlite)?,
+            },
             Some(old) => old,
         };
         let Found { head, kept, given_up } = found;
@@ -445,11 +451,13 @@ fn is_sane(epoch: Hex, first: u64) -> bool {
     epoch.0 != 0 && (1..u64::MAX / 2).contains(&first)
 }
 
-fn read(connection: &rusqlite::Connection) -> rusqlite::Result<Found> {
+fn read(database: &Database) -> rusqlite::Result<Found> {
+    let connection = database.connection()?;
     let mut found = Found::default();
     let head = |row: &Row<'_>| {
         let numbers: [i64; 4] = [row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?];
-        let input: Option<String> = row.get(5)?;
+        // A text that is no text fails the checksum.
+        let input: Option<String> = row.get(5).unwrap_or_default();
         let is_whole = row.get::<_, i64>(6)? == i64::from(checksum(&(numbers, &input)));
         let [epoch, first, last, confirmed] = numbers.map(i64::cast_unsigned);
         let input = input.and_then(|input| serde_json::from_str(&input).ok());
@@ -460,7 +468,8 @@ fn read(connection: &rusqlite::Connection) -> rusqlite::Result<Found> {
     let mut query = connection.prepare("SELECT * FROM narration ORDER BY sequence")?;
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        let (sequence, epoch, content): (i64, i64, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
+        let (sequence, epoch): (i64, i64) = (row.get(0)?, row.get(1)?);
+        let Ok(content) = row.get::<_, String>(2) else { continue };
         let is_whole = row.get::<_, i64>(3)? == i64::from(checksum(&(sequence, epoch, &content)));
         let epoch = Hex(epoch.cast_unsigned());
         if let Some(kept) = serde_json::from_str::<Kept>(&content).ok().filter(|_| is_whole)
