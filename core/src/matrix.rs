@@ -2,7 +2,7 @@
 
 use std::ops::{Index, IndexMut};
 
-/// A matrix of rows x columns.
+/// A rows x columns matrix.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matrix {
     rows: usize,
@@ -47,7 +47,7 @@ impl Matrix {
         self.values.iter().skip(column).step_by(self.columns.max(1)).copied()
     }
 
-    /// `out[c] = sum over r of self[(r, c)] * vector[r]`. `out` has a place per column.
+    /// `out[c] = sum over r of self[(r, c)] * vector[r]`, with one value per column in `out`.
     pub fn transposed_product(&self, vector: &[f64], out: &mut [f64]) {
         out.fill(0.0);
         for (row, factor) in self.values.chunks_exact(self.columns.max(1)).zip(vector) {
