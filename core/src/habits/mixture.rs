@@ -2,13 +2,13 @@
 //!
 //! After every outcome the weight of each expert is multiplied by the probability that it gave to what happened, and a share of all
 //! weight goes back to where the weights began. With prior weights `v` and share `a`, over `T` outcomes the total loss of the mixture
-//! in nats exceeds that of any expert `i` by at most
+//! in nats exceeds the loss of expert `i` by at most
 //!
 //! ```text
 //! ln(1 / v_i) + (T - 1) ln(1 / (1 - a + a v_i))
 //! ```
 //!
-//! and that of any sequence of experts with `m` changes by at most one more `ln(1 / (a v))` per change. If outcomes come so often that many are
+//! and the loss of any sequence of experts with `m` changes by at most one more `ln(1 / (a v))` per change. If outcomes come so often that many are
 //! alike, probabilities are raised to a power `r` below one. Both bounds then grow by the factor `1 / r`.
 
 /// The weights of `N` experts.

@@ -1,7 +1,7 @@
 //! Habits of one home, learned while the persons are observed. The language model is the prior.
 //!
-//! The first day's forecasts are the language model's. Later forecasts also use the learned counts (`mixture.rs`): the loss of the mixture exceeds that
-//! of its best expert by a bound at most, if outcomes are known at once. The model is one of the experts. Counts are kept by name, so that they
+//! The first day's forecasts are the language model's. Later forecasts also use the learned counts (`mixture.rs`): the loss of the mixture exceeds
+//! its best expert's loss by a bound at most, if outcomes are known at once. The model is one of the experts. Counts are kept by name, so that they
 //! survive changes of the map. Memory is bounded, and counts fade with a half-life.
 //!
 //! Calls of a daemon, per person:
@@ -420,7 +420,7 @@ impl Habits {
         self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, NONE, at_s, learn));
     }
 
-    /// An absent person is in the house, in an unknown room. The next forecasts use the earlier returns.
+    /// Puts a person, absent before, into an unknown room of the house. The next forecasts use the earlier returns.
     pub fn come_back(&mut self, person: PersonId, at_s: f64) {
         self.moves(person, at_s, |stays, counts, slot, learn| stays.come_back(counts, slot, at_s, learn));
     }
