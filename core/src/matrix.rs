@@ -36,7 +36,7 @@ impl Matrix {
         self.columns
     }
 
-    /// The values of a row. Panics if the matrix has no such row.
+    /// The values of a row. Panics if `row` is out of range.
     #[must_use]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.columns..][..self.columns]
