@@ -3,7 +3,7 @@
 //! | expert | source for another thing | for the same one |
 //! | --- | --- | --- |
 //! | model | the language model's probabilities | its probability of the last thing |
-//! | habit | the things that followed the last things in this home, over the model | how often the last thing was mentioned so often, after the same things |
+//! | habit | the things that followed the last things here, over the model | how often the last thing was mentioned so often, after the same things |
 //! | hour | the things that followed the last thing at this part of the day | |
 //! | share | | how often any thing is mentioned again |
 //! | product | the others multiplied ([`super::pool`]) | |
