@@ -2,7 +2,7 @@
 
 use std::ops::{Index, IndexMut};
 
-/// A matrix of rows x columns.
+/// A rows x columns matrix.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Matrix {
     rows: usize,
@@ -36,7 +36,7 @@ impl Matrix {
         self.columns
     }
 
-    /// The values of a row. Panics if the matrix has no such row.
+    /// The values of a row. Panics if `row` is out of range.
     #[must_use]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.columns..][..self.columns]
@@ -47,7 +47,7 @@ impl Matrix {
         self.values.iter().skip(column).step_by(self.columns.max(1)).copied()
     }
 
-    /// `out[c] = sum over r of self[(r, c)] * vector[r]`. `out` has a place per column.
+    /// `out[c] = sum over r of self[(r, c)] * vector[r]`, with one value per column in `out`.
     pub fn transposed_product(&self, vector: &[f64], out: &mut [f64]) {
         out.fill(0.0);
         for (row, factor) in self.values.chunks_exact(self.columns.max(1)).zip(vector) {

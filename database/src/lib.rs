@@ -15,18 +15,18 @@ pub use rusqlite::{self, Connection, Transaction};
 use rusqlite::{ErrorCode, OpenFlags, TransactionBehavior, params_from_iter};
 use rustix::fs::FlockOperation;
 
-/// The write-ahead log is copied into the file when it has more bytes.
+/// Size of the write-ahead log at which it is copied into the file.
 pub const WAL_BYTES_MAX: u64 = 1 << 20;
-/// Damaged databases that are kept at most.
+/// Most damaged databases that are kept.
 const ASIDE_MAX: usize = 16;
 const PAGE_BYTES: u32 = 2048;
 
-/// What a database holds, next to the table `meta` with its pairs of key and value.
+/// The content of a database, in addition to the table `meta` of keys and values.
 #[derive(Debug, Clone, Copy)]
 pub struct Schema {
-    /// Marks the file, so that no other program's database is taken for it.
+    /// Marks the file, so that another program's database is not mistaken for it.
     pub application: i32,
-    /// The statements that lead from each version to the next. The version of a file is how many of them it has had.
+    /// The statements from each version to the next. A file's version is the number of applied ones.
     pub migrations: &'static [&'static str],
 }
 
@@ -39,12 +39,12 @@ pub enum DatabaseError {
     File {
         /// The file or folder.
         path: PathBuf,
-        /// "open", "lock", ...
+        /// "open", "lock" or another operation.
         operation: &'static str,
         /// The system's reason.
         source: io::Error,
     },
-    /// Another user could have put it there, or may write to it.
+    /// Another user could have created or may change it.
     #[error("database {}: {source}", path.display())]
     Refused {
         /// The file.
@@ -79,7 +79,7 @@ pub struct SetAside {
     pub rows: usize,
 }
 
-/// Where a database lives.
+/// The place of a database.
 #[derive(Debug)]
 enum Place {
     /// In a file. The lock lasts while this is open.
@@ -100,7 +100,7 @@ pub struct Simulation {
 /// A database of this process.
 #[derive(Debug)]
 pub struct Database {
-    /// None only while it is opened again.
+    /// `None` only during reopening.
     connection: Option<Connection>,
     path: PathBuf,
     schema: Schema,
@@ -108,7 +108,7 @@ pub struct Database {
 }
 
 impl Database {
-    /// Opens or makes the database. One that is damaged is set aside, and a new one begins.
+    /// Opens or creates the database. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; damage is no error.
@@ -135,13 +135,13 @@ impl Database {
         Ok((database, aside))
     }
 
-    /// Closes and opens it again, as a process does that was killed. A database that is damaged is set aside, and a new one begins.
+    /// Closes and reopens it, as after a kill. A damaged database is set aside, and a new one begins.
     ///
     /// # Errors
     /// [`DatabaseError`]; the next call tries again.
     pub fn reopen(&mut self) -> Result<Option<SetAside>, DatabaseError> {
         self.connection = None;
-        // A single read may be wrong, so the second attempt decides. SQLite takes a newer file format for read-only, and this file can be written.
+        // A single read may be wrong, so the second attempt decides. SQLite opens a newer file format read-only, although this file is writable.
         let connected = self.connect().or_else(|error| match error.sqlite_error_code() {
             Some(ErrorCode::ReadOnly) => Err(damaged(&error.to_string())),
             _ if is_damage(&error) => self.connect(),
@@ -157,7 +157,7 @@ impl Database {
         }
     }
 
-    /// Sets a database aside that is damaged, and begins a new one.
+    /// Sets a damaged database aside, and begins a new one.
     ///
     /// # Errors
     /// [`DatabaseError`].
@@ -186,7 +186,7 @@ impl Database {
             return Ok(0);
         }
         self.write(|transaction| {
-            // In this order a table follows the tables of its references.
+            // In this order a table follows the tables that it references.
             let mut query =
                 transaction.prepare("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY rowid")?;
             let tables: Vec<String> = query.query_map([], |row| row.get(0))?.collect::<rusqlite::Result<_>>()?;
@@ -222,7 +222,7 @@ impl Database {
         connection.busy_timeout(std::time::Duration::from_millis(200))?;
         connection.set_prepared_statement_cache_capacity(64);
         if matches!(self.place, Place::Simulated(_)) {
-            // A simulated disk has no shared memory.
+            // The simulated VFS has no shared memory.
             connection.pragma_update(None, "locking_mode", "exclusive")?;
         }
         connection.execute_batch(&format!(
@@ -270,7 +270,7 @@ impl Database {
         transaction.commit()
     }
 
-    /// Gives a damaged database another name, next to its own.
+    /// Renames a damaged database, in the same folder.
     fn set_aside(&mut self) -> Result<PathBuf, DatabaseError> {
         if let Place::Simulated(disk) = &self.place {
             (disk.set_aside)();
@@ -324,10 +324,10 @@ impl Database {
         self.connection.as_ref().ok_or(rusqlite::Error::InvalidQuery)
     }
 
-    /// Does some work in one transaction: all of it is done or nothing.
+    /// Runs work in one transaction: all of it takes effect or none.
     ///
     /// # Errors
-    /// Those of the work, and those of SQLite: a full disk, for instance.
+    /// Errors of the work and of SQLite, such as a full disk.
     pub fn write<T>(&mut self, work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<T>) -> rusqlite::Result<T> {
         let Some(connection) = &mut self.connection else { return Err(rusqlite::Error::InvalidQuery) };
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
@@ -336,10 +336,10 @@ impl Database {
         Ok(done)
     }
 
-    /// Brings all commits to the disk. After a failure the system may take lost pages for written: [`Database::reopen`], and write them again.
+    /// Syncs all commits to the disk. After a failure the system may treat lost pages as written: call [`Database::reopen`], and write them again.
     ///
     /// # Errors
-    /// When the disk refuses, or no name leads to the file any more.
+    /// When the disk refuses, or the file was moved or removed.
     pub fn sync(&mut self) -> rusqlite::Result<()> {
         self.write_synced(|transaction| {
             let count = "INSERT INTO meta VALUES ('syncs', 1) ON CONFLICT (key) DO UPDATE SET value = value + 1";
@@ -347,7 +347,7 @@ impl Database {
         })
     }
 
-    /// Does some work in one transaction, which is on the disk afterwards, with all commits before it.
+    /// Runs work in one transaction, which is on the disk afterwards, with all commits before it.
     ///
     /// # Errors
     /// As [`Database::write`] and [`Database::sync`].
@@ -376,7 +376,7 @@ impl Database {
         Ok(())
     }
 
-    /// Leaves nothing in file and log that the tables do not hold.
+    /// Removes all deleted data from file and log.
     ///
     /// # Errors
     /// When the disk refuses, or another program reads the database for long.
@@ -386,7 +386,7 @@ impl Database {
         self.require_name()
     }
 
-    /// Copies the log into the file, so that the next commits use its space again: a full disk may have no other.
+    /// Copies the log into the file, so that the next commits reuse its space: a full disk may have no other space.
     ///
     /// # Errors
     /// When the disk refuses.
@@ -397,7 +397,7 @@ impl Database {
     fn wal_bytes(&self) -> u64 {
         match self.place {
             Place::File(_) => fs::metadata(with_suffix(&self.path, "-wal")).map_or(0, |about| about.len()),
-            // A small one, so that tests see many.
+            // Always above the limit, so that tests copy often.
             Place::Simulated(_) => WAL_BYTES_MAX + 1,
         }
     }
@@ -408,7 +408,7 @@ impl Database {
         fs::metadata(&self.path).map_or(0, |about| about.len()) + self.wal_bytes()
     }
 
-    /// Refuses when the file was removed or moved, or its disk is gone: the next process would not find it.
+    /// Fails if the file was removed or moved, or its disk is gone: the next process would not find it.
     fn require_name(&self) -> rusqlite::Result<()> {
         let Place::File(file) = &self.place else { return Ok(()) };
         let ours = file.metadata();
@@ -424,7 +424,7 @@ impl Database {
     }
 }
 
-/// Whether an error says that the file is no sound database, and not that the disk or another process is in the way.
+/// Whether an error means a damaged file, and not a problem of the disk or another process.
 #[must_use]
 pub fn is_damage(error: &rusqlite::Error) -> bool {
     use rusqlite::Error::{
@@ -489,7 +489,7 @@ fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Makes the file if it is missing, and locks it for this process. Its owner alone may read it.
+/// Creates the file if it is missing, and locks it for this process. Only its owner may read it.
 fn lock(path: &Path) -> Result<File, DatabaseError> {
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);
@@ -503,7 +503,7 @@ fn lock(path: &Path) -> Result<File, DatabaseError> {
         rustix::io::Errno::WOULDBLOCK => DatabaseError::Locked { path: path.to_owned() },
         error => failed(path, "lock")(error.into()),
     })?;
-    // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
+    // Others could read a copy, such as a backup. A process that does not own the file cannot change its mode.
     if file.metadata().is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
         let _kept = file.set_permissions(fs::Permissions::from_mode(0o600));
     }

@@ -1,32 +1,31 @@
-//! Narrators, daemon and planner in one process, without threads, clock or shared memory: a seed decides what is said, what runs
-//! when, what the transport drops, delays, doubles and reorders, and who is killed. After every step the invariants are checked:
+//! Narrators, daemon and planner in one process, without threads, clock or shared memory. A seed decides the events, the order of execution, the
+//! messages that the transport drops, delays, doubles and reorders, and the kills. After every step the invariants are checked:
 //!
-//! - every narration that was accepted is in the history, also after a restart, and none is in it twice;
-//! - what a stranger says in a narrator's name, and what costs more tokens than a window holds, is in no history, and costs the narrators
-//!   nothing;
-//! - scores are those of exactly the narration that they contain, and claim no other;
-//! - each person's scores are those that they would have alone, and all together say where somebody is;
-//! - scores and forecasts are of one map, the one that the last good step scored, also when steps fail after a change;
-//! - whoever is away or gone is in no room, nobody is known whom nobody named, and what lies before a gap is in no window;
-//! - a restarted daemon believes everybody where they were, to the last digits, and takes what named nobody for the same person's;
-//! - of no observation habits are learned twice, and where nothing was lost, of each once: whenever the daemon is killed, whether the file
-//!   of habits was written, could not be written, or is damaged or of another version;
-//! - no decision rests on scores past their deadline;
-//! - the coverage-aware planner never waits while a room that it has to do is free;
-//! - of a robot that reports, a room counts as done only when it has said so, and no room whose work it ended otherwise;
-//! - a robot at work is left alone until it says that it is done, falls silent, or somebody comes; one that charges is not sent out;
-//! - the wall clock may be set at any time, and the machine suspended: neither changes what is believed of where anybody is, but for the time
-//!   that has passed;
-//! - power that fails takes what no sync has reached, and nothing else;
-//! - a disk may refuse any call, lose what a sync fails with, flip a bit, and give a block of elsewhere or of before: what was confirmed outlives
-//!   the daemon all the same, unless the database is damaged;
-//! - when there are too many events, the oldest alone go, and nobody's place, no source and no port with them;
-//! - whoever invents sources takes nothing from the others;
-//! - where the transport is faithful, all that living narrators say is confirmed in the end.
+//! - Every accepted event is in the history exactly once, also after a restart.
+//! - Events that an unknown narrator sends in another's name, and sentences with more tokens than a window, are in no history. They cost the other
+//!   narrators nothing.
+//! - Scores are those of exactly the events that they contain, and claim no others.
+//! - Each person's scores equal those of the person alone, and all together say whether persons are in the house.
+//! - Scores and forecasts have one map, the one of the last successful step, also if steps fail after a change.
+//! - Absent and forgotten persons are in no room, no unnamed person is known, and no window reaches across a gap.
+//! - After a restart the daemon has the same beliefs, up to rounding, and attributes unnamed events to the same persons.
+//! - Each observation is learned at most once, and exactly once if nothing was lost: whenever the daemon is killed, and whether the habits were
+//!   written, could not be written, are damaged or have another version.
+//! - No decision uses scores past their deadline.
+//! - The coverage-aware planner never waits while a room of its round is free.
+//! - If a robot reports, a room is done only after its report, and never if the work ended otherwise.
+//! - A robot at work is not interrupted until it reports the end, falls silent, or a person comes; a charging one is not sent out.
+//! - The wall clock may be set and the machine suspended at any time: neither changes beliefs, except by the time that has passed.
+//! - A power failure loses what was not synced, and nothing else.
+//! - The disk may refuse any call, lose pages when a sync fails, flip a bit, and return an old or a wrong block. Confirmed events survive unless the
+//!   database is damaged.
+//! - If there are too many events, only the oldest are deleted. Persons' places, sources and ports stay.
+//! - Invented sources take nothing from other narrators.
+//! - If the transport is faithful, all events of living narrators are confirmed in the end.
 //!
 //! The processes are the product's own: [`Account`], [`Intake`], [`Cycle`] with [`Board`], the journal's [`Writer`], [`Planner`].
-//! `ROOMCAST_SEEDS=10000` runs as many seeds, from `ROOMCAST_FIRST_SEED` on, `ROOMCAST_SEED=17` the one, with a trace of its last steps, 60 or
-//! `ROOMCAST_TRACE`, when it fails.
+//! `ROOMCAST_SEEDS=10000` runs as many seeds, from `ROOMCAST_FIRST_SEED` on. `ROOMCAST_SEED=17` runs one; if it fails, it prints a trace of its last
+//! 60 (or `ROOMCAST_TRACE`) steps.
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a panic in a test is the report")]
 
@@ -74,19 +73,18 @@ const SEEDS: u64 = 1000;
 /// Seeds with each planted fault.
 const PLANTED_SEEDS: u64 = 2400;
 const STEPS: usize = 400;
-/// Every fourth seed is longer, so that its oldest events go.
+/// Every fourth seed is longer, so that its oldest events are deleted.
 const LONG_STEPS: usize = 2000;
 const HEARTBEAT_NS: u64 = 100 * MS;
 const DEADLINE_MS: u64 = 400;
 const NARRATORS: usize = 2;
-/// What the narration service keeps for a subscriber that joins, and the room scores' buffer.
+/// History of the narration service for a new subscriber, and buffer of the room scores.
 const HISTORY: usize = 32;
 const BUFFER: usize = 2;
 const GROUNDING: GroundingOptions = GroundingOptions { level: PartitionLevel::Room, room_labels: false };
 const BOOT: [u8; 16] = [7; 16];
-/// Silence after which a visitor is gone.
+/// Silence after which a visitor is forgotten.
 const VISITOR_S: f64 = 0.4;
-/// Persons whom narrators name.
 const NAMES: [&str; 2] = ["ada", "ben"];
 const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two", "rooms": [
   {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
@@ -94,7 +92,7 @@ const SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "two",
   {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
   {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}}]}"#;
 
-/// The same map with a room and a thing more.
+/// The same map with another room and thing.
 const LARGER_SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name": "three", "rooms": [
   {"id": "a", "label": "a", "box": {"min_m": [0, 0, 0], "max_m": [1, 1, 1]}},
   {"id": "b", "label": "b", "box": {"min_m": [1, 0, 0], "max_m": [2, 1, 1]}},
@@ -102,56 +100,56 @@ const LARGER_SCENE: &str = r#"{"format": "roomcast-scene", "version": 1, "name":
   {"id": "1", "label": "pan", "position_m": [0.5, 0.5, 0.5], "box": {"min_m": [0, 0, 0], "max_m": [0.5, 0.5, 0.5]}},
   {"id": "2", "label": "pad", "position_m": [1.5, 0.5, 0.5], "box": {"min_m": [1.5, 0, 0], "max_m": [1.8, 0.5, 0.5]}},
   {"id": "3", "label": "pen", "position_m": [2.5, 0.5, 0.5], "box": {"min_m": [2.5, 0, 0], "max_m": [2.8, 0.5, 0.5]}}]}"#;
-/// A fault planted into the system, which the invariants must find.
+/// A planted fault, which the invariants must find.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Planted {
     Nothing,
-    /// The intake forgets what it took.
+    /// The intake forgets accepted events.
     NoDeduplication,
     /// The planner accepts scores of any age.
     NoDeadline,
     /// Damage on the disk goes unnoticed, as without a checksum.
     NoChecksum,
-    /// Scores claim narration that the journal does not hold yet.
+    /// Scores claim events that the journal lacks.
     ClaimsBeforeJournal,
     /// A restarted daemon does not read its journal.
     NoJournal,
     /// A restarted daemon reads the journal into the history and not into the intake.
     NoDeduplicationAfterRestart,
-    /// A restarted daemon does not know when its narration was observed.
+    /// A restarted daemon lacks the times of its events.
     NoTimesAfterRestart,
-    /// A restarted daemon does not know for whose it took what named nobody.
+    /// A restarted daemon lacks the attributions of unnamed events.
     NoAttributionsAfterRestart,
-    /// A restarted daemon does not know who has left.
+    /// A restarted daemon lacks the departures of persons.
     NoPresenceAfterRestart,
     /// The transport shows the rooms of a changed map before there are scores of it.
     MapBeforeScores,
-    /// The daemon does not ask which port a message came by.
+    /// The daemon ignores the port of a message.
     OnePort,
-    /// The intake does not ask what a sentence costs.
+    /// The intake ignores the cost of a sentence.
     NoCost,
-    /// A restarted daemon does not know of which observations it has learned.
+    /// A restarted daemon lacks the ids of learned observations.
     NoNamesOfLessons,
-    /// A restarted daemon does not know whose port each source is.
+    /// A restarted daemon lacks the ports of sources.
     NoPortsAfterRestart,
-    /// A reader of the journal counts again what it is given again.
+    /// A reader of the journal counts repeated records again.
     ReadsTwice,
-    /// A restarted daemon does not know who was given another name.
+    /// A restarted daemon lacks new names of persons.
     NoNamesAfterRestart,
     /// The planner's clock stands still while the machine is suspended.
     ClockStopsInSleep,
-    /// A sync that fails counts as one that went well.
+    /// A failed sync counts as successful.
     SyncErrorsHidden,
-    /// When there are too many events, the newest goes, too.
+    /// If there are too many events, the newest is deleted, too.
     NewestGoes,
-    /// When there are too many events, the last ones of persons go, too.
+    /// If there are too many events, the last ones of persons are deleted, too.
     LastWordsGo,
-    /// When there are too many events, it is forgotten whose the sources are.
+    /// If there are too many events, the sources' ports are deleted, too.
     PortsGo,
 }
 
 impl Planted {
-    /// What is done to the database after its oldest events were deleted.
+    /// Statement that runs after the oldest events were deleted.
     fn after_trim(self) -> Option<&'static str> {
         match self {
             Self::NewestGoes => Some("DELETE FROM event WHERE id = (SELECT max(id) FROM event)"),
@@ -164,11 +162,11 @@ impl Planted {
     }
 }
 
-/// Ports of strangers: one speaks in others' names, one invents sources.
+/// Ports of unknown narrators: one uses others' names, one invents sources.
 const FORGER: Sender = Sender::simulated(u64::MAX);
 const INVENTOR: Sender = Sender::simulated(u64::MAX - 1);
 
-/// A model whose scores depend on every token of the prompt, so that one narration more or less shows. Fails when told to.
+/// A model whose scores depend on every token of the prompt, so that an additional or missing event shows. It fails on request.
 #[derive(Debug)]
 struct WholePrompt {
     table: TableModel,
@@ -215,44 +213,44 @@ impl LanguageModel for WholePrompt {
     }
 }
 
-/// What a sentence of the simulation may cost in tokens, of which a byte makes one.
+/// Most tokens of a sentence; a byte is a token.
 const TOKENS: usize = 300;
-/// What a stranger says holds this word.
+/// A word of every event of an unknown narrator.
 const FORGED: &str = "attic";
 
-/// Where the daemon's pieces are between two steps.
+/// State of the daemon between two steps.
 struct Daemon {
     intake: Intake,
     cycle: Cycle<WholePrompt>,
-    /// Scores ahead, and what it has not handed over yet.
+    /// The prefetcher, and its answers that were not delivered yet.
     preparer: Preparer<WholePrompt>,
     late: Vec<Answer>,
-    /// From the ear to the scoring loop.
+    /// From the intake to the scoring loop.
     queue: VecDeque<(Entry, u64)>,
-    /// To the journal's writer, and whether it is an observation from the ear.
+    /// To the journal's writer; true for an observation from the intake.
     records: VecDeque<(Record, bool)>,
     writer: Writer,
-    /// Events that it has deleted, as far as the world knows.
+    /// Deleted events, as far as the world knows.
     trimmed: usize,
     appended: u64,
     written: u64,
-    /// Stopped until then, as by SIGSTOP.
+    /// Stopped until this time, as by SIGSTOP.
     hung_ns: u64,
-    /// How many of the accepted observations the cycle has entered, and the scores contain.
+    /// Numbers of accepted observations that the cycle has entered, and that the scores contain.
     entered: usize,
     scored: usize,
-    /// What the model read for the newest scores.
+    /// The model's input for the newest scores.
     read: Vec<(PersonId, String)>,
-    /// Starts of narrators that this run of the daemon has heard, so that their ports are known.
+    /// Starts of narrators that this daemon has heard, so that their ports are known.
     heard: BTreeSet<(u64, u64)>,
-    /// Which of the maps is in use, and which one the scores are of.
+    /// Index of the map in use, and of the scores' map.
     map: usize,
     scored_map: usize,
     /// No scores were sent since the start.
     restarted: bool,
 }
 
-/// A daemon that was killed when all that it knew was in the journal: what would it say now?
+/// The board of a daemon that was killed when the journal had all its state, for comparison with the restarted one.
 struct Ghost {
     board: Board<WholePrompt>,
     accepted: usize,
@@ -262,7 +260,7 @@ struct Narrator {
     name: String,
     port: Sender,
     account: Account,
-    /// What the service keeps for a daemon that joins.
+    /// The service's history for a new daemon.
     history: VecDeque<NarrationV1>,
     wire: VecDeque<NarrationV1>,
     scores: VecDeque<RoomScoresV1>,
@@ -270,48 +268,46 @@ struct Narrator {
 
 struct Robot {
     planner: Planner,
-    /// The planner's start.
     epoch: u64,
     scores: VecDeque<RoomScoresV1>,
-    /// Per scores, when the newest message of them that arrived was sent, and whether it said that the scorer had failed.
+    /// Per scores, the time of the newest received message of them, and whether it reported a failed scorer.
     heard: BTreeMap<(u64, u64), (u64, bool, u64)>,
-    /// The newest forecast: in each room the same chance at all times.
+    /// The newest forecast; a room has the same probability at all horizons.
     forecast: ForecastV1,
     free: bool,
-    /// The last decision of this planner.
     last: Option<DecisionV1>,
-    /// The last decision of the planner before it, where it goes on with what that one kept.
+    /// The previous planner's last decision, if this one continues its round.
     resumes: Option<DecisionV1>,
-    /// The rooms of the scores that it knows.
+    /// The rooms in the newest scores that it received.
     rooms: Vec<String>,
 }
 
-/// The machine itself, which outlives planners.
+/// The robot, which outlives planners.
 struct Body {
-    /// None of a robot that says nothing.
+    /// `None` if the robot does not report.
     reporter: Option<Reporter>,
-    /// What it was told last and works on, and whether it has said that it began.
+    /// Its current decision, and whether it has reported the start.
     work: Option<(DecisionV1, bool)>,
     /// Every decision's room, by epoch and sequence.
     told: BTreeMap<(u64, u64), String>,
-    /// What lies between it and the planner; and what the service keeps for one that joins.
+    /// Messages on the way to the planner, and the service's history for a new planner.
     wire: VecDeque<RobotReportV1>,
     history: VecDeque<RobotReportV1>,
-    /// It says nothing more of what it does.
+    /// It reports nothing more.
     silent: bool,
-    /// Rooms of which it has said since the round's begin that they are done, and that it could not do them.
+    /// Rooms that it has reported as done in this round, and as failed.
     finished: BTreeSet<String>,
     failed: BTreeSet<String>,
-    /// Of these, since the last decision.
+    /// Failed rooms since the last decision.
     just_failed: Vec<String>,
-    /// Rooms that a planner before this one asked for, and of which this one has heard that they were begun, and not how that ended.
+    /// Rooms of a previous planner's decisions: this planner has received the start of work and not its end.
     begun: BTreeSet<String>,
-    /// The planner has heard that the battery is low, and nothing else since.
+    /// The last battery report that the planner received was low.
     charges: bool,
 }
 
 impl Body {
-    /// The room that a report of its speaks of.
+    /// The room of a report.
     fn room_of(&self, report: &RobotReportV1) -> String {
         let told = self.told.get(&(report.decision_epoch, report.decision_sequence));
         if report.room().is_empty() { told.cloned().unwrap_or_default() } else { report.room().to_owned() }
@@ -321,18 +317,17 @@ impl Body {
 struct World {
     rng: ChaCha8Rng,
     planted: Planted,
-    /// Whether the transport is iceoryx2's: in order, nothing lost between living participants.
+    /// Whether the transport is like iceoryx2: in order, without loss between living participants.
     faithful: bool,
     persons: u32,
-    /// Who lives here; anybody else is a visitor, unless it is empty.
+    /// Residents; all other persons are visitors, unless it is empty.
     residents: Vec<String>,
-    /// The joint filter ran: it can move a person that was not named.
+    /// The joint filter ran: it can move unnamed persons.
     was_joint: bool,
     maps: [SemanticMap; 2],
     options: PipelineOptions,
     failures: Rc<Cell<u32>>,
     now_ns: u64,
-    /// The wall clock.
     unix_ns: u64,
     epochs: u64,
     said: u64,
@@ -342,64 +337,64 @@ struct World {
     robot: Robot,
     body: Body,
     last_sent: Option<RoomScoresV1>,
-    /// What strangers say, by ports of their own.
+    /// Messages of unknown narrators, with their ports.
     strangers: VecDeque<(NarrationV1, Sender)>,
-    /// Nobody is killed any more.
+    /// No process is killed any more.
     calm: bool,
     disk: SimulatedDisk,
     bytes_max: u64,
-    /// Since the last start the power has failed.
+    /// The power has failed since the last start.
     lost_power: bool,
-    /// What a sync has reached; and what the disk refused when it was last asked, which is kept in memory.
+    /// Synced events; and events in memory because the disk refused them at the last write.
     safe: BTreeSet<EventId>,
     refused: BTreeSet<EventId>,
     is_refused: bool,
-    /// All that was ever accepted, as it came; what rotations have dropped of it.
+    /// All accepted observations in their original form; and the deleted ones.
     ever: BTreeMap<EventId, Observation>,
-    /// When each was accepted the last time, as a number: a start that misreads the journal has seen it in another order.
+    /// A number for the last acceptance of each: a start that misreads the journal has seen another order.
     order: BTreeMap<EventId, u64>,
-    /// A bit was flipped since the last start; databases that were set aside until then, and events that trims have deleted.
+    /// A bit was flipped since the last start. Below: databases set aside until then, and deleted events.
     is_damaged: bool,
-    /// A daemon was killed before it had written again what a sync has lost.
+    /// A daemon was killed before it had rewritten the pages of a failed sync.
     lost_pages: bool,
-    /// How likely calls fail and starts misread.
+    /// Probabilities of failing calls and of misreading starts.
     faults: (f64, f64),
     set_aside: u64,
     trimmed: usize,
-    /// What was accepted more than once, since it was lost.
+    /// Events that were accepted again after a loss.
     again: BTreeSet<EventId>,
     rotated: BTreeSet<EventId>,
-    /// The machine was suspended for so long in all.
+    /// Total time of suspension.
     asleep_ns: u64,
-    /// The names that the home gave.
+    /// Names from the home.
     names: PersonsFile,
-    /// Persons whom the newest scores told of, and who were not gone.
+    /// Persons in the newest scores, except forgotten ones.
     told: BTreeSet<PersonId>,
-    /// Whether habits are learned, and the file that holds them.
+    /// Whether habits are learned, and their stored form.
     learns: bool,
     habits: Option<HabitRows>,
-    /// Sentences that were ever accepted, and those of them that a killed daemon took with it and that nobody has said again.
+    /// All accepted sentences; and those that were lost in a kill and not repeated.
     lessons: BTreeSet<EventId>,
     unheard: BTreeSet<EventId>,
-    /// What must be in the history, in order, as it came.
+    /// The events that the history must contain, in order and in their original form.
     accepted: Vec<Observation>,
-    /// Whose the daemon said that is which named nobody, and of these what the journal has.
+    /// Attributions of unnamed events that the daemon has published, and those in the journal.
     attributed: BTreeMap<EventId, PersonId>,
-    /// Of their own, so that they leave what happens as it is.
+    /// A separate generator, so that guesses do not change the other random choices.
     guesses: ChaCha8Rng,
-    /// The same of all times: a daemon that lost what it said may say it again of another, and a start may give back the first.
+    /// All attributions ever: a daemon that lost one may attribute the event to another person, and a start may restore the first.
     ever_attributed: BTreeSet<(EventId, PersonId)>,
     taken: BTreeSet<EventId>,
-    /// What damage to the journal took, which may be lost, and be taken again.
+    /// Events that damage took from the journal: they may be lost and accepted again.
     damaged: BTreeSet<EventId>,
-    /// What scores were sent that contain and claim it: its narrator may have forgotten it.
+    /// Events that scores contain and claim: their narrators may have forgotten them.
     claimed: BTreeSet<EventId>,
     trace: VecDeque<String>,
     trace_lines: usize,
     tally: Tally,
 }
 
-/// What happened, to see that the seeds reach what they are to test.
+/// Counts of situations, to check that the seeds reach them.
 #[derive(Debug, Default, Clone, Copy)]
 struct Tally {
     accepted: u64,
@@ -422,7 +417,7 @@ struct Tally {
     restored: u64,
     by_fit: u64,
     prepared: u64,
-    /// Persons of whom something came too late to count, and those whose state nobody can tell for that.
+    /// Persons with events that came too late to count, and persons whose state is undefined for that reason.
     outdated: u64,
     untold: u64,
     away: u64,
@@ -452,7 +447,7 @@ struct Tally {
 }
 
 impl Tally {
-    /// Something was taken from the journal, or hidden, that nobody was to lose.
+    /// A fault took or hid journal records that must not be lost.
     fn is_hurt(&self) -> bool {
         self.damaged + self.lost_refused + self.misread > 0
     }
@@ -468,7 +463,7 @@ impl World {
     fn new(seed: u64, planted: Planted) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let persons = rng.random_range(1..=2);
-        // With two persons the window is exact, so that the oracle need not know when it was compacted.
+        // With two persons the window is exact, so that the oracle does not need the times of compaction.
         let slack = if persons == 1 { rng.random_range(0..4) } else { 0 };
         let gap_s = rng.random_range(0..2);
         let history = HistoryLimits { observations: rng.random_range(1..6), slack, gap_s, tokens: TOKENS };
@@ -559,7 +554,7 @@ impl World {
         }
         world.start_planner();
         world.learns = world.rng.random_bool(0.4);
-        // Little, so that the oldest go often.
+        // Small, so that the oldest events are often deleted.
         world.bytes_max = [16_384, 16_384, 32_768, 2 << 20][world.rng.random_range(0..4)];
         let fails = if world.rng.random_bool(0.5) { 0.01 } else { 0.0 };
         let misreads = if world.rng.random_bool(0.25) { 0.5 } else { 0.0 };
@@ -587,7 +582,7 @@ impl World {
         Pipeline::new(WholePrompt::new(failures), grounding, options).unwrap()
     }
 
-    /// One step of whoever the seed chooses.
+    /// Runs one random step.
     fn step(&mut self) -> Check {
         let ns = self.rng.random_range(0..8 * MS);
         self.pass(ns);
@@ -625,10 +620,10 @@ impl World {
         self.unix_ns += ns;
     }
 
-    /// The wall clock is set, forwards or back, or the machine sleeps, which both clocks count.
+    /// Sets the wall clock, or suspends the machine, which advances both clocks.
     fn disturb_clocks(&mut self) {
         let hours = self.rng.random_range(1..48) * 3_600_000 * MS;
-        // Far longer than anything here waits; what is told a minute late is no narration any more.
+        // Longer than all timeouts here; an event that is a minute late is no longer accepted.
         let asleep_ns = self.rng.random_range(1_000..20_000) * MS;
         match self.rng.random_range(0..3) {
             0 => self.unix_ns += hours,
@@ -658,14 +653,14 @@ impl World {
             }
             3 if self.rng.random_bool(0.1) => (narration_kind::PRESENCE, "away".to_owned()),
             0 => (narration_kind::ACTION, format!("[Grab] <thing_{}> (1)", self.said)),
-            // Of nothing that is on the map it would bring nobody home.
+            // A sentence about a thing on the map would bring a person home.
             1 => (narration_kind::DEVICE, format!("the pan {} is on", self.said)),
             _ => {
                 let thing = ["pan", "pad", "pen"][self.rng.random_range(0..3)];
                 (narration_kind::SENTENCE, format!("They do thing {} with the {thing}.", self.said))
             }
         };
-        // By number, by name, or nobody in particular.
+        // By number, by name, or unnamed.
         let who_did = match self.rng.random_range(0..10) {
             0..6 => Who::Number(PersonId(self.rng.random_range(0..self.persons))),
             6..8 => Who::Name(NAMES[self.rng.random_range(0..NAMES.len())].to_owned()),
@@ -679,22 +674,21 @@ impl World {
             narrator.history.pop_front();
         }
         narrator.history.push_back(message);
-        // Without a subscriber a message goes nowhere but into the history.
+        // Without a subscriber a message only enters the history.
         if self.daemon.is_some() {
             self.narrators[who].wire.push_back(message);
         }
         self.note(|| format!("narrator {who} says {}: {:?}", message.sequence, message.text()));
     }
 
-    /// Whether the daemon knows whose a start of a source is: it has heard it, or what it said is in the journal, which nothing has damaged
-    /// and which the disk and the power leave whole.
+    /// Whether the daemon knows the port of a source's start: it has heard it, or an intact journal has an event of it.
     fn is_known(&self, start: (u64, u64)) -> bool {
         let heard = self.daemon.as_ref().is_some_and(|daemon| daemon.heard.contains(&start));
         let is_whole = !self.tally.is_hurt() && !self.is_refused && !self.lost_power && !self.lacks_pages();
         heard || (is_whole && self.claimed.iter().any(|name| name.start() == start))
     }
 
-    /// A stranger, with a port of its own, speaks in a narrator's name, or says what no window holds.
+    /// An unknown narrator, with its own port, sends in a narrator's name, or sends a sentence that fits in no window.
     fn intrude(&mut self) {
         let who = self.rng.random_range(0..self.narrators.len());
         let Some(last) = self.narrators[who].history.back().copied() else { return };
@@ -715,9 +709,9 @@ impl World {
         }
     }
 
-    /// A stranger invents sources, and each of them says something that may be.
+    /// An unknown narrator invents sources, each with one acceptable event.
     fn invent(&mut self) {
-        // Where more are carried over than the least journal holds, all of them go.
+        // With more invented sources than the smallest journal holds, all of them would be deleted.
         let most = if self.bytes_max > 32_768 { 100 } else { 6 };
         for _ in 0..self.rng.random_range(1..most) {
             self.said += 1;
@@ -731,7 +725,7 @@ impl World {
         self.note(|| "a stranger invents sources".to_owned());
     }
 
-    /// The next message of some narrator's wire, as the transport gives it, and the port that it comes by.
+    /// The next message that the transport delivers, and its port.
     fn delivered(&mut self) -> Option<(NarrationV1, Sender)> {
         if self.rng.random_bool(0.3)
             && let Some(said) = self.strangers.pop_front()
@@ -765,7 +759,6 @@ impl World {
         self.daemon.as_ref().is_some_and(|daemon| self.now_ns >= daemon.hung_ns)
     }
 
-    /// What the daemon's ear does with one message.
     fn ingest(&mut self) -> Check {
         if !self.awake() {
             return Ok(());
@@ -808,7 +801,7 @@ impl World {
                 self.tally.missed += missed;
                 daemon.heard.insert((observation.source, observation.epoch));
                 let name = observation.id();
-                // Damage may have taken that its source had said it, or hidden it.
+                // Damage may have deleted or hidden the earlier record.
                 let hidden = self.tally.is_hurt() && self.rotated.contains(&name);
                 ensure(self.taken.insert(name) || hidden, || format!("taken twice: {name:?}"))?;
                 self.order.insert(name, self.tally.accepted);
@@ -821,7 +814,7 @@ impl World {
                     self.lessons.insert(name);
                     self.unheard.remove(&name);
                 }
-                // Damage to the journal may have taken a narration that nobody sends again.
+                // Damage to the journal may have deleted an event that is not resent.
                 let lost = self.faithful && missed > self.damaged.len() as u64;
                 ensure(!lost, || format!("lost on a faithful transport: {missed} before {name:?}"))?;
                 self.accepted.push(observation);
@@ -839,7 +832,7 @@ impl World {
         Ok(())
     }
 
-    /// Habits are written behind the events that taught them.
+    /// Habits are written after their events.
     fn keep_habits(&mut self) {
         if !self.awake() || !self.learns {
             return;
@@ -855,7 +848,6 @@ impl World {
         }
     }
 
-    /// The habits of a starting daemon.
     fn memory(&mut self) -> Memory {
         let options = HabitsOptions { learn: self.learns, half_life_days: 0.0, ..HabitsOptions::default() };
         let Some(rows) = self.habits.take() else { return Memory::new(options) };
@@ -871,24 +863,23 @@ impl World {
         }
     }
 
-    /// Each sentence was learned once at most; and once where `whole` says that none can have been lost.
+    /// Each sentence was learned at most once, and exactly once if `whole` excludes losses.
     fn check_habits(&mut self, whole: bool) -> Check {
         let now_ns = self.now_ns;
         let Some(daemon) = self.daemon.as_mut().filter(|_| self.learns) else { return Ok(()) };
-        // What is observed is learned with the next forecast.
+        // The next forecast learns the pending observations.
         daemon.cycle.board_mut().forecast(BootNs(now_ns));
         let (learned, said) = (daemon.cycle.board().habits().learned().observations as usize, self.lessons.len());
         ensure(learned <= said, || format!("{learned} sentences were learned, of {said} that were said"))?;
-        // Who is no resident is a visitor, of whom nothing is learned; and what comes too late is passed over.
+        // Only residents are learned, and late events are ignored.
         let late = self.accepted.windows(2).any(|pair| pair[1].observed_ns < pair[0].observed_ns);
         let all = whole && !late && self.residents.is_empty() && self.tally.outdated == 0 && self.damaged.is_empty();
-        // What no person took teaches nothing.
+        // Events without a person teach nothing.
         let all = all && self.unheard.is_empty() && !self.was_joint;
         self.tally.habits_whole += u64::from(all);
         ensure(!all || learned == said, || format!("{learned} sentences were learned, and {said} were said"))
     }
 
-    /// The journal's writer hands some records to the system.
     fn write(&mut self) -> Check {
         if !self.awake() {
             return Ok(());
@@ -902,7 +893,7 @@ impl World {
         Ok(())
     }
 
-    /// Hands so many records to the system, and with them what it has refused.
+    /// Writes the first `count` records, and those that the disk refused before.
     fn hand_over(&mut self, count: usize) {
         let Some(daemon) = &mut self.daemon else { return };
         let observations = daemon.records.iter().take(count).filter(|(_, is_observation)| *is_observation).count();
@@ -923,7 +914,6 @@ impl World {
         }
     }
 
-    /// Brings what was handed over to the disk.
     fn sync(&mut self) -> Check {
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
         let is_synced = daemon.writer.sync().is_ok();
@@ -941,7 +931,7 @@ impl World {
         Ok(())
     }
 
-    /// The power fails: all processes end, and what no sync has reached is gone.
+    /// The power fails: all processes end, and unsynced data is lost.
     fn lose_power(&mut self) -> Check {
         self.kill_daemon()?;
         for who in 0..self.narrators.len() {
@@ -956,7 +946,7 @@ impl World {
         Ok(())
     }
 
-    /// The home gives a person another name, which narrators do not use.
+    /// The home renames a person; narrators continue to use the old name.
     fn rename(&mut self) {
         if !self.awake() {
             return;
@@ -975,7 +965,7 @@ impl World {
         self.note(|| format!("{name} has another name"));
     }
 
-    /// The map in use is changed, and the steps after it may fail.
+    /// Changes the map; the following steps may fail.
     fn change_map(&mut self) {
         if !self.awake() {
             return;
@@ -990,7 +980,7 @@ impl World {
         self.note(|| format!("the map changes; the next {failures} steps fail"));
     }
 
-    /// Guesses at what is narrated next, some of them right, are scored before it comes.
+    /// Scores guesses, some of them right, in advance.
     fn prepare(&mut self) {
         let Some(daemon) = &mut self.daemon else { return };
         if self.failures.get() > 0 || self.guesses.random_bool(0.5) {
@@ -1001,7 +991,7 @@ impl World {
         let waiting = daemon.queue.iter().filter_map(|(entry, _)| entry.observation.sentence());
         let coming = self.narrators.iter().flat_map(|narrator| narrator.wire.front()).map(|message| message.text());
         let guesses = waiting.chain(coming).filter_map(|text| Sentence::new(text).ok());
-        // Some are kept at once, and some when something else has happened meanwhile.
+        // Some answers arrive at once, and some after other steps.
         let late = std::mem::take(&mut daemon.late);
         late.into_iter().for_each(|answer| board.keep_answer(answer));
         let outlook = board.now().outlook;
@@ -1014,7 +1004,7 @@ impl World {
         }
     }
 
-    /// What the daemon's scoring thread does in one round.
+    /// Runs one round of the scoring thread.
     fn score(&mut self) -> Check {
         if !self.awake() {
             return Ok(());
@@ -1057,7 +1047,7 @@ impl World {
                 }
             }
         }
-        // The loop waits for the journal a moment; mostly that is enough.
+        // The loop waits a moment for the journal, which is mostly enough.
         if self.rng.random_bool(0.8) {
             let waiting = daemon.records.len();
             self.hand_over(waiting);
@@ -1081,7 +1071,7 @@ impl World {
         self.check_habits(false)?;
         self.note(|| format!("daemon sends {} with {} claims", message.sequence, message.source_count));
         if !self.calm && self.rng.random_bool(0.01) {
-            // Killed in the middle of a publish: some subscribers have it, some have not.
+            // Killed during a publish: some subscribers have the message.
             if self.rng.random_bool(0.5) {
                 self.sent(&message, 1);
             }
@@ -1092,7 +1082,7 @@ impl World {
         Ok(())
     }
 
-    /// Puts scores into the buffers of the first `subscribers`.
+    /// Delivers scores to the first `subscribers`.
     fn sent(&mut self, message: &RoomScoresV1, subscribers: usize) {
         let scored = self.daemon.as_ref().map_or(0, |daemon| daemon.scored);
         let covers = |o: &&Observation| {
@@ -1103,7 +1093,7 @@ impl World {
         self.claimed.extend(claimed.map(|o| o.id()));
         let buffers = self.narrators.iter_mut().map(|narrator| &mut narrator.scores).chain([&mut self.robot.scores]);
         for buffer in buffers.take(subscribers) {
-            // The transport delays; it keeps the newest.
+            // The transport delays, and keeps the newest messages.
             if self.faithful || self.rng.random_bool(0.9) {
                 buffer.push_back(*message);
                 if buffer.len() > BUFFER {
@@ -1113,7 +1103,7 @@ impl World {
         }
     }
 
-    /// Scores equal those of exactly what they contain, and claim nothing beyond it.
+    /// Scores equal those of exactly their events, and claim no others.
     fn check_scores(&mut self, message: &RoomScoresV1) -> Check {
         let daemon = self.daemon.as_ref().unwrap();
         let contained = &self.accepted[..daemon.scored];
@@ -1126,16 +1116,16 @@ impl World {
         let fingerprint = self.maps[daemon.scored_map].fingerprint();
         ensure(message.map_fingerprint == fingerprint, || format!("scores {} of another map", message.sequence))?;
         if daemon.entered != daemon.scored {
-            // Whose it is that names nobody is told with scores.
+            // Attributions are published with the scores.
             return Ok(());
         }
-        // Every accepted narration that was entered is in the histories, as far as their windows reach.
+        // Every entered event is in the histories, as far as their windows reach.
         let entered = &self.accepted[..daemon.entered];
         for (person, history) in daemon.cycle.board().pipeline().inside().histories().iter() {
             let is_theirs = |o: &&Observation| o.sentence().is_some() && self.person_of(o) == Some(person);
             let said: Vec<_> = entered.iter().filter(is_theirs).map(Observation::id).collect();
             let held: Vec<_> = history.observations().map(Observation::id).collect();
-            // In their order, the newest among them; where one narrator speaks alone, the newest are all of them.
+            // In their order, the newest included; with a single narrator, the newest ones without gaps.
             let mut rest = said.iter();
             let alone = said.iter().all(|name| name.start() == said[0].start());
             let right = held.iter().all(|held| rest.any(|said| said == held))
@@ -1146,7 +1136,7 @@ impl World {
         Ok(())
     }
 
-    /// Whose an observation is, as far as the daemon has said that of one that names nobody.
+    /// The person of an observation; unnamed ones as far as the daemon has published it.
     fn person_of(&self, observation: &Observation) -> Option<PersonId> {
         match &observation.name {
             Some(name) => Some(person_number(name)),
@@ -1155,8 +1145,7 @@ impl World {
         }
     }
 
-    /// Each person's scores are those that they would have alone, of as much of what they did as their window holds; all together say
-    /// where somebody is.
+    /// Each person's scores equal those of the person alone, with the events of the window; all together say whether persons are in the house.
     fn check_persons(&mut self, message: &RoomScoresV1) -> Check {
         let (now_ns, limits) = (self.now_ns, self.options.history);
         let history = HistoryLimits { observations: 1000, gap_s: 0, ..limits };
@@ -1190,11 +1179,11 @@ impl World {
             let number = person.person;
             let own: Vec<_> = contained.iter().filter(|o| self.person_of(o) == Some(PersonId(number))).collect();
             let told_by_name = |o: &&Observation| o.name.is_some() || o.person != PersonId::SOMEBODY;
-            // The joint filter gives an unnamed event to a resident, too, who was not observed yet.
+            // The joint filter can attribute an unnamed event to a resident without observations.
             let lives_here = is_joint && self.residents.iter().any(|who| number_of(who) == PersonId(number));
             let is_named = own.iter().any(told_by_name) || (number == 0 && !own.is_empty()) || !named || lives_here;
             let all = own.len();
-            // Damage may have taken where they were named.
+            // Damage may have deleted the event that named the person.
             ensure(is_named || self.tally.is_hurt() || self.tally.rotated + self.tally.lost_with_power > 0, || {
                 format!("nobody named person {number}")
             })?;
@@ -1212,7 +1201,6 @@ impl World {
             let expired = person.presence == presence::GONE && last != Presence::Gone;
             self.tally.visitors_gone += u64::from(expired);
             let as_told = [presence::UNKNOWN, presence::PRESENT, presence::AWAY, presence::GONE];
-            // The joint filter can believe that a person left.
             if is_joint && person.presence == presence::AWAY && last == Presence::Present {
                 self.tally.untold += 1;
                 continue;
@@ -1228,7 +1216,7 @@ impl World {
             ensure(window <= most.min(limits.observations + limits.slack), || {
                 format!("the window of person {number} holds {window} of {most} sentences since they were away")
             })?;
-            // Since then no sentence was said twice.
+            // No sentence was repeated since then.
             let read: BTreeSet<_> =
                 all_read.iter().filter(|(who, _)| *who == PersonId(number)).map(|(_, said)| &**said).collect();
             let is_read = |o: &&Observation| o.sentence().is_some_and(|sentence| read.contains(sentence));
@@ -1236,7 +1224,7 @@ impl World {
             ensure(shown.len() == window, || {
                 format!("the window of person {number} holds {window} sentences, of which {} are theirs", shown.len())
             })?;
-            // What is told late does not lie after a gap when something else of its time was there, in the window or not any more.
+            // A late event does not follow a gap if there are other events of its time, in the window or before it.
             let silent_s = |until_ns: BootNs, before: &[&Observation]| {
                 let newest_ns = before.iter().map(|o| o.observed_ns).max();
                 newest_ns.map_or(0.0, |newest_ns| until_ns.since(newest_ns) as f64 / 1e9)
@@ -1289,7 +1277,7 @@ impl World {
         Ok(())
     }
 
-    /// A restarted daemon's first forecast is that of the one before it, had it lived on.
+    /// A restarted daemon's first forecast equals that of the killed one.
     fn check_restored(&mut self) -> Check {
         let (now_ns, unix_ns, failing) = (self.now_ns, self.unix_ns, self.failures.get() > 0);
         let Some(daemon) = &mut self.daemon else { return Ok(()) };
@@ -1300,13 +1288,13 @@ impl World {
         let told = *daemon.cycle.board_mut().person_scores(BootNs(now_ns));
         let is_told = |who: &String| told.persons().iter().any(|person| person.person == number_of(who).0);
         let someone = told.persons().iter().any(|person| person.presence == presence::PRESENT);
-        // Nobody knows of a home with nobody in it where somebody who lives there was never observed.
+        // An empty home is known only if each resident was observed.
         let known = daemon.cycle.board().snapshot().persons > 0 && (someone || self.residents.iter().all(is_told));
         ensure(forecast.has(forecast_flags::NOT_KNOWN) != known, || {
             format!("the first forecast after a start has the flags {}", forecast.flags)
         })?;
         let Some(mut ghost) = self.ghost.take() else { return Ok(()) };
-        // Where the map was changed meanwhile, the histories alone are understood by it.
+        // If the map was changed since, only the histories are interpreted by it.
         if ghost.accepted != daemon.scored || daemon.scored_map != 0 || failing {
             return Ok(());
         }
@@ -1314,15 +1302,14 @@ impl World {
         let is_joint = self.was_joint || ghost.board.is_joint();
         let before = *ghost.board.person_forecasts(BootNs(now_ns));
         let after = *daemon.cycle.board_mut().person_forecasts(BootNs(now_ns));
-        // Where a window was cut while there was nothing else to do, it may hold less than what the journal gives back; and whose voice
-        // was whose is not known any more.
+        // An idle daemon may have cut its window, which then holds less than the journal restores; and the senders of events are unknown.
         let same_windows = ghost.board.pipeline().inside().read_sentences().eq(daemon
             .cycle
             .board()
             .pipeline()
             .inside()
             .read_sentences());
-        // A visitor of whom something is told late was gone meanwhile, or not, depending on who looked.
+        // A late event finds a visitor forgotten or not, depending on the times of looks.
         let stays = |own: &&PersonForecastV1| own.presence != presence::GONE && own.flags & person_flags::VISITOR == 0;
         for own in before.persons().iter().filter(stays) {
             let again = after.persons().iter().find(|again| again.person == own.person);
@@ -1335,10 +1322,10 @@ impl World {
             })?;
             let rows = own.probability.iter().zip(&again.probability).chain([(&own.elsewhere, &again.elsewhere)]);
             for (before, after) in rows.flat_map(|(before, after)| before.iter().zip(after)) {
-                // What was learned since it was written is learned again in less detail.
-                // What was observed before what the journal holds says how long somebody stays.
+                // Habits learned after the last write are learned again in less detail. Observations older than the journal affect the length of
+                // stays.
                 let tolerance = if is_joint { 0.1 } else { 1e-4 };
-                // The joint filter moves persons by the local hour, and starts with the events that the database has.
+                // The joint filter moves persons by the local hour, and starts with the events of the database.
                 let is_moved = is_joint && (self.tally.clocks_set > 0 || self.trimmed > 0);
                 let is_open = !same_windows || self.learns || self.trimmed > 0 || is_moved;
                 ensure(is_open || (before - after).abs() < tolerance, || {
@@ -1369,23 +1356,23 @@ impl World {
     fn kill_daemon(&mut self) -> Check {
         let Some(mut daemon) = self.daemon.take() else { return Ok(()) };
         self.tally.daemon_kills += 1;
-        // The record that was being written may be torn.
+        // The record in progress may be torn.
         if let Some((record, _)) = daemon.records.front()
             && !self.is_refused
             && !daemon.writer.lacks_pages()
             && self.rng.random_bool(0.5)
         {
             self.disk.set_faults(1.0, 0.0);
-            // A record that changes nothing needs no disk.
+            // A record without changes needs no disk.
             let _torn = daemon.writer.write([record.clone()]);
             self.disk.set_faults(self.faults.0, self.faults.1);
             self.tally.torn += 1;
         }
         let lacks_pages = daemon.writer.lacks_pages();
         self.lost_pages |= lacks_pages;
-        // What the journal did not get is lost, and may be: nothing claimed it, so its narrator still has it.
+        // Records that the journal lacks may be lost: no score claims them, so their narrators still have them.
         let kept = self.accepted.len() - daemon.records.iter().filter(|(_, is_observation)| *is_observation).count();
-        // Only what the journal has and scores contain is known to the next one, too.
+        // The next daemon knows only events that are in the journal and in scores.
         let whole = daemon.records.is_empty()
             && !self.is_refused
             && !self.lacks_pages()
@@ -1393,7 +1380,7 @@ impl World {
             && daemon.scored == self.accepted.len()
             && daemon.map == daemon.scored_map;
         let accepted = self.accepted.len();
-        // What the model said on another map is of other rooms.
+        // Beliefs from another map concern other rooms.
         let ghost =
             (whole && self.tally.map_changes == 0).then(|| Ghost { board: daemon.cycle.into_board(), accepted });
         self.ghost = ghost;
@@ -1406,7 +1393,7 @@ impl World {
             // Its narrator may have ended, too.
             self.unheard.extend(lost.sentence().map(|_| name));
         }
-        // What the strangers' service keeps reaches the next daemon, as a narrator's does.
+        // The service's history of unknown narrators reaches the next daemon, too.
         let known: Vec<bool> = (self
             .strangers
             .iter()
@@ -1424,20 +1411,20 @@ impl World {
         Ok(())
     }
 
-    /// One bit of the database or its log flips while nobody runs.
+    /// Flips one bit of the database or its log while the daemon is down.
     fn damage_disk(&mut self) {
         if !self.disk.damage() {
             return;
         }
         self.ghost = None;
-        // It may be the row of whose a source is.
+        // The bit may be in the row of a source's port.
         self.strangers.clear();
         self.is_damaged = true;
         self.tally.damaged += 1;
         self.note(|| "a bit of the database is damaged".to_owned());
     }
 
-    /// A sync has failed, and what it lost is not written again.
+    /// A sync has failed, and its lost pages are not rewritten yet.
     fn lacks_pages(&self) -> bool {
         self.lost_pages || self.daemon.as_ref().is_some_and(|daemon| daemon.writer.lacks_pages())
     }
@@ -1447,14 +1434,14 @@ impl World {
             return Ok(());
         }
         self.disk.start();
-        // A disk that cannot be read is an error, and the daemon is started again.
+        // An unreadable disk is an error, and the daemon is started again.
         let opened = Database::open_simulated(self.disk.simulation(), SCHEMA).map_err(|error| error.to_string());
         let opened = opened
             .and_then(|opened| Writer::open(opened, None, self.bytes_max, &BOOT).map_err(|error| error.to_string()));
         let (writer, mut recovered) = match opened {
             Ok(opened) => opened,
             Err(reason) => {
-                // A sync that fails here may lose pages that a killed daemon has left.
+                // A failed sync may lose pages that a killed daemon has left.
                 self.lost_pages = true;
                 self.note(|| format!("the daemon does not start: {reason}"));
                 return Ok(());
@@ -1491,11 +1478,11 @@ impl World {
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
         self.note(|| format!("daemon starts with {} narrations{misread}", back.len()));
         if self.disk.was_misread() || self.disk.tally().set_aside > self.set_aside {
-            // It may hold the row of whose a source is.
+            // It may contain the row of a source's port.
             self.strangers.clear();
         }
         self.check_recovered(&back)?;
-        // What a start does not see it cannot believe, however many it accepts after it.
+        // A start that missed events has other beliefs, so it is not compared with the ghost.
         let is_whole = |ghost: &mut Ghost| ghost.accepted == back.len() && !self.disk.was_misread();
         self.ghost = self.ghost.take_if(is_whole);
         self.accepted = back.iter().map(as_it_came).collect();
@@ -1504,7 +1491,7 @@ impl World {
         let by_fit = back.iter().filter(|o| o.by_fit);
         self.attributed.extend(by_fit.map(|o| (o.id(), o.person)));
         if self.planted == Planted::NoAttributionsAfterRestart {
-            // All of them are the same person's.
+            // All of them get the same person.
             recovered.observations.iter_mut().filter(|o| o.by_fit).for_each(|o| o.person = PersonId(1));
         }
         if self.planted == Planted::NoPresenceAfterRestart {
@@ -1554,9 +1541,9 @@ impl World {
         Ok(())
     }
 
-    /// What comes back is what was accepted, each once and in its order, but for what may be lost: what has gone because there were too many, which is
-    /// older than most of what there is; what the disk had refused, or no sync had reached when the power failed; and all, if the database is
-    /// damaged. And nothing that was never said.
+    /// A restart restores the accepted events, each once and in order, except for permitted losses: events deleted by the limit, which are older than
+    /// most remaining ones; events that the disk refused or that were unsynced in a power failure; and all events, if the database is damaged. It
+    /// restores no other events.
     fn check_recovered(&mut self, back: &[Observation]) -> Check {
         let set_aside = self.disk.tally().set_aside;
         let is_hurt = self.is_damaged || self.disk.was_misread() || set_aside > self.set_aside;
@@ -1568,9 +1555,9 @@ impl World {
             ensure(self.ever.get(&name).is_some_and(|said| *said == as_it_came(again)), || {
                 format!("the journal gives back what was never accepted: {again:?}")
             })?;
-            // What was claimed was said to be somebody's; damage may have taken that, or a sync that failed.
+            // Claimed events have an attribution; damage or a failed sync may have deleted it.
             let forgotten = !again.by_fit && self.claimed.contains(&name) && self.attributed.contains_key(&name);
-            // A kill between a failed sync and the next write loses what that sync did.
+            // A kill between a failed sync and the next write loses the data of that sync.
             let is_lost = self.lost_power || self.is_refused || self.lacks_pages();
             let may_be = self.tally.is_hurt() || is_lost || is_hurt;
             ensure(!forgotten || may_be, || format!("whose {name:?} is was claimed and is forgotten"))?;
@@ -1585,7 +1572,7 @@ impl World {
             "the journal gives back what was accepted in another order".to_owned()
         })?;
 
-        // The last events of persons have a quarter at most; all others that went are older than what stays.
+        // The last events of persons have a quarter at most; all other deleted events are older than the remaining ones.
         let mut order: Vec<u64> = names.iter().map(|name| self.order[name]).collect();
         order.sort_unstable();
         let first = order.get(order.len() * 3 / 5).copied().unwrap_or_default();
@@ -1625,7 +1612,7 @@ impl World {
         })?;
         self.tally.misread += u64::from(self.disk.was_misread());
         ensure(lost.is_empty(), || format!("{} narrations missing from the history: {lost:?}", lost.len()))?;
-        // The daemon may say again whose it is, and claims it then.
+        // The daemon may publish and claim the attribution again.
         for unsaid in back.iter().filter(|back| !back.by_fit).map(Observation::id) {
             if self.attributed.remove(&unsaid).is_some() {
                 self.claimed.remove(&unsaid);
@@ -1633,7 +1620,7 @@ impl World {
         }
         (self.lost_power, self.is_refused, self.lost_pages, self.is_damaged) = (false, false, false, false);
         self.refused.clear();
-        // What a start reads is on the disk.
+        // A start reads only data that is on the disk.
         self.safe.retain(|name| names.contains(name));
         Ok(())
     }
@@ -1644,14 +1631,14 @@ impl World {
         self.restart_narrator(who, reached);
     }
 
-    /// Of what it has said the first `reached` are on their way still.
+    /// The first `reached` messages are still on their way.
     fn restart_narrator(&mut self, who: usize, reached: usize) {
         let epoch = self.epoch();
         let narrator = &mut self.narrators[who];
         narrator.account = Account::new(&narrator.name, epoch);
         narrator.port = Sender::simulated(epoch);
         narrator.history.clear();
-        // What was sent and not received dies with its sender, from some message on.
+        // Messages that were not received are lost with their sender, from some message on.
         narrator.wire.truncate(reached);
         narrator.scores.clear();
         narrator.scores.extend(self.last_sent.filter(|_| self.daemon.is_some()));
@@ -1672,7 +1659,7 @@ impl World {
         };
         let epoch = self.epoch();
         let mut planner = Planner::new(&config, epoch);
-        // Most planners find what the one before has kept.
+        // Most planners find the stored round.
         self.body.charges = false;
         let mut resumes = None;
         if let Some(kept) = self.robot.planner.kept("").filter(|_| self.rng.random_bool(0.7)) {
@@ -1692,7 +1679,7 @@ impl World {
         self.note(|| "planner starts".to_owned());
     }
 
-    /// What the robot does of itself, and says of it.
+    /// Runs the robot, which may report.
     fn act(&mut self) {
         if self.body.reporter.is_none() {
             return;
@@ -1737,7 +1724,7 @@ impl World {
         let body = &mut self.body;
         let (Some(reporter), false) = (&mut body.reporter, body.silent) else { return };
         let message = reporter.message(report, BootNs(self.now_ns), UnixNs(self.now_ns)).unwrap();
-        // The decision is named whole, as a robot does that hears decisions.
+        // The decision has all fields, as from a robot that receives decisions.
         let message = RobotReportV1 { decision_epoch, ..message };
         if body.history.len() == 8 {
             body.history.pop_front();
@@ -1747,7 +1734,7 @@ impl World {
         self.note(|| format!("robot says {:?} {:?}", report.kind, report.room));
     }
 
-    /// What the robot makes of a decision.
+    /// The robot receives a decision.
     fn obey(&mut self, decision: &DecisionV1) {
         self.body.work = (decision.action == action::GO).then_some((*decision, false));
         self.body.told.insert((decision.epoch, decision.sequence), decision.to().to_owned());
@@ -1756,7 +1743,7 @@ impl World {
         }
     }
 
-    /// What decisions may say of a robot that reports.
+    /// Invariants of decisions for a reporting robot.
     fn check_robot(&mut self, decision: &DecisionV1) -> Check {
         let body = &mut self.body;
         let before = self.robot.last;
@@ -1769,11 +1756,11 @@ impl World {
                 })?;
             }
         }
-        // A planner that has started and knows no rooms yet covers none: what it covers next is compared with what the one before it did.
+        // A planner that has just started and knows no rooms covers none: its next decision is compared with the previous planner's.
         let is_blind = |decision: &DecisionV1| decision.has(decision_flags::FALLBACK) && decision.covered == 0;
         let known = before.filter(|before| !is_blind(before) || self.robot.resumes.is_none()).or(self.robot.resumes);
         if !is_blind(decision) && known.is_some_and(|known| known.covered & !decision.covered != 0) {
-            // Another round or map: what counts is what is said from now on.
+            // In another round or map only new reports count.
             body.failed.clear();
         }
         body.finished.clear();
@@ -1789,7 +1776,7 @@ impl World {
         })
     }
 
-    /// What the planner does in one round.
+    /// Runs one round of the planner.
     fn plan(&mut self) -> Check {
         let now_ns = self.now_ns;
         let clock_ns = if self.planted == Planted::ClockStopsInSleep { now_ns - self.asleep_ns } else { now_ns };
@@ -1835,7 +1822,7 @@ impl World {
                     self.tally.failed_rooms += u64::from(self.body.failed.insert(room));
                 }
                 _ => {
-                    // A planner that has just started and knows no rooms yet sends it nowhere: it does what the one before sent it to do.
+                    // A planner that has just started sends the robot to no room: the robot continues with the previous planner's decision.
                     let sent = robot.last.filter(|last| !last.to().is_empty()).or(robot.resumes);
                     self.body.just_failed.extend(sent.map(|last| last.to().to_owned()));
                     self.body.just_failed.extend(std::mem::take(&mut self.body.begun));
@@ -1845,14 +1832,13 @@ impl World {
             if let Some(battery) = report.battery() {
                 self.body.charges = battery < 0.5;
             }
-            // A room of a map that was is no room.
-            // Nor does a planner know all decisions of those before it.
+            // A room of the previous map is unknown, and so are decisions of earlier planners.
             let is_fault = heard.is_err() && !matches!(heard, Err(ReportFault::UnknownDecision { .. }));
             ensure(!is_fault || self.tally.map_changes > 0 || self.tally.daemon_kills > 0, || format!("{heard:?}"))?;
         }
         let free = robot.planner.is_free(BootNs(clock_ns));
         let Some(decision) = robot.planner.decide(BootNs(clock_ns), UnixNs(clock_ns)).unwrap() else { return Ok(()) };
-        // After a restart the planner says once more what the robot was sent to do, as soon as there are scores.
+        // After a restart the planner repeats its decision as soon as there are scores.
         let nothing_yet = robot.last.is_none_or(|last| last.has(decision_flags::FALLBACK));
         let asks = ["goes on", "asks what became of"].iter().any(|asks| decision.reason().starts_with(asks));
         let again = nothing_yet && asks;
@@ -1860,7 +1846,7 @@ impl World {
         ensure(free || again || given_up || decision.cancels != 0, || {
             format!("a robot that is not free is sent: {decision:?}")
         })?;
-        // What was said since the last decision to have failed has, also where this one begins another round or knows another map.
+        // Failures since the last decision count, also if this decision begins another round or has another map.
         self.check_robot(&decision)?;
         self.body.failed.extend(self.body.just_failed.drain(..));
         let robot = &mut self.robot;
@@ -1868,7 +1854,7 @@ impl World {
         self.tally.decisions += 1;
         if decision.has(decision_flags::FALLBACK) {
             self.tally.fallbacks += 1;
-            // A robot that pauses goes on pausing.
+            // A pausing robot keeps pausing.
             let stays = decision.action == action::STAY && decision.from == decision.to;
             let pauses = decision.action == action::PAUSE && decision.to().is_empty();
             ensure(stays || pauses, || format!("a fallback that moves the robot: {decision:?}"))?;
@@ -1886,7 +1872,7 @@ impl World {
                 && known.epoch == decision.scores_epoch
                 && now_ns - known.published_ns <= deadline_ns;
             let rooms = (0..known.room_count as usize).map(|room| (room, known.probability[room][0]));
-            // A room that could not be done comes after the others, and not at once.
+            // A failed room comes after the others, and not at once.
             let failed = |room: usize| known.room(room).is_some_and(|(id, _)| self.body.failed.contains(id));
             let mut to_do = rooms.filter(|(room, _)| decision.covered & (1 << room) == 0 && !failed(*room));
             let waits = || (0..64).any(|room| decision.covered & (1 << room) != 0 && known.id[room] == decision.to);
@@ -1904,7 +1890,7 @@ impl World {
         Ok(())
     }
 
-    /// Faults cease; on a faithful transport everything that living narrators said is confirmed, and the robot is not held back.
+    /// Faults cease. On a faithful transport all events of living narrators are confirmed, and the robot is not blocked.
     fn settle(&mut self) -> Check {
         self.calm = true;
         self.failures.set(0);
@@ -1934,8 +1920,8 @@ impl World {
     }
 }
 
-/// What is told of one person, without what came after something later had said otherwise of whether they are in the house. None where that
-/// depends on when somebody looked: whether who is gone, or a visitor who was silent, was forgotten before it came.
+/// A person's observations without those that came after a later contradiction of the presence. `None` if this depends on the times of looks: an
+/// absent person or a silent visitor may have been forgotten before the event came.
 fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>> {
     let (mut newest_ns, mut presence, mut was_gone) = (0, Presence::Unknown, false);
     let mut kept = Vec::with_capacity(own.len());
@@ -1955,18 +1941,18 @@ fn in_time(own: Vec<&Observation>, is_visitor: bool) -> Option<Vec<&Observation>
     Some(kept)
 }
 
-/// The number of somebody who is written as a name or number.
+/// The number of a person that is given as a name or a number.
 fn number_of(who: &str) -> PersonId {
     who.parse().unwrap_or_else(|_| person_number(who))
 }
 
-/// An observation without what the daemon made of it.
+/// An observation in its original form.
 fn as_it_came(observation: &Observation) -> Observation {
     let person = if observation.by_fit { PersonId::SOMEBODY } else { observation.person };
     Observation { person, by_fit: false, ..observation.clone() }
 }
 
-/// Plays a seed; the error says what was violated, when, and what happened before.
+/// Runs a seed. The error names the violation, its time, and the steps before it.
 fn play(seed: u64, planted: Planted) -> Result<Tally, String> {
     let mut world = World::new(seed, planted);
     let steps = if is_long(seed) { LONG_STEPS } else { STEPS };
@@ -2065,7 +2051,7 @@ fn no_seed_violates_an_invariant() {
     println!("{} seeds: {total:?}", seeds.end - seeds.start);
     assert!(violated.is_empty(), "{} seeds violate an invariant; the first:\n{}", violated.len(), violated[0]);
     if seeds.end - seeds.start >= 100 {
-        // Seeds that reach none of this would prove nothing.
+        // Seeds that reach none of these situations prove nothing.
         for reached in [
             total.duplicates,
             total.missed,
@@ -2134,7 +2120,7 @@ fn planted_faults_are_found() {
         (Planted::LastWordsGo, "went"),
         (Planted::PortsGo, "a stranger is heard"),
     ] {
-        // What only shows when the oldest go, or seldom, takes a long seed.
+        // Rare faults, and those of deleting the oldest events, need a long seed.
         let takes_long = planted.after_trim().is_some()
             || matches!(planted, Planted::SyncErrorsHidden | Planted::ReadsTwice | Planted::NoNamesAfterRestart);
         let seeds: Vec<u64> = (0..4 * PLANTED_SEEDS).filter(|seed| is_long(*seed) == takes_long).collect();

@@ -1,5 +1,5 @@
-//! A disk of the simulation, as a VFS of SQLite: files as the system shows them and as the disk has them. A call may fail, a sync may lose what it
-//! fails with, a read may give a block of elsewhere or of before, and a power loss takes some of the data that no sync has reached.
+//! A simulated disk, as a VFS of SQLite, with the contents that readers see and the contents that survive a power loss. A call may fail, a failed
+//! sync may lose data, a read may return an old or a wrong block, and a power loss takes some unsynced data.
 
 #![allow(unsafe_code, reason = "SQLite asks for its files through C")]
 
@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use roomcast_database::Simulation;
 use roomcast_database::rusqlite::ffi;
 
-/// Bytes that reach the disk, or are read from it, together.
+/// Bytes that are written or read together.
 const BLOCK: usize = 512;
 /// The database among the files.
 const DATABASE: &str = "simulated";
@@ -39,7 +39,7 @@ struct File {
     kept: Vec<u8>,
     /// The bytes of the disk before that, for a stale read.
     before: Vec<u8>,
-    /// Blocks that the system has still to bring to the disk.
+    /// Blocks that are not on the disk yet.
     dirty: BTreeSet<usize>,
 }
 
@@ -53,7 +53,6 @@ impl File {
         self.dirty.extend(at / BLOCK..end.div_ceil(BLOCK));
     }
 
-    /// Brings one block to the disk.
     fn keep(&mut self, block: usize) {
         let range = block * BLOCK..((block + 1) * BLOCK).min(self.shown.len());
         let Some(bytes) = self.shown.get(range.clone()) else { return };
@@ -67,19 +66,19 @@ impl File {
 #[derive(Debug)]
 struct Machine {
     rng: ChaCha8Rng,
-    /// A sync that fails counts as one that went well: a planted fault.
+    /// A failed sync counts as successful: a planted fault.
     hides_failed_syncs: bool,
     files: BTreeMap<String, File>,
-    /// How likely each call fails, and each start is given a wrong block.
+    /// Probabilities that a call fails, and that a start reads a wrong block.
     fails: f64,
     misreads: f64,
-    /// A wrong block of the database, which every read gives until the next start.
+    /// A wrong block of the database, which every read returns until the next start.
     misreading: Option<(usize, Vec<u8>)>,
     tally: DiskTally,
 }
 
 thread_local! {
-    /// The disk of the world that this thread plays.
+    /// The disk of this thread's world.
     static MACHINE: RefCell<Option<Machine>> = const { RefCell::new(None) };
 }
 
@@ -94,7 +93,7 @@ impl Machine {
         fails
     }
 
-    /// A start may read a block of elsewhere, or of before.
+    /// A start may read a wrong block or an old one.
     fn misread(&mut self) {
         let file = self.files.get(DATABASE).cloned().unwrap_or_default();
         let blocks = file.shown.len() / BLOCK;
@@ -120,12 +119,12 @@ impl Machine {
     }
 }
 
-/// The way to the disk of this thread.
+/// Access to this thread's disk.
 #[derive(Debug, Clone, Copy)]
 pub struct SimulatedDisk;
 
 impl SimulatedDisk {
-    /// An empty disk, in place of the one that the thread had.
+    /// Replaces the thread's disk by an empty one.
     pub fn new(seed: u64, hides_failed_syncs: bool) -> Self {
         static REGISTERED: Once = Once::new();
         REGISTERED.call_once(register);
@@ -142,7 +141,7 @@ impl SimulatedDisk {
         Self
     }
 
-    /// As the product asks for it.
+    /// The disk as the product's argument.
     pub fn simulation(self) -> Simulation {
         let set_aside = || {
             with(|machine| {
@@ -175,7 +174,7 @@ impl SimulatedDisk {
         });
     }
 
-    /// Flips a bit of a file. False if all are empty. The bytes of before are gone.
+    /// Flips a bit of a file and drops its old bytes. Returns false if all files are empty.
     pub fn damage(self) -> bool {
         with(|machine| {
             let Machine { rng, files, .. } = machine;
@@ -192,7 +191,7 @@ impl SimulatedDisk {
         })
     }
 
-    /// The power fails: each file loses some of the data that no sync has reached.
+    /// The power fails: each file loses some of its unsynced data.
     pub fn lose_power(self) {
         with(|machine| {
             let Machine { rng, files, .. } = machine;
@@ -229,7 +228,7 @@ unsafe fn name_of<'a>(file: *mut ffi::sqlite3_file) -> &'a String {
     unsafe { &*(*file.cast::<Open>()).name }
 }
 
-/// Does something with an open file, or lets the call fail.
+/// Runs work on an open file, or lets the call fail.
 fn of_file(file: *mut ffi::sqlite3_file, code: c_int, work: impl FnOnce(&mut Machine, &str) -> c_int) -> c_int {
     // SAFETY: SQLite gives files that it has open.
     let name = unsafe { name_of(file) };
@@ -298,7 +297,7 @@ unsafe extern "C" fn sync(file: *mut ffi::sqlite3_file, _flags: c_int) -> c_int 
                 file.keep(block);
                 continue;
             }
-            // The system takes the page for written, and may give what the disk has from now on.
+            // The system marks the page as written, and may return the disk's content from now on.
             if rng.random_bool(0.5) {
                 let range = block * BLOCK..((block + 1) * BLOCK).min(file.shown.len());
                 let mut kept = file.kept.clone();
@@ -370,7 +369,7 @@ static METHODS: ffi::sqlite3_io_methods = ffi::sqlite3_io_methods {
     xUnfetch: None,
 };
 
-/// The name in C's letters.
+/// The name as a string.
 ///
 /// # Safety
 /// `name` ends with a zero byte, or is null.
@@ -466,7 +465,7 @@ unsafe extern "C" fn last_error(_vfs: *mut ffi::sqlite3_vfs, _room: c_int, _out:
     0
 }
 
-/// Tells SQLite of the disk, once in a process.
+/// Registers the disk with SQLite, once in a process.
 fn register() {
     let vfs = Box::leak(Box::new(ffi::sqlite3_vfs {
         iVersion: 1,

@@ -1,8 +1,9 @@
-//! The hub's queue: narrations that not all robots have confirmed, in memory and in an SQLite database.
+//! The hub's queue: events that not all robots have confirmed, in memory and in an SQLite database.
 //!
-//! A narration is on the disk before it is sent. Narrations up to a damaged row are given up, and numbers go on behind it, so that none is given
-//! twice. The robots know how far a lost end went ([`Spool::number_on`]). If nothing can be read, the epoch is a new one, and a followed input is
-//! read from its end, so that the robots do not get it twice. Folder and files are their owner's alone, for narration is private.
+//! An event is on the disk before it is sent. Events up to a damaged row are dropped, and later numbers continue after it, so that no number is used
+//! twice. If the end of the queue is lost, the robots know its last number ([`Spool::number_on`]). If nothing can be read, the epoch is a new one,
+//! and a followed input is read from its end, so that the robots get no event twice. Only the owner can read folder and files, because events are
+//! private.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
@@ -32,19 +33,19 @@ const SCHEMA: Schema = Schema {
         -- The content is JSON; the checksum is the CRC-32 of the other columns.
         CREATE TABLE narration (sequence INTEGER PRIMARY KEY, epoch INTEGER NOT NULL, content TEXT NOT NULL, checksum INTEGER NOT NULL) STRICT;"],
 };
-/// Longest line of the old file.
+/// Longest line of the old file, in bytes.
 const LINE_BYTES_MAX: u64 = 16 << 10;
-/// Confirmations go to the disk after so many narrations, or so long after the last time.
+/// Confirmations are written after so many events, or so long after the last write.
 const NOTE_EACH: u64 = 64;
 const NOTE_NS: u64 = 1_000_000_000;
 
-/// Numbers that one start gives up at most because a robot says that it has them.
+/// Most numbers that one start skips because a robot reports them as used.
 pub const TAKEN_MAX: u64 = 1024;
 
 /// An error of the queue.
 pub type SpoolError = DatabaseError;
 
-/// The folder can be no spool: another start would fail like this one.
+/// The folder cannot be a spool: another start would fail like this one.
 #[must_use]
 pub fn is_of_configuration(error: &SpoolError) -> bool {
     match error {
@@ -74,11 +75,11 @@ pub struct Place {
     pub before: Option<u32>,
 }
 
-/// How far the queue is.
+/// The state of the queue.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Head {
     epoch: Hex,
-    /// The first number that is kept.
+    /// The first stored number.
     first: u64,
     /// All robots have confirmed up to here; numbers between that and `first` were given up.
     #[serde(default)]
@@ -124,14 +125,14 @@ impl Dated {
         Self { observation, observed_ns, observed_unix_ns, ahead_ns: 0, input }
     }
 
-    /// The input has a fast clock: its time was so far ahead.
+    /// The input's clock was ahead by this time.
     #[must_use]
     pub fn with_ahead(self, ahead_ns: u64) -> Self {
         Self { ahead_ns, ..self }
     }
 }
 
-/// A narration that is kept.
+/// A stored event.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Kept {
     /// Its number.
@@ -140,7 +141,7 @@ pub struct Kept {
     clock: Hex,
     observed_ns: u64,
     observed_unix_ns: u64,
-    /// How far ahead its time was.
+    /// Time by which the input's clock was ahead.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub ahead_ns: u64,
     /// How far the input was read with it; `None` if that is unknown.
@@ -158,17 +159,17 @@ pub struct Spool {
     clock: Hex,
     kept: VecDeque<Kept>,
     keep: usize,
-    /// The first number that is kept, as the database says it, and when that was written.
+    /// The first stored number in the database, and the time of that write.
     noted: (u64, u64),
-    /// A write has failed, and may have lost earlier ones: the next one writes all again.
+    /// A write has failed and may have lost earlier ones: the next one writes all events again.
     has_failed: bool,
-    /// Numbers that this start has given up.
+    /// Numbers that this start has skipped.
     taken: u64,
 }
 
 impl Spool {
-    /// Opens the queue in a folder, which is made if it is missing, and goes on with its narrations. More than `keep` of them stay until
-    /// [`Self::trim`], so that the hub counts those that it gives up.
+    /// Opens the queue in a folder, which is created if missing, with its stored events. More than `keep` of them stay until [`Self::trim`], so that
+    /// the hub counts the dropped ones.
     ///
     /// # Errors
     ///
@@ -226,13 +227,13 @@ impl Spool {
         self.head.epoch.0
     }
 
-    /// The first number that is kept.
+    /// The first stored number.
     #[must_use]
     pub fn first(&self) -> u64 {
         self.head.first
     }
 
-    /// The last number that was given; one less than `first` if nothing is kept.
+    /// The last used number; one less than `first` if the queue is empty.
     #[must_use]
     pub fn last(&self) -> u64 {
         self.head.first + self.kept.len() as u64 - 1
@@ -267,12 +268,12 @@ impl Spool {
         }
     }
 
-    /// Gives up numbers if a robot says that the next one is `next`: the disk has lost them, and a new narration must not have their numbers.
-    /// Empty narrations have them, which a robot that never had them passes over. Returns how many; `None` if so many cannot be lost.
+    /// Skips numbers if a robot reports `next` as the next one: the disk has lost them, and a new event must not reuse them. Empty events take these
+    /// numbers; a robot without them ignores empty events. Returns the number of skipped ones, or `None` if there are too many for a loss.
     ///
     /// # Errors
     ///
-    /// [`SpoolError`]; then the numbers are still to be given.
+    /// [`SpoolError`]; then no number is skipped.
     pub fn number_on(&mut self, next: u64) -> Result<Option<u64>, SpoolError> {
         let count = next.saturating_sub(self.last() + 1);
         if count > TAKEN_MAX - self.taken {
@@ -287,11 +288,11 @@ impl Spool {
         Ok(Some(count))
     }
 
-    /// Keeps narrations. They are on the disk when this returns.
+    /// Stores events. They are on the disk when this returns.
     ///
     /// # Errors
     ///
-    /// [`SpoolError`]; then none of them is kept.
+    /// [`SpoolError`]; then none of them is stored.
     pub fn append(&mut self, dated: Vec<Dated>) -> Result<(), SpoolError> {
         let first = self.last() + 1;
         for (sequence, dated) in (first..).zip(dated) {
@@ -311,7 +312,7 @@ impl Spool {
         written
     }
 
-    /// Writes in one transaction, with the head and without the confirmed narrations; syncs if wanted. After a failure all is written again.
+    /// Writes in one transaction, with the head and without the confirmed events; syncs on request. After a failure all events are written again.
     fn write(
         &mut self,
         work: impl FnOnce(&Transaction<'_>) -> rusqlite::Result<()>,
@@ -342,14 +343,14 @@ impl Spool {
         Ok(())
     }
 
-    /// Keeps no more than the newest.
+    /// Drops all but the newest `keep` events.
     pub fn trim(&mut self) {
         let over = self.kept.len().saturating_sub(self.keep);
         self.forget(over);
     }
 
-    /// Forgets the narrations up to a number, itself included: all robots have confirmed them. The disk learns it now and then: a hub that is killed
-    /// sends some of them again, and the robots take none twice.
+    /// Removes the events up to and including a number, which all robots have confirmed. The disk is updated now and then: after a kill the hub sends
+    /// some of them again, and the robots ignore them.
     ///
     /// # Errors
     ///
@@ -369,7 +370,7 @@ impl Spool {
         Ok(())
     }
 
-    /// Moves all into the file, so that a copy of it is a copy of the queue.
+    /// Checkpoints the log into the file, so that a copy of the file is a copy of the queue.
     ///
     /// # Errors
     ///
@@ -413,12 +414,12 @@ struct Found {
     /// `None` if nothing of it can be read.
     head: Option<Head>,
     kept: VecDeque<Kept>,
-    /// Narrations before the damage.
+    /// Events before the damage.
     given_up: u64,
 }
 
 impl Found {
-    /// A narration of an epoch. Those before a gap are given up.
+    /// Adds an event of an epoch. Events before a gap are dropped.
     fn push(&mut self, epoch: Hex, kept: Kept) {
         let head = self.head.get_or_insert(Head { epoch, first: kept.sequence, confirmed: 0, input: None });
         let next = head.first + self.kept.len() as u64;
@@ -434,7 +435,7 @@ impl Found {
         self.kept.push_back(kept);
     }
 
-    /// Takes up what a later line says of the queue.
+    /// Takes a later line's state of the queue.
     fn go_on(&mut self, later: Head) {
         let head = self.head.get_or_insert(later);
         if later.epoch == head.epoch && later.first >= head.first {
@@ -446,7 +447,6 @@ impl Found {
     }
 }
 
-/// Whether numbers can be those of a queue.
 fn is_sane(epoch: Hex, first: u64) -> bool {
     epoch.0 != 0 && (1..u64::MAX / 2).contains(&first)
 }
@@ -456,7 +456,7 @@ fn read(database: &Database) -> rusqlite::Result<Found> {
     let mut found = Found::default();
     let head = |row: &Row<'_>| {
         let numbers: [i64; 4] = [row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?];
-        // A text that is no text fails the checksum.
+        // Invalid text fails the checksum.
         let input: Option<String> = row.get(5).unwrap_or_default();
         let is_whole = row.get::<_, i64>(6)? == i64::from(checksum(&(numbers, &input)));
         let [epoch, first, last, confirmed] = numbers.map(i64::cast_unsigned);
@@ -478,7 +478,7 @@ fn read(database: &Database) -> rusqlite::Result<Found> {
             found.push(epoch, kept);
         }
     }
-    // Of a lost end the head has the numbers.
+    // The head has the numbers of a lost end.
     if let (Some((_, last)), Some(head)) = (head, &mut found.head)
         && last >= head.first + found.kept.len() as u64
     {
@@ -519,9 +519,9 @@ fn read_old(folder: &Path) -> io::Result<Option<Found>> {
     }
 }
 
-/// Opens a plain file. Opening a FIFO would wait for its other end, deaf to signals.
+/// Opens a regular file. Opening a FIFO would wait for its other end and ignore signals.
 pub(crate) fn open_plain(options: &mut OpenOptions, path: &Path) -> io::Result<File> {
-    // A FIFO that nobody reads is refused by the system, since this does not wait for one.
+    // With this flag the system refuses a FIFO without a reader at once.
     let file = options.custom_flags(OFlags::NONBLOCK.bits().cast_signed()).open(path);
     let is_other = match &file {
         Ok(file) => !file.metadata()?.is_file(),
@@ -568,7 +568,7 @@ mod tests {
         let in_use = Spool::open(folder.path(), 100).unwrap_err();
         assert!(in_use.to_string().contains("another process uses it") && !is_of_configuration(&in_use), "{in_use}");
         spool.confirm(150).unwrap();
-        // The disk learns confirmations now and then.
+        // Confirmations are written now and then.
         spool.confirm(160).unwrap();
         assert!(spool.get(160).is_none() && spool.get(161).unwrap().sequence == 161 && spool.get(201).is_none());
         drop(spool);
@@ -660,7 +660,7 @@ mod tests {
         assert_eq!((spool.last(), spool.input().unwrap().at), (10, 60));
         nothing.message().unwrap_err();
         spool.get(10).unwrap().observation.message().unwrap();
-        // A robot that gives any number does not fill the spool.
+        // An arbitrary number from a robot does not fill the spool.
         assert_eq!(spool.number_on(u64::MAX).unwrap(), None);
         assert_eq!(spool.number_on(11 + TAKEN_MAX - 4).unwrap(), Some(TAKEN_MAX - 4));
         assert_eq!(spool.number_on(spool.last() + 2).unwrap(), None);

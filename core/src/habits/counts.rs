@@ -1,24 +1,22 @@
-//! How often what followed what: counts of symbols by context, bounded, and forgotten with a half-life.
+//! Counts of symbols by context, bounded, with a half-life.
 //!
 //! A context is an exact 64-bit key. Its row holds the decayed number of observations and a chain of blocks, each of up to four
-//! symbols with their counts: a walk waits for memory once per block. Decay is lazy: a row is brought up to date when it is touched,
-//! and read through a factor otherwise. At the limit a hand goes round and the least useful of the rows that it meets (fewest decayed
-//! observations) gives way, as in sampled eviction of caches. Rows and blocks live in two slabs with free lists, so that nothing is
-//! allocated once they have grown to their limits.
+//! symbols with their counts: a walk waits for memory once per block. Decay is lazy: a row is updated when it is written, and read through a factor
+//! otherwise. At the limit a clock hand compares the next rows and evicts the least useful one (fewest decayed observations), as sampled caches do.
+//! Rows and blocks live in two slabs with free lists, so that nothing is allocated once they have grown to their limits.
 
-/// No further row or block.
 const END: u32 = u32::MAX;
 /// The key of a free row, which no context has.
 const FREE: u64 = u64::MAX;
 /// The symbol of a free place in a block; no symbol is counted under it.
 const NOTHING: u16 = u16::MAX;
-/// Counts with less than this left are dropped when their row is touched.
+/// Smaller counts are dropped when their row is updated.
 const FORGOTTEN: f32 = 0.02;
-/// A row is brought up to date when its counts are worth less than this; before, what is added counts for more in their place.
+/// A row is updated when its counts have decayed below this factor. Before that, additions are scaled up instead.
 const WORTH: f32 = 0.7;
-/// Rows that the hand compares before the least useful gives way.
+/// Rows that the hand compares per eviction.
 const COMPARED: usize = 16;
-/// Rows per bucket of the hash table, at most, on average.
+/// Most rows per bucket of the hash table, on average.
 const LOAD: usize = 1;
 
 /// A row as it is stored: 24 bytes.
@@ -53,19 +51,16 @@ impl Block {
     }
 }
 
-/// A symbol's place in a block.
 type Place = (u32, usize);
 
-/// How much may be held, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Limits {
     pub(crate) rows: usize,
     pub(crate) blocks: usize,
-    /// Minutes after which a count is worth half; not positive for never.
+    /// Half-life in minutes; no decay unless positive.
     pub(crate) half_life_min: f64,
 }
 
-/// Counts of symbols by context.
 #[derive(Debug, Clone)]
 pub(crate) struct Counts {
     limits: Limits,
@@ -79,7 +74,7 @@ pub(crate) struct Counts {
     hand: usize,
 }
 
-/// A row that is read at some time: counts times a factor.
+/// A row at a time of reading: its counts times a factor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen<'a> {
     counts: &'a Counts,
@@ -88,13 +83,12 @@ pub(crate) struct Seen<'a> {
 }
 
 impl Seen<'_> {
-    /// Every symbol seen here, with its decayed count.
+    /// Every symbol with its decayed count.
     pub(crate) fn symbols(&self) -> impl Iterator<Item = (u16, f64)> {
         let Self { counts, first, factor } = *self;
         counts.chain(first).flat_map(Block::iter).map(move |(symbol, count)| (symbol, f64::from(count * factor)))
     }
 
-    /// The decayed count of one symbol.
     pub(crate) fn count(&self, symbol: u16) -> f64 {
         self.symbols().find(|(other, _)| *other == symbol).map_or(0.0, |(_, count)| count)
     }
@@ -124,12 +118,11 @@ impl Counts {
         }
     }
 
-    /// Contexts, and counts in all of them.
+    /// Numbers of contexts and counts.
     pub(crate) fn len(&self) -> (usize, usize) {
         (self.live_rows, self.live_counts)
     }
 
-    /// Bytes held in memory.
     pub(crate) fn bytes(&self) -> usize {
         self.buckets.capacity() * size_of::<u32>()
             + self.rows.capacity() * size_of::<Row>()
@@ -144,7 +137,6 @@ impl Counts {
         ((-f64::from(age_min) / self.limits.half_life_min) as f32).exp2()
     }
 
-    /// The blocks from one on.
     fn chain(&self, first: u32) -> impl Iterator<Item = Block> {
         let mut at = first;
         std::iter::from_fn(move || {
@@ -166,20 +158,19 @@ impl Counts {
         None
     }
 
-    /// The row of a context, if anything was seen there.
     pub(crate) fn get(&self, key: u64, now_min: u32) -> Option<Seen<'_>> {
         let row = self.rows[self.find(key)? as usize];
         let factor = self.factor(row.touched_min, now_min);
         Some(Seen { counts: self, first: row.first, factor })
     }
 
-    /// Adds to the count of `symbol` in the context `key`. Says whether the symbol is new there. What would be forgotten by now, had it been
-    /// counted in its time, leaves no trace.
+    /// Adds to the count of `symbol` in the context `key`. Returns true if the symbol is new there. A weight that has decayed below the limit by now
+    /// is ignored.
     pub(crate) fn add(&mut self, key: u64, symbol: u16, weight: f64, now_min: u32) -> bool {
         debug_assert_ne!(symbol, NOTHING);
         let found = self.find(key);
         let touched_min = found.map_or(now_min, |row| self.rows[row as usize].touched_min);
-        // What is older than the row fades as if it had been counted then.
+        // An addition that is older than the row decays to the row's time.
         let faded = self.factor(now_min, touched_min);
         let weight = (weight * f64::from(faded)) as f32;
         if weight < f32::MIN_POSITIVE || (faded < WORTH && weight < FORGOTTEN) {
@@ -206,7 +197,7 @@ impl Counts {
         true
     }
 
-    /// The place of a symbol, which is the row's first then: what comes often is found soon. If it has none, a free one of the row's.
+    /// Finds a symbol and moves it to the row's first place, so that frequent symbols are found soon. Otherwise returns a free place of the row.
     fn bring_forward(&mut self, row: u32, symbol: u16) -> Result<Place, Option<Place>> {
         let first = self.rows[row as usize].first;
         let (mut at, mut free) = (first, None);
@@ -230,7 +221,7 @@ impl Counts {
         Err(free)
     }
 
-    /// Brings a row up to date, and drops what is forgotten; gives the place of a symbol, or a free one of the row's.
+    /// Updates a row and drops small counts. Returns the place of a symbol, or a free place of the row.
     fn decay(&mut self, row: u32, factor: f32, now_min: u32, symbol: u16) -> Result<Place, Option<Place>> {
         let touched_min = self.rows[row as usize].touched_min;
         self.rows[row as usize].touched_min = touched_min.max(now_min);
@@ -243,7 +234,7 @@ impl Counts {
         self.bring_forward(row, symbol)
     }
 
-    /// Drops the counts of a row that are not wanted, and blocks of which nothing is left.
+    /// Drops unwanted counts of a row, and empty blocks.
     fn keep(&mut self, row: u32, mut wanted: impl FnMut(u16, &mut f32) -> bool) {
         let (mut at, mut before) = (self.rows[row as usize].first, END);
         while at != END {
@@ -294,7 +285,6 @@ impl Counts {
         at
     }
 
-    /// Doubles the number of buckets.
     fn spread(&mut self) {
         let buckets = 2 * self.buckets.len();
         let mut wider = vec![END; buckets];
@@ -310,11 +300,11 @@ impl Counts {
         self.buckets = wider;
     }
 
-    /// A further block of a row, its first then.
+    /// Adds a block in front of a row.
     fn new_block(&mut self, row: u32) -> u32 {
         while self.free_block == END && self.blocks.len() >= self.limits.blocks {
             if !self.evict(Some(row), self.rows[row as usize].touched_min) {
-                // Only the row itself is left: a block of its own gives way.
+                // Only the row itself is left: one of its own blocks is dropped.
                 self.shorten(row);
             }
         }
@@ -350,19 +340,19 @@ impl Counts {
         }
     }
 
-    /// The logarithm of what is left of a row's observations, to the base of two, but for a constant; the mantissa stands for its logarithm,
-    /// which is at most a tenth more. Many rows are compared for each that gives way, and a power of two for each takes longer than all else.
+    /// Usefulness of a row: the base-2 logarithm of its decayed observations, up to a constant. The mantissa stands for its logarithm, with an error
+    /// of at most a tenth. Each eviction compares many rows, and a power of two for each would dominate the cost.
     fn worth(&self, row: &Row, now_min: u32) -> f32 {
         const ONE: f32 = (1_u32 << (f32::MANTISSA_DIGITS - 1)) as f32;
         let faded = match self.limits.half_life_min > 0.0 {
             true => f64::from(now_min.saturating_sub(row.touched_min)) / self.limits.half_life_min,
             false => 0.0,
         };
-        // What rounding leaves of a row that was emptied may be below zero.
+        // Rounding can leave an emptied row below zero.
         row.total.max(0.0).to_bits() as f32 / ONE - faded as f32
     }
 
-    /// Drops the least useful of the next rows; says whether there was one.
+    /// Evicts the least useful of the next rows. Returns false if there was none.
     fn evict(&mut self, keep: Option<u32>, now_min: u32) -> bool {
         let (mut least, mut compared) = (None, 0);
         for _ in 0..self.rows.len() {
@@ -407,18 +397,16 @@ impl Counts {
             block = next;
         }
         let row = &mut self.rows[at as usize];
-        // The hand passes over it.
+        // The hand skips free rows.
         *row = Row { key: FREE, next: self.free_row, first: END, total: 0.0, touched_min: 0 };
         self.free_row = at;
         self.live_rows -= 1;
     }
 
-    /// When each context was last touched.
     pub(crate) fn touched_min(&mut self) -> impl Iterator<Item = &mut u32> {
         self.rows.iter_mut().map(|row| &mut row.touched_min)
     }
 
-    /// Drops every row for which `wanted` is false, and every count for which `symbol_wanted` is.
     pub(crate) fn retain(
         &mut self,
         mut wanted: impl FnMut(u64) -> bool,
@@ -443,7 +431,7 @@ impl Counts {
         }
     }
 
-    /// Every context with its time of the last touch and its counts as stored then, in the order of the keys.
+    /// Every context, sorted by key, with its last minute and its counts as of that minute.
     pub(crate) fn rows(&self) -> Vec<StoredRow> {
         let live = self.buckets.iter().flat_map(|head| {
             let mut at = *head;
@@ -460,10 +448,10 @@ impl Counts {
     }
 }
 
-/// A context's key, the minute of its last touch, and its symbols with their counts as stored then.
+/// A context's key, its last minute, and its symbols with their counts as of that minute.
 pub(crate) type StoredRow = (u64, u32, Vec<(u16, f32)>);
 
-/// Grows a slab by doubling, to its limit and not beyond.
+/// Grows a slab by doubling, up to its limit.
 fn reserve<T>(slab: &mut Vec<T>, limit: usize) {
     if slab.len() == slab.capacity() {
         let wanted = (2 * slab.capacity()).clamp(64, limit.max(64));
@@ -525,7 +513,7 @@ mod tests {
         assert!((0..7).all(|key| counts.get(key, 0).is_some()));
     }
 
-    /// What is told of a year ago counts as if it had been counted then, also where the same was counted since.
+    /// An event from a year ago decays as if it had been counted then.
     #[test]
     fn what_is_older_than_its_row_has_faded() {
         let mut counts = counts(4, 16, 10_000.0);
@@ -536,7 +524,7 @@ mod tests {
         assert!((seen.count(1) - 1.25).abs() < 1e-3 && (seen.count(2) - 0.125).abs() < 1e-3, "{seen:?}");
     }
 
-    /// What is told of twenty years ago, beside what was counted since.
+    /// Events from twenty years ago, mixed with newer counts.
     #[test]
     fn what_had_been_forgotten_by_now_is_not_counted() {
         for half_life_min in [0.5, f64::from(DAY_MIN), 60.0 * f64::from(DAY_MIN)] {
@@ -560,7 +548,7 @@ mod tests {
     }
 
     proptest! {
-        /// As a map of maps would count, whatever is added, and never more than the limits.
+        /// Compared with a map of maps, within the limits.
         #[test]
         fn it_counts_as_maps_do(adds in prop::collection::vec((0..40u64, 0..30u16, 0..3000u32), 0..300)) {
             let mut counts = counts(64, 2048, 0.0);
@@ -588,7 +576,7 @@ mod tests {
             for (key, symbol, minute) in adds {
                 counts.add(key, symbol, 1.0, minute);
                 prop_assert!(counts.len().0 <= rows && counts.blocks.len() <= blocks);
-                // What is older than its row is worth less there, and nothing in the end.
+                // An older addition is worth less there, in the end zero.
                 let older_min = counts.rows[counts.find(key).unwrap() as usize].touched_min.saturating_sub(minute);
                 let worth = 0.9 * (-f64::from(older_min) / 10_000.0).exp2();
                 let count = counts.get(key, minute).map(|seen| seen.count(symbol));

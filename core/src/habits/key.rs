@@ -1,10 +1,9 @@
-//! What a count is kept under: of which kind, of whom, and after what, in 64 bits. Up to three things are named exactly; longer contexts by
-//! a digest of 48 bits, of which two are the same once in 10^14.
+//! Keys of counts, 64 bits: the kind, the person's slot, and the context. Up to three things are stored exactly. A longer context is a digest of 48
+//! bits; two contexts collide once in 10^14.
 
-/// No label before this one.
 pub(crate) const NONE: u16 = u16::MAX;
 
-/// Which count it is; also which numbers follow in the key. Files hold the numbers: those of kinds that are no longer counted stay unused.
+/// Kinds of counts, which also decide the meaning of the key's numbers. Files hold these values: values of removed kinds stay unused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Kind {
@@ -15,7 +14,7 @@ pub(crate) enum Kind {
     Object3 = 4,
     Object4 = 5,
     Object5 = 6,
-    /// Whether the last thing is mentioned again: by how often it was, and after the last one to three things.
+    /// Whether the last thing is mentioned again: by its number of mentions, and after the last one to three things.
     Again0 = 7,
     Again1 = 8,
     Again2 = 9,
@@ -46,7 +45,7 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    /// Every kind, which of the key's three numbers are things and which are places, and the symbol that is counted.
+    /// Every kind, with the meanings of the key's three numbers and of the counted symbol.
     const ALL: [(Self, [Number; 4]); 27] = {
         use Number::{Object as O, Place as P, Plain as N};
         [
@@ -80,18 +79,16 @@ impl Kind {
         ]
     };
 
-    /// The kind with this number in a file, if it is still counted.
+    /// The kind with this number in a file, unless it was removed.
     pub(crate) fn of(number: u8) -> Option<Self> {
         Self::ALL.into_iter().map(|(kind, _)| kind).find(|kind| *kind as u8 == number)
     }
 
-    /// What the numbers of a key stand for; the symbol counted comes last.
     pub(crate) fn layout(self) -> [Number; 4] {
         Self::ALL.into_iter().find(|(kind, _)| *kind == self).map_or([Number::Plain; 4], |(_, layout)| layout)
     }
 }
 
-/// What a number in a key stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Number {
     Object,
@@ -99,25 +96,24 @@ pub(crate) enum Number {
     Plain,
 }
 
-/// Slots of persons; the bits above say how often the last thing was mentioned in a row.
+/// Bits of the slot; the bits above hold how often the last thing was mentioned in a row.
 pub(crate) const SLOT_MASK: u8 = 0x3f;
-/// Mentions in a row that are told apart.
+/// Most mentions in a row that are counted apart.
 const TIMES_MAX: u8 = 3;
 
-/// A person's slot together with how often the last thing was mentioned again.
+/// Joins a slot and the number of repeated mentions.
 pub(crate) fn with_times(slot: u8, times: u8) -> u8 {
     slot & SLOT_MASK | times.min(TIMES_MAX) << 6
 }
 
-/// The key of a person's count after three numbers.
 pub(crate) fn key(kind: Kind, slot: u8, after: [u16; 3]) -> u64 {
     let [first, second, third] = after.map(u64::from);
     (kind as u64) << 56 | u64::from(slot) << 48 | first << 32 | second << 16 | third
 }
 
-/// Numbers of a context that is longer than three.
+/// Hashes a context that is longer than three things.
 pub(crate) fn digest(context: &[u16]) -> [u16; 3] {
-    // The finaliser of splitmix64 after each number. Files hold what comes out.
+    // The finaliser of splitmix64 after each number. Files hold the result.
     let digest = context.iter().fold(0u64, |sum, number| {
         let mut hash = (sum ^ u64::from(*number)).wrapping_add(0x9e37_79b9_7f4a_7c15);
         hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -127,7 +123,7 @@ pub(crate) fn digest(context: &[u16]) -> [u16; 3] {
     [(digest >> 32) as u16, (digest >> 16) as u16, digest as u16]
 }
 
-/// The parts of a key; none when its kind is unknown.
+/// Splits a key; `None` if its kind is unknown.
 pub(crate) fn parts(key: u64) -> Option<(Kind, u8, [u16; 3])> {
     let kind = Kind::of((key >> 56) as u8)?;
     Some((kind, (key >> 48) as u8, [(key >> 32) as u16, (key >> 16) as u16, key as u16]))
@@ -144,7 +140,7 @@ mod tests {
         }
         assert_eq!(parts(u64::MAX), None);
         assert_eq!(parts(0), None);
-        // Files of earlier starts hold these.
+        // Existing files hold this value.
         assert_eq!(digest(&[1, 2, 3, 4, 5]), [27063, 5733, 20958]);
         assert_ne!(digest(&[1, 2, 3, 4]), digest(&[2, 1, 3, 4]));
     }

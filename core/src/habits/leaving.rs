@@ -1,8 +1,8 @@
-//! Where a person is a time later, by how long stays last and where they lead.
+//! Forecasts a later place from the length and the destination of stays.
 //!
 //! A stay of some age in a place ends at the rate of exits over time spent. Each level has the next wider one as its prior: place and part of the
-//! day, over place, over all rooms, over the shipped stay. Time out of the house has the shipped absence as its prior, since rooms say nothing of
-//! how long it lasts. Stays that end lead where earlier ones led, and begin anew there.
+//! day, then place, then all rooms, then the shipped stay. Time out of the house has the shipped absence as its prior, since stays in rooms do not
+//! predict its length. A person who leaves goes where earlier exits led, and a new stay begins there.
 
 use super::key::{Kind, NONE};
 use super::moment::{self, CLASSES, PART_HOURS, class_s, time_class};
@@ -14,46 +14,45 @@ use super::whose::View;
 /// Symbols of the counts of stays.
 pub(crate) const EXITS: u16 = 0;
 pub(crate) const MINUTES: u16 = 1;
-/// Scale of the stay out of the house that the shipped forecast begins with, in seconds.
+/// Scale of an absence in the shipped forecast, in seconds.
 pub(crate) const SHIPPED_AWAY_S: f64 = 14_400.0;
 
-/// Farther ahead than this the forecast no longer changes, in seconds.
+/// The forecast no longer changes beyond this time, in seconds.
 const FARTHEST_S: f64 = 4.0 * 3_600.0;
-/// The shortest and the longest step, in seconds, and how much of the time ahead a step is between them.
+/// The shortest and the longest step, in seconds; between them a step is `STEP_SHARE` of the time ahead.
 const STEPS_S: [f64; 2] = [15.0, 300.0];
 const STEP_SHARE: f64 = 0.2;
-/// How many exits the wider level is worth.
+/// Exits that the wider level is worth.
 const RATE_STRENGTH: f64 = 2.0;
-/// Discount and concentration of where exits lead.
+/// Discount and concentration of destinations.
 const EXIT: [(f64, f64); 2] = [(0.25, 2.0), (0.25, 4.0)];
-/// Scale of the stay in a room that the shipped forecast begins with, in seconds.
+/// Scale of a stay in a room in the shipped forecast, in seconds.
 const SHIPPED_STAY_S: f64 = 120.0;
 
-/// The stay that goes on: where, unless a person came back into an unknown room, and for how long.
+/// The current stay. `here` is `None` if the person came back into an unknown room.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stay {
     pub(crate) here: Option<usize>,
     pub(crate) spent_s: f64,
 }
 
-/// What is computed on the way.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Leaving {
-    /// Per place and age of a stay, the rate of leaving, and the share of persons in it.
+    /// Per place and age of a stay, the rate of leaving and the probability of being there.
     rates: Vec<[f64; CLASSES]>,
     mass: Vec<[f64; CLASSES]>,
-    /// Per place where it leads, row by row.
+    /// Per place its destinations, row by row.
     leads: Vec<f64>,
     left: Vec<f64>,
 }
 
-/// The share that is gone after a time at a rate: `1 - exp(-x)`, to three digits up to one, without its cost.
+/// `1 - exp(-x)`, to three digits up to one, at low cost.
 fn gone(x: f64) -> f64 {
     if x < 1.0 { x / (1.0 + x * (0.5 + x / 12.0)) } else { 1.0 - (-x).exp() }
 }
 
 impl Leaving {
-    /// Per horizon (ascending) and place, row by row into `out`.
+    /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`.
     pub(crate) fn forecast(
         &mut self,
         view: View<'_>,
@@ -79,7 +78,7 @@ impl Leaving {
         let elsewhere = places - 1;
         self.mass.clear();
         self.mass.resize(places, [0.0; CLASSES]);
-        // After a return the way since then is followed.
+        // After a return the forecast starts at the return.
         let mut at_s = 0.0;
         match from.here {
             Some(here) => self.mass[here][usize::from(time_class(from.spent_s))] = 1.0,
@@ -93,7 +92,7 @@ impl Leaving {
         self.rate(view, part, from, usize::from(time_class(farthest_s - at_s.min(0.0))));
         self.step_until(&mut at_s, 0.0);
         if from.here.is_none() {
-            // Until now they did not leave again.
+            // The person has not left again until now.
             self.mass[elsewhere] = [0.0; CLASSES];
         }
         for horizon_s in horizons_s {
@@ -104,13 +103,13 @@ impl Leaving {
         }
     }
 
-    /// Appends where a place leads.
+    /// Appends the destinations of a place.
     fn lead(&mut self, view: View<'_>, place: usize, part: u16, next_rooms: Option<&[f64]>) {
         let places = view.home.places();
         let begin = self.leads.len();
         self.leads.resize(begin + places, 1.0);
         let row = &mut self.leads[begin..];
-        // Where this stay leads the mixture of rooms knows better than even chances. It knows nothing of leaving the house.
+        // For the current stay the mixture of rooms is better than uniform chances. It does not cover leaving the house.
         if let Some(next) = next_rooms {
             let known: f64 = next.iter().enumerate().filter(|(room, _)| *room != place).map(|(_, p)| p).sum();
             let others = (places - 1 - usize::from(place < places - 1)) as f64;
@@ -128,7 +127,7 @@ impl Leaving {
         }
     }
 
-    /// The rates of leaving, of ages that stays can have.
+    /// Computes the rates of leaving for the ages that stays can have.
     fn rate(&mut self, view: View<'_>, part: u16, from: Stay, newest: usize) {
         let places = view.home.places();
         self.rates.clear();
@@ -153,7 +152,7 @@ impl Leaving {
         }
     }
 
-    /// Everybody leaves, arrives and grows older.
+    /// Moves probability by leaving, arriving and ageing.
     fn step_until(&mut self, at_s: &mut f64, until_s: f64) {
         let places = self.mass.len();
         while *at_s < until_s {
@@ -179,7 +178,7 @@ impl Leaving {
     }
 }
 
-/// The contexts of a stay. A time out of the house does not count for the length of stays in rooms.
+/// The contexts of a stay. Time out of the house does not count for the length of stays in rooms.
 pub(crate) fn stay_contexts(place: u16, spent: u16, part: u16) -> impl Iterator<Item = (Kind, [u16; 3])> {
     let all = (Kind::Stay, [NONE, spent, NONE]);
     let rest = [(Kind::StayPlace, [place, spent, NONE]), (Kind::StayPlaceHour, [place, spent, part])];

@@ -2,14 +2,14 @@
 //!
 //! After every outcome the weight of each expert is multiplied by the probability that it gave to what happened, and a share of all
 //! weight goes back to where the weights began. With prior weights `v` and share `a`, over `T` outcomes the total loss of the mixture
-//! in nats exceeds that of any expert `i` by at most
+//! in nats exceeds the loss of expert `i` by at most
 //!
 //! ```text
 //! ln(1 / v_i) + (T - 1) ln(1 / (1 - a + a v_i))
 //! ```
 //!
-//! and that of any sequence of experts with `m` changes by at most one further `ln(1 / (a v))` per change. Where outcomes come so often
-//! that many say the same, probabilities count with a power `r` below one; both bounds are then `1 / r` of themselves.
+//! and the loss of any sequence of experts with `m` changes by at most one more `ln(1 / (a v))` per change. If outcomes come so often that many are
+//! alike, probabilities are raised to a power `r` below one. Both bounds then grow by the factor `1 / r`.
 
 /// The weights of `N` experts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,8 +23,8 @@ impl<const N: usize> FixedShare<N> {
         Self { weights: prior, prior }
     }
 
-    /// As [`FixedShare::new`], with the first expert's weight set, and the others' as the prior divides the rest. The bound is then
-    /// that of this weight; shares go to the prior all the same.
+    /// As [`FixedShare::new`], with the first expert's weight set; the prior divides the rest among the others. The bound then uses this weight, and
+    /// shares still go to the prior.
     pub(crate) fn beginning_with(first: f64, prior: [f64; N]) -> Self {
         let mut weights = prior;
         let rest: f64 = prior.iter().skip(1).sum();
@@ -36,7 +36,7 @@ impl<const N: usize> FixedShare<N> {
         Self { weights, prior }
     }
 
-    /// Without those that do not count.
+    /// The prior without the experts that do not count.
     pub(crate) fn of(prior: [f64; N], counts: [bool; N]) -> [f64; N] {
         let mut prior = prior;
         prior.iter_mut().zip(counts).filter(|(_, counts)| !counts).for_each(|(p, _)| *p = 0.0);
@@ -44,17 +44,17 @@ impl<const N: usize> FixedShare<N> {
         prior.map(|p| p / total)
     }
 
-    /// What each expert counts for; sums to one.
+    /// The weights of the experts; they sum to one.
     pub(crate) fn weights(&self) -> &[f64; N] {
         &self.weights
     }
 
-    /// What each expert counts for, to take up weights that were stored.
+    /// The weights, to restore stored ones.
     pub(crate) fn weights_mut(&mut self) -> &mut [f64] {
         &mut self.weights
     }
 
-    /// The mixture's probability for an outcome to which the experts give `probabilities`.
+    /// The mixture's probability of an outcome with these probabilities of the experts.
     pub(crate) fn mix(&self, probabilities: &[f64; N]) -> f64 {
         self.weights.iter().zip(probabilities).map(|(weight, p)| weight * p).sum()
     }
@@ -78,7 +78,7 @@ impl<const N: usize> FixedShare<N> {
     }
 }
 
-/// How much more than expert `i`, with prior weight `prior`, the mixture can lose over `outcomes`, in nats.
+/// The most that the mixture can lose to expert `i`, with prior weight `prior`, over `outcomes`, in nats.
 #[cfg(test)]
 pub(crate) fn bound_nats(prior: f64, share: f64, outcomes: usize) -> f64 {
     -prior.ln() - (outcomes.max(1) - 1) as f64 * (1.0 - share + share * prior).ln()
@@ -111,7 +111,7 @@ mod tests {
             }
         }
 
-        /// The bound that makes it track: a sequence of experts pays once per change.
+        /// The tracking bound: a sequence of experts pays once per change.
         #[test]
         fn a_change_of_the_best_expert_costs_once(at in 1..200usize, more in 1..200usize, share in 0.005..0.1f64) {
             let prior = [0.5, 0.5];

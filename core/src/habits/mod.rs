@@ -1,14 +1,14 @@
-//! What the people of one home do: learned while watching, over the language model as the prior.
+//! Habits of one home, learned while the persons are observed. The language model is the prior.
 //!
-//! On the first day the forecasts are those of the language model, later those of the home. A mixture with a bound decides (`mixture.rs`): its loss
-//! exceeds that of its best expert, the model among them, by no more than the bound, if what happened is known at once. Counts go by names, so that
-//! they survive changes of the map. Everything has a limit, and counts fade with a half-life.
+//! The first day's forecasts are the language model's. Later forecasts also use the learned counts (`mixture.rs`): the loss of the mixture exceeds
+//! its best expert's loss by a bound at most, if outcomes are known at once. The model is one of the experts. Counts are kept by name, so that they
+//! survive changes of the map. Memory is bounded, and counts fade with a half-life.
 //!
-//! How a daemon uses it, per person:
+//! Calls of a daemon, per person:
 //!
 //! ```text
 //! map loaded or changed   bind(labels, rooms, shares)
-//! sentence with a thing   observe(...)                 what was forecast is compared, then learned from
+//! sentence with a thing   observe(...)                 the last forecast is compared, then counts are learned
 //! model's scores          mix(...)  -> label probabilities     next_rooms(...) -> room probabilities
 //! presence, room seen     be(...)               come_back(...) into an unknown room
 //! about once a minute     tick(...)                    forecasts whose time has come are learned from
@@ -16,7 +16,7 @@
 //! now and then, at exit   to_bytes() -> the file
 //! ```
 //!
-//! No clock, no file: times are seconds since 1970 in local time (hours of the day matter), and come in with the calls. Once warm an
+//! This module reads no clock and no file. Times are seconds since 1970 in local time, because the hour of the day matters. After warm-up an
 //! observation allocates nothing.
 
 use crate::grounding::{Grounding, partition_names};
@@ -52,25 +52,25 @@ pub use parts::Without;
 pub use sets::{AdaptiveSets, Issued, SetOptions};
 pub use stored::{BYTES_MAX, StoredError};
 
-/// Persons that are learned of, at most. A further person takes the place of the one who was learned least of.
+/// Most persons with habits. A further person replaces the person with the fewest observations.
 pub const PERSONS_MAX: usize = 64;
 
 /// How habits are learned.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HabitsOptions {
-    /// Whether anything is learned at all; what is known is used either way.
+    /// Whether habits are learned. Forecasts use learned habits either way.
     pub learn: bool,
-    /// Days after which what was seen counts half; 0 for never.
+    /// Half-life of counts, in days; 0 for no decay.
     pub half_life_days: f64,
-    /// Contexts that are kept, at most: 24 bytes each, and 4 for finding them.
+    /// Most contexts: 24 bytes each, and 4 for the hash table.
     pub contexts_max: usize,
-    /// Blocks of up to four counts that are kept, at most: 28 bytes each.
+    /// Most blocks of up to four counts: 28 bytes each.
     pub blocks_max: usize,
-    /// Names of things that are kept, at most.
+    /// Most names of things.
     pub names_max: usize,
-    /// What room sets promise.
+    /// Options of room sets.
     pub sets: SetOptions,
-    /// Parts of the forecasts that are left out, to measure what they add.
+    /// Parts of the forecasts that are left out, to measure their effect.
     pub without: Without,
 }
 
@@ -94,18 +94,18 @@ impl Default for HabitsOptions {
 pub struct Turn {
     /// The person.
     pub person: PersonId,
-    /// Which label of the map that is bound, if the sentence mentions one.
+    /// The label's index in the bound map, if the sentence mentions a label.
     pub label: Option<usize>,
-    /// Which room of the map that is bound, if it is known.
+    /// The room's index in the bound map, if the room is known.
     pub room: Option<usize>,
-    /// When, in seconds since 1970, local time.
+    /// Time in seconds since 1970, local time.
     pub at_s: f64,
 }
 
 /// Where a person is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// In a room of the map that is bound.
+    /// In a room of the bound map.
     Room(usize),
     /// Out of the house, or outside the map.
     Elsewhere,
@@ -116,13 +116,13 @@ pub enum Place {
 pub struct Shares {
     /// The probability.
     pub probability: f64,
-    /// Of the language model, alone and where habit backs off to it.
+    /// Share of the language model, alone and as the prior of habit.
     pub model: f64,
-    /// Of what followed the last things in this home.
+    /// Share of the things that followed the last things in this home.
     pub habit: f64,
-    /// Of the part of the day.
+    /// Share of the part of the day.
     pub hour: f64,
-    /// Observations of this person at all, and after the last thing, the last two and the last three. Older ones count less.
+    /// Decayed observations of this person: all, after the last thing, the last two and the last three.
     pub observations: [f64; 4],
 }
 
@@ -131,30 +131,30 @@ pub struct Shares {
 pub struct RoomShares {
     /// The probability.
     pub probability: f64,
-    /// Of the language model, alone and where habit backs off to it.
+    /// Share of the language model, alone and as the prior of habit.
     pub model: f64,
-    /// Of where this person went from this room, after the last things and after so long.
+    /// Share of the rooms that followed this room, the last things and this time spent.
     pub habit: f64,
-    /// Of the next thing that is expected, and where things are.
+    /// Share of the expected next thing and its known rooms.
     pub things: f64,
-    /// Of the part of the day.
+    /// Share of the part of the day.
     pub hour: f64,
-    /// Observations of this person in this room, after the last thing, the last two and the last three. Older ones count less.
+    /// Decayed observations of this person: in this room, after the last thing, the last two and the last three.
     pub observations: [f64; 4],
 }
 
-/// How much each forecast of a later place counts for; they sum to one.
+/// Weights of the forecasts of a later place; they sum to one.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct WhenShares {
-    /// The forecast without this home.
+    /// The forecast without habits.
     pub shipped: f64,
-    /// How long stays last, and where they lead.
+    /// Length and destination of stays.
     pub leaving: f64,
-    /// Where the person was that much later before.
+    /// The person's places the same time later, in the past.
     pub later: f64,
 }
 
-/// How much is known.
+/// Amount of learned data.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Learned {
     /// Observations learned from.
@@ -163,11 +163,11 @@ pub struct Learned {
     pub persons: usize,
     /// Names of things.
     pub names: usize,
-    /// Contexts and counts in them.
+    /// Contexts.
     pub contexts: usize,
     /// Counts.
     pub counts: usize,
-    /// Bytes held in memory by all of it.
+    /// Bytes of memory.
     pub bytes: usize,
 }
 
@@ -177,7 +177,7 @@ struct Person {
     slot: u8,
     observations: f64,
     last_s: f64,
-    /// How long after the one before it the last observation came.
+    /// Time between the last two observations.
     pace_s: f64,
     things: Things,
     rooms: Rooms,
@@ -198,12 +198,11 @@ impl Person {
         }
     }
 
-    /// How much is known: what they did, and for how many minutes it is known where they were.
+    /// Observations, plus minutes in a known place.
     fn known_of(&self) -> f64 {
         self.observations + self.stays.watched_min()
     }
 
-    /// What is known now of the room of the next thing.
     fn known(&self, at_s: f64) -> Known {
         let Self { pace_s, things, stays, .. } = self;
         let spent_s = at_s - stays.entered_s;
@@ -211,7 +210,7 @@ impl Person {
     }
 }
 
-/// What is known of a home.
+/// Habits of one home.
 #[derive(Debug, Clone)]
 pub struct Habits {
     options: HabitsOptions,
@@ -222,12 +221,12 @@ pub struct Habits {
 }
 
 impl Habits {
-    /// Knows nothing yet, and no map.
+    /// Habits without data and without a map.
     #[must_use]
     pub fn new(options: HabitsOptions) -> Self {
         let half_life_min = options.half_life_days * 1_440.0;
         let mut places = Names::new(1_024);
-        // The first number is elsewhere's.
+        // Elsewhere has the first number.
         places.add(ELSEWHERE_NAME.to_owned(), 0);
         places.bind(vec![ELSEWHERE_NAME.to_owned()]);
         Self {
@@ -239,14 +238,14 @@ impl Habits {
         }
     }
 
-    /// How habits are learned.
+    /// The options.
     #[must_use]
     pub fn options(&self) -> &HabitsOptions {
         &self.options
     }
 
-    /// Takes up a map: its scored labels and its rooms in words, each name once, and per label and room, row by row, the share of the
-    /// label's items that lie there. What was learned by name stays.
+    /// Binds a map: its scored labels and its rooms, each name once, and row by row per label and room the share of the label's items in that room.
+    /// Counts are kept.
     pub fn bind(&mut self, labels: Vec<String>, mut rooms: Vec<String>, shares: Vec<f64>) {
         rooms.push(ELSEWHERE_NAME.to_owned());
         let are_same_rooms = self.home.places.bound() == rooms;
@@ -262,15 +261,15 @@ impl Habits {
         }
     }
 
-    /// Forecasts that wait for their outcome are dropped: it will not be seen.
+    /// Drops forecasts that wait for their outcome, because the outcome will not be observed.
     pub fn drop_waiting(&mut self) {
         self.persons.iter_mut().for_each(|person| person.stays.forget_forecasts());
     }
 
-    /// Takes up the map that a grounding is of: its labels, its rooms by their names ([`partition_names`]), and what lies where.
+    /// Binds the map of a grounding: its labels, its rooms by name ([`partition_names`]), and the items in them.
     pub fn bind_to(&mut self, grounding: &Grounding) {
         let labels = grounding.label_texts().iter().map(|text| (*text).to_owned()).collect();
-        // No room has the name of being out.
+        // No room may have the name of elsewhere.
         let own = |name: String| if name == ELSEWHERE_NAME { format!("room {name}") } else { name };
         let rooms = partition_names(grounding.partitions()).into_iter().map(own);
         let weights = grounding.weights();
@@ -278,12 +277,12 @@ impl Habits {
         self.bind(labels, rooms.collect(), shares.copied().collect());
     }
 
-    /// Whether anything is learned from now on; what is known is used either way.
+    /// Turns learning on or off. Forecasts use learned habits either way.
     pub fn set_learning(&mut self, learn: bool) {
         self.options.learn = learn;
     }
 
-    /// Rooms of the map and elsewhere, which comes last.
+    /// Number of rooms of the map, plus elsewhere, the last place.
     #[must_use]
     pub fn places(&self) -> usize {
         self.home.places()
@@ -309,10 +308,9 @@ impl Habits {
         self.persons.len() - 1
     }
 
-    /// What a person's forecasts are made from, and the person.
     fn view(&mut self, number: PersonId, now_s: f64) -> (View<'_>, &mut Person) {
         let at = self.person(number);
-        // The others of the home who were learned most of.
+        // The other persons with the most observations.
         let mut others = [None; OTHERS_MAX];
         let mut least = [0.0; OTHERS_MAX];
         for (_, other) in self.persons.iter().enumerate().filter(|(index, _)| *index != at) {
@@ -327,7 +325,7 @@ impl Habits {
         (View { counts, home, slot: person.slot, others, now_min, times: 0, without }, person)
     }
 
-    /// The number of a thing of the map, which gets one if something is learned.
+    /// The number of a label's thing. While learning, a new thing gets a number.
     fn thing_number(&mut self, label: usize, now_min: u32) -> Option<u16> {
         if !self.options.learn {
             return self.home.things.number(label);
@@ -336,7 +334,7 @@ impl Habits {
         self.number(numbered, Number::Object)
     }
 
-    /// As [`Habits::thing_number`], of a place.
+    /// See [`Habits::thing_number`].
     fn place_number(&mut self, place: Place, now_min: u32) -> Option<u16> {
         let index = match place {
             Place::Elsewhere => self.home.rooms(),
@@ -350,7 +348,7 @@ impl Habits {
         self.number(numbered, Number::Place)
     }
 
-    /// A number that stood for something else is forgotten first.
+    /// Forgets the counts of a reused number.
     fn number(&mut self, numbered: Numbered, what: Number) -> Option<u16> {
         let number = match numbered {
             Numbered::As(number) => return Some(number),
@@ -364,7 +362,7 @@ impl Habits {
             }
             person.rooms.know(None);
         }
-        // Of which things a digest is, it does not say.
+        // A digest does not say which things it stands for, so digests stay.
         let is_free = |(kind, _, after): (Kind, u8, [u16; 3])| {
             let is_digest = what == Number::Object && matches!(kind, Kind::Object4 | Kind::Object5);
             !is_digest && kind.layout().into_iter().zip(after).all(|(is, other)| is != what || other != number)
@@ -376,7 +374,7 @@ impl Habits {
         Some(number)
     }
 
-    /// A person turned to something: the last forecasts are compared with it, it is counted, and it is the context of what comes next.
+    /// Learns from a turn: the last forecasts are compared with it, it is counted, and it becomes the context of the next forecast.
     pub fn observe(&mut self, turn: &Turn) {
         let (now_min, at) = (moment::minute(turn.at_s), self.person(turn.person));
         let number = turn.label.and_then(|label| self.thing_number(label, now_min));
@@ -410,24 +408,24 @@ impl Habits {
         person.rooms.know(Some(known));
     }
 
-    /// A person is in a place, without having turned to anything: told, or seen.
+    /// Puts a person in a place without a turn: a presence event or a sensor reported it.
     pub fn be(&mut self, person: PersonId, place: Place, at_s: f64) {
         if let Some(number) = self.place_number(place, moment::minute(at_s)) {
             self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, number, at_s, learn));
         }
     }
 
-    /// A person is no longer where they were, and it is not known where they are.
+    /// The person's place is unknown from now on.
     pub fn lose(&mut self, person: PersonId, at_s: f64) {
         self.moves(person, at_s, |stays, counts, slot, learn| stays.be(counts, slot, NONE, at_s, learn));
     }
 
-    /// A person who was out is in the house, in an unknown room. Where they go from there is known of earlier returns.
+    /// Puts a person, absent before, into an unknown room of the house. The next forecasts use the earlier returns.
     pub fn come_back(&mut self, person: PersonId, at_s: f64) {
         self.moves(person, at_s, |stays, counts, slot, learn| stays.come_back(counts, slot, at_s, learn));
     }
 
-    /// Where a person was when a forecast's time came is known only until they go on.
+    /// Due forecasts learn first: their outcome is the place before the move.
     fn moves(&mut self, person: PersonId, at_s: f64, go: impl FnOnce(&mut Stays, &mut Counts, u8, bool)) {
         let at = self.person(person);
         let Self { persons, counts, home, options: HabitsOptions { learn, .. }, .. } = self;
@@ -436,20 +434,20 @@ impl Habits {
         go(stays, counts, *slot, *learn);
     }
 
-    /// Whether a person came back, and was seen in no room since.
+    /// Whether the person came back and has no known room since.
     #[must_use]
     pub fn is_back(&self, person: PersonId) -> bool {
         self.known_person(person).is_some_and(|person| person.stays.is_back())
     }
 
-    /// Where a person was told or seen to be last, if that is a place of the map.
+    /// The last known place, if it is in the bound map.
     #[must_use]
     pub fn place(&self, person: PersonId) -> Option<Place> {
         let place = self.home.places.index(self.known_person(person)?.stays.place)?;
         Some(if place == self.home.rooms() { Place::Elsewhere } else { Place::Room(place) })
     }
 
-    /// Nothing was watched until `now_s`: that time is not counted, and forecasts whose time has come are not learned from.
+    /// Skips unobserved time until `now_s`: it is not counted, and due forecasts do not learn from it.
     pub fn pass(&mut self, now_s: f64) {
         let Self { persons, counts, home, .. } = self;
         for Person { slot, stays, .. } in persons {
@@ -457,7 +455,7 @@ impl Habits {
         }
     }
 
-    /// The clock was set on by so many seconds, or back: everybody is where they were for as long as they were.
+    /// Moves times of stays after a clock step of `by_s` seconds, so that no stay gets longer or shorter.
     pub fn shift_clock(&mut self, by_s: f64) {
         for person in &mut self.persons {
             person.last_s += by_s;
@@ -465,34 +463,33 @@ impl Habits {
         }
     }
 
-    /// The minutes in which something was last seen are changed.
+    /// Changes the minutes in which names and contexts were last seen.
     fn change_minutes(&mut self, change: impl Fn(u32) -> u32) {
         let Home { things, places, .. } = &mut self.home;
         let seen_min = things.seen_min().chain(places.seen_min()).chain(self.counts.touched_min());
         seen_min.for_each(|minute| *minute = change(*minute));
     }
 
-    /// The clock was set on by so many seconds, or back, and what was counted before is as old as it was.
+    /// Moves counts after a clock step of `by_s` seconds, so that their age stays the same.
     pub fn shift_counts(&mut self, by_s: f64) {
         self.change_minutes(|minute| moment::shifted(minute, (by_s / 60.0) as i64));
     }
 
-    /// What was learned by a clock that was ahead counts as of now. It would not fade until then, and what is learned meanwhile would count for
-    /// nothing next to it.
+    /// Dates counts from a clock that was ahead as of now. Otherwise they would not fade until then, and would outweigh new counts.
     pub fn no_later_than(&mut self, now_s: f64) {
         self.change_minutes(|minute| minute.min(moment::minute(now_s)));
     }
 
-    /// Per label of the map the probability that it is turned to next, from the model's probabilities (which need not sum to one).
-    /// It is compared with what comes next.
+    /// Per label of the map, the probability that the person turns to it next. `model` has the model's probabilities, which need not sum to one. The
+    /// next turn is compared with the result.
     pub fn mix(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, Person { things, .. }) = self.view(person, at_s);
         things.forecast(view, at_s, model);
         &things.mixed
     }
 
-    /// Per room of the map the probability that the next thing is there, from the model's. To be called after [`Habits::mix`], whose
-    /// next thing is among what is mixed. It is compared with what comes next.
+    /// Per room of the map, the probability that the next thing is there. Call it after [`Habits::mix`], whose forecast it uses. The next turn is
+    /// compared with the result.
     pub fn next_rooms(&mut self, person: PersonId, at_s: f64, model: &[f64]) -> &[f64] {
         let (view, person) = self.view(person, at_s);
         let known = person.known(at_s);
@@ -500,7 +497,7 @@ impl Habits {
         &person.rooms.mixed
     }
 
-    /// The parts of the probability of a label, in the latest forecast of a person.
+    /// The shares of a label's probability in the person's latest forecast.
     #[must_use]
     pub fn explain(&self, person: PersonId, label: usize) -> Option<Shares> {
         let Person { things, .. } = self.known_person(person)?;
@@ -508,7 +505,7 @@ impl Habits {
         Some(Shares { probability: things.mixed[label], model, habit, hour, observations: things.observations })
     }
 
-    /// The parts of the probability of a room, in the latest forecast of the next room of a person.
+    /// The shares of a room's probability in the person's latest forecast of the next room.
     #[must_use]
     pub fn explain_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
         let Person { rooms, .. } = self.known_person(person)?;
@@ -517,8 +514,8 @@ impl Habits {
         Some(RoomShares { probability, model, habit, things, hour, observations })
     }
 
-    /// Time passes: time spent is counted, forecasts whose time has come are learned from, and once a minute one more is made to be
-    /// learned from. `shipped` writes what the forecast without habits says of the places (elsewhere comes last) so many seconds ahead.
+    /// Counts time spent and learns from due forecasts. Once a minute it makes one more forecast to learn from later. `shipped` writes the forecast
+    /// without habits, so many seconds ahead, per place; elsewhere comes last.
     pub fn tick(&mut self, person: PersonId, now_s: f64, shipped: &mut dyn FnMut(f64, &mut [f64])) {
         self.moves(person, now_s, |_, _, _, _| {});
         let (view, Person { rooms, stays, .. }) = self.view(person, now_s);
@@ -527,8 +524,8 @@ impl Habits {
         }
     }
 
-    /// Per time ahead (ascending) and place (elsewhere comes last) the probability that the person is there then, row by row into `out`, with the
-    /// shares of the forecasts. `shipped` is what the forecast without habits says, and what is given back if nothing is known.
+    /// Writes per time ahead (ascending) and place (elsewhere last) the person's probability, row by row into `out`, and returns the weights of the
+    /// forecasts. `shipped` writes the forecast without habits, which is also the result without learned habits.
     pub fn at_times(
         &mut self,
         person: PersonId,
@@ -548,8 +545,8 @@ impl Habits {
         });
     }
 
-    /// Which places are in the set with the promised coverage, for probabilities that [`Habits::at_times`] gave for that time. If the person's place
-    /// is not known, or these are of `another` kind, nothing was learned of such forecasts: the set has that much of them.
+    /// The places of the set with the promised coverage, for probabilities of [`Habits::at_times`] for that time. If the person's place is unknown,
+    /// or `another` kind of forecast is given, no threshold was learned: the set then takes the likeliest places up to the coverage.
     pub fn room_set(
         &mut self,
         person: PersonId,
@@ -562,24 +559,24 @@ impl Habits {
         self.persons[at].stays.set(horizon_s, probabilities, another, set);
     }
 
-    /// How much is known of one person, in observations.
+    /// Decayed observations of a person.
     #[must_use]
     pub fn observations(&self, person: PersonId) -> f64 {
         self.known_person(person).map_or(0.0, |person| person.observations)
     }
 
-    /// For about how many minutes it was known where a person was.
+    /// Minutes for which the person's place was known, about.
     #[must_use]
     pub fn watched_min(&self, person: PersonId) -> f64 {
         self.known_person(person).map_or(0.0, |person| person.stays.watched_min())
     }
 
-    /// Persons of whom something was observed, with the number of observations.
+    /// Persons with observations, and their number of observations.
     pub fn persons(&self) -> impl Iterator<Item = (PersonId, f64)> {
         self.persons.iter().map(|person| (person.number, person.observations))
     }
 
-    /// How much is known, and what it takes.
+    /// Amount and size of learned data.
     #[must_use]
     pub fn learned(&self) -> Learned {
         let (contexts, counts) = self.counts.len();
@@ -594,7 +591,7 @@ impl Habits {
         }
     }
 
-    /// Forgets a person; says whether anything was known.
+    /// Forgets a person. Returns false if the person had no habits.
     pub fn forget(&mut self, person: PersonId) -> bool {
         let Some(at) = self.persons.iter().position(|other| other.number == person) else { return false };
         let slot = self.persons.remove(at).slot;
@@ -603,7 +600,7 @@ impl Habits {
         true
     }
 
-    /// Dates names by the counts that are left: the time when only a forgotten person turned to a thing is forgotten too.
+    /// Dates names by the remaining counts, so that no date of a forgotten person's turn stays.
     fn date_names(&mut self) {
         let Home { things, places, .. } = &mut self.home;
         things.seen_min().chain(places.seen_min()).for_each(|seen_min| *seen_min = 0);

@@ -4,27 +4,26 @@
 pub const PART_HOURS: u16 = 3;
 /// Parts of a day.
 pub const PARTS: usize = 24 / PART_HOURS as usize;
-/// Upper ends of the times spent that are told apart, in seconds.
+/// Upper ends of the classes of time spent, in seconds.
 pub(crate) const CLASSES_S: [f64; 6] = [15.0, 60.0, 240.0, 960.0, 3_840.0, 15_360.0];
 pub(crate) const CLASSES: usize = CLASSES_S.len() + 1;
 
-/// The class of a time spent.
 pub(crate) fn time_class(time_s: f64) -> u16 {
     CLASSES_S.partition_point(|end_s| *end_s <= time_s) as u16
 }
 
-/// When a class begins and ends.
+/// The begin and the end of a class.
 pub(crate) fn class_s(class: usize) -> [f64; 2] {
     let begin_s = class.checked_sub(1).map_or(0.0, |before| CLASSES_S[before]);
     [begin_s, CLASSES_S.get(class).copied().unwrap_or(2.0 * begin_s)]
 }
 
-/// A minute, on a clock that was set on by so many, or back.
+/// A minute after a clock step.
 pub(crate) fn shifted(minute: u32, by_min: i64) -> u32 {
     u32::try_from(i64::from(minute).saturating_add(by_min).max(0)).unwrap_or(u32::MAX)
 }
 
-/// Minutes since 1970 in local time; what is earlier counts as 0.
+/// Minutes since 1970 in local time; earlier times are 0.
 pub(crate) fn minute(at_s: f64) -> u32 {
     (at_s / 60.0).clamp(0.0, f64::from(u32::MAX)) as u32
 }

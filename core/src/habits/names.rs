@@ -1,24 +1,23 @@
-//! Names with small numbers, bounded: counts go by names, so that they survive changes of the map; forecasts go by the map's own order.
+//! Small numbers for names, bounded. Counts use these numbers, so that they survive changes of the map; forecasts use the map's order.
 
 use std::collections::HashMap;
 
-/// The longest name that is kept, in bytes. Nothing is learned of longer ones.
+/// Longest name, in bytes. Longer names are not learned.
 const NAME_BYTES_MAX: usize = 256;
-/// The name of being out of the house. It always has the number [`ELSEWHERE`] among the places.
+/// The name of elsewhere, which always has the number [`ELSEWHERE`] among the places.
 pub(crate) const ELSEWHERE_NAME: &str = "(elsewhere)";
 pub(crate) const ELSEWHERE: u16 = 0;
 
-/// A name that has a number.
 #[derive(Debug, Clone)]
 struct Name {
     name: String,
-    /// When it was last seen, in minutes.
+    /// Last minute in which it was seen.
     seen_min: u32,
-    /// Its place in the map that is bound.
+    /// Its index in the bound map.
     index: Option<usize>,
 }
 
-/// Numbers of names, 0 to `limit - 1`, and the names of the map that is bound.
+/// Numbers of names, 0 to `limit - 1`, and the names of the bound map.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Names {
     names: Vec<Name>,
@@ -28,14 +27,13 @@ pub(crate) struct Names {
     number_of: Vec<Option<u16>>,
 }
 
-/// The number of a name that was seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Numbered {
-    /// It has this number.
+    /// The name has this number.
     As(u16),
-    /// It has this number from now on. What was known under the number is to be forgotten.
+    /// The name has this number from now on. The caller must forget the counts of the number.
     Reused(u16),
-    /// It is empty or too long.
+    /// The name is empty or too long.
     Refused,
 }
 
@@ -44,7 +42,7 @@ impl Names {
         Self { limit: limit.clamp(2, usize::from(u16::MAX - 1)), ..Self::default() }
     }
 
-    /// Takes up the names of a map, each once. What has a number keeps it.
+    /// Binds the names of a map, each once. Existing numbers stay.
     pub(crate) fn bind(&mut self, bound: Vec<String>) {
         self.names.iter_mut().for_each(|name| name.index = None);
         self.number_of = bound.iter().map(|name| self.numbers.get(name).copied()).collect();
@@ -56,22 +54,21 @@ impl Names {
         self.bound = bound;
     }
 
-    /// The names of the map.
     pub(crate) fn bound(&self) -> &[String] {
         &self.bound
     }
 
-    /// Where the map has the name with this number.
+    /// The map's index of the name with this number.
     pub(crate) fn index(&self, number: u16) -> Option<usize> {
         self.names.get(usize::from(number))?.index
     }
 
-    /// The number of a name of the map, if it was ever seen.
+    /// The number of a name of the map, if it has one.
     pub(crate) fn number(&self, index: usize) -> Option<u16> {
         self.number_of.get(index).copied().flatten()
     }
 
-    /// A name of the map was seen: it gets a number if it has none. At the limit it takes that of the name not seen for longest.
+    /// Marks a name of the map as seen. A name without a number gets one. At the limit that is the number of the name that was not seen for longest.
     pub(crate) fn see(&mut self, index: usize, now_min: u32) -> Numbered {
         if let Some(number) = self.number(index) {
             let seen_min = &mut self.names[usize::from(number)].seen_min;
@@ -90,7 +87,6 @@ impl Names {
         numbered
     }
 
-    /// A number for a name that has none.
     pub(crate) fn add(&mut self, name: String, seen_min: u32) -> Numbered {
         if name.is_empty() || name.len() > NAME_BYTES_MAX || self.numbers.contains_key(&name) {
             return Numbered::Refused;
@@ -111,39 +107,35 @@ impl Names {
         Numbered::Reused(oldest as u16)
     }
 
-    /// How many names have a number.
     pub(crate) fn len(&self) -> usize {
         self.names.len()
     }
 
-    /// Every name with the minute in which it was last seen, by number.
+    /// Every name and its last minute, by number.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, u32)> {
         self.names.iter().map(|name| (name.name.as_str(), name.seen_min))
     }
 
-    /// When each name was last seen, by number.
     pub(crate) fn seen_min(&mut self) -> impl Iterator<Item = &mut u32> {
         self.names.iter_mut().map(|name| &mut name.seen_min)
     }
 
-    /// A name was seen at this minute, or later.
+    /// Raises the last minute of a name.
     pub(crate) fn date(&mut self, number: u16, minute: u32) {
         if let Some(name) = self.names.get_mut(usize::from(number)) {
             name.seen_min = minute.max(name.seen_min);
         }
     }
 
-    /// Bytes of the names.
     pub(crate) fn bytes(&self) -> usize {
         self.names.iter().map(|name| 2 * name.name.len() + 64).sum()
     }
 }
 
-/// The map that is bound, and the numbers of its names.
 #[derive(Debug, Clone)]
 pub(crate) struct Home {
     pub(crate) things: Names,
-    /// The rooms, and elsewhere last.
+    /// The rooms, then elsewhere.
     pub(crate) places: Names,
     /// Per thing and room, row by row, the share of the thing's items that lie there.
     pub(crate) shares: Vec<f64>,
@@ -154,17 +146,17 @@ impl Home {
         self.places().saturating_sub(1)
     }
 
-    /// Rooms and elsewhere, whose index is the last.
+    /// Number of rooms, plus elsewhere, the last place.
     pub(crate) fn places(&self) -> usize {
         self.places.bound().len()
     }
 
-    /// The room with this number, if the map has it.
+    /// The index of the room with this number, if the map has it.
     pub(crate) fn room(&self, number: u16) -> Option<usize> {
         self.places.index(number).filter(|place| *place < self.rooms())
     }
 
-    /// Per room the share of a thing's items that lie there, by the map.
+    /// Per room, the share of a thing's items in it, by the map.
     pub(crate) fn shares_of(&self, thing: usize) -> &[f64] {
         let rooms = self.rooms();
         self.shares.get(thing * rooms..(thing + 1) * rooms).unwrap_or_default()
@@ -185,7 +177,7 @@ mod tests {
         assert_eq!(names.iter().collect::<Vec<_>>(), [("mug", 3), ("bed", 4)]);
     }
 
-    /// A map may have 100 000 labels, more than 16 bits count.
+    /// A map may have 100 000 labels, more than 16 bits can number.
     #[test]
     fn labels_beyond_16_bits_have_numbers_of_their_own() {
         let mut names = Names::new(8);

@@ -4,30 +4,30 @@
 //! product: p(w) ~ product over i of p_i(w)^l_i
 //! ```
 //!
-//! A sum of forecasts believes the surest of them. A product keeps what all of them hold likely: of the things that the model expects, those
-//! that this home has. After every outcome each power `l_i` goes down the gradient of the loss, the less far the more was learned of it. A
-//! product may be worse than any of its factors, so it is one expert among others of a mixture with a bound.
+//! A sum of forecasts follows the most confident one. A product keeps the outcomes that all forecasts find likely: those things that the model
+//! expects and this home has. After every outcome each power `l_i` takes a gradient step, which shrinks as its information grows. A product may be
+//! worse than any of its factors, so it is one expert of a mixture with a bound.
 
 use super::mixture::FixedShare;
 
-/// What the powers begin with is worth this much information, and later this much at least.
+/// Information of the first powers, and the least information later.
 const FIRST_INFORMATION: f64 = 40.0;
 const INFORMATION: f64 = 20.0;
-/// How much of what was learned is kept at each outcome: the newest five hundred count.
+/// Share of the information that is kept at each outcome: about the last five hundred outcomes count.
 const KEPT: f64 = 0.998;
-/// The longest step of a gradient, and the range of the powers.
+/// Greatest gradient, and the range of the powers.
 const STEEPEST: f64 = 10.0;
 pub(crate) const POWERS: std::ops::RangeInclusive<f64> = -0.5..=1.5;
-/// What is less likely than this is no better known to be so.
+/// Smaller probabilities are raised to this.
 const FLOOR: f32 = 1e-7;
 
 /// `M` forecasts; the product is the last of the `N` experts.
 #[derive(Debug, Clone)]
 pub(crate) struct Pool<const N: usize, const M: usize> {
     pub(crate) mixture: FixedShare<N>,
-    /// The power of each forecast, and how much is known of it.
+    /// Per forecast its power and the information about it.
     pub(crate) powers: [[f64; 2]; M],
-    /// What the latest product expects of the logarithm of each forecast, and how much that varies.
+    /// Per forecast, mean and variance of its logarithm under the latest product.
     expected: [[f64; 2]; M],
     /// The latest forecasts and their product, row by row.
     rows: Vec<f64>,
@@ -38,7 +38,7 @@ pub(crate) struct Pool<const N: usize, const M: usize> {
     pub(crate) mixed: Vec<f64>,
 }
 
-/// The natural logarithm, to four digits: a home's forecast takes a thousand of them.
+/// The natural logarithm, to four digits: a forecast of a home computes a thousand of them.
 fn ln(x: f32) -> f32 {
     let bits = x.to_bits();
     let exponent = (bits >> 23) as f32 - 127.0;
@@ -51,7 +51,7 @@ fn ln(x: f32) -> f32 {
 }
 
 impl<const N: usize, const M: usize> Pool<N, M> {
-    /// The first expert begins with a weight of its own, the others share the rest by `prior`.
+    /// The first expert starts with the weight `first`; the others divide the rest by `prior`.
     pub(crate) fn new(first: f64, prior: [f64; N], powers: [f64; M], has: [bool; N]) -> Self {
         Self {
             mixture: FixedShare::beginning_with(first, FixedShare::of(prior, has)),
@@ -65,7 +65,7 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         }
     }
 
-    /// The rows for forecasts of `width` outcomes, `without` one that cannot happen.
+    /// The rows for forecasts of `width` outcomes; the outcome `without` cannot happen.
     pub(crate) fn begin(&mut self, width: usize, without: Option<usize>) -> [&mut [f64]; M] {
         (self.width, self.without) = (width, without);
         self.rows.clear();
@@ -74,7 +74,7 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         std::array::from_fn(|_| rest.split_off_mut(..width).unwrap_or_default())
     }
 
-    /// Nothing is to be learned from the latest forecast.
+    /// Drops the latest forecast, so that nothing is learned from it.
     pub(crate) fn forget(&mut self) {
         self.width = 0;
         self.mixed.clear();
@@ -84,14 +84,13 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         self.width
     }
 
-    /// The probability that a row gives to an outcome, unless the one that cannot happen does.
+    /// The probability that a row gives to an outcome, given that `without` does not happen.
     pub(crate) fn given(&self, row: usize, outcome: usize) -> f64 {
         let row = &self.rows[row * self.width..][..self.width];
         let left = self.without.map_or(1.0, |without| 1.0 - row[without]);
         if self.without == Some(outcome) { 0.0 } else { row[outcome] / left.max(1e-9) }
     }
 
-    /// Multiplies and mixes the rows.
     pub(crate) fn forecast(&mut self) {
         let width = self.width;
         self.logs.clear();
@@ -137,7 +136,6 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         }
     }
 
-    /// Learns how good the latest forecasts were.
     pub(crate) fn learn(&mut self, outcome: usize, share: f64) {
         self.mixture.learn(&std::array::from_fn(|row| self.given(row, outcome)), share, 1.0);
         for (row, ([power, information], [expected, varies])) in self.powers.iter_mut().zip(self.expected).enumerate() {
@@ -148,7 +146,7 @@ impl<const N: usize, const M: usize> Pool<N, M> {
         }
     }
 
-    /// Which part of the probability of an outcome is each forecast's. Of a product each factor has as much as its power.
+    /// The share of each forecast in an outcome's probability. Each factor's share of the product is its power.
     pub(crate) fn parts(&self, outcome: usize) -> [f64; M] {
         let powers = self.powers.map(|[power, _]| power.max(0.0));
         let of_all = powers.iter().sum::<f64>().max(f64::MIN_POSITIVE);

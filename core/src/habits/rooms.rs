@@ -1,17 +1,17 @@
-//! The next room: whether the person leaves this one, and where to if so.
+//! The next room: whether the person leaves this one, and the destination.
 //!
-//! | expert | what it knows |
+//! | expert | source |
 //! | --- | --- |
 //! | model | the language model's room probabilities |
 //! | habit | which rooms followed this room and the last one to three things, over the model |
-//! | short | the same of this room and the last thing alone |
+//! | short | as habit, for this room and the last thing alone |
 //! | things | the next thing, and in which room it was found before |
 //! | hour | which rooms followed this one at this part of the day, over short |
 //! | dwell | which rooms followed this one by the time spent there and the pace of events |
 //! | product | the others multiplied ([`super::pool`]) |
 //!
-//! Staying and destination are mixed apart from one another: the expert that knows best when a person leaves need not know best where to. What
-//! comes next is counted for what was known when it was forecast.
+//! Staying and destination have separate mixtures, because an expert can be better at one of them. The next room is counted in the context that was
+//! known at the forecast.
 
 use super::counts::Counts;
 use super::key::{Kind, NONE, key, with_times};
@@ -23,30 +23,29 @@ use super::whose::View;
 const FORECASTS: usize = 6;
 const EXPERTS: usize = FORECASTS + 1;
 const PRIOR: [f64; EXPERTS] = [0.1, 0.06, 0.06, 0.06, 0.06, 0.06, 0.6];
-/// The model's weight before anything was seen, of staying and of where to.
+/// The model's first weights, of staying and of the destination.
 pub(crate) const FIRST: [f64; 2] = [0.4, 0.8];
 const STAYING_POWERS: [f64; FORECASTS] = [0.0, 0.3, 0.2, 0.1, 0.2, 0.1];
 const DESTINATION_POWERS: [f64; FORECASTS] = [0.15, 0.3, 0.15, 0.1, 0.15, 0.1];
 pub(crate) const SHARE: f64 = 0.005;
 const DISCOUNT: f64 = 0.5;
-/// How much of what habit begins with is even chances: where the model is far off, a home does not pay for it in all that is new.
+/// Share of uniform chances in habit's prior: it limits the cost of new rooms when the model is far off.
 const EVEN: f64 = 0.05;
-/// Things that are less likely next are where the map says they are: looking one up takes longer than it could change anything.
+/// Less likely things use the map's rooms: the look-up costs more than it could change.
 const UNLIKELY: f64 = 1e-3;
-/// How many observations the map's word for a thing's room is worth.
+/// Observations that the map's rooms of a thing are worth.
 const MAP_STRENGTH: f64 = 1.0;
-/// What is held for impossible is unlikely.
+/// Smaller probabilities are raised to this.
 const FLOOR: f64 = 1e-4;
 
-/// What is known when a next room is forecast.
+/// The context of a forecast of the next room.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Known {
-    /// Where the person is.
     pub(crate) here: u16,
-    /// The last things, and how often the latest was mentioned again.
+    /// The last things, and the number of repeated mentions of the latest.
     pub(crate) last: [u16; 3],
     pub(crate) times: u8,
-    /// For how long the person is here, and how long after the one before it the last observation came.
+    /// Time spent here, and time between the last two observations.
     pub(crate) spent_s: f64,
     pub(crate) pace_s: f64,
     pub(crate) at_s: f64,
@@ -57,8 +56,8 @@ const HOUR: usize = 4;
 const DWELL: usize = 5;
 
 impl Known {
-    /// The contexts in which the next room is counted, each with how often the last thing was mentioned again, if that matters there, and
-    /// with how many observations the shorter context is worth.
+    /// The contexts of the next room, each with the number of repeated mentions if it matters there, and with the observations that the shorter
+    /// context is worth.
     fn contexts(&self) -> [(Kind, u8, [u16; 3], f64); CONTEXTS] {
         let Self { here, last: [first, second, third], times, .. } = *self;
         let [pace, dwell] = [self.pace_s, self.spent_s].map(time_class);
@@ -73,15 +72,13 @@ impl Known {
     }
 }
 
-/// The rooms that one person goes to.
 #[derive(Debug, Clone)]
 pub(crate) struct Rooms {
     pub(crate) staying: Pool<EXPERTS, FORECASTS>,
     pub(crate) destination: Pool<EXPERTS, FORECASTS>,
     here: Option<usize>,
-    /// What was known of the latest forecast, or when something was observed last.
+    /// The context of the latest forecast, or of the last observation.
     known: Option<Known>,
-    /// The weight that the model keeps within each forecast.
     kept: [f64; FORECASTS],
     pub(crate) observations: [f64; 4],
     pub(crate) mixed: Vec<f64>,
@@ -105,18 +102,16 @@ impl Rooms {
         }
     }
 
-    /// Nothing is to be learned from the latest forecast.
+    /// Drops the latest forecast, so that nothing is learned from it.
     pub(crate) fn forget_forecast(&mut self) {
         self.destination.forget();
         self.mixed.clear();
     }
 
-    /// This is what is known now of what comes next.
     pub(crate) fn know(&mut self, known: Option<Known>) {
         self.known = known;
     }
 
-    /// Forecasts the room of the next thing, from the model's room probabilities and the mixture's next thing.
     pub(crate) fn forecast(&mut self, view: View<'_>, known: Known, (model, things): (&[f64], &[f64])) {
         let width = model.len();
         let index = |number| view.home.room(number);
@@ -183,8 +178,8 @@ impl Rooms {
         }
     }
 
-    /// The parts in the probability of a room in the latest forecast: of the model, of what followed rooms and things, of the next thing, and of
-    /// the hour.
+    /// The shares in a room's probability in the latest forecast: of the model, of the rooms after rooms and things, of the next thing, and of the
+    /// hour.
     pub(crate) fn explain(&self, room: usize) -> Option<[f64; 4]> {
         if *self.mixed.get(room)? <= 0.0 {
             return None;
@@ -200,7 +195,7 @@ impl Rooms {
         Some([of_model.iter().sum(), habit + short + dwell, things, hour])
     }
 
-    /// Learns how good the latest forecast was: the next thing was in `room`.
+    /// Learns from the outcome: the next thing was in `room`.
     pub(crate) fn learn_weights(&mut self, room: usize) {
         if room >= self.destination.width() {
             return;
@@ -213,7 +208,6 @@ impl Rooms {
         }
     }
 
-    /// Counts that the next thing, `thing`, was in the place `number`.
     pub(crate) fn count(&self, counts: &mut Counts, slot: u8, number: u16, thing: Option<u16>, at_s: f64) {
         let now_min = moment::minute(at_s);
         for (kind, times, after, _) in self.known.iter().flat_map(Known::contexts) {
@@ -225,7 +219,7 @@ impl Rooms {
     }
 }
 
-/// Makes probabilities sum to one; even ones if nothing is likely.
+/// Scales probabilities to a sum of one; uniform if all are zero.
 pub(crate) fn normalise(p: &mut [f64]) {
     let total: f64 = p.iter().sum();
     let even = 1.0 / p.len().max(1) as f64;

@@ -1,27 +1,26 @@
-//! Sets of places with a promise: how often they hold the person, on the long run, whatever the forecast is worth.
+//! Sets of places that hold the person with the promised coverage in the long run, however good the forecast is.
 //!
-//! Adaptive conformal inference (Gibbs and Candes): a set takes the places whose probability is at least a threshold, a quantile of
-//! the probabilities that the truth had; the quantile asked moves by a step after every hit and miss, so that the share of
-//! misses goes to what is asked even while the home changes. What happened is known only a horizon later, and is learned then. Of all
-//! sets with the same coverage these have the fewest places on average.
+//! Adaptive conformal inference (Gibbs and Candes): a set takes the places with at least a threshold probability, a quantile of the probabilities
+//! of true places. The quantile moves by a step after every hit and miss, so that the share of misses converges to the target even while the home
+//! changes. Outcomes are learned a horizon later. Of all sets with the same coverage these have the fewest places on average.
 //!
-//! Outcomes come every minute, and many say the same: a night is one long hit. So the quantile is that of about a week, and the step is small.
-//! With a memory of hours sets would be small by night, when everything is easy, and would take in whole homes by day to make up for it.
+//! Outcomes come every minute, and many are alike: a night is one long hit. So the quantile covers about a week, and the step is small. With a memory
+//! of hours sets would be small at night, when forecasts are easy, and would hold whole homes by day in compensation.
 //!
-//! The threshold is of forecasts like those that it was learned from. Of another kind of forecast, and before anything was learned, a set takes
+//! The threshold applies to forecasts like the ones that taught it. For another kind of forecast, and before anything was learned, a set takes
 //! the likeliest places until their sum is the coverage: as often right as the forecast itself ([`AdaptiveSets::cover`]).
 //!
-//! Where nothing is likely a set by the threshold may be empty; that belongs to the coverage asked. Whoever must not be told nothing asks for
-//! [`SetOptions::never_empty`], and is then right more often than asked.
+//! If no place is likely, a set by the threshold may be empty; this belongs to the promised coverage. With [`SetOptions::never_empty`] sets are right
+//! more often than promised.
 
-/// What sets promise.
+/// Options of sets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SetOptions {
-    /// Share of moments in which the person is to be in the set, 0 to 1.
+    /// Share of moments in which the set must hold the person, 0 to 1.
     pub coverage: f64,
-    /// How far the quantile moves after each outcome.
+    /// Step of the quantile after each outcome.
     pub step: f64,
-    /// Always take the likeliest place: the coverage is then at least what is asked.
+    /// Always take the likeliest place: the coverage is then at least the promised one.
     pub never_empty: bool,
 }
 
@@ -31,7 +30,7 @@ impl Default for SetOptions {
     }
 }
 
-/// What a set is made by.
+/// The threshold of one set.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Issued {
     threshold: f64,
@@ -45,20 +44,20 @@ impl Issued {
     }
 }
 
-/// How far beyond 0 and 1 the share of misses may be owed.
+/// How far the share of misses may go below 0 and above 1.
 const SERIES: f64 = 0.5;
-/// Classes of probabilities that the truth had, of equal width in [`odds`].
+/// Classes of probabilities of true places, of equal width in [`odds`].
 pub(crate) const CLASSES: usize = 256;
-/// Probabilities nearer to 0 and 1 than this are not told apart.
+/// Probabilities are clamped to this distance from 0 and 1.
 const NEAREST: f64 = 1e-4;
 /// Outcomes after which one counts half: five days of minutes.
 const HALF_LIFE: f64 = 7_200.0;
-/// With fewer outcomes a quantile says little: places of a tenth or more are taken.
+/// With fewer outcomes a quantile is unreliable: sets take places of a tenth or more.
 const FEW: f64 = 20.0;
 const AT_FIRST: f64 = 0.1;
-/// As much as rounding takes from a sum of probabilities.
+/// Rounding error of a sum of probabilities.
 const ROUNDING: f64 = 1e-9;
-/// Weights are brought back to one before they are greater than this.
+/// Weights are rescaled to one before they exceed this.
 const WEIGHT_MAX: f64 = 1e6;
 
 /// The logarithm of the odds of a probability, in nats.
@@ -67,7 +66,7 @@ fn odds(p: f64) -> f64 {
     (p / (1.0 - p)).ln()
 }
 
-/// The greatest odds that are told apart, and the width of a class.
+/// The greatest odds, and the width of a class.
 fn widest() -> (f64, f64) {
     let most = odds(1.0);
     (most, 2.0 * most / CLASSES as f64)
@@ -77,9 +76,9 @@ fn widest() -> (f64, f64) {
 #[derive(Debug, Clone, PartialEq)]
 pub struct AdaptiveSets {
     options: SetOptions,
-    /// Share of misses that the quantile is set for.
+    /// Share of misses of the quantile.
     miss: f64,
-    /// How often the truth had a probability of each class, the least likely first; what is seen next counts for `weight`.
+    /// Per class, the least likely first, weighted number of true places; the next one counts `weight`.
     seen: Vec<f64>,
     weight: f64,
     total: f64,
@@ -88,7 +87,7 @@ pub struct AdaptiveSets {
 }
 
 impl AdaptiveSets {
-    /// Sets that have seen nothing: they begin with the places of a tenth or more.
+    /// Sets without outcomes: they take places of a tenth or more.
     #[must_use]
     pub fn new(options: SetOptions) -> Self {
         let coverage = options.coverage.clamp(0.0, 1.0);
@@ -105,13 +104,13 @@ impl AdaptiveSets {
         sets
     }
 
-    /// How many outcomes were learned from.
+    /// Number of outcomes that were learned.
     #[must_use]
     pub fn outcomes(&self) -> u64 {
         self.outcomes
     }
 
-    /// The probability from which on places are taken.
+    /// The threshold.
     fn least(&self) -> f64 {
         if self.miss >= 1.0 {
             return f64::INFINITY;
@@ -120,7 +119,7 @@ impl AdaptiveSets {
         if self.miss > 0.0 && total < FEW {
             return AT_FIRST;
         }
-        // Of so many outcomes, and the next, this many may be misses.
+        // Misses that the quantile allows, with the next outcome included.
         let mut misses = self.miss * (total + 1.0) * self.weight - self.weight;
         if misses < 0.0 {
             return 0.0;
@@ -136,13 +135,13 @@ impl AdaptiveSets {
         1.0 - NEAREST
     }
 
-    /// What a set of this moment is made by.
+    /// The threshold of a set that is made now.
     #[must_use]
     pub fn issue(&self) -> Issued {
         Issued { threshold: self.threshold }
     }
 
-    /// Which of the places with these probabilities are in the set.
+    /// Writes the places of the set.
     pub fn set(&self, probabilities: &[f64], issued: Issued, set: &mut Vec<bool>) {
         set.clear();
         set.extend((0..probabilities.len()).map(|place| issued.holds(probabilities, place)));
@@ -154,13 +153,13 @@ impl AdaptiveSets {
         }
     }
 
-    /// Whether there were too few outcomes for a threshold of their own.
+    /// Whether there were too few outcomes for a learned threshold.
     #[must_use]
     pub fn knows_little(&self) -> bool {
         self.total / self.weight < FEW
     }
 
-    /// The fewest of the places with these probabilities that have the coverage together.
+    /// Writes the fewest places with the coverage in sum.
     pub fn cover(&self, probabilities: &[f64], set: &mut Vec<bool>) {
         set.clear();
         set.resize(probabilities.len(), false);
@@ -173,7 +172,7 @@ impl AdaptiveSets {
         }
     }
 
-    /// Learns where the person was when the horizon had passed; `probabilities` and `issued` are those of the moment of the forecast.
+    /// Learns the person's place after the horizon. `probabilities` and `issued` are those of the forecast.
     pub fn learn(&mut self, probabilities: &[f64], issued: Issued, truth: usize) {
         if truth >= probabilities.len() {
             return;
@@ -182,13 +181,13 @@ impl AdaptiveSets {
         self.see(probabilities[truth]);
         let asked = 1.0 - self.options.coverage;
         self.miss += self.options.step * (asked - f64::from(u8::from(!hit)));
-        // Beyond 0 and 1 all or nothing is taken, until what went wrong in a long series is made good.
+        // Beyond 0 and 1 sets hold all places or no place, until a long series of misses or hits is balanced.
         self.miss = self.miss.clamp(-SERIES, 1.0 + SERIES);
         self.outcomes = self.outcomes.saturating_add(1);
         self.threshold = self.least();
     }
 
-    /// The truth had this probability.
+    /// Counts the probability of a true place.
     fn see(&mut self, p: f64) {
         self.weight *= (std::f64::consts::LN_2 / HALF_LIFE).exp();
         if self.weight > WEIGHT_MAX {
@@ -202,12 +201,12 @@ impl AdaptiveSets {
         self.total += self.weight;
     }
 
-    /// What is kept across restarts: the share of misses, the outcomes, and how often the truth had a probability of each class.
+    /// State for restarts: the share of misses, the outcomes, and the weighted number of true places per class.
     pub(crate) fn state(&self) -> (f64, u64, impl ExactSizeIterator<Item = f32>) {
         (self.miss, self.outcomes, self.seen.iter().map(|seen| (seen / self.weight) as f32))
     }
 
-    /// Takes up a state; what cannot be is left out.
+    /// Restores a state without its impossible values.
     pub(crate) fn restore(&mut self, miss: f64, outcomes: u64, seen: &[f32]) {
         self.weight = 1.0;
         let possible = |seen: &f32| if seen.is_finite() && *seen > 0.0 { f64::from(*seen) } else { 0.0 };
@@ -228,7 +227,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// A forecast that is wrong in its confidence, and a home that changes half-way.
+    /// Overconfident forecasts in a home that changes half-way.
     fn coverage(never_empty: bool, seed: u64, late: usize) -> (f64, f64) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut sets = AdaptiveSets::new(SetOptions { never_empty, ..SetOptions::default() });
@@ -238,7 +237,7 @@ mod tests {
         const MOMENTS: usize = 20_160;
         for moment in 0..MOMENTS {
             let likely = if moment < MOMENTS / 2 { 0.97 } else { 0.6 };
-            // Not quite the same each time.
+            // Probabilities vary a little.
             let p: Vec<f64> = vec![0.8, 0.1, 0.05, 0.05].into_iter().map(|p| p * rng.random_range(0.9..1.0)).collect();
             let truth = if rng.random::<f64>() < likely { 0 } else { rng.random_range(1..4) };
             let issued = sets.issue();
@@ -265,7 +264,7 @@ mod tests {
     }
 
     proptest! {
-        /// As much as was promised, of the likeliest, and no place more.
+        /// A covering set has the coverage, takes the likeliest places, and is minimal.
         #[test]
         fn what_is_covered_is_what_was_promised(
             raw in prop::collection::vec(prop_oneof![Just(0.0), Just(0.5), 0.0..1.0f64], 1..65),

@@ -1,17 +1,17 @@
-//! When: how long people stay in a place, and where they are a time later.
+//! The length of stays, and the place a time later.
 //!
-//! The forecasts of P(place at now + t) are mixed by fixed share, with weights of their own at each of [`ANCHORS_S`]. Between these they are
+//! The forecasts of P(place at now + t) are mixed by fixed share, with separate weights at each of [`ANCHORS_S`]. Between the anchors they are
 //! interpolated over the logarithm of the time.
 //!
-//! | expert | what it knows |
+//! | expert | source |
 //! | --- | --- |
-//! | shipped | what the forecast says without this home ([`crate::forecast`]) |
-//! | by place | where the person was that much later, by place, over the share of times that it was the same |
+//! | shipped | the forecast without habits ([`crate::forecast`]) |
+//! | by place | the places that much later in the past, by place, over the share of unchanged places |
 //! | leaving | the rate of leaving a place by the time spent there and the part of the day, and where exits led ([`super::leaving`]) |
-//! | later | the same, by hour and by time spent as well |
+//! | later | as by place, by hour and by time spent as well |
 //!
-//! What happened is known only a horizon later, and is learned then. If a person came back and was seen in no room yet, leaving alone knows
-//! something. It counts against the shipped forecast by the number of returns that were seen.
+//! Outcomes are learned a horizon later. If a person came back and has no known room yet, only leaving has data. Its weight against the shipped
+//! forecast grows with the number of observed returns.
 
 use std::collections::VecDeque;
 
@@ -26,7 +26,7 @@ use super::rooms::normalise;
 use super::sets::{AdaptiveSets, Issued, SetOptions};
 use super::whose::View;
 
-/// Horizons at which is learned how good each forecast is, in seconds.
+/// Horizons at which the weights are learned, in seconds.
 pub(crate) const ANCHORS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
 pub(crate) const EXPERTS: usize = 4;
 pub(crate) const PRIOR: [f64; EXPERTS] = [0.4, 0.2, 0.2, 0.2];
@@ -35,21 +35,21 @@ const SHIPPED: usize = 0;
 const LEAVING: usize = 1;
 const BY_PLACE: usize = 2;
 const LATER: usize = 3;
-/// A forecast is kept until its outcome is known at most this often. Samples that are closer together than their horizon say much the same: they
-/// count as if they came that rarely.
+/// Least time between forecasts that are kept for learning. Outcomes that are closer together than their horizon are alike: they count as if they
+/// came once a horizon.
 const SAMPLE_S: f64 = 60.0;
-/// After a longer silence of the whole system the time is no stay.
+/// After a longer silence of the whole system the time is not counted as a stay.
 const GAP_S: f64 = 36.0 * 3_600.0;
-/// How many samples the wider level is worth in what is counted directly.
+/// Samples that the wider level is worth.
 const LATER_STRENGTH: [f64; 3] = [8.0, 40.0, 40.0];
-/// Samples that a horizon begins with: half of them stayed.
+/// Samples at the start of a horizon; half of them stayed.
 const SAMPLED: f64 = 2.0;
-/// The least probability that weights are learned from: one surprise does not silence an expert that was right for long. The bound of the mixture
-/// is that of forecasts with this least.
+/// Least probability for learning weights: one surprise must not silence an expert that was right for long. The mixture's bound holds for forecasts
+/// with this least probability.
 const FLOOR: f64 = 1e-3;
-/// A person who came back and is first seen in a room within this time has come into it, in seconds.
+/// If a person who came back has a known room within this time, in seconds, the return led into that room.
 const ARRIVAL_S: f64 = 600.0;
-/// How many returns the shipped forecast of a person who is back is worth: it says where they are in the long run.
+/// Returns that the shipped forecast, a long-run average, is worth after a return.
 const BACK_STRENGTH: f64 = 1.0;
 
 /// A forecast that waits for its outcome.
@@ -59,7 +59,7 @@ struct Waiting {
     entered_s: f64,
     place: u16,
     issued: Issued,
-    /// The experts' probabilities and the mixture's, row by row; empty if only the counts learn.
+    /// The probabilities of experts and mixture, row by row; empty if only the counts learn.
     rows: Vec<f64>,
 }
 
@@ -67,18 +67,17 @@ struct Waiting {
 #[derive(Debug, Clone)]
 pub(crate) struct Anchor {
     pub(crate) mixture: FixedShare<EXPERTS>,
-    /// How often the person was in the same place, of how many times.
+    /// Samples in which the person was in the same place, and all samples.
     pub(crate) stayed: [f64; 2],
     pub(crate) sets: AdaptiveSets,
     waiting: VecDeque<Waiting>,
 }
 
-/// How long one person stays, and where they were.
 #[derive(Debug, Clone)]
 pub(crate) struct Stays {
     pub(crate) place: u16,
     pub(crate) entered_s: f64,
-    /// Whether they came back then, into an unknown room.
+    /// Whether the person came back at `entered_s`, into an unknown room.
     is_back: bool,
     /// The place before.
     before: u16,
@@ -90,11 +89,11 @@ pub(crate) struct Stays {
 
 #[derive(Debug, Clone, Default)]
 struct Scratch {
-    /// Per expert and the mixture, row by row.
+    /// The experts' probabilities and the mixture's, row by row.
     rows: Vec<f64>,
-    /// Per anchor what by place and later say, row by row.
+    /// Per anchor the rows of by place and later.
     anchored: Vec<f64>,
-    /// Per horizon what leaving says.
+    /// Per horizon the row of leaving.
     ahead: Vec<f64>,
     leaving: Leaving,
 }
@@ -121,17 +120,16 @@ impl Stays {
         }
     }
 
-    /// For about how many minutes it was known where they were.
+    /// Minutes for which the person's place was known, about.
     pub(crate) fn watched_min(&self) -> f64 {
         self.anchors[0].stayed[1] - SAMPLED
     }
 
-    /// Waiting forecasts say nothing of another map.
+    /// Drops waiting forecasts, which belong to another map.
     pub(crate) fn forget_forecasts(&mut self) {
         self.anchors.iter_mut().for_each(|anchor| anchor.waiting.clear());
     }
 
-    /// A number stands for another place from now on.
     pub(crate) fn forget_number(&mut self, number: u16) {
         [&mut self.before, &mut self.place]
             .into_iter()
@@ -140,7 +138,6 @@ impl Stays {
         self.forget_forecasts();
     }
 
-    /// The clock was set on by so many seconds, or back.
     pub(crate) fn shift_clock(&mut self, by_s: f64) {
         let waiting = self.anchors.iter_mut().flat_map(|anchor| &mut anchor.waiting);
         waiting
@@ -161,7 +158,7 @@ impl Stays {
             let older_s =
                 CLASSES_S.get(usize::from(time_class(spent_s))).map_or(f64::INFINITY, |end_s| self.entered_s + end_s);
             let hour_s = ((at_s / 3_600.0).floor() + 1.0) * 3_600.0;
-            // A step of at least a millisecond: rounding may not keep it from ending.
+            // Steps last at least a millisecond: with rounding the loop might not end.
             let until_s = now_s.min(older_s).min(hour_s).max(at_s + 1e-3);
             self.add_stay(counts, slot, at_s, MINUTES, (until_s - at_s) / 60.0);
             at_s = until_s;
@@ -175,7 +172,7 @@ impl Stays {
         }
     }
 
-    /// The person is in the place `number` at `now_s`, or in an unknown one.
+    /// Puts the person in the place `number`, or in an unknown one (`NONE`).
     pub(crate) fn be(&mut self, counts: &mut Counts, slot: u8, number: u16, now_s: f64, learn: bool) {
         let now_s = now_s.max(self.updated_s);
         self.advance(counts, slot, now_s, learn);
@@ -197,7 +194,7 @@ impl Stays {
         (self.entered_s, self.updated_s) = (now_s, now_s);
     }
 
-    /// A person who was out is in the house at `now_s`, in an unknown room.
+    /// A person who was out is in the house, in an unknown room.
     pub(crate) fn come_back(&mut self, counts: &mut Counts, slot: u8, now_s: f64, learn: bool) {
         if self.place == ELSEWHERE {
             self.be(counts, slot, NONE, now_s, learn);
@@ -205,17 +202,16 @@ impl Stays {
         }
     }
 
-    /// Whether the person came back, and was seen in no room since.
+    /// Whether the person came back and has no known room since.
     pub(crate) fn is_back(&self) -> bool {
         self.is_back
     }
 
-    /// Whether another sample is due.
     pub(crate) fn is_due(&self, now_s: f64) -> bool {
         now_s - self.sampled_s >= SAMPLE_S
     }
 
-    /// Counts the time spent until now, and learns from the forecasts whose time has come.
+    /// Counts the time spent until now, and learns from due forecasts.
     pub(crate) fn learn_due(&mut self, counts: &mut Counts, slot: u8, home: &Home, now_s: f64, learn: bool) {
         self.advance(counts, slot, now_s, learn);
         let places = home.places();
@@ -224,7 +220,7 @@ impl Stays {
                 let Some(Waiting { at_s, entered_s, place, issued, rows }) = anchor.waiting.pop_front() else { break };
                 let due_s = at_s + horizon_s;
                 let truth = if due_s >= self.entered_s { self.place } else { self.before };
-                // What was not watched is not known.
+                // Outcomes that were not observed in time are unknown.
                 if truth == NONE || place == NONE || !learn || now_s - due_s > 2.0 * SAMPLE_S {
                     continue;
                 }
@@ -242,7 +238,7 @@ impl Stays {
         }
     }
 
-    /// Takes a sample: what is forecast now is learned from later. `shipped` writes what the forecast says without this home.
+    /// Keeps a forecast to learn from later. `shipped` writes the forecast without habits.
     pub(crate) fn sample(
         &mut self,
         view: View<'_>,
@@ -266,8 +262,8 @@ impl Stays {
         }
     }
 
-    /// Per horizon (ascending) and place the probability that the person is there, row by row into `out`, which has what the forecast says without
-    /// this home. Gives `given` the weights of the experts, and all rows with the mixture as the last.
+    /// Writes the probabilities per horizon (ascending) and place, row by row, into `out`, which holds the forecast without habits. Passes the
+    /// experts' weights and all rows, the mixture's last, to `given`.
     pub(crate) fn forecast(
         &mut self,
         view: View<'_>,
@@ -321,7 +317,7 @@ impl Stays {
                                 let of = &anchored[(2 * index + row) * places..][..places];
                                 sums.iter_mut().zip(of).for_each(|(sum, p)| *sum += part * p);
                             }
-                            // At once everybody is where they are.
+                            // At time zero the person is in the present place.
                             None => sums[here] += part,
                         }
                     }
@@ -347,8 +343,8 @@ impl Stays {
         self.scratch = scratch;
     }
 
-    /// The places of a set with the promised coverage, `horizon_s` ahead, for probabilities that [`Stays::forecast`] gave. If these are of `another`
-    /// kind, or little was learned yet, the fewest places that have that much of them.
+    /// The places of the set with the promised coverage, `horizon_s` ahead, for probabilities of [`Stays::forecast`]. For `another` kind of forecast,
+    /// or with few outcomes, the fewest places whose sum is the coverage.
     pub(crate) fn set(&self, horizon_s: f64, probabilities: &[f64], another: bool, set: &mut Vec<bool>) {
         let Between { lower, upper, share } = between(horizon_s);
         let sets = &self.anchors[lower.filter(|_| share < 0.5).unwrap_or(upper)].sets;
@@ -361,7 +357,7 @@ impl Stays {
 
     fn persistence(&self, index: usize, here: usize, p: &mut [f64]) {
         let [stayed, sampled] = self.anchors[index].stayed;
-        // Being out is another kind of stay: rooms say nothing of how long it lasts.
+        // Stays in rooms do not predict the length of an absence.
         let stay = match self.place {
             ELSEWHERE => (SHIPPED_AWAY_S / (SHIPPED_AWAY_S + ANCHORS_S[index])).powi(2),
             _ => stayed / sampled,
@@ -372,7 +368,7 @@ impl Stays {
     }
 }
 
-/// Where a person who is in a place is a horizon later.
+/// The contexts of the place a horizon later.
 fn later_contexts(place: u16, horizon: usize, at_s: f64, spent_s: f64) -> [(Kind, [u16; 3]); 3] {
     let horizon = horizon as u16;
     [

@@ -1,4 +1,4 @@
-//! What was learned as bytes and as JSON: versioned, checksummed, bounded, and checked before it is believed.
+//! Habits as bytes and as JSON: versioned, checksummed, bounded, and checked before use.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,34 +12,33 @@ use super::{Habits, HabitsOptions, PERSONS_MAX, Person};
 use crate::ids::PersonId;
 use crate::parsing::{Keyed, json_says, list_of_keyed};
 
-/// Begins every file.
 const MAGIC: &[u8; 8] = b"RCHABITS";
 /// Changes when older programs cannot read the file.
 pub(crate) const VERSION: u16 = 4;
-/// The oldest version that is read. Versions 2 and 3 had other experts and finer classes of time spent; 2 had scores of sets one by one.
+/// The oldest readable version. Versions 2 and 3 had other experts and finer classes of time spent; version 2 had the scores of sets one by one.
 const OLDEST: u16 = 2;
 const CHECKSUM_BYTES: usize = 16;
-/// Bytes behind the version that say nothing.
+/// Unused bytes after the version.
 const UNUSED_BYTES: usize = 8;
 /// Bytes of each person that only earlier versions use.
 const UNUSED_OF_PERSON: usize = 16;
-/// Largest state that is read, in bytes.
+/// Largest readable state, in bytes.
 pub const BYTES_MAX: usize = 16 << 20;
 
-/// Nobody observes more than this, in sum: a century of ten observations a second has a third of it.
+/// Greatest sum of observations: ten observations a second for a century make a third of it.
 const MOST: f64 = 1e11;
 
-/// Why a stored state cannot be used. Nothing of it is.
+/// Why a stored state cannot be used; it is rejected as a whole.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoredError {
-    /// It is not what it says.
+    /// It does not begin with the magic number.
     #[error("this is no file of habits: it does not begin as one")]
     Foreign,
     /// It is larger than [`BYTES_MAX`].
     #[error("the habits have {bytes} bytes, more than {BYTES_MAX}: they are damaged")]
     TooLarge {
-        /// How large.
+        /// Its size.
         bytes: usize,
     },
     /// Another version wrote it.
@@ -47,16 +46,16 @@ pub enum StoredError {
         "the habits are of version {found}, this program reads versions {OLDEST} to {VERSION}: use the program that wrote them, or forget them"
     )]
     Version {
-        /// Which.
+        /// Its version.
         found: u16,
     },
     /// Its checksum is wrong.
     #[error("the habits are damaged: their checksum is wrong; restore a copy, or begin again")]
     Checksum,
-    /// It is whole, but says something impossible.
+    /// The checksum is right, but a value is impossible.
     #[error("the habits are malformed: {what}; restore a copy, or begin again")]
     Malformed {
-        /// What.
+        /// The impossible value.
         what: String,
     },
 }
@@ -65,42 +64,39 @@ pub(crate) fn malformed(what: impl Into<String>) -> StoredError {
     StoredError::Malformed { what: what.into() }
 }
 
-/// A name and when it was last seen, in minutes since 1970, local time.
+/// A name and its last minute since 1970, local time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredName {
     pub(crate) name: String,
     pub(crate) seen_min: u32,
 }
 
-/// What was learned of one horizon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredAnchor {
-    /// Since version 4 part of the person's.
+    /// Empty since version 4: these are part of the person's weights.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) weights: Vec<f64>,
     pub(crate) stayed: f64,
     pub(crate) sampled: f64,
     pub(crate) miss: f64,
     pub(crate) outcomes: u64,
-    /// How often the truth had a probability of each class of [`super::sets`].
+    /// Weighted number of true places per class of [`super::sets`].
     pub(crate) scores: Vec<f32>,
 }
 
-/// What was learned of one person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredPerson {
     pub(crate) number: u32,
     pub(crate) slot: u8,
     pub(crate) observations: f64,
-    /// How often a thing was mentioned again, of how many times.
+    /// Repeated mentions, and all mentions.
     pub(crate) repeated: [f64; 2],
-    /// What [`Person::learned`] gives, one after the other.
+    /// The values of [`Person::learned`] in sequence.
     pub(crate) weights: Vec<f64>,
     #[serde(deserialize_with = "list_of_keyed")]
     pub(crate) anchors: Vec<StoredAnchor>,
 }
 
-/// What was counted in one context.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct StoredRow {
     pub(crate) kind: u8,
@@ -110,11 +106,9 @@ pub(crate) struct StoredRow {
     pub(crate) counts: Vec<(u16, f32)>,
 }
 
-/// Everything that was learned.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Stored {
     pub(crate) version: u16,
-    /// Whether an earlier version wrote it.
     #[serde(skip)]
     is_converted: bool,
     #[serde(deserialize_with = "list_of_keyed")]
@@ -200,7 +194,7 @@ impl Stored {
         stored.checked()
     }
 
-    /// From an earlier version: which forecasts were right is learned again, and counts of kinds that are no longer used are dropped.
+    /// Converts an earlier version: weights of experts are learned again, and counts of removed kinds are dropped.
     fn convert(&mut self) {
         for person in &mut self.persons {
             person.weights.clear();
@@ -214,7 +208,7 @@ impl Stored {
         self.rows.retain(|row| Kind::of(row.kind).is_some() || row.kind > 31);
         let mut coarser: BTreeMap<_, StoredRow> = BTreeMap::new();
         for mut row in std::mem::take(&mut self.rows) {
-            // Two classes of time spent are one now.
+            // Two former classes of time spent are one class.
             match Kind::of(row.kind) {
                 Some(Kind::Stay | Kind::StayPlace | Kind::StayPlaceHour) => row.after[1] = row.after[1].div_ceil(2),
                 Some(Kind::LaterDwell) => row.after[1] = row.after[1] & 0xff00 | (row.after[1] & 0xff).div_ceil(2),
@@ -237,7 +231,7 @@ impl Stored {
         (self.version, self.is_converted) = (VERSION, true);
     }
 
-    /// Nothing impossible is in it: numbers are finite and in range. Counts of nothing, which earlier versions wrote, are dropped.
+    /// Checks that all numbers are finite and in range. Drops counts of no symbol, which earlier versions wrote.
     pub(crate) fn checked(mut self) -> Result<Self, StoredError> {
         if !(OLDEST..=VERSION).contains(&self.version) {
             return Err(StoredError::Version { found: self.version });
@@ -272,7 +266,7 @@ impl Stored {
                 return Err(malformed(format!("a count of kind {} is no count", row.kind)));
             }
             row.counts.retain(|(_, count)| *count > 0.0);
-            // What came twice would add up to more than was checked.
+            // Duplicates could add up to more than the checked limit.
             symbols.clear();
             let once = row.counts.iter().all(|(symbol, _)| symbols.insert(*symbol));
             let total: f64 = row.counts.iter().map(|(_, count)| f64::from(*count)).sum();
@@ -326,7 +320,7 @@ impl Reader<'_> {
         self.take().map(f64::from_le_bytes)
     }
 
-    /// As many as are said to follow; memory is taken only for what is there.
+    /// Reads a list; memory grows only with the bytes that are present.
     fn list<T>(&mut self, mut one: impl FnMut(&mut Self) -> Option<T>) -> Option<Vec<T>> {
         let length = self.long()?;
         let mut list = Vec::new();
@@ -392,11 +386,10 @@ impl Reader<'_> {
     }
 }
 
-/// What learned numbers are.
 enum Learned<'a> {
     /// Weights, which sum to one.
     Weights(&'a mut [f64]),
-    /// Powers, each with how much is known of it.
+    /// Powers, each with its information.
     Powers(&'a mut [[f64; 2]]),
 }
 
@@ -436,7 +429,7 @@ impl Person {
         }
     }
 
-    /// Takes up what was stored; numbers that cannot be are learned again.
+    /// Restores a person; impossible numbers are learned again.
     fn restore(&mut self, from: &StoredPerson) -> Result<(), StoredError> {
         self.observations = from.observations;
         self.things.repeated = [from.repeated[0], from.repeated[1].max(1.0)];
@@ -494,7 +487,7 @@ impl Habits {
         }
     }
 
-    /// Takes up what was stored. No map is bound, and nobody is anywhere.
+    /// Restores stored habits, without a map and without places of persons.
     fn restore(options: HabitsOptions, stored: &Stored) -> Result<Self, StoredError> {
         let mut habits = Self::new(options);
         habits.is_converted = stored.is_converted;
@@ -544,35 +537,35 @@ impl Habits {
         Ok(habits)
     }
 
-    /// Whether an earlier version wrote what was read: its counts are kept, and which forecasts were right is learned again.
+    /// Whether an earlier version wrote the file: counts are kept, and weights of experts are learned again.
     #[must_use]
     pub fn is_converted(&self) -> bool {
         self.is_converted
     }
 
-    /// What was learned, as bytes with a version and a checksum: counts of names and hours, no sentences.
+    /// Habits as bytes with a version and a checksum: counts of names and hours, no sentences.
     #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         self.stored().to_bytes()
     }
 
-    /// Takes up what [`Habits::to_bytes`] gave. Limits are those of `options`: what is too much is left out, the least useful first.
+    /// Reads bytes of [`Habits::to_bytes`]. If there is more than the limits of `options` allow, the least useful counts are dropped.
     ///
     /// # Errors
-    /// When the bytes are damaged, of another version, or say something impossible: [`StoredError`] says which. Nothing is taken up then.
+    /// [`StoredError`] when the bytes are damaged, of another version, or impossible. Nothing is used then.
     pub fn from_bytes(options: HabitsOptions, bytes: &[u8]) -> Result<Self, StoredError> {
         Self::restore(options, &Stored::from_bytes(bytes)?)
     }
 
-    /// What was learned, as JSON for people and other programs.
+    /// Habits as JSON for people and other programs.
     ///
     /// # Errors
-    /// When it cannot be written as JSON: a fault of the program.
+    /// When writing JSON fails: a fault of the program.
     pub fn to_json(&self) -> Result<String, StoredError> {
         serde_json::to_string(&self.stored()).map_err(|error| malformed(error.to_string()))
     }
 
-    /// Takes up what [`Habits::to_json`] gave.
+    /// Reads JSON of [`Habits::to_json`].
     ///
     /// # Errors
     /// As [`Habits::from_bytes`].

@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 
 const LABELS: [&str; 5] = ["bed", "shower", "kettle", "mug", "sofa"];
 const ROOMS: [&str; 3] = ["bedroom", "bathroom", "kitchen"];
-/// The room of each label.
 const ROOM_OF: [usize; 5] = [0, 1, 2, 2, 0];
 const DAY_S: f64 = 86_400.0;
 /// A Monday.
@@ -27,7 +26,6 @@ fn home(options: HabitsOptions) -> Habits {
     habits
 }
 
-/// The forecast of one time ahead.
 fn at(
     habits: &mut Habits,
     person: PersonId,
@@ -45,7 +43,7 @@ fn turn(person: PersonId, label: usize, at_s: f64) -> Turn {
     Turn { person, label: Some(label), room: Some(ROOM_OF[label]), at_s }
 }
 
-/// The same morning on several days; gives the loss in nats per turn of each day, forecast before it is learned from.
+/// Repeats a morning on several days. Returns each day's loss in nats per turn; each turn is forecast first and learned then.
 fn mornings(habits: &mut Habits, person: PersonId, days: usize) -> Vec<f64> {
     let morning = [0, 1, 2, 3, 4, 3, 2];
     (0..days)
@@ -79,7 +77,7 @@ fn a_habit_is_learned_within_days_and_the_first_day_is_the_models() {
     assert!(rooms[1] > 0.6 && (rooms.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{rooms:?}");
 }
 
-/// How often a thing is mentioned says nothing of which one comes after it.
+/// The number of mentions does not predict the next thing.
 #[test]
 fn what_comes_next_is_known_however_often_a_thing_is_mentioned() {
     let mut habits = home(HabitsOptions::default());
@@ -132,7 +130,7 @@ fn nothing_is_learned_where_it_may_not() {
     assert_eq!(still.learned().counts, 0);
 }
 
-/// Of a home that only sensors watch as much is known as they said: it is the prior of whoever is new.
+/// Sensors alone teach places, which are the prior of a new person.
 #[test]
 fn what_is_seen_alone_is_the_prior_of_others() {
     let mut habits = home(HabitsOptions::default());
@@ -154,7 +152,7 @@ fn what_is_seen_alone_is_the_prior_of_others() {
     assert!(at_first[1] > out[1] + 0.05, "{at_first:?} {out:?}");
 }
 
-/// Whoever has left for nobody knows where stays nowhere meanwhile.
+/// An empty room ends the stay; no further time is counted.
 #[test]
 fn a_stay_ends_where_its_place_is_empty() {
     let mut habits = home(HabitsOptions::default());
@@ -180,7 +178,7 @@ fn a_stay_ends_where_its_place_is_empty() {
     assert_eq!(at(&mut habits, PersonId(0), at_s + 7_300.0, 300.0, &shipped, &mut out).shipped, 1.0);
 }
 
-/// Whoever is back goes where they went after earlier returns, and no visit is learned until somebody tells of one.
+/// After a return the forecast uses earlier returns. A visit is learned only when a room is reported.
 #[test]
 fn who_is_back_goes_where_earlier_returns_led() {
     let mut habits = home(HabitsOptions::default());
@@ -188,7 +186,7 @@ fn who_is_back_goes_where_earlier_returns_led() {
     let (mut p, shipped) = (Vec::new(), [0.9, 0.05, 0.05, 0.0]);
     for day in 0..14 {
         let at_s = evening_s(day);
-        // In the bathroom for a minute, in the kitchen for an hour; nights in the bedroom.
+        // The bathroom for a minute, the kitchen for an hour; nights in the bedroom.
         for (minute, place) in [(1, Some(1)), (2, Some(2)), (62, Some(0)), (14 * 60, None)] {
             if minute == 1 {
                 habits.come_back(PersonId(0), at_s);
@@ -211,15 +209,15 @@ fn who_is_back_goes_where_earlier_returns_led() {
     assert!(shares.shipped < 0.3 && now[1] > 0.6 && now[3] < 1e-9, "{shares:?} {now:?}");
     let (_, soon) = ahead(&mut habits, at_s, 900.0);
     assert!(soon[2] > 1.5 * soon[0], "{soon:?}");
-    // They go on, though nobody says so.
+    // The forecast moves on without a further event.
     let (_, later) = ahead(&mut habits, at_s + 900.0, 0.0);
     assert!(later[2] > 1.5 * later[0] && later[3] < 1e-9, "{later:?}");
-    // Sets are of what is forecast: nothing was learned of how such forecasts come out.
+    // Sets cover the forecast, because no threshold was learned for such forecasts.
     let mut set = Vec::new();
     habits.room_set(PersonId(0), 900.0, &[0.3, 0.3, 0.25, 0.15], false, &mut set);
     assert_eq!(set, [true, true, true, true]);
     assert_eq!(visits(&habits), before);
-    // Where they are first seen long after that is not where they came in.
+    // A room that is reported long after the return is not counted as the room entered.
     let exits = |habits: &Habits| {
         let seen = habits.counts.get(key(Kind::Exit, 0, [ELSEWHERE, NONE, NONE]), moment::minute(at_s)).unwrap();
         seen.symbols().map(|(_, count)| count).sum::<f64>()
@@ -227,7 +225,7 @@ fn who_is_back_goes_where_earlier_returns_led() {
     let led = exits(&habits);
     habits.be(PersonId(0), Place::Room(0), at_s + 7_200.0);
     assert!(!habits.is_back(PersonId(0)) && exits(&habits) == led);
-    // Whoever was in a room does not come back, and whoever does something of which nobody knows the place is not at the door.
+    // A person in a room does not come back. After a turn without a known place the person's place is unknown.
     habits.come_back(PersonId(0), at_s + 7_260.0);
     assert_eq!(habits.place(PersonId(0)), Some(Place::Room(0)));
     habits.be(PersonId(0), Place::Elsewhere, at_s + 7_300.0);
@@ -239,8 +237,8 @@ fn who_is_back_goes_where_earlier_returns_led() {
     );
 }
 
-/// Watches somebody who is in the bedroom until seven, in the bathroom for half an hour, in the kitchen for one, out until six, and in
-/// the kitchen then. Gives the losses of the last day at the horizon of an hour: of the habits, and of the present place.
+/// Watches a person: in the bedroom until seven, in the bathroom for half an hour, in the kitchen for an hour, out until six, and in the
+/// kitchen then. Returns the last day's losses at the horizon of an hour: of the habits, and of the present place.
 fn week(habits: &mut Habits, days: usize) -> (f64, f64) {
     let place = |minute: usize| match minute % 1440 {
         0..420 => Place::Room(0),
@@ -302,7 +300,7 @@ fn bytes_and_json_give_back_what_was_learned() {
     let again = Habits::from_bytes(*habits.options(), &bytes).unwrap();
     assert!(again.to_bytes() == bytes);
     let json = habits.to_json().unwrap();
-    // Without their keys, values say nothing.
+    // Objects become lists of values.
     fn without_keys(value: &serde_json::Value) -> serde_json::Value {
         match value {
             serde_json::Value::Object(keys) => keys.values().map(without_keys).collect(),
@@ -320,7 +318,7 @@ fn bytes_and_json_give_back_what_was_learned() {
     assert!(Habits::from_json(*habits.options(), &json.replace("\"slot\":0", "\"slot\":77")).is_err());
 }
 
-/// Every number of an export, by its path.
+/// Paths of all numbers of an export.
 fn numbers(value: &serde_json::Value, path: &str, found: &mut Vec<String>) {
     match value {
         serde_json::Value::Number(_) => found.push(path.to_owned()),
@@ -334,7 +332,7 @@ fn numbers(value: &serde_json::Value, path: &str, found: &mut Vec<String>) {
     }
 }
 
-/// What somebody else wrote is refused, or nothing that follows from it is impossible.
+/// A manipulated export is refused or has no impossible effect.
 #[test]
 fn an_import_is_refused_or_harmless() {
     let mut habits = home(HabitsOptions::default());
@@ -345,7 +343,7 @@ fn an_import_is_refused_or_harmless() {
     numbers(&export, "", &mut paths);
     let hostile = ["-1", "0", "1e-300", "0.5", "3e38", "1e39", "1e308", "65535", "4294967295", "18446744073709551615"];
     let (mut refused, mut taken) = (0, 0);
-    // Of numbers that differ in their place in a list alone, some.
+    // Of numbers that differ only in their list index, a sample.
     let mut alike: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for path in paths {
         alike.entry(path.replace(|c: char| c.is_ascii_digit(), "")).or_default().push(path);
@@ -390,13 +388,13 @@ fn an_import_is_refused_or_harmless() {
             habits.room_set(PersonId(3), 900.0, &p, false, &mut set);
             assert!(set.contains(&true) && (habits.observations(PersonId(3)) as f32).is_finite(), "{what}");
         }
-        // What is written then can be read.
+        // A state with such values can be stored and read again.
         assert!(Habits::from_bytes(HabitsOptions::default(), &habits.to_bytes()).is_ok(), "{what}");
     }
     assert!(refused > 100 && taken > 100, "{refused} refused, {taken} taken");
 }
 
-/// Whoever changes rooms twice between two looks was, a minute after the forecast, where they were then.
+/// If a person changes rooms twice between two looks, a forecast's outcome is the place at its due time.
 #[test]
 fn where_somebody_was_is_known_until_they_go_on() {
     let mut habits = home(HabitsOptions::default());
@@ -410,7 +408,7 @@ fn where_somebody_was_is_known_until_they_go_on() {
     assert_eq!(anchor.stayed, [2.0, 3.0]);
 }
 
-/// What version 2 exported after six days of a bed, a fridge and a sofa, each anchor with its first 24 scores.
+/// A version-2 export of six days with a bed, a fridge and a sofa; each anchor has its first 24 scores.
 #[test]
 fn what_version_2_learned_is_still_known() {
     let json = include_str!("version-2.json");
@@ -434,7 +432,7 @@ fn what_version_2_learned_is_still_known() {
     at(&mut habits, person, at_s, 60.0, &[1.0 / 3.0; 3], &mut p);
     habits.room_set(person, 60.0, &p, false, &mut set);
     assert!(set.contains(&true));
-    // The next file is of this version, and an older one is none.
+    // The next export has the present version, and version 1 is refused.
     assert_eq!(habits.stored().version, stored::VERSION);
     let older = json.replacen("\"version\":2", "\"version\":1", 1);
     assert_eq!(Habits::from_json(HabitsOptions::default(), &older).unwrap_err(), StoredError::Version { found: 1 });
@@ -470,7 +468,7 @@ fn some() -> &'static [u8] {
 /// A Friday in 2024.
 const NOW_S: f64 = 1_709_280_900.0;
 
-/// Within a hundred years of now, often near it, or what no clock says.
+/// Within a hundred years of now, often near it, or impossible.
 fn any_time() -> impl Strategy<Value = f64> {
     const YEARS_S: f64 = 100.0 * 365.25 * DAY_S;
     prop_oneof![
@@ -481,7 +479,7 @@ fn any_time() -> impl Strategy<Value = f64> {
     ]
 }
 
-/// Versions before this one wrote counts of nothing: they cost themselves, and not what else was learned.
+/// Earlier versions wrote counts of no symbol; only these are dropped.
 #[test]
 fn a_count_of_nothing_is_dropped_and_all_else_is_read() {
     let mut stored = Stored::from_bytes(some()).unwrap();
@@ -509,7 +507,7 @@ proptest! {
         prop_assert!(Habits::from_bytes(HabitsOptions::default(), &some()[..cut]).is_err());
     }
 
-    /// Behind a valid checksum anything may stand: it is refused or used, never a fault.
+    /// Behind a valid checksum any bytes are refused or used, without a panic.
     #[test]
     fn nothing_behind_a_checksum_is_a_fault(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
@@ -529,8 +527,7 @@ proptest! {
         }
     }
 
-    /// A clock can say any time. What is learned by it is read again, and once nothing is later than now, what is learned now counts as
-    /// if nothing had been learned before.
+    /// Habits that were learned with any clock can be read again. After `no_later_than`, new counts weigh nearly as much as in new habits.
     #[test]
     fn whatever_the_clocks_say_it_is_read_again_and_now_counts(
         past in prop::collection::vec((any_time(), 0..3u32, 0..5usize, 0..5u8), 0..60),
@@ -568,8 +565,7 @@ proptest! {
         prop_assert!(after > 0.98 * alone - 0.05, "{after} of {alone}");
     }
 
-    /// Over any day, whatever is done, the mixture is behind the model alone by no more than its bound: that of the other thing, and that of
-    /// the same thing again.
+    /// Over any day the mixture's loss exceeds the model's by no more than its bounds: for another thing, and for the same thing again.
     #[test]
     fn a_day_is_never_much_worse_than_the_model(
         steps in prop::collection::vec((0..5usize, 0.01..1.0f64, 0.01..1.0f64), 1..200),
@@ -593,7 +589,7 @@ proptest! {
         }
     }
 
-    /// The same of the next room: staying and where to are mixed apart.
+    /// As above for the next room, with separate bounds of staying and destination.
     #[test]
     fn a_day_of_rooms_is_never_much_worse_than_the_model(
         steps in prop::collection::vec((0..5usize, 0.02..1.0f64, 0.02..1.0f64), 1..200),
@@ -639,7 +635,7 @@ proptest! {
     }
 }
 
-/// A person who is in the bedroom from seven and in the kitchen from eight, watched every minute.
+/// A person in the bedroom from seven and in the kitchen from eight, watched every minute.
 fn watched_days(habits: &mut Habits, days: std::ops::Range<usize>) {
     for day in days {
         for minute in 0..180 {
@@ -688,18 +684,18 @@ fn visits_are_counted_by_room_and_part_of_the_day_of_all_persons_together() {
     habits.be(PersonId(3), Place::Room(2), at_s(22.0));
     habits.be(PersonId(3), Place::Room(0), at_s(23.9));
     let mut visits = [[0.0; PARTS]; 3];
-    // Both left bedroom and bathroom between six and nine; who is still in the kitchen has not left it.
+    // Both persons left bedroom and bathroom between six and nine. The person still in the kitchen has not left it.
     (visits[0][2], visits[1][2], visits[2][3], visits[2][7]) = (2.0, 2.0, 1.0, 1.0);
     assert_eq!(habits.visits(at_s(24.0)), visits);
     habits.forget(PersonId(8));
     (visits[0][2], visits[1][2]) = (1.0, 1.0);
     assert_eq!(habits.visits(at_s(24.0)), visits);
-    // A map with other rooms has none of them; what was counted waits for its rooms.
+    // A map with other rooms shows no visits; the counts stay for their rooms.
     habits.bind(words(&LABELS), words(&["hall"]), vec![0.0; LABELS.len()]);
     assert_eq!(habits.visits(at_s(24.0)), [[0.0; PARTS]]);
 }
 
-/// Setting the clock is no time spent, and nothing is learned of time that nobody watched.
+/// A clock step is not time spent, and unobserved time is not learned.
 #[test]
 fn time_that_nobody_watched_is_not_learned() {
     let mut habits = home(HabitsOptions::default());

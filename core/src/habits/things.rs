@@ -1,10 +1,10 @@
 //! The next thing: whether the last one is mentioned again, and which other one comes if not.
 //!
-//! | expert | what it knows of another thing | of the same one |
+//! | expert | source for another thing | for the same one |
 //! | --- | --- | --- |
 //! | model | the language model's probabilities | its probability of the last thing |
-//! | habit | what followed the last things in this home, over the model | how often the last thing was mentioned so often, after the same things |
-//! | hour | what followed the last thing at this part of the day | |
+//! | habit | the things that followed the last things here, over the model | how often the last thing was mentioned so often, after the same things |
+//! | hour | the things that followed the last thing at this part of the day | |
 //! | share | | how often any thing is mentioned again |
 //! | product | the others multiplied ([`super::pool`]) | |
 //!
@@ -20,14 +20,14 @@ use super::whose::View;
 
 /// Experts: model, habit, hour and product.
 const PRIOR: [f64; 4] = [0.15, 0.08, 0.06, 0.71];
-/// The model's weight before anything was seen: a first day of few things is no worse than the model alone.
+/// The model's first weight: a first day with few things is no worse than the model alone.
 pub(crate) const FIRST: f64 = 0.9;
 const POWERS: [f64; 3] = [0.65, 0.3, 0.1];
-/// Who says whether the last thing is mentioned again: model, habit and share.
+/// First weights of the experts for a repeated mention: model, habit and share.
 pub(crate) const AGAIN_PRIOR: [f64; 3] = [0.5, 0.3, 0.2];
 pub(crate) const SHARE: f64 = 0.005;
 
-/// Contexts of the next thing: how many last things, and how many observations the shorter context is worth.
+/// Contexts of the next thing: number of last things, and observations that the shorter context is worth.
 const AFTER: [(Kind, usize, f64); 6] = [
     (Kind::Object0, 0, 4.0),
     (Kind::Object1, 1, 2.0),
@@ -38,41 +38,39 @@ const AFTER: [(Kind, usize, f64); 6] = [
 ];
 /// Things of the longest context.
 const LAST: usize = 5;
-/// The same at this part of the day, and after the last thing at this part of the day.
+/// As `AFTER`: at this part of the day, and after the last thing at this part of the day.
 const HOUR_CONCENTRATIONS: [f64; 2] = [20.0, 1.0];
 const DISCOUNT: f64 = 0.3;
 const HOUR_DISCOUNT: f64 = 0.5;
-/// Contexts of how often a thing is mentioned again.
+/// Contexts of repeated mentions.
 const AGAIN: [(Kind, usize, f64); 4] =
     [(Kind::Again0, 0, 2.0), (Kind::Again1, 1, 1.0), (Kind::Again2, 2, 0.7), (Kind::Again3, 3, 0.5)];
 const OTHER: u16 = 0;
 const SAME: u16 = 1;
-/// What is held for impossible is unlikely.
+/// Smaller probabilities are raised to this.
 const FLOOR: f64 = 1e-6;
 
-/// The things that one person turns to.
 #[derive(Debug, Clone)]
 pub(crate) struct Things {
-    /// The last different things, the latest first, and how often that was mentioned again.
+    /// The last different things, the latest first, and the number of repeated mentions of the latest.
     last: [u16; LAST],
     pub(crate) times: u8,
     pub(crate) pool: Pool<4, 3>,
     pub(crate) again: FixedShare<3>,
-    /// How often the last thing was mentioned again, of how many times.
+    /// Repeated mentions, and all mentions.
     pub(crate) repeated: [f64; 2],
-    /// When the latest forecast was made: what comes of it is counted for that hour.
+    /// Time of the latest forecast; the next thing is counted for its hour.
     at_s: f64,
-    /// The index of the last thing, and what each expert says of its being mentioned again.
+    /// The index of the last thing, and each expert's probability that it is mentioned again.
     same: Option<usize>,
     said_again: [f64; 3],
-    /// How much of habit and hour is left to the model.
+    /// The model's share of habit and hour.
     kept: [f64; 2],
     pub(crate) observations: [f64; 4],
     /// Per thing of the map its probability in the latest forecast.
     pub(crate) mixed: Vec<f64>,
 }
 
-/// The last things in a key.
 fn after(last: &[u16; LAST], things: usize) -> [u16; 3] {
     match things {
         0..=3 => std::array::from_fn(|at| if at < things { last[at] } else { NONE }),
@@ -102,13 +100,12 @@ impl Things {
         }
     }
 
-    /// Nothing is to be learned from the latest forecast.
+    /// Drops the latest forecast, so that nothing is learned from it.
     pub(crate) fn forget_forecast(&mut self) {
         self.pool.forget();
         self.mixed.clear();
     }
 
-    /// A number stands for something else from now on.
     pub(crate) fn forget_number(&mut self, number: u16) {
         self.last.iter_mut().filter(|last| **last == number).for_each(|last| *last = NONE);
     }
@@ -117,7 +114,7 @@ impl Things {
         [self.last[0], self.last[1], self.last[2]]
     }
 
-    /// Forecasts the next thing, from the model's probabilities (which need not sum to one).
+    /// Forecasts the next thing. The model's probabilities need not sum to one.
     pub(crate) fn forecast(&mut self, view: View<'_>, at_s: f64, model: &[f64]) {
         let width = model.len();
         let last = self.last[0];
@@ -167,7 +164,7 @@ impl Things {
         }
     }
 
-    /// How likely the last thing is mentioned again, by how often it was after the same things.
+    /// Probability of a repeated mention, after the same things and as many mentions.
     fn again_by_habit(&self, mut view: View<'_>) -> f64 {
         view.times = self.times;
         let mut p = self.repeated[0] / self.repeated[1];
@@ -182,7 +179,7 @@ impl Things {
         p
     }
 
-    /// The parts of model, habit and hour in the probability of a thing in the latest forecast.
+    /// The shares of model, habit and hour in a thing's probability in the latest forecast.
     pub(crate) fn explain(&self, thing: usize) -> Option<[f64; 3]> {
         if *self.mixed.get(thing)? <= 0.0 {
             return None;
@@ -199,7 +196,7 @@ impl Things {
         Some([1.0 - habit - hour, habit, hour])
     }
 
-    /// Learns how good the latest forecast was: the person turned to `thing`.
+    /// Learns from the outcome: the person turned to `thing`.
     pub(crate) fn learn_weights(&mut self, thing: usize) {
         if thing >= self.pool.width() {
             return;
@@ -215,7 +212,6 @@ impl Things {
         }
     }
 
-    /// Counts that the person turned to `number`.
     pub(crate) fn count(&self, counts: &mut Counts, slot: u8, number: u16, at_s: f64) {
         let now_min = moment::minute(at_s);
         let last = self.last[0];
@@ -236,7 +232,7 @@ impl Things {
         counts.add(key(Kind::ObjectAfterHour, slot, [last, part, NONE]), number, 1.0, now_min);
     }
 
-    /// The person has turned to a thing, or to something that the map lacks.
+    /// Adds a thing, or an unmapped one (`None`), to the context.
     pub(crate) fn turn(&mut self, number: Option<u16>) {
         let number = number.unwrap_or(NONE);
         if number == self.last[0] {

@@ -1,11 +1,11 @@
-//! How often each room was visited, by part of the day: of all persons together, so that nothing says whose visits they were.
+//! Visits to each room by part of the day, of all persons together, so that they identify no person.
 
 use super::Habits;
 use super::key::{Kind, NONE, key};
 use super::moment::{self, PARTS};
 
 impl Habits {
-    /// Per room of the map that is bound, how many visits ended in each part of the day. Older ones count less, as everywhere.
+    /// Per room of the bound map, decayed number of visits that ended in each part of the day.
     #[must_use]
     pub fn visits(&self, now_s: f64) -> Vec<[f64; PARTS]> {
         let now_min = moment::minute(now_s);

@@ -1,4 +1,4 @@
-//! Whose counts are read: a person's own, over those of the others in the home.
+//! A person's counts, over those of the other persons in the home.
 
 use super::counts::{Counts, Seen};
 use super::key::{Kind, key, with_times};
@@ -6,12 +6,11 @@ use super::names::Home;
 use super::parts::Without;
 use super::smoothing::smooth;
 
-/// Others whose counts are a person's prior, at most: those with the most.
+/// Most other persons in a prior: those with the most observations.
 pub(crate) const OTHERS_MAX: usize = 3;
-/// How many observations of its own outweigh an observation of another person.
+/// Own observations that outweigh one observation of another person.
 const OTHERS_STRENGTH: f64 = 4.0;
 
-/// One person's view of the home's counts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct View<'a> {
     pub(crate) counts: &'a Counts,
@@ -19,7 +18,7 @@ pub(crate) struct View<'a> {
     pub(crate) slot: u8,
     pub(crate) others: [Option<u8>; OTHERS_MAX],
     pub(crate) now_min: u32,
-    /// How often the last thing was mentioned again, for contexts to which it matters.
+    /// Number of repeated mentions of the last thing, for the contexts that use it.
     pub(crate) times: u8,
     pub(crate) without: Without,
 }
@@ -34,7 +33,7 @@ impl<'a> View<'a> {
         self.of(self.slot, kind, after)
     }
 
-    /// What was seen in a context, each with its strength: by the others first, then by the person.
+    /// The counts in a context, each with its strength: first the others', then the person's.
     pub(crate) fn seen(&self, kind: Kind, after: [u16; 3]) -> impl Iterator<Item = (Seen<'a>, f64)> {
         let others = self.others.into_iter().flatten().map(|slot| (slot, OTHERS_STRENGTH));
         others
@@ -42,8 +41,7 @@ impl<'a> View<'a> {
             .filter_map(move |(slot, strength)| Some((self.of(slot, kind, after)?, strength)))
     }
 
-    /// Mixes a context over the forecast of a shorter one. Gives the weight that the shorter one keeps, and how many observations of its own
-    /// there are.
+    /// Mixes a context over the forecast of a shorter one. Returns the shorter one's remaining weight, and the person's own observations.
     pub(crate) fn smooth(
         &self,
         (kind, after): (Kind, [u16; 3]),

@@ -1,4 +1,4 @@
-//! What the daemon answers to questions about its map and about persons: what is done, and what is said of it.
+//! The daemon's answers to questions about its map and about persons, and the requested changes.
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -17,12 +17,12 @@ use super::person_question::{PersonAnswer, PersonQuestion};
 use super::persons::{Called, NotRenamed};
 use crate::clock;
 
-/// A question to forget somebody waits at most this long for the journal and the habits file together.
+/// Longest wait for journal and habits together when a person is forgotten.
 pub(super) const FORGET_PATIENCE: Duration = Duration::from_secs(5);
-/// A changed map waits at most this long for the journal.
+/// Longest wait of a changed map for the journal.
 const BELIEFS_PATIENCE: Duration = Duration::from_secs(1);
 
-/// Applies a change to the board, if it can be, and says what became of it. Where everybody is then is in the journal before the changed map is kept.
+/// Applies a possible change to the board and returns the result. The places of persons are in the journal before the changed map is stored.
 pub(super) fn answer_change<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, kept_map): (Option<&JournalHandle>, Option<&KeptMap>),
@@ -41,7 +41,7 @@ pub(super) fn answer_change<M: LanguageModel>(
     let regrouped_in_ns = clock::monotonic_ns().since(start_ns);
     let mut number = 0;
     board.tell_beliefs(|believed| number = journal.map_or(0, |journal| journal.keep_belief(&believed)));
-    // A disk that is slower than that loses at most where people were.
+    // After a timeout only the places of persons can be lost.
     let _written = journal.is_none_or(|journal| journal.wait_for(number, BELIEFS_PATIENCE));
     let kept = result.is_ok()
         && kept_map.is_some_and(|kept_map| {
@@ -70,7 +70,7 @@ pub(super) fn answer_change<M: LanguageModel>(
     }
 }
 
-/// Does what was asked about persons, and says who is known then.
+/// Does the requested change of a person, and returns the known persons after it.
 pub(super) fn answer_about_person<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
@@ -102,7 +102,7 @@ pub(super) fn answer_about_person<M: LanguageModel>(
             renamed.map(|()| None).map_err(|error| error.to_string())
         }
         PersonQuestion::Forget { who, .. } => {
-            // Of somebody who is known no more the files may still tell.
+            // Files may still mention a person that the board no longer knows.
             let (is_known, person) = (find(board, &who), board.persons().meant(&who));
             let is_learned = board.habits().persons().iter().any(|(known, _)| *known == person);
             let is_somebody = is_known.is_ok() || is_learned;
@@ -120,8 +120,8 @@ pub(super) fn answer_about_person<M: LanguageModel>(
     PersonAnswer { done, reason: left, failed, kept, persons: board.persons().lines(now_ns), understood, whereabouts }
 }
 
-/// Forgets a person, also on the disk; gives what could not be forgotten there, and how many records of the journal were theirs. Of one who is
-/// somebody also what only mentions them: of others that might be any word.
+/// Forgets a person, also on the disk. Returns the reason if the disk failed, and the number of deleted journal records. For a known person
+/// (`is_somebody`), other persons' events that mention the name are deleted as well; an unknown name might be any word.
 fn forget<M: LanguageModel>(
     board: &mut Board<M>,
     (journal, keeper): (Option<&JournalHandle>, Option<&Keeper>),
@@ -139,13 +139,12 @@ fn forget<M: LanguageModel>(
             (None, None) if observation.person == PersonId::SOMEBODY => names_them(),
             (None, _) => observation.person == person,
         };
-        // Events of others that mention the person go, too.
         own || is_somebody && names_them()
     };
-    // Whose an observation in a window is was found.
+    // Observations in a window are already attributed.
     board.forget(person, |observation| is_theirs(observation, Some(observation.person)));
     let until = Instant::now() + FORGET_PATIENCE;
-    // The journal comes last: it rewrites the database, so that no free page has their name.
+    // The journal comes last: it rewrites the database, so that no free page has the name.
     let in_file = board.persons_mut().file_mut().remove(person);
     let in_journal = journal.map_or(Ok(0), |journal| journal.forget(person, is_theirs, until));
     let records = *in_journal.as_ref().unwrap_or(&1);
@@ -154,7 +153,7 @@ fn forget<M: LanguageModel>(
     (error.map(|error| not_yet_kept(&error)), records)
 }
 
-/// Why the disk does not have yet that somebody is forgotten, and what to do.
+/// Why the disk still has data of a forgotten person, and the remedy.
 fn not_yet_kept(error: &io::Error) -> String {
     if error.kind() == io::ErrorKind::TimedOut {
         let patience_s = FORGET_PATIENCE.as_secs();
@@ -166,7 +165,7 @@ fn not_yet_kept(error: &io::Error) -> String {
     format!("they are forgotten until the daemon starts again: the state directory cannot be written: {error}")
 }
 
-/// Writes what is left of what was learned after somebody was forgotten, and waits for it `until` then.
+/// Writes the remaining habits after a person was forgotten, and waits `until` then.
 pub(super) fn write_habits<M: LanguageModel>(
     board: &mut Board<M>,
     keeper: Option<&Keeper>,
@@ -182,7 +181,7 @@ pub(super) fn write_habits<M: LanguageModel>(
 mod tests {
     use super::*;
 
-    /// A journal that takes long is no disk that fails, and the remedy is another.
+    /// A slow journal is not a failing disk, and has another remedy.
     #[test]
     fn whoever_waits_too_long_is_told_to_ask_again() {
         let slow = not_yet_kept(&io::Error::from(io::ErrorKind::TimedOut));

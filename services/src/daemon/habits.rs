@@ -1,15 +1,12 @@
-//! What the people of the home do, learned beside their forecasts: the daemon's use of [`Habits`]. No disk, no port; the clocks come in as
-//! numbers.
+//! Learned habits next to the forecasts: the daemon's use of [`Habits`]. This module uses no disk and no port; clocks are arguments.
 //!
-//! Nothing is learned twice. What an observation is called ([`EventId`]) is kept together with what was learned
-//! from it: of each start of a source the newest sequence. That holds whatever the clocks do, since no time is in it; over restarts, since
-//! both are written as one; and when the journal's older half goes, since only the names are compared that are still there. The journal
-//! has its observations in the order in which they were learned, so all up to the last one with a name that is kept were learned, and those
-//! behind it were not: a daemon that was killed learns these from its journal. Where the journal holds none of the names, nobody can tell,
-//! and nothing of it is learned.
+//! Each observation is learned at most once. The [`EventId`] of the newest learned observation of each start of a source is stored together with the
+//! habits. The ids contain no time, so clock steps do no harm. Ids and habits are written in one transaction, so restarts do no harm. The journal has
+//! its observations in the order of learning: all observations up to the last one with a stored id were learned, and the later ones were not. A
+//! restarted daemon learns these from its journal. If the journal has none of the ids, the order is unknown, and its observations are not learned.
 //!
-//! Hours of the day are local ones. Habits go by a clock that runs on with the monotonic one; where the wall clock is set, or the hour
-//! changes in spring and autumn, or the machine slept, their times are moved by as much, so that nobody seems to have stayed for that long.
+//! Hours of the day are local ones. Habits have a clock that follows the monotonic one. When the wall clock is set, the hour changes in spring or
+//! autumn, or the machine slept, their times move by the same amount, so that no stay seems longer than it was.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -24,23 +21,23 @@ use roomcast_core::narration::Observation;
 use roomcast_core::pipeline::SOURCES_MAX;
 use roomcast_ipc::raw::{MAX_HORIZONS, MAX_ROOMS};
 
-/// A difference between wall clock and monotonic clock that is more than the correction of a clock that runs.
+/// Greater differences between wall clock and monotonic clock are clock steps, not corrections.
 const CLOCK_SET_S: f64 = 30.0;
-/// What was learned grows older by at most so much while no daemon runs, in seconds.
+/// Most ageing of counts while no daemon runs, in seconds.
 const AWAY_S: f64 = 7.0 * 86_400.0;
-/// How often time spent is counted.
+/// Interval at which time spent is counted.
 const TICK_NS: u64 = 60_000_000_000;
-/// A clock that nobody looked at for longer, though time spent is counted every minute, is that of a machine that slept.
+/// After a longer gap between ticks the machine was suspended.
 const ASLEEP_NS: u64 = 5 * TICK_NS;
-/// A room counts as the one where something was done if the person is believed to be there with more than this.
+/// A turn counts for a room if the person is there with more than this probability.
 const SURE: f64 = 0.5;
 
-/// Why there is no local time zone.
+/// Why the local time zone is unknown.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NoZone {
-    /// What is missing.
+    /// The cause.
     pub reason: String,
-    /// What to do.
+    /// The remedy.
     pub remedy: String,
 }
 
@@ -49,10 +46,10 @@ pub struct NoZone {
 pub struct Zone(Option<tz::TimeZone>);
 
 impl Zone {
-    /// Without one: local time is UTC.
+    /// No time zone: local time is UTC.
     pub const UTC: Self = Self(None);
 
-    /// The machine's; UTC where it says none, and the log says so.
+    /// The machine's time zone. If it has none, the log warns, and local time is UTC.
     #[must_use]
     pub fn local() -> Self {
         Self::find().unwrap_or_else(|NoZone { reason, remedy }| {
@@ -61,11 +58,11 @@ impl Zone {
         })
     }
 
-    /// The machine's, as `date` has it: what the environment variable `TZ` says, a name as `Europe/Berlin`, a file or a rule as
-    /// `CET-1CEST,M3.5.0,M10.5.0/3`; UTC where it is empty, and `/etc/localtime` where it is not set.
+    /// The machine's time zone, as `date` has it: the environment variable `TZ` with a name like `Europe/Berlin`, a file, or a rule like
+    /// `CET-1CEST,M3.5.0,M10.5.0/3`. An empty variable is UTC, and an unset one means `/etc/localtime`.
     ///
     /// # Errors
-    /// [`NoZone`].
+    /// [`NoZone`] when the time zone cannot be read.
     pub fn find() -> Result<Self, NoZone> {
         Self::of_variable(std::env::var_os("TZ").as_deref())
     }
@@ -99,7 +96,7 @@ impl Zone {
     }
 }
 
-/// Names of what was learned: the newest sequence of each start of a source, as many as the intake follows, the newest last.
+/// Ids of learned observations: the newest sequence of each start of a source, the newest last, as many as the intake follows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Heard(Vec<EventId>);
 
@@ -118,7 +115,7 @@ impl Heard {
         self.0.iter().any(|known| known.start() == event.start() && known.sequence >= event.sequence)
     }
 
-    /// Takes note of a name; says whether it is new.
+    /// Adds an id. Returns true if it is new.
     fn note(&mut self, name: EventId) -> bool {
         if self.has(name) {
             return false;
@@ -132,49 +129,49 @@ impl Heard {
         true
     }
 
-    /// How many of these, in their order, were learned.
+    /// Number of learned observations among these, which are in order.
     fn learned_of(&self, observations: &[Observation]) -> usize {
         let last = observations.iter().rposition(|observation| self.has(observation.id()));
         last.map_or(if self.0.is_empty() { 0 } else { observations.len() }, |last| last + 1)
     }
 }
 
-/// What outlives the daemon.
+/// State that outlives the daemon.
 #[derive(Debug, Clone)]
 pub struct Memory {
-    /// What was learned.
+    /// The habits.
     pub habits: Habits,
-    /// Of which observations.
+    /// Ids of their observations.
     pub(super) heard: Heard,
-    /// Time spent was counted until then, in seconds since 1970, local time.
+    /// End of the counted time, in seconds since 1970, local time.
     pub(super) watched_until_s: f64,
 }
 
 impl Memory {
-    /// Nothing yet.
+    /// Empty habits.
     #[must_use]
     pub fn new(options: HabitsOptions) -> Self {
         Self::of(Habits::new(options))
     }
 
-    /// What was learned elsewhere.
+    /// Habits from another home or run.
     #[must_use]
     pub fn of(habits: Habits) -> Self {
         Self { habits, heard: Heard::default(), watched_until_s: f64::NEG_INFINITY }
     }
 }
 
-/// Where one person will be.
+/// The forecast of one person.
 #[derive(Debug, Default)]
 struct Ahead {
-    /// Of when it is, and of which state of the habits; none where nothing is known.
+    /// Its time and the state of the habits; `None` if it is not valid.
     of: Option<(BootNs, u64)>,
     /// Per horizon and place, row by row; elsewhere comes last.
     probability: Vec<f64>,
     shares: Vec<WhenShares>,
     /// Per horizon the places of the set with the promised coverage.
     sets: Vec<PlaceSet>,
-    /// How far the person is believed to be where the habits have them.
+    /// Probability that the person is in the place that the habits assume.
     sure: f64,
 }
 
@@ -188,7 +185,7 @@ pub(super) struct PlaceSet {
 }
 
 impl PlaceSet {
-    /// Of places of which elsewhere comes last.
+    /// The last place is elsewhere.
     fn of(held: &[bool]) -> Self {
         let Some((elsewhere, rooms)) = held.split_last() else { return Self::default() };
         let bit = |bits: u64, (room, held): (usize, &bool)| bits | u64::from(*held) << room;
@@ -196,14 +193,14 @@ impl PlaceSet {
     }
 }
 
-/// What becomes of an observation.
+/// Use of an observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Next {
-    /// It is learned from.
+    /// It changes habits and the person's context.
     Learned,
-    /// It says where somebody is, and what they did last.
+    /// It changes the person's context: the place and the last thing.
     Recalled,
-    /// It is passed over.
+    /// It is ignored.
     Nothing,
 }
 
@@ -214,40 +211,40 @@ pub struct HomeHabits {
     learn: bool,
     zone: Zone,
     is_of_the_past: bool,
-    /// The monotonic clock and the local time at the same moment.
+    /// The monotonic clock and the local time of the same moment.
     clock: Option<(BootNs, f64)>,
-    /// What comes now was learned by a former run.
+    /// The next observations were learned by a former run.
     recalling: bool,
     next: Next,
-    /// The newest observation that was not known before.
+    /// The newest observation with a new id.
     newest: Option<EventId>,
     labels: usize,
     ahead: BTreeMap<PersonId, Ahead>,
-    /// Grows with everything that changes a forecast.
+    /// Increases with every change of a forecast.
     state: u64,
     ticked_ns: BootNs,
     changed: bool,
-    /// How often what is known was changed since the start: by what was learned, forgotten, or put in its place.
+    /// Number of changes of habits since the start.
     taken: u64,
-    /// Who was where when what was learned was replaced.
+    /// Persons' places when the habits were replaced.
     replaced: Vec<(PersonId, Place)>,
-    /// Persons whose scores are new.
+    /// Persons with new scores.
     rescored: Vec<PersonId>,
-    /// Working memory: the model's labels, and forecasts without this home.
+    /// Working memory: the model's label scores, and forecasts without habits.
     model: Vec<f64>,
     shipped: Vec<f64>,
     held: Vec<bool>,
 }
 
 impl Default for HomeHabits {
-    /// Learns nothing and knows nothing.
+    /// Habits that neither learn nor know anything.
     fn default() -> Self {
         Self::new(Memory::new(HabitsOptions { learn: false, ..HabitsOptions::default() }), Zone::UTC)
     }
 }
 
 impl HomeHabits {
-    /// With what was learned before.
+    /// Starts with stored habits.
     #[must_use]
     pub fn new(memory: Memory, zone: Zone) -> Self {
         Self {
@@ -273,13 +270,12 @@ impl HomeHabits {
         }
     }
 
-    /// Learns from the past: between what it is told, whole weeks may lie in which nobody watched, and the clock is right.
+    /// Learns from past observations: weeks without any may lie between them, and their clock is right.
     #[must_use]
     pub fn of_the_past(self) -> Self {
         Self { is_of_the_past: true, ..self }
     }
 
-    /// Nothing is learned, and nothing is known.
     fn is_idle(&self) -> bool {
         !self.learn && !self.is_known()
     }
@@ -289,14 +285,13 @@ impl HomeHabits {
         learned.counts > 0 || learned.observations > 0.0
     }
 
-    /// What was learned is no longer what it was, by something else than an observation.
+    /// Marks a change of habits by anything but an observation.
     fn changes(&mut self) {
         self.taken += 1;
         self.state += 1;
         self.changed = true;
     }
 
-    /// Takes up a map.
     pub(super) fn bind(&mut self, grounding: &Grounding) {
         self.memory.habits.bind_to(grounding);
         self.labels = grounding.scored_labels().len();
@@ -311,7 +306,6 @@ impl HomeHabits {
         self.memory.habits.set_learning(self.learn);
     }
 
-    /// Takes note of the time.
     pub(super) fn set_clock(&mut self, now_ns: BootNs, now_unix_ns: UnixNs) {
         if self.is_idle() {
             return;
@@ -321,7 +315,7 @@ impl HomeHabits {
             let set_s = local_s - then_s - (now_ns.0 as f64 - then_ns.0 as f64) / 1e9;
             if set_s.abs() > CLOCK_SET_S {
                 if self.is_of_the_past {
-                    // Nobody was there to see what came of the last forecasts.
+                    // The outcomes of the last forecasts were not observed.
                     self.memory.habits.drop_waiting();
                 }
                 self.memory.habits.shift_clock(set_s);
@@ -331,12 +325,12 @@ impl HomeHabits {
                 self.state += 1;
             }
             if now_ns.since(then_ns) > ASLEEP_NS && !self.is_of_the_past {
-                // The machine slept, and nobody watched.
+                // The machine was suspended, and the time was unobserved.
                 self.memory.habits.pass(local_s);
             }
         } else if !self.is_of_the_past {
             if self.memory.watched_until_s.is_finite() {
-                // Whether nobody watched for long or the clock is wrong, nobody knows; either way the home did not change as much as that.
+                // Either the daemon was off for long or the clock is wrong. Both age the counts by a week at most.
                 let away_s = local_s - self.memory.watched_until_s;
                 self.memory.habits.shift_counts(away_s - away_s.clamp(0.0, AWAY_S));
             }
@@ -345,24 +339,24 @@ impl HomeHabits {
         self.clock = Some((now_ns, local_s));
     }
 
-    /// Local time less the monotonic clock, in whole seconds: clocks drift.
+    /// Local time minus monotonic clock, in whole seconds because clocks drift.
     pub(super) fn local_ahead_s(&self, now_ns: BootNs, unix_ns: UnixNs) -> f64 {
         (self.zone.local_s(unix_ns) - now_ns.seconds()).round()
     }
 
-    /// Seconds since 1970 in local time, of a time of the monotonic clock.
+    /// Local time of a monotonic time, in seconds since 1970.
     fn local_s(&self, at_ns: i64) -> Option<f64> {
         self.clock.map(|(now_ns, local_s)| local_s + (at_ns as f64 - now_ns.0 as f64) / 1e9)
     }
 
-    /// Observations of a former run come: how many of them were learned by it.
+    /// Starts restoring observations of a former run. Returns the number of those that it learned.
     pub(super) fn begin_recall(&mut self, observations: &[Observation], now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
         self.set_clock(now_ns, now_unix_ns);
         self.recalling = true;
         self.memory.heard.learned_of(observations)
     }
 
-    /// Those that were learned are over; what comes was not learned, though it was observed before.
+    /// The restored observations that follow were not learned yet.
     pub(super) fn end_recall(&mut self) {
         if std::mem::take(&mut self.recalling) {
             let until_s = self.memory.watched_until_s.min(self.clock.map_or(f64::INFINITY, |(_, now_s)| now_s));
@@ -370,7 +364,7 @@ impl HomeHabits {
         }
     }
 
-    /// All of them have come: nobody watched between the last one and now.
+    /// Ends restoring: the time since the last observation was unobserved.
     pub(super) fn end_restore(&mut self) {
         self.end_recall();
         if let Some((_, now_s)) = self.clock {
@@ -378,8 +372,8 @@ impl HomeHabits {
         }
     }
 
-    /// The next observation is this one, of one who lives here or of a visitor, of whom nothing is learned; takes note of it.
-    /// One of several clauses, or about several persons, comes once for each of them.
+    /// Announces the next observation and adds its id. Observations of visitors teach nothing. An observation with several clauses or persons is
+    /// announced once for each of them.
     pub(super) fn next_is(&mut self, name: EventId, person: PersonId, lives_here: bool) {
         if self.is_idle() || self.clock.is_none() {
             self.next = Next::Nothing;
@@ -400,13 +394,13 @@ impl HomeHabits {
         self.state += 1;
     }
 
-    /// Whether a person is known, or nobody would have to be forgotten for them.
+    /// Whether a person is known or fits without replacing another one.
     fn has_room_for(&self, person: PersonId) -> bool {
         let habits = &self.memory.habits;
         habits.persons().count() < PERSONS_MAX || habits.persons().any(|(known, _)| known == person)
     }
 
-    /// Somebody did something with the label that was mentioned, if any; `own` knows it already.
+    /// A person did something with the mentioned label, if any. `own` contains the event already.
     pub(super) fn turned(&mut self, person: PersonId, at_ns: i64, mention: Option<usize>, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let label = mention.filter(|label| *label < self.labels);
@@ -415,17 +409,17 @@ impl HomeHabits {
         let room = sure_of(own.belief()).filter(|_| label.is_some());
         habits.observe(&Turn { person, label, room, at_s });
         if room.is_none() {
-            // Whoever does something is in the house.
+            // A person who does something is in the house.
             habits.come_back(person, at_s);
         }
         if room.is_none() && label.is_some() && habits.is_back(person) {
-            // What they turn to, be it in one of several rooms, says more of where they are than where they go when they come home.
+            // The thing narrows down the place better than the earlier returns, even if it is in several rooms.
             habits.lose(person, at_s);
         }
         habits.set_learning(self.learn);
     }
 
-    /// Somebody is in the house, in a room if one was told, or out of it. A room that nobody told of is not learned, however well it can be guessed.
+    /// A person is in the house, in a reported room if any, or out of it. Inferred rooms are not learned, however likely.
     pub(super) fn is_in(&mut self, person: PersonId, at_ns: i64, told: Option<Place>) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let habits = &mut self.memory.habits;
@@ -437,7 +431,7 @@ impl HomeHabits {
         habits.set_learning(self.learn);
     }
 
-    /// Somebody was in a room when the map was changed, whatever their last words say by the map of now; nothing is learned of that.
+    /// A person was in a room when the map changed. The new map may put the last events elsewhere; this teaches nothing.
     pub(super) fn stayed(&mut self, person: PersonId, at_ns: i64, own: &Forecaster) {
         let (Some(at_s), Some(room)) = (self.local_s(at_ns), sure_of(own.belief())) else { return };
         if !self.is_idle() && self.memory.habits.place(person).is_some() {
@@ -447,7 +441,7 @@ impl HomeHabits {
         }
     }
 
-    /// Whoever was in a room is not there any more: those of the persons who are believed elsewhere now have left it, for nobody knows where.
+    /// A room is empty. A person of this room who is now believed elsewhere has left it with an unknown destination.
     pub(super) fn is_empty(&mut self, person: PersonId, at_ns: i64, room: usize, own: &Forecaster) {
         let Some(at_s) = self.local_s(at_ns).filter(|_| self.next != Next::Nothing) else { return };
         let is_here = self.memory.habits.place(person) == Some(Place::Room(room));
@@ -459,7 +453,7 @@ impl HomeHabits {
         }
     }
 
-    /// Nobody follows a person any more: they left when they were last told of.
+    /// A person is no longer followed: they left after their last event.
     pub(super) fn lose(&mut self, person: PersonId) {
         self.ahead.remove(&person);
         if self.memory.habits.place(person).is_some() || self.memory.habits.is_back(person) {
@@ -469,23 +463,20 @@ impl HomeHabits {
         }
     }
 
-    /// A person's scores are new.
     pub(super) fn rescored(&mut self, person: PersonId) {
         if !self.is_idle() {
             self.rescored.push(person);
         }
     }
 
-    /// Whose scores are new, one after the other.
     pub(super) fn next_rescored(&mut self) -> Option<PersonId> {
         self.rescored.pop()
     }
 
-    /// What the model says that a person turns to next, after what was observed at `at_ns`: per label its log-probability in nats, per
-    /// room its probability.
+    /// Takes the model's forecast after the event at `at_ns`: log-probabilities of labels in nats, and probabilities of rooms.
     pub(super) fn look_ahead(&mut self, person: PersonId, at_ns: i64, labels_nats: &[f64], rooms: &[f64]) {
         let fits = labels_nats.len() == self.labels && rooms.len() + 1 == self.memory.habits.places();
-        // Of a visitor nothing is known.
+        // Visitors have no habits.
         let is_known = self.memory.habits.persons().any(|(known, _)| known == person);
         let Some(at_s) = self.local_s(at_ns).filter(|_| fits && is_known) else { return };
         let most_nats = labels_nats.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -496,12 +487,11 @@ impl HomeHabits {
         self.state += 1;
     }
 
-    /// Whether time spent is to be counted.
     pub(super) fn is_tick_due(&self, now_ns: BootNs) -> bool {
         !self.is_idle() && now_ns.since(self.ticked_ns) >= TICK_NS
     }
 
-    /// Time passes for everybody who is followed.
+    /// Counts time for every followed person.
     pub(super) fn tick(&mut self, now_ns: BootNs, now_unix_ns: UnixNs, followed: &BTreeMap<PersonId, Forecaster>) {
         self.set_clock(now_ns, now_unix_ns);
         self.ticked_ns = now_ns;
@@ -516,8 +506,8 @@ impl HomeHabits {
         self.state += 1;
     }
 
-    /// Where a person will be: per horizon (always the same ones) and place, row by row, elsewhere last. None where the forecast without habits is
-    /// all there is.
+    /// A person's forecast per horizon (always the same horizons) and place, row by row, elsewhere last. `None` if only the forecast without habits
+    /// exists.
     pub(super) fn forecast(
         &mut self,
         person: PersonId,
@@ -551,11 +541,10 @@ impl HomeHabits {
             let horizons_s = horizons_s.map(f64::from);
             let Ahead { probability, shares, sets, .. } = ahead;
             self.memory.habits.at_times(person, (now_s, &horizons_s), &self.shipped, probability, shares);
-            // What sets promise was learned from forecasts of whoever is where habits have them; others have sets of what is believed.
+            // Thresholds of sets were learned while the believed place was the habits' place. Otherwise sets cover the belief.
             sets.clear();
             let rows = probability.chunks_exact_mut(places).zip(self.shipped.chunks_exact(places));
             for ((row, shipped), horizon_s) in rows.zip(horizons_s) {
-                // Where they are believed to be elsewhere than habits have them, sets are of what is believed.
                 let mix = |row: &mut [f64]| {
                     row.iter_mut().zip(shipped).for_each(|(p, own)| *p = sure * *p + (1.0 - sure) * own);
                 };
@@ -574,13 +563,13 @@ impl HomeHabits {
         Some(&ahead.probability)
     }
 
-    /// How much of a person's latest forecast is from where, by horizon: of the whole, where the habits are sure of the person's place.
+    /// Weights in a person's latest forecast by horizon, and the probability that the habits have the right place.
     pub(super) fn shares(&self, person: PersonId) -> Option<(f64, &[WhenShares])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some((ahead.sure, &ahead.shares))
     }
 
-    /// The sets of places of a person's latest forecast, by horizon, and the coverage that they promise.
+    /// The sets of a person's latest forecast by horizon, and their promised coverage.
     pub(super) fn sets(&self, person: PersonId) -> Option<(f64, &[PlaceSet])> {
         let ahead = self.ahead.get(&person).filter(|ahead| ahead.of.is_some())?;
         Some((self.memory.habits.options().sets.coverage, &ahead.sets))
@@ -592,60 +581,60 @@ impl HomeHabits {
         Some(ahead.probability.chunks_exact(self.memory.habits.places().max(1)))
     }
 
-    /// How much of a person's latest forecast comes from what was learned, by horizon, 0 to 1.
+    /// Share of habits in a person's latest forecast by horizon, 0 to 1.
     pub(super) fn learned_shares(&self, person: PersonId) -> Option<impl Iterator<Item = f64>> {
         let (sure, shares) = self.shares(person)?;
         Some(shares.iter().map(move |shares| (sure * (1.0 - shares.shipped)).clamp(0.0, 1.0)))
     }
 
-    /// Where the probability comes from that a person turns to a thing next.
+    /// The shares in the probability that a person turns to a thing next.
     pub(super) fn why_thing(&self, person: PersonId, label: usize) -> Option<Shares> {
         self.memory.habits.explain(person, label)
     }
 
-    /// Where the probability comes from that the next thing is in a room.
+    /// The shares in the probability that the next thing is in a room.
     pub(super) fn why_room(&self, person: PersonId, room: usize) -> Option<RoomShares> {
         self.memory.habits.explain_room(person, room)
     }
 
-    /// How many observations of a person the habits rest on.
+    /// Decayed observations of a person.
     pub(super) fn observations_of(&self, person: PersonId) -> f64 {
         self.memory.habits.observations(person)
     }
 
-    /// Forgets a person; says whether anything was known.
+    /// Forgets a person. Returns false if the person had no habits.
     pub(super) fn forget(&mut self, person: PersonId) -> bool {
         self.ahead.remove(&person);
         self.changes();
         self.memory.habits.forget(person)
     }
 
-    /// Replaces what was learned, but not of what; a map is to be bound next.
+    /// Replaces the habits, but not the ids of learned observations. The caller must bind a map next.
     pub(super) fn replace(&mut self, habits: Habits) {
         self.memory.habits = habits;
         self.memory.habits.set_learning(self.learn);
         self.changes();
     }
 
-    /// Forgets everybody; a map is to be bound next.
+    /// Forgets all persons. The caller must bind a map next.
     pub(super) fn forget_all(&mut self) {
         self.replace(Habits::new(*self.memory.habits.options()));
     }
 
-    /// What was learned, as JSON.
+    /// The habits as JSON.
     ///
     /// # Errors
-    /// When it cannot be written as JSON: a fault of the program.
+    /// When writing JSON fails: a fault of the program.
     pub fn to_json(&self) -> Result<String, StoredError> {
         self.memory.habits.to_json()
     }
 
-    /// Takes up what another run, or another home, has learned, in place of what this one has.
+    /// Replaces the habits by those of another run or home.
     pub(super) fn take_json(&mut self, json: &str) -> Result<(), StoredError> {
         let before = &self.memory.habits;
         let mut habits = Habits::from_json(*before.options(), json)?;
         if let Some((_, now_s)) = self.clock {
-            // It may be of a machine whose clock was ahead.
+            // They may come from a machine with a clock that is ahead.
             habits.no_later_than(now_s);
         }
         let places = before.persons().filter_map(|(person, _)| Some((person, before.place(person)?)));
@@ -654,41 +643,41 @@ impl HomeHabits {
         Ok(())
     }
 
-    /// How much is known.
+    /// Amount of learned data.
     #[must_use]
     pub fn learned(&self) -> Learned {
         self.memory.habits.learned()
     }
 
-    /// Per room of the map, how many visits ended in each part of the day.
+    /// Per room of the map, the number of visits that ended in each part of the day.
     pub(super) fn visits(&self) -> Vec<[f64; PARTS]> {
         self.clock.map_or_else(Vec::new, |(_, now_s)| self.memory.habits.visits(now_s))
     }
 
-    /// How often what is known was changed since the start: by an observation, by forgetting, by an import.
+    /// Number of changes of habits since the start: by observations, by forgetting, by imports.
     #[must_use]
     pub fn taken(&self) -> u64 {
         self.taken
     }
 
-    /// Whether anything is learned.
+    /// Whether habits are learned.
     #[must_use]
     pub(crate) fn learns_now(&self) -> bool {
         self.learn
     }
 
-    /// For about how many hours it was known where a person was.
+    /// Hours for which a person's place was known, about.
     pub(super) fn watched_h(&self, person: PersonId) -> f64 {
         self.memory.habits.watched_min(person) / 60.0
     }
 
-    /// Persons of whom something is known, with the number of observations.
+    /// Persons with habits, and their number of observations.
     #[must_use]
     pub fn persons(&self) -> Vec<(PersonId, f64)> {
         self.memory.habits.persons().collect()
     }
 
-    /// What is to be written, if anything has changed since this was asked last.
+    /// The state to write, if it has changed since the last call.
     pub fn memory_if_changed(&mut self) -> Option<Memory> {
         if !std::mem::take(&mut self.changed) {
             return None;
@@ -698,18 +687,18 @@ impl HomeHabits {
         Some(self.memory.clone())
     }
 
-    /// It could not be written: it is to be asked for again.
+    /// The state could not be written: the next call returns it again.
     pub fn keep_changed(&mut self) {
         self.changed = true;
     }
 }
 
-/// The room that somebody is in, if that is sure enough: one alone can be.
+/// The room with more than [`SURE`] probability; at most one can have it.
 fn sure_of(belief: &[f64]) -> Option<usize> {
     belief.iter().position(|p| *p > SURE)
 }
 
-/// What the forecast without habits says; elsewhere comes last.
+/// Writes the forecast without habits; elsewhere comes last.
 fn write_shipped(own: &Forecaster, now_s: f64, ahead_s: f64, out: &mut [f64]) {
     let Some((elsewhere, rooms)) = out.split_last_mut() else { return };
     rooms.fill(0.0);

@@ -12,17 +12,16 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use super::habits::Memory;
 use super::journal::{HabitRows, JournalHandle};
 
-/// A write waits at most this long for the disk.
+/// Longest wait of a write for the disk.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Work for the keeper.
 enum Work {
     Write(Box<Memory>),
-    /// The same after a person was forgotten: no byte of the old rows may stay. It gets an answer.
+    /// As `Write`, after a person was forgotten: no byte of the old rows may stay. It gets an answer.
     Forget(Box<Memory>, Instant, Sender<io::Result<()>>),
 }
 
-/// The keeper of the habits.
 #[derive(Debug)]
 pub(super) struct Keeper {
     /// The last write has failed.
@@ -42,17 +41,17 @@ impl Keeper {
         Ok(Self { failed, work: Some(work), thread: Some(thread) })
     }
 
-    /// Whether the last write has failed, so that the habits are to be handed over again. Says it once.
+    /// Whether the last write has failed, so that the habits must be passed again. Returns true once per failure.
     pub(super) fn has_failed(&self) -> bool {
         self.failed.swap(false, Ordering::Relaxed)
     }
 
-    /// Hands habits over, unless the last ones still wait.
+    /// Passes habits to the thread. Returns false if the last ones still wait.
     pub(super) fn write(&self, memory: Memory) -> bool {
         self.work.as_ref().is_some_and(|work| work.try_send(Work::Write(Box::new(memory))).is_ok())
     }
 
-    /// Hands the last habits over, and waits for the end of the thread.
+    /// Passes the last habits to the thread, and waits for its end.
     pub(super) fn finish(&mut self, memory: Option<Memory>) {
         if let (Some(work), Some(memory)) = (&self.work, memory) {
             // It fails only if the thread has ended, and the log says so.
@@ -64,7 +63,7 @@ impl Keeper {
         }
     }
 
-    /// Writes the habits that are left after a person was forgotten, `until` then at the latest.
+    /// Writes the remaining habits after a person was forgotten, and waits `until` then.
     pub(super) fn forget(&self, memory: Memory, until: Instant) -> io::Result<()> {
         let (done, answer) = bounded(1);
         let work = Work::Forget(Box::new(memory), until, done);
@@ -95,7 +94,7 @@ fn run(journal: &JournalHandle, queue: &Receiver<Work>, failed: &AtomicBool) {
         match work {
             Work::Write(memory) => _ = write(&memory, false, Instant::now() + PATIENCE),
             Work::Forget(memory, until, done) => {
-                // The asker may have lost patience.
+                // The asker may have stopped waiting.
                 let _told = done.send(write(&memory, true, until));
             }
         }

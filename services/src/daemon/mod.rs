@@ -3,15 +3,15 @@
 //! ```text
 //! scoring thread: inbox -> board -> room scores, item scores; heartbeat, status
 //! relief thread:  the inbox while the scoring thread is busy
-//! ahead thread:   scores of what may be narrated next, at a lower priority
+//! ahead thread:   scores of likely next events, at a lower priority
 //! main thread:    signals, watchdog
 //!
 //! inbox: narration port -> intake -> journal
 //! ```
 //!
-//! The inbox belongs to one thread at a time. The scoring thread reads it while it has nothing else to do, so that an event wakes one
-//! thread, not two. Before a step that may take long it hands the inbox to the relief thread, so that nothing that arrives meanwhile is
-//! lost: it waits in a queue and becomes part of the next step. The relief thread returns the inbox soon after the step.
+//! One thread at a time owns the inbox. The scoring thread reads it while idle, so that an event wakes one thread and not two. Before a step that may
+//! take long it hands the inbox to the relief thread, which queues new events for the next step. The relief thread returns the inbox soon after the
+//! step.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -86,9 +86,9 @@ pub use persons::{NotRenamed, Persons, flag_words};
 pub use persons_file::PersonsFile;
 pub use understood::{By, UNDERSTOOD_MAX};
 
-/// How often the main thread looks after the others.
+/// How often the main thread checks the other threads.
 const SUPERVISE: Duration = Duration::from_millis(500);
-/// How often what dead participants left is removed.
+/// How often resources of dead participants are removed.
 const CLEAN_UP_NS: u64 = 1_000_000_000;
 const LOG_INTERVAL_NS: u64 = 5_000_000_000;
 
@@ -97,7 +97,7 @@ fn journal_options(config: &DaemonConfig) -> Option<JournalOptions> {
     Some(JournalOptions { directory, bytes_max: config.journal_bytes, sync_ms: config.journal_sync_ms })
 }
 
-/// Why the daemon ended, or did not begin.
+/// Why the daemon ended or failed to start.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DaemonError {
@@ -122,44 +122,44 @@ pub enum DaemonError {
     /// A thread could not be started.
     #[error("cannot start the {name} thread: {source}; {}", limits::on_threads())]
     Thread {
-        /// Which.
+        /// Its name.
         name: &'static str,
-        /// The system's word.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A thread stands still.
+    /// A thread made no progress.
     #[error("the {name} thread has not moved for {seconds} s (daemon.hang_s): giving up, so that it can be restarted")]
     Hung {
-        /// Which.
+        /// Its name.
         name: &'static str,
-        /// How long.
+        /// For how long.
         seconds: u64,
     },
     /// A thread ended by itself.
     #[error("the {name} thread ended unexpectedly; the log says why")]
     Ended {
-        /// Which.
+        /// Its name.
         name: &'static str,
     },
 }
 
 /// Runs until asked to stop, with the configured model.
 ///
-/// Both ways to run are compiled here: in the program, which calls them, they would be compiled at the end of every build, when
-/// nothing else is left to do beside them.
+/// `run` and `run_without_model` are compiled in this crate. In the program they would be compiled last, when the build has no other work left to run
+/// in parallel.
 ///
 /// # Errors
 ///
-/// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
+/// [`DaemonError`] when the daemon cannot start, hangs, or loses a service.
 pub fn run(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
     run_with(config, domain, stop, setup::configured_model)
 }
 
-/// Runs until asked to stop, with every word as likely as every other: what is left is the price of everything but the model.
+/// Runs until asked to stop, with uniform token probabilities, to measure the cost of everything except the model.
 ///
 /// # Errors
 ///
-/// [`DaemonError`] when it cannot begin, hangs, or a service is lost.
+/// [`DaemonError`] when the daemon cannot start, hangs, or loses a service.
 pub fn run_without_model(config: &Config, domain: &Domain, stop: &Stop) -> Result<(), DaemonError> {
     run_with(config, domain, stop, |_| Ok(NoModel::default()))
 }
@@ -177,8 +177,8 @@ fn run_with<M: LanguageModel + Send + 'static>(
         return Err(DaemonError::AddressSpace(fault));
     }
     let node = join(domain, "roomcast-daemon")?;
-    // First the services, of which only one daemon can hold the scores', then the inbox, then the model, which takes longest: narration
-    // that comes meanwhile waits in the port.
+    // The services come first, because only one daemon can hold the scores' service; then the inbox; then the model, which takes longest. Events that
+    // arrive during loading wait in the port.
     let ports = Ports::open(&node)?;
     let narration = node.subscriber::<NarrationV1>()?;
     let (desk, aside) = aside::pair(config.scoring.prepare_share, config.scoring.prepare_on_battery);
@@ -222,7 +222,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let relief = spawn("relief", &ending, move || relief.run())?;
     let cores = config.model.cores.clone();
     let work_ahead = move |ahead| {
-        // Where the scorer has cores of its own, this leaves the others alone too.
+        // If the scorer has cores of its own, the prefetcher uses only these, too.
         affinity::bind(&cores)?;
         aside.run(ahead);
         Ok::<(), DaemonError>(())
@@ -231,10 +231,10 @@ fn run_with<M: LanguageModel + Send + 'static>(
     supervise(config, &node, stop, &progress, &ended, Threads { scoring, relief, ahead })
 }
 
-/// What is read before the daemon listens.
+/// Everything that is loaded before the daemon listens.
 struct Loaded<M> {
     board: Board<M>,
-    /// None where nothing is prepared.
+    /// `None` when prefetching is off.
     ahead: Option<Ahead<M, LlamaModel>>,
     kept_map: Option<KeptMap>,
     /// None without a state directory.
@@ -252,7 +252,7 @@ fn load<M: LanguageModel + Send + 'static>(
 ) -> Result<Loaded<M>, DaemonError> {
     let state = config.daemon.state_directory();
     if let Some(directory) = &state {
-        // A directory that cannot be written is told of where something is to be written.
+        // An unwritable directory is reported at the first write.
         let _removed = crate::state_file::remove_unfinished(&directory.join(map_change::FILE));
     }
     for odd in config.persons.odd_names([]) {
@@ -263,7 +263,7 @@ fn load<M: LanguageModel + Send + 'static>(
     let map = kept_map.as_ref().and_then(KeptMap::load).unwrap_or(configured);
     let pipeline = set_up(|| setup::open_with(config, &map, model))??;
     let token_counter = pipeline.inside().token_counter();
-    // Who only names narrators elsewhere does not say that those here are strangers.
+    // If the configuration names only relayed narrators, local ones are not unknown narrators.
     let guards = config.daemon.narrator.iter().any(|known| !known.relayed);
     let named = config.daemon.narrator.iter().filter(|_| guards);
     let keeper = journal.map(Keeper::start).transpose();
@@ -291,7 +291,7 @@ fn load<M: LanguageModel + Send + 'static>(
     Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
 }
 
-/// The habits in the state database, or in the file of an earlier version.
+/// The habits of the state database, or of an earlier version's file.
 fn memory(directory: Option<&Path>, rows: Option<HabitRows>, options: HabitsOptions) -> Memory {
     let memory = match rows {
         Some(rows) => rows
@@ -308,7 +308,7 @@ fn memory(directory: Option<&Path>, rows: Option<HabitRows>, options: HabitsOpti
     memory.unwrap_or_else(|| Memory::new(options))
 }
 
-/// The embedded model beside a configured one, for guesses. None where that is the embedded one itself, and where there is no memory for two.
+/// The embedded model for guesses, if another model is configured and memory suffices for both.
 fn drafter(config: &Config, configured: &ModelInfo, is_stopped: IsStopped) -> Option<Drafter<LlamaModel>> {
     if !config.scoring.draft || config.model.path.is_none() {
         return None;
@@ -327,7 +327,7 @@ fn drafter(config: &Config, configured: &ModelInfo, is_stopped: IsStopped) -> Op
     })
 }
 
-/// What the status answer says of this start.
+/// The first status answer.
 fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusResponseV1 {
     let snapshot = board.snapshot();
     StatusResponseV1 {
@@ -345,7 +345,7 @@ fn first_tally<M: LanguageModel>(board: &Board<M>, restored: u64) -> StatusRespo
     }
 }
 
-/// Enters the observations of a former run of the daemon. Gives their number.
+/// Restores the events of a former run. Returns their number.
 fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake: &mut Intake) -> u64 {
     let (restored, damaged) = (recovered.observations.len() as u64, recovered.damaged);
     let set_aside = recovered.set_aside.clone();
@@ -372,18 +372,17 @@ fn restore<M: LanguageModel>(recovered: Recovered, cycle: &mut Cycle<M>, intake:
     restored
 }
 
-/// Threads that are started, and what the one is called whose end ends the others.
+/// Number of threads. If the scoring thread ends, the others end.
 const THREADS: usize = 3;
 const SCORING: &str = "scoring";
 
-/// They.
 struct Threads {
     scoring: JoinHandle<Result<(), DaemonError>>,
     relief: JoinHandle<()>,
     ahead: Option<JoinHandle<Result<(), DaemonError>>>,
 }
 
-/// The main thread's work: signals, the watchdog, what dead participants left. Returns when the threads have ended.
+/// Runs the main thread: signals, the watchdog, cleaning up after dead participants. Returns when the threads have ended.
 fn supervise(
     config: &Config,
     node: &Node,
@@ -403,7 +402,7 @@ fn supervise(
         if let Some(name) = name
             && !stop.requested()
         {
-            // The others end with the scoring thread, whose end is the cause then.
+            // The other threads end with the scoring thread, so its end is the cause.
             let is_by_scoring =
                 || std::iter::from_fn(|| ended.recv_timeout(SUPERVISE).ok()).any(|name| name == SCORING);
             if name != SCORING && !is_by_scoring() {
@@ -417,7 +416,7 @@ fn supervise(
         let now_ns = clock::monotonic_ns();
         let (name, still_ns) = progress_ns.slowest(now_ns);
         let is_still = still_ns > config.daemon.hang_s.saturating_mul(1_000_000_000);
-        // After a suspension nobody has moved for long: whoever has not moved by the next look either hangs.
+        // After a suspension no thread has moved for long. A thread that has not moved by the next check either hangs.
         if is_still && was_still {
             return Err(DaemonError::Hung { name, seconds: still_ns / 1_000_000_000 });
         }
@@ -429,7 +428,7 @@ fn supervise(
         }
     }
     notify(&[NotifyState::Stopping]);
-    // The relief thread returns the inbox; the scoring thread finishes what it has received.
+    // The relief thread returns the inbox, and the scoring thread finishes the received events.
     relief.join().map_err(|_| DaemonError::Ended { name: "relief" })?;
     scoring.join().map_err(|_| DaemonError::Ended { name: SCORING })??;
     ahead.map_or(Ok(Ok(())), JoinHandle::join).map_err(|_| DaemonError::Ended { name: "ahead" })??;
@@ -437,7 +436,7 @@ fn supervise(
     Ok(())
 }
 
-/// Starts a thread that says in `ending` when it ends, however it does.
+/// Starts a thread that reports its end in `ending`, also after a panic.
 fn spawn<T: Send + 'static>(
     name: &'static str,
     ending: &Sender<&'static str>,
@@ -446,7 +445,7 @@ fn spawn<T: Send + 'static>(
     struct Ending(&'static str, Sender<&'static str>);
     impl Drop for Ending {
         fn drop(&mut self) {
-            // Each says it once, and there is room for all.
+            // Each thread reports once, and the channel has room for all.
             let _said = self.1.try_send(self.0);
         }
     }
@@ -458,11 +457,10 @@ fn spawn<T: Send + 'static>(
     std::thread::Builder::new().name(name.to_owned()).spawn(run).map_err(|source| DaemonError::Thread { name, source })
 }
 
-/// Runs what uses the model before the scoring thread does, on a thread that ends with it.
+/// Runs model work on a temporary thread before the scoring thread starts.
 ///
-/// The threads of a decoder call belong to the thread that makes it, and stay as long as that one. Beside the scoring thread's they would be
-/// more than there are cores, and of so many OpenMP puts to sleep whoever waits for the others, a hundred times in a call: an event
-/// took twice the time.
+/// Threads of a decoder call belong to the calling thread and live as long as it. Together with the scoring thread's there would be more threads than
+/// cores. OpenMP then puts waiting threads to sleep, a hundred times in a call: an event took twice the time.
 fn set_up<T: Send>(run: impl FnOnce() -> T + Send) -> Result<T, DaemonError> {
     std::thread::scope(|scope| {
         let thread = std::thread::Builder::new().name("setup".to_owned()).spawn_scoped(scope, run);
@@ -471,7 +469,7 @@ fn set_up<T: Send>(run: impl FnOnce() -> T + Send) -> Result<T, DaemonError> {
     })
 }
 
-/// When each thread moved last, in monotonic nanoseconds: what the watchdog looks at.
+/// When each thread moved last, in monotonic nanoseconds, for the watchdog.
 #[derive(Debug, Clone)]
 struct Progress {
     relief_ns: Arc<AtomicU64>,
@@ -486,7 +484,7 @@ impl Default for Progress {
 }
 
 impl Progress {
-    /// The thread that stood still longest, and for how long, in nanoseconds.
+    /// The thread without progress for the longest time, and that time in nanoseconds.
     fn slowest(&self, now_ns: BootNs) -> (&'static str, u64) {
         let still = |moved: &AtomicU64| now_ns.since(BootNs(moved.load(Ordering::Relaxed)));
         let (relief_ns, scoring_ns) = (still(&self.relief_ns), still(&self.scoring_ns));

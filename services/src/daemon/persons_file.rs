@@ -8,28 +8,28 @@ use super::journal::{self, JournalHandle, KeptPerson};
 use roomcast_core::ids::PersonId;
 use roomcast_core::narration::{ReadName, check_name};
 
-/// Most persons with a name that the home gave.
+/// Most persons with a name from the home.
 pub const NAMED_MAX: usize = 10_000;
-/// A change waits at most this long for the disk.
+/// Longest wait of a change for the disk.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// The names that the home gave.
+/// The names from the home.
 #[derive(Debug, Default, Clone)]
 pub struct PersonsFile {
-    /// Without a state directory nothing outlives the daemon.
+    /// `None` without a state directory: names are lost at the end.
     journal: Option<JournalHandle>,
     persons: Vec<KeptPerson>,
     index: Index,
 }
 
-/// Where the persons stand that somebody asks for: a sentence asks for many names, and a home may have ten thousand.
+/// Finds persons by name and number: a sentence looks up many names, and a home may have ten thousand.
 #[derive(Debug, Default, Clone)]
 struct Index {
     by_number: HashMap<PersonId, usize>,
-    /// By all names, as they are compared.
+    /// By all names, normalised for comparison.
     by_name: HashMap<String, usize>,
     /// By the numbers that follow from their names.
     by_named_number: HashMap<PersonId, usize>,
-    /// The newest names, and who shares what with other names that may be theirs.
+    /// The newest names, and per name or first name the persons that share it.
     names: Vec<ReadName>,
     sharing: HashMap<String, Vec<usize>>,
 }
@@ -57,14 +57,14 @@ impl Index {
 }
 
 impl PersonsFile {
-    /// The names in a database that another process has, for reading; without one there are none.
+    /// The names in another process's database, for reading; empty without a database.
     #[must_use]
     pub fn load(directory: &Path) -> Self {
         let persons = journal::look(directory).map(|recovered| recovered.persons);
         Self::new(persons.unwrap_or_else(|_| journal::old_persons(directory)), None)
     }
 
-    /// The names in the database, and the way to change them. Persons that a hand has made two of one are left out.
+    /// The names in the database, and the access for changes. If names or numbers are duplicate, all names are left out.
     #[must_use]
     pub(super) fn new(persons: Vec<KeptPerson>, journal: Option<JournalHandle>) -> Self {
         let persons = check(&persons).map(|()| persons).unwrap_or_else(|reason| {
@@ -74,20 +74,20 @@ impl PersonsFile {
         Self { journal, index: Index::new(&persons), persons }
     }
 
-    /// The persons with a name that the home gave.
+    /// The persons with a name from the home.
     #[must_use]
     pub fn persons(&self) -> &[KeptPerson] {
         &self.persons
     }
 
-    /// The number of a name: the one that the home gave it, or the one that follows from the name.
+    /// The number of a name: from the home, or else derived from the name.
     #[must_use]
     pub fn number_of(&self, name: &str) -> PersonId {
         let name = ReadName::new(name);
         self.given_number(&name).unwrap_or(name.number())
     }
 
-    /// The number that the home gave a name.
+    /// The number that the home gave to a name.
     pub(super) fn given_number(&self, name: &ReadName) -> Option<PersonId> {
         self.index.by_name.get(name.whole()).map(|at| self.persons[*at].number)
     }
@@ -110,13 +110,13 @@ impl PersonsFile {
         sharing.map(|at| (self.persons[*at].number, &self.index.names[*at]))
     }
 
-    /// Whether a change outlives the daemon: there is a state database, and its last sync went well.
+    /// Whether a change survives a restart: there is a state database, and its last sync succeeded.
     #[must_use]
     pub fn is_kept(&self) -> bool {
         self.journal.as_ref().is_some_and(JournalHandle::is_kept)
     }
 
-    /// Puts a person in place of the one with that number. The database changes first: if it cannot be written, nothing changes.
+    /// Replaces the person with that number. The database changes first: if it cannot be written, nothing changes.
     ///
     /// # Errors
     /// When the state database cannot be written, or there would be too many persons.
@@ -150,7 +150,7 @@ impl PersonsFile {
     }
 }
 
-/// Refuses a name or number that stands twice: it would make one person of two.
+/// Refuses duplicate names and numbers: they would merge two persons.
 fn check(persons: &[KeptPerson]) -> Result<(), String> {
     let (mut numbers, mut names) = (HashMap::new(), HashMap::new());
     for (at, person) in persons.iter().enumerate() {
@@ -203,7 +203,7 @@ mod tests {
         let again = PersonsFile::load(directory.path());
         assert_eq!(again.persons(), file.persons());
         assert_eq!(again.number_of(" ada l. "), PersonId(3));
-        // A narrator that knows the former name goes on with it.
+        // A narrator that knows the former name continues to use it.
         assert_eq!((again.number_of("ada"), again.number_of("adele")), (PersonId(3), person_number("adele")));
         file.remove(PersonId(3)).unwrap();
         assert!(file.is_kept() && PersonsFile::load(directory.path()).of_number(PersonId(3)).is_none());

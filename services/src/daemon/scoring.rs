@@ -1,4 +1,4 @@
-//! The scoring thread: takes narration in, scores, sends, and answers questions.
+//! The scoring thread: receives events, scores, sends, and answers questions.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError};
@@ -31,13 +31,13 @@ use crate::stop::Stop;
 use roomcast_core::ids::BootNs;
 use roomcast_core::scorer::LanguageModel;
 
-/// Silence before work for which nobody waits: a burst of narration is not held up by it.
+/// Silence before low-priority work, so that it does not delay a burst of events.
 const QUIET_NS: u64 = 50_000_000;
-/// How often connections are renewed at least. Whoever joins or asks by this contract's crate wakes the daemon by itself.
+/// Longest time between renewals of connections. Participants that use this contract's crate wake the daemon when they join or ask.
 const TICK: Duration = Duration::from_millis(250);
-/// While a step that takes less runs, the port holds what comes: another thread that is woken for it takes a core from the step.
+/// During shorter steps the port buffers the events: waking another thread for them would take a core from the step.
 const SHORT_STEP_NS: u64 = 5_000_000;
-/// Scores wait at most this long for the journal; after that they are sent without claiming what it does not hold yet.
+/// Longest wait of scores for the journal. After that they are sent without the claim to events that the journal lacks.
 const JOURNAL_PATIENCE: Duration = Duration::from_millis(5);
 
 /// What the daemon sends and answers through.
@@ -59,7 +59,7 @@ pub(super) struct Ports {
 }
 
 impl Ports {
-    /// Opens all of them, the one that only one daemon can hold first.
+    /// Opens all ports, the exclusive one first.
     pub(super) fn open(node: &Node) -> Result<Self, IpcError> {
         Ok(Self {
             scores: node.publisher()?,
@@ -89,22 +89,22 @@ pub(super) struct Scoring<M> {
     answered_habits: Answered<HabitsAnswer>,
     importing: Importing,
     kept_map: Option<KeptMap>,
-    /// Writes what was learned; none without a state directory.
+    /// Writes the habits; `None` without a state directory.
     keeper: Option<Keeper>,
     save_ns: u64,
     saved_ns: BootNs,
     inbox: Lending,
-    /// What the last step took, as a guess at the next.
+    /// Duration of the last step, as an estimate of the next.
     step_ns: u64,
-    /// Whoever scores ahead; none where nothing is prepared.
+    /// The background scorer; `None` when prefetching is off.
     desk: Option<Desk>,
-    /// It was interrupted since it was told what is so.
+    /// It was interrupted since the last snapshot for prefetching.
     is_interrupted: bool,
-    /// Until when what waits for silence waits.
+    /// Low-priority work is postponed until this time.
     quiet_ns: BootNs,
-    /// There is something to tidy up.
+    /// The board has work for [`Cycle::tidy`].
     is_untidy: bool,
-    /// What a sentence may cost with the map in use, for the intake.
+    /// Most tokens of a sentence with the map in use, for the intake.
     sentence_tokens_max: Arc<AtomicUsize>,
     journal: Option<JournalHandle>,
     counters: Counters,
@@ -115,7 +115,7 @@ pub(super) struct Scoring<M> {
     stop: Stop,
 }
 
-/// What the scoring thread works with beside its ports and the board.
+/// Further parts of the scoring thread.
 pub(super) struct Tools {
     pub(super) kept_map: Option<KeptMap>,
     pub(super) keeper: Option<Keeper>,
@@ -129,7 +129,7 @@ pub(super) struct Tools {
 }
 
 impl<M: LanguageModel> Scoring<M> {
-    /// `tally` is what the status answer says from the start.
+    /// `tally` is the first status answer.
     pub(super) fn new(cycle: Cycle<M>, ports: Ports, inbox: Lending, tools: Tools, tally: StatusResponseV1) -> Self {
         let Tools { kept_map, keeper, save_ns, sentence_tokens_max, journal, counters, progress, desk, stop } = tools;
         Self {
@@ -178,7 +178,7 @@ impl<M: LanguageModel> Scoring<M> {
             self.see_robots(now_ns)?;
             let mut is_scored = false;
             if self.cycle.step_due(now_ns) {
-                // Once it is to stop, what it hears with stays here: else it would go on as long as a step is due.
+                // A stopping thread keeps the inbox: otherwise it would continue while a step is due.
                 if !last && !self.stop.requested() && self.step_ns >= SHORT_STEP_NS {
                     self.inbox.lend();
                 }
@@ -197,14 +197,14 @@ impl<M: LanguageModel> Scoring<M> {
                 self.finish_habits();
                 return Ok(());
             }
-            // What comes after may wait for the scores: looking for questions alone takes as long as a small step.
+            // The rest may wait for the scores: checking for questions alone takes as long as a small step.
             self.renew_connections()?;
             if self.change_map()? || self.answer_about_persons()? {
                 self.cycle.score_again();
             }
             self.answer_about_habits()?;
             self.ports.status.answer(|| self.tally())?;
-            // Whoever asks meanwhile waits for the first scores of a changed map.
+            // These questions wait for the first scores of a changed map.
             if self.cycle.board().is_scored() {
                 let board = self.cycle.board_mut();
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
@@ -218,7 +218,7 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// Sleeps until there is narration or `patience` has passed, and takes in all that was received, unless enough waits already.
+    /// Sleeps until an event arrives or `patience` has passed, and receives all events, unless the queue is full.
     fn take(&mut self, patience: Duration) {
         if self.cycle.waiting() >= QUEUE {
             return;
@@ -230,7 +230,7 @@ impl<M: LanguageModel> Scoring<M> {
         });
     }
 
-    /// Takes in where robots are and go: their motion explains what sensors see. A malformed message says nothing.
+    /// Receives positions and targets of robots, whose motion explains sensor events. Malformed messages are ignored.
     fn see_robots(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         let (ports, board) = (&mut self.ports, self.cycle.board_mut());
         while ports.decisions.receive_into(&mut ports.decision)? {
@@ -242,7 +242,7 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(())
     }
 
-    /// Hands the newest messages to whoever has joined since.
+    /// Sends the newest messages to new participants.
     fn renew_connections(&mut self) -> Result<(), IpcError> {
         self.ports.scores.tick()?;
         if self.ports.items.tick()? && self.cycle.board().snapshot().sequence > 0 {
@@ -265,11 +265,10 @@ impl<M: LanguageModel> Scoring<M> {
         self.ports.items.send(header, items)
     }
 
-    /// Gives whether it scored.
+    /// Returns true if all persons have scores.
     fn step(&mut self, now_ns: BootNs) -> bool {
         self.tally.steps += 1;
         let waited = self.cycle.waiting();
-        // Attributions do not depend on scores: the journal writes them while the model scores.
         let (journal, mut attributed) = (&self.journal, 0);
         let mut tell = |board: &mut Board<M>| {
             board.tell_moved(|moved| attributed = journal.as_ref().map_or(0, |journal| journal.keep_moved(moved)));
@@ -295,11 +294,11 @@ impl<M: LanguageModel> Scoring<M> {
                 "the journal is slower than the scorer; narration is confirmed when it is written"
             );
         }
-        // Not while some have no scores of a changed map yet.
+        // False while persons lack scores of a changed map.
         self.cycle.board().is_scored()
     }
 
-    /// Writes down what is expected of whom, and who is gone, so that a restart believes the same.
+    /// Writes expectations and departures to the journal, so that a restart believes the same.
     fn tell_expected(&mut self) {
         let journal = &self.journal;
         self.cycle.board_mut().tell_gone(|person| {
@@ -314,7 +313,7 @@ impl<M: LanguageModel> Scoring<M> {
         });
     }
 
-    /// Takes what was scored ahead; where there is narration, that ends.
+    /// Takes prefetched scores. An event interrupts prefetching.
     fn take_answers(&mut self, is_event: bool) {
         let Some(desk) = &self.desk else { return };
         if is_event {
@@ -325,19 +324,19 @@ impl<M: LanguageModel> Scoring<M> {
         desk.answers().for_each(|answer| board.keep_answer(answer));
     }
 
-    /// Whether there is something to look ahead from.
+    /// Whether the prefetcher needs a new snapshot.
     fn is_ahead_due(&self) -> bool {
         let board = self.cycle.board();
         self.desk.is_some() && board.is_scored() && (self.is_interrupted || board.is_ahead_due())
     }
 
-    /// How long until what waits for silence is done.
+    /// Time until low-priority work is due.
     fn until_quiet_ns(&self, now_ns: BootNs) -> u64 {
         if self.is_untidy || self.is_ahead_due() { self.quiet_ns.since(now_ns) } else { u64::MAX }
     }
 
-    /// Does a small part of what waits for silence: tidies up, then says what is so now to whoever scores ahead. At once it would take the core
-    /// from whoever the scores have woken: the system lets them wait there, since whoever wakes others mostly sleeps then.
+    /// Does a small part of the low-priority work: tidies up, or passes a snapshot to the prefetcher. Right after the scores it would take the core
+    /// from the processes that the scores have woken: the scheduler queues them here, since a waking process mostly sleeps soon.
     fn use_silence(&mut self) {
         if self.until_quiet_ns(clock::monotonic_ns()) > 0 || self.inbox.has_more() {
             return;
@@ -350,7 +349,7 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// Sends what is to be sent now; `events` narrations came since the last time.
+    /// Sends the due messages; `events` arrived since the last call.
     fn send(&mut self, events: u64) -> Result<(), IpcError> {
         let before_ns = clock::monotonic_ns();
         let written = self.journal.as_ref().map_or(u64::MAX, JournalHandle::written);
@@ -361,16 +360,16 @@ impl<M: LanguageModel> Scoring<M> {
         let Some(message) = self.cycle.message(before_ns, written, behind) else { return Ok(()) };
         self.ports.scores.send(message)?;
         let (is_heartbeat, after_ns) = (message.has(score_flags::HEARTBEAT), clock::monotonic_ns());
-        // Behind the scores, which wait for nothing; a planner waits for the forecast that belongs to them. Time alone changes where a
-        // person may be, so a heartbeat has a new one too. All are sent, whoever listens: who joins later is given the last one, which is
-        // no older than the scores, and names nobody who is forgotten.
+        // These follow the scores, which wait for nothing; a planner waits for the matching forecast. Time alone changes where a person may be, so
+        // each heartbeat has a new forecast. All are sent even without subscribers: a later subscriber gets the last ones, which are as new as the
+        // scores and name no forgotten person.
         self.send_about_persons(before_ns)?;
         if is_heartbeat {
             self.tally.heartbeats += 1;
             return Ok(());
         }
         self.tally.published += 1;
-        // Also what a step before took in that failed: its wait was the longest.
+        // Includes the events of a failed step, which waited longest.
         if let Some(received_ns) = self.cycle.newly_received_ns()
             && let Some(latency_ns) = &mut self.latency_ns
         {
@@ -381,7 +380,7 @@ impl<M: LanguageModel> Scoring<M> {
         if self.ports.items.wanted() {
             self.send_items()?;
         }
-        // Every event has one of these: metrics and the status answer tell the same in sum.
+        // Every event has one of these lines, so that metrics and the status answer agree in sum.
         tracing::debug!(
             sequence = message.sequence,
             events,
@@ -405,7 +404,6 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(())
     }
 
-    /// Sends the forecast, the persons' scores and their forecasts.
     fn send_about_persons(&mut self, now_ns: BootNs) -> Result<(), IpcError> {
         self.ports.forecasts.send(self.cycle.board_mut().forecast(now_ns))?;
         self.ports.persons.send(self.cycle.board_mut().person_scores(now_ns))?;
@@ -413,7 +411,7 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(())
     }
 
-    /// Does what was asked of the map; returns whether it changed.
+    /// Applies requested map changes. Returns true if the map changed.
     fn change_map(&mut self) -> Result<bool, IpcError> {
         let Self { cycle, answered, journal, kept_map, ports, tally, inbox, sentence_tokens_max, .. } = self;
         let board = cycle.board_mut();
@@ -436,7 +434,7 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(changed)
     }
 
-    /// Answers questions about persons; returns whether somebody was forgotten or has another name.
+    /// Answers questions about persons. Returns true if a person was forgotten or renamed.
     fn answer_about_persons(&mut self) -> Result<bool, IpcError> {
         let Self { cycle, answered_persons, answered_habits, ports, journal, keeper, inbox, .. } = self;
         let Ports { moments, habits_questions, person_questions, .. } = ports;
@@ -451,7 +449,7 @@ impl<M: LanguageModel> Scoring<M> {
                 }
                 let answer = answer_about_person(board, (journal.as_ref(), keeper.as_ref()), asked);
                 if changes {
-                    // Answers that nobody has read may tell of them.
+                    // Unread answers may name a forgotten person.
                     [&*moments, &*habits_questions, &*person_questions]
                         .into_iter()
                         .for_each(AnswerPort::forget_answers);
@@ -463,7 +461,7 @@ impl<M: LanguageModel> Scoring<M> {
                 answer
             });
             if is_new {
-                // Those before may tell of somebody who is forgotten now.
+                // Earlier remembered answers may name a forgotten person.
                 answered_persons.cut_before_last(|answer| answer.persons.clear());
                 answered_habits.cut(|answer| answer.persons.clear());
             }
@@ -472,7 +470,6 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(changed)
     }
 
-    /// Answers questions about habits.
     fn answer_about_habits(&mut self) -> Result<(), IpcError> {
         let Self { cycle, answered_habits, importing, ports, keeper, inbox, .. } = self;
         let (board, habits_questions) = (cycle.board_mut(), &ports.habits_questions);
@@ -483,7 +480,7 @@ impl<M: LanguageModel> Scoring<M> {
                 let (mut answer, after) = habits_question::answer(board, importing, asked, clock::monotonic_ns());
                 answer.kept = keeper.is_some();
                 if after == After::Forget {
-                    // Answers that nobody has read tell of what is forgotten, and so do those that are remembered.
+                    // Unread and remembered answers contain forgotten habits.
                     habits_questions.forget_answers();
                     is_new = true;
                     if let Err(error) = write_habits(board, keeper.as_ref(), Instant::now() + FORGET_PATIENCE) {
@@ -505,7 +502,7 @@ impl<M: LanguageModel> Scoring<M> {
         Ok(())
     }
 
-    /// Lets habits count time, and has them written now and then.
+    /// Lets habits count time, and saves them at intervals.
     fn look_after_habits(&mut self, now_ns: BootNs) {
         let board = self.cycle.board_mut();
         board.tick(now_ns, clock::unix_ns());
@@ -522,9 +519,9 @@ impl<M: LanguageModel> Scoring<M> {
         }
     }
 
-    /// Writes what was learned, before the end.
+    /// Writes the habits before the end.
     fn finish_habits(&mut self) {
-        // What was observed last, too.
+        // The last observations count, too.
         self.cycle.tidy();
         let habits = self.cycle.board_mut().habits_mut();
         if self.keeper.as_ref().is_some_and(Keeper::has_failed) {
@@ -575,7 +572,7 @@ impl<M: LanguageModel> Scoring<M> {
     }
 }
 
-/// A reason as a line of the log has room for: it may quote a question, which may be long.
+/// Shortens a reason for the log, because it may quote a long question.
 fn for_the_log(reason: &str) -> String {
     reason.chars().take(200).collect()
 }

@@ -1,8 +1,7 @@
-//! The round across a restart: a small file in the state directory, written whole or not at all.
+//! The round across a restart: a small file in the state directory, written atomically.
 //!
-//! It is written after a decision was sent, and after reports were taken. What a planner that is killed has not written comes again from
-//! a reporter that is still there: the service keeps its last 8 reports for whoever joins. Those of work and dock that the round rests on already
-//! are known by their numbers, and not taken twice.
+//! It is written after each decision and after reports. If a planner is killed before it writes, its successor gets the reports again from a living
+//! reporter: the service keeps each reporter's last 8. Reports of work and dock that the stored round contains are recognised by number and skipped.
 
 use std::path::Path;
 
@@ -14,29 +13,29 @@ use super::{Planner, Standing};
 use crate::clock;
 use crate::state_file::{self, Kept};
 
-/// How often the file says that a robot which charges was heard.
+/// How often the file records that a charging robot was heard.
 const MINUTE_NS: u64 = 60_000_000_000;
 
-/// Most bytes of the file that are read.
+/// Largest readable file, in bytes.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
-/// What a planner keeps of its round. Times are monotonic nanoseconds of one boot.
+/// The stored round of a planner. Times are monotonic nanoseconds of one boot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct KeptRound {
-    /// The boot that the times belong to.
+    /// The boot of the times.
     boot: String,
-    /// The map that the rooms are of, in hexadecimal.
+    /// Fingerprint of the rooms' map, in hexadecimal.
     map: String,
     began_ns: Option<BootNs>,
-    /// When the round before was due.
+    /// Due time of the previous round.
     #[serde(default)]
     due_ns: Option<BootNs>,
     done: Vec<String>,
-    /// Rooms that the robot could not do, and when.
+    /// Rooms that the robot could not do, with the time of the failure.
     #[serde(default)]
     failed: Vec<(String, BootNs)>,
-    /// How often in a row it could not do each of them; once where an older version did not keep it.
+    /// Failures in a row of each of these rooms; 1 in files of older versions.
     #[serde(default)]
     failures: Vec<u32>,
     /// Rooms that were left to a person.
@@ -47,13 +46,13 @@ pub struct KeptRound {
     reports_work: bool,
     battery: Option<f64>,
     charges: bool,
-    /// The minute in which a robot that charges was heard last.
+    /// The minute in which a charging robot was last heard.
     #[serde(default)]
     heard_ns: Option<BootNs>,
-    /// Reporters by their epoch, and the newest report of work or dock of each that the round rests on.
+    /// Per epoch of a reporter, the newest report of work or dock in this round.
     #[serde(default)]
     told: Vec<(u64, u64)>,
-    /// How often in a row the robot failed before it began, and until when it is left alone.
+    /// Failures in a row before the robot began, and the end of its pause.
     #[serde(default)]
     trouble: (u32, BootNs),
 }
@@ -67,18 +66,18 @@ struct KeptWork {
     ends_ns: BootNs,
     waits: bool,
     started: bool,
-    /// Nobody was likely there when it began, or they have left since: who is there came after it.
+    /// The room was probably empty when work began, or its persons left since: a person there came later.
     #[serde(default = "yes")]
     alone: bool,
 }
 
-/// An older version did not keep it: who is there then interrupts.
+/// Older versions did not store it: a person in the room then interrupts.
 fn yes() -> bool {
     true
 }
 
 impl Planner {
-    /// What is to be kept of the round; none before the first scores.
+    /// The round to store; `None` before the first scores.
     #[must_use]
     pub fn kept(&self, boot: &str) -> Option<KeptRound> {
         let scores = self.scores.as_ref()?;
@@ -95,7 +94,7 @@ impl Planner {
             failures: self.round.failed().map(|(_, _, failures)| failures).collect(),
             held: held.map(|(room, _)| id(room)).collect(),
             room: self.robot.room.map(id),
-            // Of a robot that decides with every score no work outlasts the planner.
+            // A robot with a decision at every score has no work that outlasts the planner.
             work: self.robot.work.as_ref().filter(|_| self.round.stay_ns > 0).map(|work| KeptWork {
                 room: id(work.room),
                 decisions: work.decisions.clone(),
@@ -118,7 +117,7 @@ impl Planner {
         })
     }
 
-    /// Takes up a round that was kept, if it is of the rooms that the scores are of.
+    /// Restores a stored round if the scores have the same map.
     pub(super) fn restore(&mut self, kept: &KeptRound) {
         let Some(scores) = self.scores.filter(|scores| hex::encode(scores.map_fingerprint) == kept.map) else { return };
         let room = |id: &str| scores.rooms().iter().position(|room| room.id() == id);
@@ -133,13 +132,13 @@ impl Planner {
         (self.round.began_ns, self.round.due_ns) = (kept.began_ns, kept.due_ns);
         let robot = &mut self.robot;
         robot.room = kept.room.as_deref().and_then(room);
-        // A robot that only waits is told again where: it is not to work there.
+        // A waiting robot gets its decision again: it must not work there.
         robot.work = kept.work.as_ref().filter(|work| !work.waits).and_then(|work| {
             let KeptWork { decisions, began_ns, ends_ns, waits, started, .. } = work.clone();
             Some(Work { room: room(&work.room)?, decisions, began_ns, ends_ns, waits, started })
         });
         if let (Some(work), Some(kept)) = (&robot.work, &kept.work) {
-            // Whoever came while nobody looked is noticed too.
+            // A person who came during the restart interrupts, too.
             self.interruption.go_on(work.room, kept.alone);
         }
         if robot.work.is_some() {
@@ -148,19 +147,19 @@ impl Planner {
         robot.reports_work = kept.reports_work;
         robot.restore_told(&kept.told);
         robot.restore_trouble(kept.trouble);
-        // An older version kept no time: a robot that charges counts as heard when its round was taken up.
+        // Older versions stored no time: a charging robot counts as heard when the round is restored.
         robot.heard_ns = kept.heard_ns.or(kept.charges.then_some(BootNs(scores.published_ns)));
         (robot.battery, robot.charges) = (kept.battery, kept.charges && kept.battery.is_some());
     }
 
-    /// Whether scores have said which rooms there are: reports before that are to wait.
+    /// Whether scores have named the rooms; reports wait until then.
     #[must_use]
     pub fn knows_rooms(&self) -> bool {
         self.scores.is_some()
     }
 }
 
-/// The file that a planner keeps its round in.
+/// The file of a planner's round.
 #[derive(Debug)]
 pub(super) struct RoundFile {
     file: Kept<KeptRound>,
@@ -168,17 +167,17 @@ pub(super) struct RoundFile {
 }
 
 impl RoundFile {
-    /// In the state directory, one for each robot.
+    /// One file in the state directory for each robot.
     pub(super) fn new(directory: &Path, robot: u64) -> Self {
         let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
         let path = directory.join(format!("planner-{robot:016x}.json"));
         Self { file: Kept::new(path), boot: boot.trim().to_owned() }
     }
 
-    /// The round that was kept, of this boot: a robot that was off with its machine begins another.
+    /// The stored round of this boot. After a reboot the robot begins another round.
     pub(super) fn load(&self) -> Option<KeptRound> {
         let path = self.file.path().display();
-        // A directory that cannot be written is told of where something is to be written.
+        // An unwritable directory is reported at the first write.
         let _removed = state_file::remove_unfinished(self.file.path());
         let text = state_file::read(self.file.path(), FILE_BYTES_MAX);
         let kept: KeptRound = match text.map(|text| text.map(|text| serde_json::from_str(&text))) {
@@ -196,22 +195,22 @@ impl RoundFile {
         let now_ns = clock::monotonic_ns();
         let mut times = kept.failed.iter().map(|(_, failed_ns)| *failed_ns).chain(kept.began_ns).chain(kept.heard_ns);
         let past = times.all(|past_ns| past_ns <= now_ns);
-        // A file that says that work goes on for longer than a day would hold the robot up.
+        // Work of more than a day in a damaged file would block the robot.
         const LONGEST_NS: u64 = 86_400_000_000_000;
         let is_sane = |work: &KeptWork| {
             work.began_ns <= now_ns
                 && work.began_ns <= work.ends_ns
                 && work.ends_ns <= now_ns.saturating_add(LONGEST_NS)
         };
-        // So would one that says that the robot is left alone for longer than it ever is.
+        // A pause longer than the longest one would block it, too.
         let rests = kept.trouble.1 <= now_ns.saturating_add(REST_NS.1);
         let in_order = kept.work.as_ref().is_none_or(is_sane) && rests;
         let is_share = kept.battery.is_none_or(|battery| (0.0..=1.0).contains(&battery));
         (kept.boot == self.boot && past && in_order && is_share).then_some(kept)
     }
 
-    /// Keeps a round if it has changed; the old file stays whole until the new one is. A directory that cannot be written costs the
-    /// round across a restart, and nothing else. The file is of this boot alone, which no loss of power outlives.
+    /// Stores a changed round; the old file stays valid until the new one is complete. An unwritable directory only costs the round across a restart.
+    /// The file needs no sync: it is valid for one boot, which ends when power fails.
     pub(super) fn keep(&mut self, planner: &Planner) {
         if let Some(kept) = planner.kept(&self.boot) {
             self.file.keep(kept, "the round cannot be kept for a restart; check the directory");
@@ -226,7 +225,7 @@ mod tests {
     use super::*;
     use crate::config::PlannerConfig;
 
-    /// A room that fails again and again rests as long after a restart as before it.
+    /// A room that fails again and again pauses as long after a restart as before it.
     #[test]
     fn how_often_a_room_failed_outlasts_a_restart() {
         let with_room = || {
@@ -259,7 +258,7 @@ mod tests {
         file.keep(&planner);
         assert!(!path.exists(), "nothing is known before the first scores");
         planner.take(&RoomScoresV1 { room_count: 1, ..RoomScoresV1::default() }, BootNs(0)).unwrap();
-        // A directory that is away for a moment costs nothing that does not change.
+        // A missing directory costs nothing while the round stays the same.
         std::fs::remove_dir(directory.path()).unwrap();
         file.keep(&planner);
         assert_eq!(file.load(), None);

@@ -1,10 +1,9 @@
-//! What habits are compared with: chains, Kneser-Ney with a cache, and prediction by partial matching, learned while watching.
+//! Baselines of habits, learned online: chains, Kneser-Ney with a cache, and prediction by partial matching.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
-/// Longest context of any of these.
 pub(crate) const ORDER_MAX: usize = 3;
-/// How many observations the shorter context of a chain is worth.
+/// Observations that the shorter context of a chain is worth.
 const CHAIN_STRENGTH: f64 = 2.0;
 /// Absolute discount of Kneser-Ney smoothing.
 const DISCOUNT: f64 = 0.75;
@@ -12,14 +11,13 @@ const DISCOUNT: f64 = 0.75;
 const CACHE: f64 = 0.15;
 const CACHED: usize = 30;
 
-/// How contexts are counted and smoothed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Style {
     /// A chain of this order: each context over the shorter one, with a strength.
     Markov(usize),
     /// Third-order interpolated Kneser-Ney.
     KneserNey,
-    /// The same, and a cache of what was seen of late.
+    /// As [`Style::KneserNey`], with a cache of recent symbols.
     KneserNeyCache,
     /// Third-order prediction by partial matching with escapes by method C and exclusion, as Active LeZi and SPEED use it for homes.
     Ppm,
@@ -50,7 +48,7 @@ impl Chain {
         self.cache.clear();
     }
 
-    /// The probabilities of the next symbol, 0 to `symbols - 1`, after a context whose latest symbol comes first.
+    /// The probabilities of the next symbol, 0 to `symbols - 1`, after a context that starts with the latest symbol.
     pub(crate) fn predict(&self, context: &[u32], symbols: usize) -> Vec<f64> {
         let even = 1.0 / symbols.max(1) as f64;
         let orders = 0..=self.order().min(context.len());
@@ -70,7 +68,7 @@ impl Chain {
             counts.iter().for_each(|(symbol, n)| p[*symbol] += (n - n.min(discount)) * scale);
         }
         if self.style == Style::KneserNeyCache {
-            // Nothing is ever impossible.
+            // Every symbol has some probability.
             p.iter_mut().for_each(|p| *p = 0.999 * *p + 0.001 * even);
             if !self.cache.is_empty() {
                 p.iter_mut().for_each(|p| *p *= 1.0 - CACHE);
@@ -106,12 +104,11 @@ impl Chain {
         p
     }
 
-    /// Learns that `symbol` followed the context.
     pub(crate) fn learn(&mut self, context: &[u32], symbol: usize) {
         for order in (0..=self.order().min(context.len())).rev() {
             let count = self.counts.entry(context[..order].to_vec()).or_default().entry(symbol).or_default();
             *count += 1.0;
-            // Shorter contexts count what was new in the longer ones.
+            // Shorter contexts count only the symbols that were new in the longer ones.
             if !matches!(self.style, Style::Markov(_)) && *count > 1.0 {
                 break;
             }

@@ -1,9 +1,8 @@
-//! What habits are worth to a robot: rounds of all rooms, one after another while the home is watched, planned against the forecast
-//! without habits and against the one with. Every stay is decided before anything of it is learned, so no day has been seen.
+//! The value of habits to a robot: rounds of all rooms, one after another, planned with the forecast without habits and with habits. Each stay is
+//! decided before its outcome is learned, so no day was seen before.
 //!
-//! Robots go by [`CoverageAware`]: one that covers whenever it can, so that both forecasts are compared at the same coverage, one by the
-//! default price of a room left undone, and one that enters no room of the set. Disturbance is the time in which robot and person share a
-//! room.
+//! Robots use [`CoverageAware`]. One always covers if it can, so that both forecasts are compared at the same coverage. One has the default price of
+//! an undone room, and one enters no room of the set. Disturbance is the time in which robot and person share a room.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -17,10 +16,10 @@ use roomcast_simulation::trace::Trace;
 pub(crate) const STAY_S: f64 = 300.0;
 /// Stays of a round for each room.
 const STAYS: usize = 2;
-/// How often days are drawn for an interval.
+/// Bootstrap samples of days for an interval.
 const RESAMPLES: usize = 2_000;
 
-/// The robots, each by its forecast and its policy.
+/// The robots, each with its forecast and its policy.
 const ROBOTS: [(&str, &str); 5] = [
     ("model", "always-covers"),
     ("mixture", "always-covers"),
@@ -28,21 +27,19 @@ const ROBOTS: [(&str, &str); 5] = [
     ("mixture", "coverage-aware"),
     ("mixture", "avoids-sets"),
 ];
-/// Whose forecast a robot goes by.
 const MIXTURE: &str = "mixture";
-/// A robot's figures less those of the one that goes by the forecast without habits, by the same policy where there is one.
+/// Pairs of robots to compare: the second has the forecast without habits, and the same policy if there is one.
 const COMPARED: [(usize, usize); 3] = [(1, 0), (3, 2), (4, 2)];
 
-/// What a robot sees when it is free.
+/// The forecasts for a free robot.
 pub(crate) struct Sight<'a> {
-    /// Per stay left and room, how likely somebody is there, in the middle of the stay: without habits, and with.
+    /// Per remaining stay and room, the probability that the room is occupied in the middle of the stay: without habits, and with.
     pub(crate) shipped: &'a [f64],
     pub(crate) mixture: &'a [f64],
-    /// Per room, whether it is in the set at any time of the first stay.
+    /// Per room, whether the set has it at any time of the first stay.
     pub(crate) set: &'a [bool],
 }
 
-/// Sums of a day.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     disturbed_s: f64,
@@ -59,25 +56,24 @@ impl Sums {
         self.rooms += other.rooms;
     }
 
-    /// Seconds of disturbance per hour, and the share of rooms that were done.
+    /// Seconds of disturbance per hour, and the share of done rooms.
     fn rates(&self) -> [f64; 2] {
         [3_600.0 * self.disturbed_s / self.worked_s.max(1.0), self.covered / self.rooms.max(1.0)]
     }
 }
 
-/// A robot at work.
 #[derive(Debug)]
 struct Robot {
     mixture: bool,
     avoids_sets: bool,
     policy: CoverageAware,
     covered: Vec<bool>,
-    /// Of the round that goes on, which counts when it ends: a robot that puts rooms off pays for them in the same round.
+    /// The current round, which counts when it ends: a robot that defers rooms pays for them in the same round.
     round: Sums,
     days: Vec<Sums>,
 }
 
-/// All robots, which begin every stay together.
+/// All robots; every stay begins for all of them together.
 #[derive(Debug)]
 pub(crate) struct Cleaning {
     robots: Vec<Robot>,
@@ -90,26 +86,26 @@ pub(crate) struct Cleaning {
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// Whose forecast it goes by: `mixture` with habits, `model` without.
+    /// Forecast: `mixture` with habits, `model` without.
     pub predictor: &'static str,
-    /// By which rule it chooses.
+    /// The policy.
     pub policy: &'static str,
     /// Seconds of disturbance per hour.
     pub disturbance_s_per_h: f64,
-    /// Share of rooms that were done by the ends of their rounds.
+    /// Share of rooms that were done at the ends of their rounds.
     pub coverage: f64,
-    /// Less those of a robot without habits.
+    /// Differences from a robot without habits.
     pub less: Option<Less>,
 }
 
-/// A robot's figures less another's on the same days.
+/// A robot's figures minus another's on the same days.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Less {
     /// Seconds of disturbance per hour.
     pub disturbance_s_per_h: f64,
-    /// 95 % interval, by days; none where fewer than two have a whole round.
+    /// 95 % interval, by days; `None` if fewer than two days have a whole round.
     pub disturbance_ci95: Option<[f64; 2]>,
-    /// Share of rooms that were done.
+    /// Share of done rooms.
     pub coverage: f64,
     /// 95 % interval, by days.
     pub coverage_ci95: Option<[f64; 2]>,
@@ -129,7 +125,7 @@ impl Cleaning {
         Self { robots, rng: ChaCha8Rng::seed_from_u64(seed), rooms, stay: 0, next_s: f64::NEG_INFINITY }
     }
 
-    /// Nobody watched until now: a round begins.
+    /// Starts a round after unobserved time.
     pub(crate) fn begin(&mut self) {
         (self.stay, self.next_s) = (0, f64::NEG_INFINITY);
         for robot in &mut self.robots {
@@ -138,15 +134,14 @@ impl Cleaning {
         }
     }
 
-    /// Whether the next stay begins, one that ends while the home is watched; and how many are left of the round.
+    /// If the next stay begins now and ends within the observed time: the number of stays left in the round.
     pub(crate) fn stays_left(&self, now_s: f64, until_s: f64) -> Option<usize> {
         (now_s >= self.next_s && now_s + STAY_S <= until_s).then_some(STAYS * self.rooms - self.stay)
     }
 
-    /// A stay begins.
     pub(crate) fn stay(&mut self, (now_s, day): (f64, usize), sight: &Sight<'_>, trace: &Trace) {
         let rooms = self.rooms;
-        // One draw for all, so that robots differ by what they see alone.
+        // All robots share one draw, so that they differ only by their forecasts.
         let seed: u64 = self.rng.random();
         for robot in &mut self.robots {
             let likely = if robot.mixture { sight.mixture } else { sight.shipped };
@@ -160,7 +155,7 @@ impl Cleaning {
                 weights: &[],
             };
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            // Where every room is closed the robot is nowhere.
+            // If every room is closed the robot is in no room.
             let chosen = robot.policy.choose(&state, &likely[..rooms], &mut rng).ok();
             if robot.days.len() <= day {
                 robot.days.resize(day + 1, Sums::default());
@@ -184,9 +179,8 @@ impl Cleaning {
         }
     }
 
-    /// The table, with intervals by bootstrap over days.
     pub(crate) fn rows(&self, seed: u64) -> Vec<Row> {
-        // All robots work in the same rounds.
+        // All robots have the same rounds.
         let whole = |robot: &Robot| (0..robot.days.len()).filter(|day| robot.days[*day].rooms > 0.0).collect();
         let days: Vec<usize> = self.robots.first().map(whole).unwrap_or_default();
         let rates = |robot: usize, of: &[usize]| {
@@ -223,10 +217,10 @@ impl Cleaning {
 mod tests {
     use super::*;
 
-    /// A robot that knows where the person is disturbs nobody and does all the same; one that is told the contrary does disturb.
+    /// A robot that knows the person's place does all rooms without disturbing. A robot with the opposite forecast disturbs.
     #[test]
     fn who_knows_more_disturbs_less_at_the_same_coverage() {
-        // A day in which somebody changes between two rooms with every stay, and a third room is always free.
+        // The person changes between two rooms with every stay, and a third room is always free.
         let at = |stay: usize| stay % 2;
         let mut trace = Trace::default();
         (0..60).for_each(|stay| trace.places.push((stay as f64 * STAY_S, at(stay))));

@@ -1,9 +1,9 @@
-//! How well a home is learned: every forecast is made first and learned from then, over days with times.
+//! Measures the learning of a home: every forecast is made before its outcome is learned, over days with times.
 //!
-//! A case is a sentence. *object* asks for the next thing with another name than the last one, which is taken out of every forecast; cases
-//! whose next thing the map lacks are left out, as in `experiment forecast`. *object-or-same* and *room* ask for the next thing that is
-//! mentioned, the same or another one, and its room; *room-if-changed* asks where to, given that the room changes. *room-at-...* asks once a minute in which place
-//! the person is that much later, elsewhere among them; its cases lie within the time that the home was watched.
+//! A case is a sentence. *object* forecasts the next thing other than the last one, which every forecast excludes; cases whose next thing is not on
+//! the map are left out, as in `experiment forecast`. *object-or-same* and *room* forecast the next mentioned thing, the same or another one, and its
+//! room; *room-if-changed* forecasts the room given that it changes. *room-at-...* forecasts once a minute the person's place that much later,
+//! elsewhere included; its cases lie within the observed time.
 
 use std::collections::VecDeque;
 
@@ -30,8 +30,8 @@ pub mod cleaning;
 
 use roomcast_simulation::trace::{Step, Trace};
 
-/// Who forecasts, in the order of the table. *counts* is what followed the last one to three things, by Kneser-Ney, and nothing else;
-/// *without-model* is everything that the mixture learns, with even chances in the place of the model.
+/// The predictors, in the order of the table. *counts* has only the things after the last one to three things, by Kneser-Ney; *without-model* is the
+/// mixture with uniform chances instead of the model.
 pub const PREDICTORS: [&str; 10] = [
     "mixture",
     "model",
@@ -44,7 +44,7 @@ pub const PREDICTORS: [&str; 10] = [
     "ppm",
     "without-model",
 ];
-/// What is forecast, in the order of the table.
+/// The targets, in the order of the table.
 pub const TARGETS: [&str; 8] = [
     "object",
     "room",
@@ -58,12 +58,12 @@ pub const TARGETS: [&str; 8] = [
 const OBJECT: usize = 0;
 const ROOM: usize = 1;
 const ROOM_IF_CHANGED: usize = 2;
-/// The first of those with a horizon.
+/// The first target with a horizon.
 const ROOM_AT: usize = 3;
 const OBJECT_OR_SAME: usize = 7;
 /// Horizons of the targets that have one, in seconds.
 pub const HORIZONS_S: [f64; 4] = [60.0, 300.0, 900.0, 3_600.0];
-/// Chains, and whose forecasts they are.
+/// Chains, and their predictors.
 const CHAINS: [(usize, Style); 5] = [
     (COUNTS, Style::KneserNey),
     (5, Style::Markov(1)),
@@ -73,29 +73,29 @@ const CHAINS: [(usize, Style); 5] = [
 ];
 /// Time from one moment to the next.
 const MOMENT_S: f64 = 60.0;
-/// Silence after which a new window of narration begins, as in the daemon.
+/// Silence after which a new window begins, as in the daemon.
 const GAP_S: f64 = 3_600.0;
 /// Silence after which another activity begins.
 const ACTIVITY_S: f64 = 1_800.0;
-/// Mean time out of the house that the forecast without habits begins with, in seconds.
+/// Mean absence in the forecast without habits, in seconds.
 const OUT_S: f64 = 4.0 * 3_600.0;
-/// What is impossible for a baseline is not quite.
+/// Smaller probabilities of a baseline are raised to this.
 const FLOOR: f64 = 1e-6;
 
-/// How the experiment is done.
+/// Options of the experiment.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The window of narration.
     pub history: HistoryLimits,
     /// The binding sequence.
     pub binding: BindingSequence,
-    /// How habits are learned.
+    /// Options of habits.
     pub habits: HabitsOptions,
-    /// What the forecast without habits assumes.
+    /// Options of the forecast without habits.
     pub forecast: ForecastOptions,
-    /// Mixtures that lack some parts, with their names. They are predictors behind the others.
+    /// Mixtures without some parts, with their names: further predictors.
     pub without: Vec<(String, Without)>,
-    /// Of the bootstrap.
+    /// Seed of the bootstrap.
     pub seed: u64,
 }
 
@@ -105,7 +105,7 @@ pub struct Options {
 pub enum Days {
     /// One of them, from 1.
     One(usize),
-    /// All, the second half, or, of all, what belongs to activities that were never done in just this way before.
+    /// All days, the second half, or the cases of all days in activities that were never done in exactly this way before.
     Some(&'static str),
 }
 
@@ -113,96 +113,96 @@ pub enum Days {
 pub const ALL: Days = Days::Some("all");
 /// The second half of the days.
 pub const HALF: Days = Days::Some("second-half");
-/// Of all days, what belongs to activities that were never done in just this way before.
+/// The cases of all days in activities that were never done in exactly this way before.
 pub const UNSEEN: Days = Days::Some("unseen-scripts");
 
 /// One line of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// Which days.
+    /// The days.
     pub day: Days,
     /// The predictor.
     pub predictor: String,
-    /// What.
+    /// The target.
     pub target: &'static str,
-    /// Cases.
+    /// Number of cases.
     pub n: usize,
     /// Mean negative log-likelihood in nats.
     pub nll_nats: f64,
     /// Mean reciprocal rank.
     pub mrr: f64,
-    /// Share in which the likeliest was right.
+    /// Share of cases whose likeliest outcome was right.
     pub top1: f64,
     /// Mean Brier score, 0 to 2.
     pub brier: f64,
     /// Expected calibration error.
     pub ece: f64,
-    /// 95 % intervals by bootstrap over days; none for a single day.
+    /// 95 % intervals by bootstrap over days; `None` for a single day.
     pub ci95: Option<Intervals>,
 }
 
-/// The mixture's figures less another's, on the same cases, with intervals by days resampled together.
+/// The mixture's figures minus another predictor's, on the same cases, with intervals by bootstrap over the same days.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Difference {
-    /// Which days.
+    /// The days.
     pub day: Days,
-    /// What is forecast.
+    /// The target.
     pub target: &'static str,
-    /// The predictor whose figures are taken from the mixture's.
+    /// The other predictor.
     pub less: String,
-    /// In nats.
+    /// Difference of the losses in nats.
     pub nll_nats: f64,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub nll_ci95: [f64; 2],
-    /// Of the share in which the likeliest was right.
+    /// Difference of the shares of cases whose likeliest outcome was right.
     pub top1: f64,
-    /// 95 % interval of it.
+    /// Its 95 % interval.
     pub top1_ci95: [f64; 2],
 }
 
 /// Sets of places of one horizon.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Sets {
-    /// How far ahead, in seconds.
+    /// Time ahead, in seconds.
     pub horizon_s: f64,
-    /// Share of moments in which the person is to be in the set.
+    /// Promised coverage.
     pub coverage_asked: f64,
-    /// Share in which they were.
+    /// Share of moments in which the set held the person.
     pub coverage: f64,
     /// Mean number of places in a set.
     pub size_mean: f64,
-    /// The same for sets of the forecast without habits, with the same promise.
+    /// Mean number of places in a set of the forecast without habits, with the same promise.
     pub size_mean_shipped: f64,
-    /// Share in which sets of the forecast without habits held the person.
+    /// Coverage of sets of the forecast without habits.
     pub coverage_shipped: f64,
-    /// Of sets that always have the likeliest place, as the daemon publishes them: the share, and the mean number.
+    /// Coverage of sets that always have the likeliest place, as the daemon publishes them.
     pub coverage_never_empty: f64,
-    /// Mean number of places of these.
+    /// Their mean number of places.
     pub size_mean_never_empty: f64,
 }
 
 /// The result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// Days with any case.
+    /// Days with cases.
     pub days: usize,
     /// Cases of the target `room`.
     pub cases: usize,
     /// The table.
     pub rows: Vec<Row>,
-    /// The mixture against the others, over all days and over the second half.
+    /// The mixture against the other predictors, over all days and over the second half.
     pub differences: Vec<Difference>,
     /// The sets.
     pub sets: Vec<Sets>,
-    /// What the forecasts are worth to a robot.
+    /// The value of the forecasts to a robot.
     pub cleaning: Vec<cleaning::Row>,
-    /// Scores that the model computed and the cache did not have.
+    /// Number of scores that were computed because the cache lacked them.
     pub computed: usize,
-    /// What was learned, and what it takes.
+    /// Amount of learned data.
     pub learned: roomcast_core::habits::Learned,
 }
 
-/// Sums of losses by predictor, target and day: of all cases, and of those in activities that were never done so before.
+/// Sums of losses by predictor, target and day: of all cases, and of cases in new activities.
 struct Tally {
     sums: Vec<Vec<Sums>>,
     unseen: Vec<Vec<Sums>>,
@@ -222,7 +222,7 @@ impl Tally {
     }
 }
 
-/// Habits that know nothing yet, bound to a map.
+/// Empty habits that are bound to a map.
 #[must_use]
 pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
     let mut habits = Habits::new(options);
@@ -235,22 +235,22 @@ pub fn bound(options: HabitsOptions, grounding: &Grounding) -> Habits {
 struct Forecast {
     objects: Vec<f64>,
     rooms: Vec<f64>,
-    /// Of another thing than the last, where who forecasts that is not who forecasts any.
+    /// Probabilities of another thing than the last, if the predictor has a separate forecast of them.
     another: Option<Vec<f64>>,
 }
 
-/// A case that waits for what comes next.
+/// A case before its outcome.
 struct Case {
     day: usize,
     unseen: bool,
     here: Option<usize>,
     last: Option<usize>,
-    /// Whether something was mentioned since.
+    /// Whether a sentence mentioned something since.
     mentioned: bool,
     forecasts: Vec<Forecast>,
 }
 
-/// Chains of one kind of symbols, and those who guess that nobody moves.
+/// Chains of one kind of symbols, and the counts of the predictors that never expect a move.
 struct Others {
     chains: [Chain; CHAINS.len()],
     stayed: f64,
@@ -278,7 +278,7 @@ fn normalise(p: &mut [f64]) {
     p.iter_mut().for_each(|p| *p = (*p + FLOOR) / total);
 }
 
-/// Given that the person leaves: the present room is taken out.
+/// Probabilities given that the person leaves the present room.
 fn without(p: &[f64], here: usize) -> Vec<f64> {
     let mut others: Vec<f64> = p.iter().enumerate().map(|(room, p)| if room == here { 0.0 } else { *p }).collect();
     let total: f64 = others.iter().sum();
@@ -295,7 +295,7 @@ fn without(p: &[f64], here: usize) -> Vec<f64> {
     others
 }
 
-/// A forecast of places that waits for its time.
+/// A forecast of places before its outcome.
 struct Waiting {
     due_s: f64,
     day: usize,
@@ -307,7 +307,7 @@ struct Waiting {
     issued: [Issued; 3],
 }
 
-/// One horizon: what was forecast and not yet seen, who else forecasts, and the sets.
+/// One horizon: pending forecasts, other predictors, and sets.
 struct Horizon {
     horizon_s: f64,
     waiting: VecDeque<Waiting>,
@@ -318,7 +318,7 @@ struct Horizon {
     moments: f64,
 }
 
-/// The home, while it is watched.
+/// The state of the experiment.
 struct Watch<'a> {
     trace: &'a Trace,
     grounding: &'a Grounding,
@@ -326,30 +326,30 @@ struct Watch<'a> {
     labels: usize,
     mixture: Habits,
     without_model: Habits,
-    /// Mixtures that lack some parts.
+    /// Mixtures without some parts.
     reduced: Vec<Habits>,
     forecaster: Forecaster,
     baselines: Baselines,
     objects: Others,
-    /// The same over things that differ from the one before.
+    /// Chains over things that differ from the previous one.
     turns: Others,
     next_rooms: Others,
     horizons: Vec<Horizon>,
-    /// The last things, the latest first, and those that differ from the one before.
+    /// The last things, the latest first, and the last distinct things.
     context: Vec<u32>,
     turned: Vec<u32>,
     /// The last places, the latest first.
     places: Vec<u32>,
-    /// Where the person is told to be, and where the last thing was.
+    /// The person's place by the trace, and the last thing's room.
     here: Option<usize>,
     last_room: Option<usize>,
-    /// How often the next thing was in each of the two.
+    /// Number of times that the next thing was in each of the two.
     right: [f64; 2],
     last_s: f64,
     cases: Vec<Case>,
     tally: Tally,
     cleaning: Cleaning,
-    /// How far the places of the trace were told.
+    /// Index of the next place of the trace to report.
     told: usize,
     out_since_s: Option<f64>,
 }
@@ -363,9 +363,9 @@ const PERSISTENCE: usize = 4;
 const WITHOUT_MODEL: usize = 9;
 
 impl Watch<'_> {
-    /// A sentence: what waited for it is scored and learned, then the next is forecast from the model's scores.
+    /// Scores and learns the pending cases of a sentence, then forecasts the next from the model's scores.
     fn step(&mut self, step: &Step, scores: &[f64], grounded: &mut GroundedScores) -> Result<(), ExperimentError> {
-        // What was forecast is kept in the cases. What begins an activity is in its caches.
+        // The cases keep their forecasts. The caches of an activity contain its first thing.
         if step.at_s - self.last_s > ACTIVITY_S {
             let Self { objects, turns, next_rooms, .. } = self;
             [objects, turns, next_rooms].into_iter().flat_map(|all| &mut all.chains).for_each(Chain::forget_cache);
@@ -382,7 +382,7 @@ impl Watch<'_> {
         self.without_model.observe(&turn);
         self.reduced.iter_mut().for_each(|habits| habits.observe(&turn));
         self.forecaster.observe(step.at_s, step.label.map(Into::into), self.grounding, &[]);
-        // A thing's room is told by its words, a place by the whole trace.
+        // The sentence has the thing's room, and the whole trace has the person's place.
         let told = self.trace.place_at(step.at_s);
         if let Some((from_s, place)) = told {
             self.tell_place(place, from_s.max(step.at_s));
@@ -396,7 +396,7 @@ impl Watch<'_> {
             }
         }
         self.last_room = step.room.or(self.last_room);
-        // Out of the house: where they were last.
+        // For an absent person the last room is used.
         self.here = told.map(|(_, place)| place).filter(|place| *place < self.rooms).or(step.room).or(self.here);
 
         self.grounding.ground(scores, grounded)?;
@@ -406,7 +406,7 @@ impl Watch<'_> {
         let total: f64 = labels.iter().sum();
         labels.iter_mut().for_each(|p| *p /= total);
         self.forecaster.expect_next(self.grounding, scores, 0);
-        // The forecast without habits: where it expects the next thing.
+        // The room of the next thing in the forecast without habits.
         let expected = self.forecaster.expected().map_or(rooms, <[f64]>::to_vec);
         let mut forecasts = vec![Forecast::default(); PREDICTORS.len() + self.reduced.len()];
         let of = |objects, rooms| Forecast { objects, rooms, another: None };
@@ -443,8 +443,7 @@ impl Watch<'_> {
         Ok(())
     }
 
-    /// Where those stay who guess that nobody moves: where the person is told to be or where the last thing was, whichever was right more
-    /// often until now.
+    /// The room of the predictors that expect no move: the person's place by the trace or the last thing's room, whichever was right more often.
     fn stays_in(&self) -> Option<usize> {
         if self.right[1] > self.right[0] { self.last_room } else { self.here }
     }
@@ -462,10 +461,10 @@ impl Watch<'_> {
         labels
     }
 
-    /// Something is mentioned: what was forecast of it is scored and learned.
+    /// Scores and learns the pending forecasts of a mention.
     fn resolve(&mut self, step: &Step) {
         for mut case in std::mem::take(&mut self.cases) {
-            // What ends an activity that is new, or begins one, is new as well.
+            // The cases before the first and the last thing of a new activity are new as well.
             let day = (case.day, case.unseen || step.unseen);
             let another = step.label.filter(|label| case.last != Some(*label));
             for (predictor, Forecast { objects, rooms, another: of_others }) in case.forecasts.iter().enumerate() {
@@ -509,7 +508,7 @@ impl Watch<'_> {
         }
     }
 
-    /// Where the person is, as far as it is known by now.
+    /// Reports the person's places until now.
     fn tell(&mut self, now_s: f64) {
         while let Some((from_s, place)) =
             self.trace.places.get(self.told).copied().filter(|(from_s, _)| *from_s <= now_s)
@@ -524,7 +523,7 @@ impl Watch<'_> {
 
     fn tell_place(&mut self, place: usize, from_s: f64) {
         let known = if place < self.rooms { Place::Room(place) } else { Place::Elsewhere };
-        // All are told the same.
+        // All predictors get the same reports.
         if let Place::Room(room) = known {
             self.forecaster.enter(from_s, Some(room));
         }
@@ -533,7 +532,7 @@ impl Watch<'_> {
         self.reduced.iter_mut().for_each(|habits| habits.be(PERSON, known, from_s));
     }
 
-    /// A moment: what was forecast for it is scored and learned, then later places are forecast.
+    /// Scores and learns the forecasts that are due, then forecasts later places.
     fn moment(&mut self, now_s: f64, until_s: f64) {
         let Some((_, here)) = self.trace.place_at(now_s) else { return };
         let places = self.rooms + 1;
@@ -575,7 +574,7 @@ impl Watch<'_> {
             let sight = Sight { shipped: &in_rooms(&without), mixture: &in_rooms(&with), set: &in_set[..places - 1] };
             self.cleaning.stay((now_s, self.trace.day(now_s)), &sight, self.trace);
         }
-        // Per mixture what it says of all horizons, row by row.
+        // Per mixture the probabilities at all horizons, row by row.
         let all_shipped = forecasts.concat();
         let mut shares = Vec::new();
         let mut ahead = |habits: &mut Habits, shipped: &[f64]| {
@@ -638,10 +637,10 @@ impl Watch<'_> {
     }
 }
 
-/// Watches a home from its first day to its last.
+/// Runs the experiment over the trace from its first day to its last.
 ///
 /// # Errors
-/// When the model, its cache or the map fails, or nothing happens.
+/// When the model, its cache or the map fails, or the trace is empty.
 pub fn run<M: LanguageModel>(
     trace: &Trace,
     (map, grounding): (&SemanticMap, &Grounding),
@@ -651,7 +650,7 @@ pub fn run<M: LanguageModel>(
     progress: &Progress,
 ) -> Result<Report, ExperimentError> {
     let (labels, rooms) = (grounding.scored_labels().len(), grounding.partitions().len());
-    // Where somebody is can be known without a word.
+    // Places can be known without sentences.
     if trace.places.is_empty() && trace.steps.iter().all(|step| step.label.is_none()) {
         return Err(ExperimentError::NothingBound { scene: map.name().to_owned() });
     }
@@ -705,14 +704,14 @@ pub fn run<M: LanguageModel>(
     };
     let mut grounded = GroundedScores::default();
     let mut steps = trace.steps.iter().enumerate().peekable();
-    // Of one window of narration: until the next long silence.
+    // Scores of one window, up to the next long silence.
     let mut scores: VecDeque<Vec<f64>> = VecDeque::new();
     let mut now_s = f64::NEG_INFINITY;
     for (begin_s, end_s) in &trace.watched {
         watch.cleaning.begin();
-        // Time does not go back where a day begins in the minute in which another ends.
+        // If a day begins in the minute in which another ends, time does not go back.
         now_s = now_s.max((begin_s / MOMENT_S).floor() * MOMENT_S);
-        // What is said in a day's last minute is heard; nothing of the next day is.
+        // Sentences of a day's last minute are included; those of the next day are not.
         loop {
             let until_s = now_s.min(*end_s);
             while let Some((at, step)) = steps.next_if(|(_, step)| step.at_s <= until_s) {
@@ -754,7 +753,6 @@ fn report(watch: &Watch<'_>, predictors: &[&str], options: &Options, computed: u
             Days::Some(_) => sums,
         }
     };
-    // One day has no second half.
     let whole = [ALL, HALF, UNSEEN].into_iter().filter(|stretch| *stretch != HALF || days > 1);
     let mut rows = Vec::new();
     let mut differences = Vec::new();
@@ -871,8 +869,8 @@ mod tests {
         report.rows.iter().find(row).unwrap()
     }
 
-    /// What is forecast for a day's moments is the same whatever comes after it, also where the next day begins within the hour. Its last thing
-    /// waits for the first one of the next day.
+    /// A day's forecasts of places do not depend on later days, even if the next day begins within the hour. The case of its last thing waits for the
+    /// next day's first thing.
     #[test]
     fn no_day_is_forecast_by_who_has_seen_later_ones() {
         let home = flat();
@@ -890,7 +888,6 @@ mod tests {
             let trace = Trace::of_days(days, &home.0, &home.1, ItemChoice::First, 1).unwrap();
             let mut report = watch(&trace, &home, ForecastOptions::default());
             assert_eq!(report.days, days.len());
-            // One day has no second half.
             assert_eq!(report.rows.iter().any(|row| row.day == HALF), days.len() > 1);
             let settled = |row: &Row| row.day == Days::One(1) || row.target.starts_with("room-at");
             report.rows.retain(|row| matches!(row.day, Days::One(day) if day < 3) && settled(row));
@@ -901,7 +898,7 @@ mod tests {
         assert_eq!(until, whole);
     }
 
-    /// The fridge stands open from 8:00 to 8:10, somebody lies in bed from 8:05 to 8:20: at 8:10 they are in bed.
+    /// The fridge is open from 8:00 to 8:10, and a person lies in bed from 8:05 to 8:20: at 8:10 the person is in bed.
     #[test]
     fn who_stays_is_told_what_the_others_are_told() {
         let home = flat();
@@ -930,18 +927,18 @@ mod tests {
         }
         let trace = Trace::of_sensors(steps, &intervals, &[], grounding.partitions().len()).unwrap();
         let report = watch(&trace, &home, ForecastOptions::default());
-        // 8:00 and 8:10 have the next thing where the person is told to be; 8:20, of all but the last day, has it elsewhere.
+        // At 8:00 and 8:10 the next thing is at the reported place; at 8:20, except on the last day, it is elsewhere.
         assert_eq!((all(&report, "room", "stay").n, all(&report, "room-if-changed", "stay").n), (17, 5));
         for predictor in ["stay", "persistence"] {
             let right = all(&report, "room", predictor).top1 * 17.0;
             assert!(right > 10.0, "{predictor}: {right} of 17, and staying is right in 12");
         }
-        // Without habits there is one forecast, of the next room as of later ones.
+        // Without habits, the next room and later rooms have the same forecast.
         let even = watch(&trace, &home, ForecastOptions { any_thing: 1.0, ..ForecastOptions::default() });
         assert_ne!(all(&even, "room", "model").nll_nats, all(&report, "room", "model").nll_nats);
     }
 
-    /// Sensors that say who is where, and nothing in words: places are measured, and things and next rooms are not.
+    /// A trace with sensors but no sentences: places are measured, things and next rooms are not.
     #[test]
     fn a_home_without_a_word_is_measured_by_its_places() {
         let home = flat();
@@ -957,7 +954,7 @@ mod tests {
         assert!(report.rows.iter().all(|row| row.target.starts_with("room-at")));
         let loss = |predictor| all(&report, "room-at-3600s", predictor).nll_nats;
         assert!(loss("mixture") < loss("stay") && report.sets.len() == 4 && !report.cleaning.is_empty());
-        // Sentences that mention nothing have rooms all the same.
+        // Sentences without things have rooms, too.
         let step = |Interval { from_s, room, .. }: &Interval| Step {
             at_s: *from_s,
             sentence: Sentence::new("They walk.").unwrap(),
@@ -969,13 +966,13 @@ mod tests {
         let walks = Trace::of_sensors(intervals.iter().map(step).collect(), &intervals, &[], rooms).unwrap();
         let report = watch(&walks, &home, ForecastOptions::default());
         assert_eq!((report.cases, report.rows.iter().filter(|row| row.target == "object").count()), (47, 0));
-        // Without places and things there is nothing.
+        // Without places and things there are no cases.
         let nothing = Trace::of_sensors(vec![step(&intervals[0])], &[], &[], rooms).unwrap();
         let report = try_watch(&nothing, &home, ForecastOptions::default());
         assert!(matches!(report, Err(ExperimentError::NothingBound { .. })));
     }
 
-    /// What begins an activity comes again in it, and each begins with another thing.
+    /// The first thing of each activity is mentioned again in it, and activities begin with different things.
     #[test]
     fn the_cache_holds_an_activity_from_its_first_thing_on() {
         let home = flat();

@@ -20,10 +20,9 @@ const DAY_S: u64 = 86_400;
 const H: u64 = 3_600;
 /// The monotonic clock then.
 const BEGIN_NS: u64 = 1_000 * S;
-/// Indices of the rooms.
 const KITCHEN: usize = 0;
 const LIVING_ROOM: usize = 1;
-/// How an export calls counts of stays by place and time spent.
+/// The kind of stays by place and time spent, in an export.
 const STAYS_BY_PLACE: u8 = 20;
 /// Horizons of the messages: a quarter of an hour, and an hour.
 const QUARTER: usize = 13;
@@ -45,12 +44,12 @@ fn board(home: Option<HomeHabits>) -> Board<TableModel> {
     }
 }
 
-/// A daemon without threads, its journal, and its clocks.
+/// A daemon without threads, with its journal and its clocks.
 struct House {
     board: Board<TableModel>,
     journal: Vec<Observation>,
     now_ns: u64,
-    /// Wall clock less monotonic clock.
+    /// Wall clock minus monotonic clock.
     unix_ns: u64,
 }
 
@@ -60,7 +59,7 @@ impl House {
         Self { board, journal: Vec::new(), now_ns: BEGIN_NS, unix_ns: MONDAY_S * S - BEGIN_NS }
     }
 
-    /// Time passes until so many seconds after the Monday began, with a look every minute.
+    /// Advances the clocks to so many seconds after the Monday began, with a tick every minute.
     fn until(&mut self, at_s: u64) {
         let until_ns = BEGIN_NS + at_s * S;
         while self.now_ns < until_ns {
@@ -103,14 +102,14 @@ impl House {
         }
     }
 
-    /// What is kept when the daemon is killed now.
+    /// The stored state if the daemon is killed now.
     fn memory(&mut self) -> Memory {
         self.board.tidy();
         self.board.habits_mut().keep_changed();
         self.board.habits_mut().memory_if_changed().unwrap()
     }
 
-    /// The daemon starts again with what was kept.
+    /// Restarts the daemon with a stored state.
     fn restart(&mut self, memory: Memory) {
         let home = HomeHabits::new(memory, Zone::UTC);
         self.board = board(Some(home));
@@ -124,7 +123,7 @@ impl House {
         self.board.habits().learned().observations
     }
 
-    /// Per place (elsewhere last) the probability that a person is there at a horizon.
+    /// The person's probability per place (elsewhere last) at a horizon.
     fn ahead(&mut self, person: PersonId, horizon: usize) -> [f32; 3] {
         self.board.person_scores(BootNs(self.now_ns));
         let told = *self.board.person_forecasts(BootNs(self.now_ns));
@@ -136,11 +135,11 @@ impl House {
     }
 }
 
-/// A machine without a battery for its clock, or somebody who sets the year wrong.
+/// The machine has no battery for its clock, or a user sets the wrong year.
 #[test]
 fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
     const YEAR_NS: u64 = 365 * DAY_S * S;
-    // What is counted, faded to the time of the house.
+    // The sum of the counts, decayed to the time of the house.
     let worth = |house: &House| {
         let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
         let now_min = ((house.now_ns + house.unix_ns) / S / 60) as f64;
@@ -159,7 +158,7 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
         let memory = house.memory();
         house.restart(memory);
         house.say(PersonId(1), (house.now_ns - BEGIN_NS) / S + 60, "They open the fridge.");
-        // The clock is set right while the daemon runs, or before the next start.
+        // The clock is corrected while the daemon runs, or before the next start.
         house.unix_ns = right_ns;
         if wrong_ns == BEGIN_NS {
             house.until((house.now_ns - BEGIN_NS) / S + 120);
@@ -168,12 +167,12 @@ fn a_start_with_a_wrong_clock_costs_at_most_a_week_of_fading() {
             house.restart(memory);
         }
         let after = worth(&house);
-        // As much as a week without the daemon.
+        // The counts decay by a week at most.
         assert!(after > 0.9 * before, "{after} of {before} with a clock of {wrong_ns}");
     }
 }
 
-/// What a sensor said before the last deed is no news, to the habits neither.
+/// A sensor event from before the last action changes neither belief nor habits.
 #[test]
 fn a_late_word_of_a_sensor_moves_nobody() {
     let mut house = House::new(true);
@@ -189,7 +188,7 @@ fn a_late_word_of_a_sensor_moves_nobody() {
     assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0);
 }
 
-/// That a room is empty ends the stay of who is believed there, and nobody knows where they are until they are told of again.
+/// An empty room ends the stay of the person believed there; the person's place is unknown until the next event.
 #[test]
 fn nobody_stays_where_it_is_empty() {
     let mut house = House::new(true);
@@ -205,7 +204,7 @@ fn nobody_stays_where_it_is_empty() {
     };
     assert!((minutes(&house) - 1.0).abs() < 0.1, "{}", minutes(&house));
     assert_eq!(house.board.habits().visits()[KITCHEN].iter().sum::<f64>(), 0.0, "where to is not known");
-    // Sets are of what is believed.
+    // Sets cover the belief.
     let [kitchen, living_room, _] = house.ahead(PersonId(1), 0);
     assert!(living_room > 0.9 && kitchen < 0.1);
     let told = *house.board.person_forecasts(BootNs(house.now_ns));
@@ -215,8 +214,8 @@ fn nobody_stays_where_it_is_empty() {
     assert!(house.board.habits().visits()[LIVING_ROOM].iter().sum::<f64>() > 0.9);
 }
 
-/// A day of a home whose narrator says "present" when a phone is back, two minutes before a sensor sees somebody in the kitchen; evening and
-/// night are spent in the living room.
+/// A day of a home with a narrator that reports "present" when a phone is back, two minutes before a sensor reports the kitchen. Evening and night
+/// are spent in the living room.
 fn commuter(house: &mut House, day: u64) {
     let midnight_s = day * DAY_S;
     for (hour, minute, text) in [
@@ -229,8 +228,7 @@ fn commuter(house: &mut House, day: u64) {
     }
 }
 
-/// Nobody comes home into the room where they spend their nights, nor is a visit to it learned that nobody told of. A daemon that starts again
-/// believes the same.
+/// After a return the forecast is not the room of the nights, and no unreported visit to it is learned. A restarted daemon forecasts the same.
 #[test]
 fn who_comes_home_is_not_where_they_spend_their_nights() {
     let horizon_of = |seconds: f32| HORIZONS_S.iter().position(|horizon_s| *horizon_s == seconds).unwrap();
@@ -251,7 +249,7 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
         let [kitchen, living_room, elsewhere] = house.ahead(PersonId(4), horizon);
         assert!(kitchen > 0.5 && kitchen > 2.0 * living_room && elsewhere < 0.2, "{kitchen} {living_room} {elsewhere}");
     }
-    // The same for whoever is heard to come home, or does something of which nobody knows where.
+    // The same after a return without a room, and after an action without a room.
     for text in ["present", "They stand up."] {
         let mut again = House::new(true);
         (0..10).for_each(|day| commuter(&mut again, day));
@@ -271,7 +269,7 @@ fn who_comes_home_is_not_where_they_spend_their_nights() {
     }
 }
 
-/// Whoever may be in any room is in no set of one room.
+/// A person who may be in any room is in no set of one room.
 #[test]
 fn a_set_holds_what_it_promises_where_nothing_is_known() {
     let held = |house: &mut House| {
@@ -285,21 +283,21 @@ fn a_set_holds_what_it_promises_where_nothing_is_known() {
         };
         (0..MAX_HORIZONS).map(sum).fold(1.0, f32::min)
     };
-    // Of a new home, where sets have learned nothing.
+    // A new home, where sets have no outcomes.
     let mut house = House::new(true);
     house.say(PersonId(4), 60, "present in the kitchen");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
     house.say(PersonId(4), 120, "away");
     house.say(PersonId(4), 3_600, "present");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
-    // And of one that is known for days, whose threshold is that of somebody whose room is told.
+    // A home with days of outcomes; its threshold belongs to persons with a reported room.
     (1..10).for_each(|day| commuter(&mut house, day));
     house.say(PersonId(4), 10 * DAY_S + 7 * H + 1_800, "away");
     house.say(PersonId(4), 10 * DAY_S + 12 * H, "present");
     assert!(held(&mut house) > 0.899, "{}", held(&mut house));
 }
 
-/// Who leaves a home that nothing is known of is not back within the minute: rooms say nothing of how long people are out.
+/// A person that leaves a new home is not back within the minute: stays in rooms do not predict the length of an absence.
 #[test]
 fn who_has_just_left_a_new_home_is_out() {
     let mut house = House::new(true);
@@ -313,7 +311,7 @@ fn who_has_just_left_a_new_home_is_out() {
     }
 }
 
-/// What is told of everybody and of each person, without what names the moment.
+/// All published messages, without the fields that name the moment.
 fn told(
     board: &mut Board<TableModel>,
     now_ns: u64,
@@ -334,7 +332,7 @@ fn without_habits(house: &House) -> Board<TableModel> {
     plain
 }
 
-/// Row "as today": a daemon that may not learn and knows nothing forecasts to the bit what one without habits does.
+/// A daemon without learning and without habits forecasts exactly as one without this feature.
 #[test]
 fn without_learning_nothing_changes() {
     let mut house = House::new(false);
@@ -363,12 +361,12 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     let known = house.ahead(PersonId(3), QUARTER);
     let shipped = without_habits(&house).forecast(BootNs(house.now_ns)).probability[KITCHEN][QUARTER];
     assert!(known[KITCHEN] > shipped + 0.15 && known[KITCHEN] > 0.5, "{known:?} {shipped}");
-    // One person is all of them.
+    // With one person the forecast of all persons is that person's.
     let all = *house.board.forecast(BootNs(house.now_ns));
     assert!((all.probability[KITCHEN][QUARTER] - known[KITCHEN]).abs() < 1e-6);
     let (sure, shares) = house.board.habits().shares(PersonId(3)).unwrap();
     assert!(sure > 0.5 && shares[QUARTER].shipped < 0.2, "{sure} {shares:?}");
-    // Out of the house, the person is back at five, as always.
+    // An absent person returns at five, as on earlier days.
     house.say(PersonId(3), 14 * DAY_S + 9 * H, "away");
     house.until(14 * DAY_S + 12 * H);
     let at_noon = house.ahead(PersonId(3), HOUR)[2];
@@ -383,7 +381,7 @@ fn a_routine_becomes_the_forecast_and_is_forgotten() {
     assert_eq!(told(&mut house.board, now_ns), told(&mut plain, now_ns));
 }
 
-/// The sets are the smallest that hold what they promise, with what they rest on; without habits there are none.
+/// Sets are the smallest with the promised coverage, and the messages state their basis; without habits there are none.
 #[test]
 fn sets_and_their_grounds_are_told_of_each_person() {
     let mut house = House::new(true);
@@ -406,7 +404,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
         let elsewhere = (own.set_holds_elsewhere(horizon).unwrap(), own.elsewhere[horizon]);
         let held = places.map(|(room, p)| (own.set_holds(horizon, room).unwrap(), p));
         assert!(own.set_holds(horizon, likeliest.0).unwrap() || elsewhere.0, "the likeliest place is in every set");
-        // What is likelier than a place of the set is in it, too.
+        // Every place that is likelier than one of the set is in the set, too.
         let all = [held[0], held[1], elsewhere];
         let least = all.iter().filter(|(held, _)| *held).map(|(_, p)| *p).fold(1.0, f32::min);
         assert!(all.iter().all(|(held, p)| *held || *p <= least), "{horizon}: {all:?}");
@@ -431,7 +429,7 @@ fn sets_and_their_grounds_are_told_of_each_person() {
     assert!(plain.moment(BootNs(house.now_ns)).habits.is_empty());
 }
 
-/// Whenever the daemon is killed, and however long before that it wrote, everything is learned once.
+/// Each observation is learned once, at whatever time the daemon is killed and whatever it had stored.
 #[test]
 fn nothing_is_learned_twice() {
     let mut house = House::new(true);
@@ -439,11 +437,11 @@ fn nothing_is_learned_twice() {
     let sentences = house.observations();
     assert!(sentences >= 4.0, "{sentences}");
     let minutes = |house: &House| house.board.habits().learned();
-    // Killed before anything was written: the journal has it all.
+    // Killed before anything was stored: the journal has all observations.
     let nothing = Memory::new(options(true));
     house.restart(nothing.clone());
     assert_eq!(house.observations(), sentences);
-    // Killed again and again, with everything written.
+    // Killed several times, with everything stored.
     for _ in 0..3 {
         let memory = house.memory();
         let before = memory.habits.to_json().unwrap();
@@ -451,7 +449,7 @@ fn nothing_is_learned_twice() {
         assert_eq!(house.observations(), sentences);
         assert_eq!(house.board.habits().to_json().unwrap(), before);
     }
-    // Written in between.
+    // With an earlier stored state.
     let early = house.memory();
     house.day(PersonId(3), 1);
     let (all, learned) = (house.observations(), minutes(&house));
@@ -459,7 +457,7 @@ fn nothing_is_learned_twice() {
     house.restart(early.clone());
     assert_eq!(house.observations(), all);
     assert_eq!(minutes(&house).names, learned.names);
-    // A narrator that says again what the journal lost with the machine's power teaches nothing.
+    // A narrator that resends an event that the journal lost in a power failure teaches nothing.
     let late = house.memory();
     let again = house.journal.pop().unwrap();
     house.restart(late);
@@ -474,7 +472,7 @@ fn nothing_is_learned_twice() {
     house.board.tidy();
     house.journal.push(again);
     assert_eq!(house.observations(), all);
-    // The journal's older half is gone, and its newer one, too: nobody can tell.
+    // The journal lacks the older and then the newer observations: the order of learning is unknown.
     house.journal.drain(..3);
     let memory = house.memory();
     house.restart(memory);
@@ -487,7 +485,7 @@ fn nothing_is_learned_twice() {
     assert_eq!(house.observations(), all);
 }
 
-/// Time without a daemon, or with a clock that is set, is no time spent.
+/// Time without a daemon, and a clock step, are not time spent.
 #[test]
 fn time_that_nobody_watched_is_not_counted() {
     let mut house = House::new(true);
@@ -502,7 +500,7 @@ fn time_that_nobody_watched_is_not_counted() {
     house.now_ns += 1_200 * S;
     house.restart(memory);
     assert_eq!(stays(&mut house), before);
-    // The clock is set by half a day; a minute later a minute has passed.
+    // The clock is set by half a day; a minute later one minute was counted.
     let minute = |house: &mut House| {
         house.now_ns += 60 * S;
         house.board.tick(BootNs(house.now_ns), UnixNs(house.now_ns + house.unix_ns));
@@ -562,7 +560,7 @@ fn what_is_exported_teaches_another_home() {
     assert_eq!(other.board.habits().learned().counts, 0);
 }
 
-/// The minutes of the last touch of all rows, the names' among them, of an export.
+/// The last minutes of all rows and names of an export.
 fn dates(json: &str) -> Vec<u64> {
     let json: serde_json::Value = serde_json::from_str(json).unwrap();
     let all = |list: &str, key: &str| {
@@ -572,13 +570,13 @@ fn dates(json: &str) -> Vec<u64> {
     [all("rows", "touched_min"), all("objects", "seen_min"), all("places", "seen_min")].concat()
 }
 
-/// A narrator whose clock was never set tells of 1970. The next start reads what the daemon writes then, and knows what it knew.
+/// A narrator with an unset clock reports times in 1970. The next start can read the stored state and has the same habits.
 #[test]
 fn a_narrator_with_a_dead_clock_harms_nothing() {
     let mut house = House::new(true);
     (0..5).for_each(|day| house.day(PersonId(1), day));
     let (counts, observations) = (house.board.habits().learned().counts, house.observations());
-    // The daemon starts again, and its journal has nothing of the person: what is older than that is not learned.
+    // After a restart without a journal, events older than the stored state are not learned.
     let (memory, last) = (house.memory(), house.journal[0].clone());
     house.journal.clear();
     house.restart(memory);
@@ -608,7 +606,7 @@ fn a_narrator_with_a_dead_clock_harms_nothing() {
     assert!(read.habits.learned().counts >= counts && read.habits.learned().observations > observations);
 }
 
-/// What comes from a machine whose clock is years ahead counts as of now, and so does what a file has of such a time.
+/// Imported or stored counts from a clock that is years ahead are dated as of now.
 #[test]
 fn what_was_learned_ahead_of_now_is_of_now() {
     let mut ahead = House::new(true);
@@ -622,11 +620,11 @@ fn what_was_learned_ahead_of_now_is_of_now() {
     house.board.bind_habits();
     let after = house.board.habits().to_json().unwrap();
     assert_eq!(dates(&after).into_iter().max(), Some(now_min(&house)));
-    // A file that has such dates, beside when its daemon watched.
+    // A file with such dates and a correct end of the counted time.
     let memory = Memory { habits: Habits::from_json(options(true), &json).unwrap(), ..house.memory() };
     house.restart(memory);
     assert_eq!(dates(&house.board.habits().to_json().unwrap()).into_iter().max(), Some(now_min(&house)));
-    // Another week of the same days is learned beside it.
+    // Another week of the same days is learned in addition.
     let first = |house: &House| house.board.habits().visits().into_iter().flatten().sum::<f64>();
     let before = first(&house);
     (5..10).for_each(|day| house.day(PersonId(3), day));
@@ -671,7 +669,7 @@ fn of_each_start_of_a_source_the_newest_sequence_is_kept() {
     assert_eq!(Heard::new(heard.names().iter().copied()), heard);
 }
 
-/// What is said of everybody is learned of each of them, and once: also by a daemon that was killed then.
+/// An event about all persons is learned for each of them, once, also after a kill.
 #[test]
 fn what_is_said_of_everybody_is_learned_of_each() {
     let mut house = House::new(true);
@@ -679,13 +677,13 @@ fn what_is_said_of_everybody_is_learned_of_each() {
         let json: serde_json::Value = serde_json::from_str(&house.board.habits().to_json().unwrap()).unwrap();
         let (persons, rows) = (json["persons"].as_array().unwrap(), json["rows"].as_array().unwrap());
         let of = |slot: &serde_json::Value| {
-            // Where a stay in a place led to.
+            // Destinations of stays.
             let own = rows.iter().filter(|row| row["kind"] == EXIT && row["slot"] == *slot);
             own.flat_map(|row| row["counts"].as_array().unwrap()).map(|count| count[1].as_f64().unwrap()).sum::<f64>()
         };
         persons.iter().map(|person| of(&person["slot"])).collect::<Vec<_>>()
     };
-    /// The number of these counts in an export.
+    /// The kind of destinations in an export.
     const EXIT: u8 = 22;
     for person in [3, 5] {
         house.say(PersonId(person), 7 * H + u64::from(person), "They sit on the sofa.");
@@ -700,16 +698,16 @@ fn what_is_said_of_everybody_is_learned_of_each() {
     assert_eq!(exits(&house), [1.0, 1.0], "learned from the journal");
 }
 
-/// A machine that slept watched nobody: that time is no stay.
+/// Time in which the machine was suspended is not a stay.
 #[test]
 fn a_night_in_which_the_machine_slept_is_not_counted() {
-    /// Exits and time spent, of all places.
+    /// The kind of exits and time spent over all places.
     const STAY: u8 = 19;
     let minutes = |sleeps: bool| {
         let mut house = House::new(true);
         house.say(PersonId(3), 22 * H, "They sit on the sofa.");
         if sleeps {
-            // Both clocks go on, and nobody looks.
+            // Both clocks advance without a tick.
             house.now_ns += 8 * H * S;
         }
         house.until(30 * H + 600);
@@ -723,7 +721,7 @@ fn a_night_in_which_the_machine_slept_is_not_counted() {
     assert!((asleep - (awake - 480.0)).abs() < 6.0, "{awake} {asleep}");
 }
 
-/// Who is new does not push out whom habits know, where nothing is learned, nor who was invented by a stranger.
+/// While learning is off, new persons do not replace persons with habits.
 #[test]
 fn whoever_is_not_learned_pushes_nobody_out() {
     let mut house = House::new(true);
@@ -773,20 +771,20 @@ fn the_variable_names_the_time_zone() {
     for name in ["Europe/Berlin", ":Europe/Berlin", "/usr/share/zoneinfo/Europe/Berlin"] {
         match of(name) {
             Ok(zone) => assert_eq!([hour(&zone, summer), hour(&zone, winter)], [8.0, 7.0], "{name}"),
-            // A machine without the files says so.
+            // A machine without time zone files reports that.
             Err(error) => assert!(error.reason.contains(name) && error.remedy.contains("tzdata"), "{error:?}"),
         }
     }
     for wrong in ["Europe/Atlantis", "CET", ":CET-1", "noon", " "] {
         match of(wrong) {
-            // "CET" is a name where there are files.
+            // "CET" is a valid name on machines with time zone files.
             Ok(_) => assert_eq!(wrong, "CET"),
             Err(error) => assert!(error.reason.contains(wrong), "{error:?}"),
         }
     }
 }
 
-/// The environment counts: this test runs again in a process of its own that has the variable.
+/// The test runs again in a separate process with the variable set.
 #[test]
 fn the_environment_of_a_process_sets_its_time_zone() {
     const VARIABLE: &str = "<+0317>-3:17";
