@@ -214,7 +214,11 @@ impl Database {
             | OpenFlags::SQLITE_OPEN_NO_MUTEX
             | OpenFlags::SQLITE_OPEN_NOFOLLOW;
         let mut connection = match &self.place {
-            Place::File(_) => Connection::open_with_flags(&self.path, flags)?,
+            Place::File(_) => {
+                // SQLite gives its files the mode of this one. If it cannot be made, SQLite says why.
+                let _made = own_file(&self.path);
+                Connection::open_with_flags(&self.path, flags)?
+            }
             Place::Simulated(disk) => Connection::open_with_flags_and_vfs(&self.path, flags, disk.vfs)?,
         };
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
@@ -489,23 +493,29 @@ fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Creates the file if it is missing, and locks it for this process. Only its owner may read it.
+/// Opens the file, or makes one that its owner alone may read.
+fn own_file(path: &Path) -> io::Result<File> {
+    let no_link = rustix::fs::OFlags::NOFOLLOW.bits().cast_signed();
+    OpenOptions::new().read(true).append(true).create(true).mode(0o600).custom_flags(no_link).open(path)
+}
+
+/// Makes the file if it is missing, and locks it for this process. Its owner alone may read it.
 fn lock(path: &Path) -> Result<File, DatabaseError> {
     for suffix in ["", "-wal", "-shm"] {
         let path = with_suffix(path, suffix);
         require_own(&path).map_err(|source| DatabaseError::Refused { path, source })?;
     }
-    let no_link = rustix::fs::OFlags::NOFOLLOW.bits().cast_signed();
-    let mut options = OpenOptions::new();
-    options.read(true).append(true).create(true).mode(0o600).custom_flags(no_link);
-    let file = options.open(path).map_err(failed(path, "open"))?;
+    let file = own_file(path).map_err(failed(path, "open"))?;
     rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(|error| match error {
         rustix::io::Errno::WOULDBLOCK => DatabaseError::Locked { path: path.to_owned() },
         error => failed(path, "lock")(error.into()),
     })?;
-    // Others could read a copy, such as a backup. A process that does not own the file cannot change its mode.
-    if file.metadata().is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
-        let _kept = file.set_permissions(fs::Permissions::from_mode(0o600));
+    // Others could read a copy, as a backup makes one. A process that does not own the file cannot change that.
+    for suffix in ["", "-wal", "-shm"] {
+        let path = with_suffix(path, suffix);
+        if fs::metadata(&path).is_ok_and(|found| found.permissions().mode() & 0o077 != 0) {
+            let _kept = fs::set_permissions(&path, fs::Permissions::from_mode(0o600));
+        }
     }
     Ok(file)
 }

@@ -183,12 +183,15 @@ impl Spool {
         let made = fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
         made.map_err(failed("make the folder of"))?;
         let is_new = !path.exists();
+        // An old queue that is refused must not leave a database behind: the next start would not read it.
+        let old = if is_new {
+            read_old(folder).map_err(failed("read the queue of an earlier version before"))?
+        } else {
+            None
+        };
         let (mut database, mut set_aside) = Database::open(&path, SCHEMA)?;
         let failed_sqlite = |source| SpoolError::Sqlite { path: path.clone(), source };
-        let found = match is_new {
-            true => read_old(folder).map_err(failed("read the queue of an earlier version before"))?,
-            false => Some(Found::default()),
-        };
+        let found = if is_new { old } else { Some(Found::default()) };
         let found = match found {
             None => Found { head: Some(Head::new(Some(Place::default()))), ..Found::default() },
             Some(_) if !is_new => match read(&database) {

@@ -205,12 +205,15 @@ impl Stored {
                     .for_each(|anchor| (anchor.miss, anchor.outcomes, anchor.scores) = (f64::NAN, 0, Vec::new()));
             }
         }
-        self.rows.retain(|row| Kind::of(row.kind).is_some() || row.kind > 31);
+        // The classes of pace are others now.
+        self.rows.retain(|row| Kind::of(row.kind).map_or(row.kind > 31, |kind| kind != Kind::RoomDwellPace));
         let mut coarser: BTreeMap<_, StoredRow> = BTreeMap::new();
         for mut row in std::mem::take(&mut self.rows) {
             // Two former classes of time spent are one class.
             match Kind::of(row.kind) {
                 Some(Kind::Stay | Kind::StayPlace | Kind::StayPlaceHour) => row.after[1] = row.after[1].div_ceil(2),
+                // Weekends were told apart.
+                Some(Kind::ObjectHour) => row.after[1] = NONE,
                 Some(Kind::LaterDwell) => row.after[1] = row.after[1] & 0xff00 | (row.after[1] & 0xff).div_ceil(2),
                 _ => {
                     self.rows.push(row);

@@ -305,6 +305,11 @@ fn memory(directory: Option<&Path>, rows: Option<HabitRows>, options: HabitsOpti
             .ok(),
         None => directory.and_then(|directory| journal::old_habits(directory, options)),
     };
+    if memory.as_ref().is_some_and(|memory| memory.habits.is_converted()) {
+        tracing::info!(
+            "the habits are of an earlier version: counts that are still in use are kept, and the weights are learned again"
+        );
+    }
     memory.unwrap_or_else(|| Memory::new(options))
 }
 

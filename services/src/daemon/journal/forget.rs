@@ -22,8 +22,10 @@ pub(super) fn forget(
     is_theirs: &IsTheirs,
     id: i64,
 ) -> Result<(usize, bool)> {
-    let (mut theirs, mut is_changed) = (0, false);
-    for known in store::events(transaction)?.0 {
+    let (events, damaged) = store::events(transaction)?;
+    store::delete_events(transaction, &damaged)?;
+    let (mut theirs, mut is_changed) = (0, !damaged.is_empty());
+    for known in events {
         let forgets = Forgets { person, is_theirs, known: &known };
         if forgets.is_theirs() {
             theirs += 1;

@@ -9,6 +9,7 @@ use roomcast_database::rusqlite::{OptionalExtension, Result, params};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::store::sound;
 use crate::daemon::habits::{Heard, Memory};
 
 /// Names are of things or of places.
@@ -175,6 +176,11 @@ impl HabitRows {
         hasher.finalize()
     }
 
+    /// The rows that were read have a wrong checksum or a value that no sound row has.
+    pub(super) fn is_damaged(&self) -> bool {
+        self.is_damaged
+    }
+
     /// Deletes all rows.
     pub(super) fn clear(transaction: &Transaction<'_>) -> Result<()> {
         transaction
@@ -183,6 +189,11 @@ impl HabitRows {
 
     /// Reads the rows; `None` if habits were never written.
     pub(super) fn read(transaction: &Transaction<'_>) -> Result<Option<Self>> {
+        let read = sound(Self::rows(transaction))?;
+        Ok(read.unwrap_or_else(|| Some(Self { is_damaged: true, ..Self::default() })))
+    }
+
+    fn rows(transaction: &Transaction<'_>) -> Result<Option<Self>> {
         let mut meta = transaction.prepare("SELECT value FROM meta WHERE key = ?1")?;
         let Some(version) = meta.query_row(["habits_version"], |row| row.get(0)).optional()? else { return Ok(None) };
         let watched_until_s = meta.query_row(["habits_until_s"], |row| row.get(0)).optional()?;

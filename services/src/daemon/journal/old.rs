@@ -24,8 +24,8 @@ const FILES: [&str; 2] = ["narration.journal.old", "narration.journal"];
 const PERSONS: &str = "persons.json";
 /// The habits, and a file that was damaged.
 pub(super) const HABITS: [&str; 2] = ["habits", "habits.damaged"];
-/// All files.
-pub(super) const ALL: [&str; 5] = [FILES[0], FILES[1], PERSONS, HABITS[0], HABITS[1]];
+/// The files with events and names.
+pub(super) const EVENTS: [&str; 3] = [FILES[0], FILES[1], PERSONS];
 /// Most names of learned events that are read.
 const NAMES_MAX: u32 = 4_096;
 /// Most bytes of them that are read.

@@ -167,6 +167,18 @@ pub(super) fn insert_moves(transaction: &Transaction<'_>, event: i64, moves: &[M
     Ok(())
 }
 
+/// The content of a row; `None` if a column has a value that no sound row has.
+pub(super) fn sound<T>(row: Result<T>) -> Result<Option<T>> {
+    use Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
+    match row {
+        Ok(content) => Ok(Some(content)),
+        Err(Utf8Error(..) | IntegralValueOutOfRange(..) | FromSqlConversionFailure(..) | InvalidColumnType(..)) => {
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 /// A start of a narrator.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Source {
@@ -194,7 +206,7 @@ impl Source {
 fn note_source(transaction: &Transaction<'_>, start: (u64, u64), change: impl FnOnce(&mut Source)) -> Result<()> {
     let (number, epoch) = (start.0.cast_signed(), start.1.cast_signed());
     let mut read = transaction.prepare_cached("SELECT * FROM source WHERE source = ?1 AND epoch = ?2")?;
-    let known = read.query_row([number, epoch], Source::at).optional()?.flatten();
+    let known = sound(read.query_row([number, epoch], Source::at).optional())?.flatten().flatten();
     let mut source = known.map(|(_, source)| source).unwrap_or_default();
     change(&mut source);
     let mut write = transaction.prepare_cached("INSERT OR REPLACE INTO source VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?;
@@ -310,6 +322,7 @@ pub(super) fn trim(transaction: &Transaction<'_>, bytes_max: u64) -> Result<(usi
         }
     }
     settle(transaction, &gone)?;
+    transaction.execute("DELETE FROM departure WHERE after < (SELECT min(id) FROM event)", [])?;
     // Of too many starts, the newest of every port stays, then the second of every port: a port that invents narrators pushes out its own.
     transaction.execute(
         "WITH quiet AS (
@@ -352,31 +365,30 @@ fn last_words(transaction: &Transaction<'_>, costs: &[(i64, EventId, u64)], byte
 }
 
 /// All events that can be read, oldest first, and how many cannot.
-pub(super) fn events(transaction: &Transaction<'_>) -> Result<(Vec<Known>, u64)> {
+pub(super) fn events(transaction: &Transaction<'_>) -> Result<(Vec<Known>, Vec<i64>)> {
     let mut moves = moves(transaction)?;
     let mut query = transaction.prepare(
         "SELECT id, source, epoch, sequence, observed_ns, observed_unix_ns, kind, room, text, person, name, found, count, may_be_form, is_told, checksum
          FROM event ORDER BY id",
     )?;
-    let (mut known, mut damaged) = (Vec::new(), 0);
+    let (mut known, mut damaged) = (Vec::new(), Vec::new());
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        match event_at(row) {
-            Ok(Some(mut event)) => {
-                if row.get(14)? {
+        match sound(event_at(row))?.flatten() {
+            Some((mut event, is_told)) => {
+                if is_told {
                     event.moves = Some(moves.remove(&event.id).unwrap_or_default());
                 }
                 known.push(event);
             }
-            Ok(None) | Err(Error::Utf8Error(..) | Error::IntegralValueOutOfRange(..)) => damaged += 1,
-            Err(error) => return Err(error),
+            None => damaged.push(row.get(0)?),
         }
     }
     Ok((known, damaged))
 }
 
-/// The event in a row; none if it is damaged.
-fn event_at(row: &Row<'_>) -> Result<Option<Known>> {
+/// The event in a row, and whether the persons that it moved are known; `None` if the row is damaged.
+fn event_at(row: &Row<'_>) -> Result<Option<(Known, bool)>> {
     let EventId { source, epoch, sequence } = id_at(row, 1)?;
     let observed_ns: Option<i64> = row.get(4)?;
     let (kind, room, text): (String, Option<String>, Option<String>) = (row.get(6)?, row.get(7)?, row.get(8)?);
@@ -396,7 +408,7 @@ fn event_at(row: &Row<'_>) -> Result<Option<Known>> {
     let is_sound = row.get::<_, i64>(15)? == sum(&observation, observed_ns, found);
     let (id, found, is_of_this_boot) = (row.get(0)?, found.map(PersonId), observed_ns.is_some());
     let known = Known { id, observation, is_of_this_boot, found, moves: None };
-    Ok(is_sound.then_some(known))
+    Ok(is_sound.then_some((known, row.get(14)?)))
 }
 
 fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {
@@ -404,20 +416,24 @@ fn moves(transaction: &Transaction<'_>) -> Result<HashMap<i64, Vec<Move>>> {
         transaction.prepare("SELECT event, person, name, by_fit, kind, room, text FROM moved ORDER BY event, place")?;
     let (mut moves, mut rows) = (HashMap::<i64, Vec<Move>>::new(), query.query([])?);
     while let Some(row) = rows.next()? {
-        let (kind, room, text): (Option<String>, Option<String>, Option<String>) =
-            (row.get(4)?, row.get(5)?, row.get(6)?);
-        let event = kind.and_then(|kind| event_of(&kind, room.as_deref(), text.as_deref()));
-        let own = Move { person: PersonId(row.get(1)?), name: row.get(2)?, by_fit: row.get(3)?, event };
-        moves.entry(row.get(0)?).or_default().push(own);
+        if let Some((event, own)) = sound(move_at(row))? {
+            moves.entry(event).or_default().push(own);
+        }
     }
     Ok(moves)
+}
+
+fn move_at(row: &Row<'_>) -> Result<(i64, Move)> {
+    let (kind, room, text): (Option<String>, Option<String>, Option<String>) = (row.get(4)?, row.get(5)?, row.get(6)?);
+    let event = kind.and_then(|kind| event_of(&kind, room.as_deref(), text.as_deref()));
+    Ok((row.get(0)?, Move { person: PersonId(row.get(1)?), name: row.get(2)?, by_fit: row.get(3)?, event }))
 }
 
 /// The content that a starting daemon needs.
 pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
     let (known, damaged) = events(transaction)?;
     let (persons, habits) = (persons(transaction)?, HabitRows::read(transaction)?);
-    let mut recovered = Recovered { damaged, persons, habits, ..Recovered::default() };
+    let mut recovered = Recovered { damaged: damaged.len() as u64, persons, habits, ..Recovered::default() };
     let mut ids = Vec::with_capacity(known.len());
     let mut newest = HashSet::new();
     for Known { id, mut observation, is_of_this_boot, found, moves } in known {
@@ -440,26 +456,31 @@ pub(super) fn recover(transaction: &Transaction<'_>) -> Result<Recovered> {
         .prepare("SELECT event, person, map, paces, probability FROM expectation ORDER BY event, person, is_belief")?;
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        let (paces, probability): (Option<Vec<u8>>, Vec<u8>) = (row.get(3)?, row.get(4)?);
+        let columns = || Ok((row.get(0)?, row.get(1)?, row.get::<_, i64>(2)?, row.get(3)?, row.get(4)?));
+        let Some((event, person, map, paces, probability)) = sound(columns())? else {
+            recovered.damaged += 1;
+            continue;
+        };
+        let (event, paces, probability): (i64, Option<Vec<u8>>, Vec<u8>) = (event, paces, probability);
         let paces: Option<[f32; PACES]> = paces.map(|paces| numbers_of(&paces).try_into().unwrap_or([0.0; PACES]));
         let probability = numbers_of(&probability);
         let is_sound = probability.iter().all(|probability| (0.0..=1.0).contains(probability))
             && paces.iter().flatten().all(|pace| pace.is_finite() && *pace >= 0.0);
-        if let Ok(index) = ids.binary_search(&row.get(0)?)
+        if let Ok(index) = ids.binary_search(&event)
             && is_sound
         {
-            let expectation = Expectation { map: row.get::<_, i64>(2)?.cast_unsigned(), paces, probability };
-            recovered.expectations.push((index, PersonId(row.get(1)?), expectation));
+            let expectation = Expectation { map: map.cast_unsigned(), paces, probability };
+            recovered.expectations.push((index, PersonId(person), expectation));
         }
     }
     let place = |id: i64| ids.partition_point(|known| *known <= id);
     let mut query = transaction.prepare("SELECT after, person FROM departure ORDER BY after")?;
     let gone = query.query_map([], |row| Ok((place(row.get(0)?), PersonId(row.get(1)?))))?;
-    recovered.forgotten = gone.collect::<Result<_>>()?;
+    recovered.forgotten = gone.filter_map(|gone| sound(gone).transpose()).collect::<Result<_>>()?;
     let mut query = transaction.prepare("SELECT * FROM source ORDER BY event")?;
     let mut rows = query.query([])?;
     while let Some(row) = rows.next()? {
-        let Some((start, source)) = Source::at(row)? else {
+        let Some((start, source)) = sound(Source::at(row))?.flatten() else {
             recovered.damaged += 1;
             continue;
         };
@@ -493,6 +514,15 @@ pub(super) fn replace(
     }
 }
 
+/// Deletes damaged events, which can be of any person.
+pub(super) fn delete_events(transaction: &Transaction<'_>, ids: &[i64]) -> Result<()> {
+    for id in ids {
+        transaction.execute("DELETE FROM moved WHERE event = ?1", [id])?;
+        transaction.execute("DELETE FROM event WHERE id = ?1", [id])?;
+    }
+    Ok(())
+}
+
 /// Deletes the model's expectations of a person, and their departure.
 pub(super) fn delete_expectations(transaction: &Transaction<'_>, person: PersonId) -> Result<usize> {
     let deleted = transaction.execute("DELETE FROM expectation WHERE person = ?1", [person.0])?;
@@ -517,7 +547,7 @@ pub(super) fn persons(transaction: &Transaction<'_>) -> Result<Vec<KeptPerson>> 
         let former = serde_json::from_str(&row.get::<_, String>(3)?).unwrap_or_default();
         Ok(KeptPerson { number: PersonId(row.get(0)?), name: row.get(1)?, resident: row.get(2)?, former })
     };
-    query.query_map([], person)?.collect()
+    query.query_map([], person)?.filter_map(|person| sound(person).transpose()).collect()
 }
 
 /// Persons who were found for events; several where a text names several.

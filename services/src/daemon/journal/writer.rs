@@ -193,13 +193,17 @@ impl Writer {
         if self.database.write(is_imported)? {
             return Ok(());
         }
-        let records = old::read(directory, self.bytes_max, &self.boot_id);
-        let persons = old::persons(directory);
+        // A database that lost the mark has newer events and names than the old files.
+        let is_new = self.number == 0;
+        let records = if is_new { old::read(directory, self.bytes_max, &self.boot_id) } else { Vec::new() };
+        let persons = if is_new { old::persons(directory) } else { Vec::new() };
         let (first, count) = (self.number + 1, records.len());
         self.database.write(|transaction| {
             let numbered = (first..).zip(&records);
             numbered.into_iter().try_for_each(|(number, record)| store::write(transaction, number, record))?;
-            store::write_persons(transaction, &persons)?;
+            if !persons.is_empty() {
+                store::write_persons(transaction, &persons)?;
+            }
             transaction.execute("INSERT INTO meta VALUES ('read_old_files', 1)", []).map(|_| ())
         })?;
         if count > 0 {
@@ -325,11 +329,11 @@ impl Writer {
         self.write([])?;
         self.number += 1;
         let number = self.number;
-        let (theirs, is_changed) =
-            self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number))?;
+        let forgotten = self.database.write(|transaction| forget::forget(transaction, person, is_theirs, number));
+        let (theirs, is_changed) = forgotten.inspect_err(|error| self.recover_from(error))?;
         let removed = self.database.remove_set_aside();
         let removed = removed
-            .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::ALL)));
+            .and_then(|()| self.directory.as_deref().map_or(Ok(()), |directory| old::remove(directory, &old::EVENTS)));
         removed.map_err(|error| Error::ToSqlConversionFailure(Box::new(error)))?;
         // Also when nothing has changed: an earlier call may have failed before this.
         self.erase()?;
@@ -346,8 +350,13 @@ impl Writer {
     pub fn write_habits(&mut self, rows: HabitRows, is_forgotten: bool) -> Result<(), Error> {
         self.write([])?;
         let nothing = HabitRows::default();
-        let before = self.habits.as_ref().unwrap_or(&nothing);
-        let written = self.database.write(|transaction| rows.write(transaction, before));
+        let known = self.habits.as_ref().filter(|rows| !rows.is_damaged());
+        let written = self.database.write(|transaction| {
+            if known.is_none() {
+                HabitRows::clear(transaction)?;
+            }
+            rows.write(transaction, known.unwrap_or(&nothing))
+        });
         written.inspect_err(|error| self.recover_from(error))?;
         self.habits = Some(rows);
         if is_forgotten {
@@ -364,12 +373,13 @@ impl Writer {
     /// # Errors
     /// When the disk refuses.
     pub(super) fn write_persons(&mut self, persons: &[KeptPerson]) -> Result<(), Error> {
-        self.database.write(|transaction| store::write_persons(transaction, persons))?;
+        let written = self.database.write(|transaction| store::write_persons(transaction, persons));
+        written.inspect_err(|error| self.recover_from(error))?;
         self.sync()
     }
 
     fn erase(&mut self) -> Result<(), Error> {
-        self.database.erase()?;
+        self.database.erase().inspect_err(|error| self.recover_from(error))?;
         // Nothing that a later sync loses was written before this.
         self.unsynced.clear();
         self.tell_bytes();
