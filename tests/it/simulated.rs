@@ -927,6 +927,8 @@ impl World {
             let written = &self.accepted[..self.accepted.len() - waiting];
             self.safe.extend(written.iter().map(Observation::id).filter(|name| !self.refused.contains(name)));
             self.note(|| format!("the database is synced, {trimmed} of its events went"));
+        } else {
+            self.note(|| "the database cannot be synced".to_owned());
         }
         Ok(())
     }
@@ -1404,7 +1406,8 @@ impl World {
         for narrator in &mut self.narrators {
             narrator.wire.clear();
         }
-        self.note(|| "daemon killed".to_owned());
+        let (trimmed, noted) = (daemon.writer.trimmed(), daemon.trimmed);
+        self.note(|| format!("daemon killed, {trimmed} of its events went, {noted} of them known"));
         if self.rng.random_bool(0.15) {
             self.damage_disk();
         }
@@ -1434,6 +1437,7 @@ impl World {
             return Ok(());
         }
         self.disk.start();
+        let failed_syncs = self.disk.tally().failed_syncs;
         // An unreadable disk is an error, and the daemon is started again.
         let opened = Database::open_simulated(self.disk.simulation(), SCHEMA).map_err(|error| error.to_string());
         let opened = opened
@@ -1453,6 +1457,8 @@ impl World {
         {
             newest.event = Event::Did(Sentence::new("They do thing 1\u{31}1 with the pam.").unwrap());
         }
+        // The start went on after a failed sync of pages that a killed daemon has left.
+        self.lost_pages |= self.disk.tally().failed_syncs > failed_syncs;
         self.habits = recovered.habits.take();
         let pipeline = self.pipeline(0, self.options.history, &self.failures);
         let config =
@@ -1476,7 +1482,8 @@ impl World {
         }
         let back = recovered.observations.clone();
         let misread = if self.disk.was_misread() { ", and a block is misread" } else { "" };
-        self.note(|| format!("daemon starts with {} narrations{misread}", back.len()));
+        let damaged = recovered.damaged;
+        self.note(|| format!("daemon starts with {} narrations{misread}, {damaged} damaged rows", back.len()));
         if self.disk.was_misread() || self.disk.tally().set_aside > self.set_aside {
             // It may contain the row of a source's port.
             self.strangers.clear();

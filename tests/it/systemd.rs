@@ -513,7 +513,9 @@ fn every_service_makes_only_calls_that_its_unit_allows() {
             assert!(made.contains("sched_setaffinity") && made.contains("setpriority"), "{made:?}");
         }
         let allowed = allowed(unit);
-        let refused: Vec<_> = made.difference(&allowed).collect();
+        // SQLite calls it for root alone; the units have users of their own.
+        let is_of_root = |call: &&String| *call == "fchown" && rustix::process::geteuid().is_root();
+        let refused: Vec<_> = made.difference(&allowed).filter(|call| !is_of_root(call)).collect();
         assert!(refused.is_empty(), "{unit} refuses {refused:?}");
     }
 }

@@ -161,6 +161,16 @@ impl Writer {
     fn start(&mut self) -> Result<Recovered, Error> {
         self.begin()?;
         self.import()?;
+        match self.database.sync() {
+            // A failed sync loses pages that a killed daemon has left. What is read after it is on the disk.
+            Err(error) if !is_damage(&error) => {
+                self.recover_from(&error);
+                if self.lacks_pages {
+                    self.reopen()?;
+                }
+            }
+            synced => synced?,
+        }
         let recovered = self.recover()?;
         self.habits.clone_from(&recovered.habits);
         Ok(recovered)
