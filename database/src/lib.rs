@@ -428,6 +428,21 @@ impl Database {
     }
 }
 
+/// The content of a row; `None` if a column has a value that no sound row has.
+///
+/// # Errors
+/// Any other error.
+pub fn sound<T>(row: rusqlite::Result<T>) -> rusqlite::Result<Option<T>> {
+    use rusqlite::Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
+    match row {
+        Ok(content) => Ok(Some(content)),
+        Err(Utf8Error(..) | IntegralValueOutOfRange(..) | FromSqlConversionFailure(..) | InvalidColumnType(..)) => {
+            Ok(None)
+        }
+        Err(error) => Err(error),
+    }
+}
+
 /// Whether an error means a damaged file, and not a problem of the disk or another process.
 #[must_use]
 pub fn is_damage(error: &rusqlite::Error) -> bool {

@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 
 use roomcast_core::habits::{Habits, HabitsOptions};
 use roomcast_core::ids::EventId;
-use roomcast_database::Transaction;
 use roomcast_database::rusqlite::{OptionalExtension, Result, params};
+use roomcast_database::{Transaction, sound};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::store::sound;
 use crate::daemon::habits::{Heard, Memory};
 
 /// Names are of things or of places.

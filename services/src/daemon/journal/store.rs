@@ -8,8 +8,8 @@ use roomcast_core::forecast::PACES;
 use roomcast_core::ids::{BootNs, EventId, PersonId, UnixNs};
 use roomcast_core::narration::{Event, Observation, RoomName, SensorReport, Sentence, person_number};
 use roomcast_core::pipeline::SOURCES_MAX;
-use roomcast_database::Transaction;
-use roomcast_database::rusqlite::{self, Error, OptionalExtension, Row, named_params, params};
+use roomcast_database::rusqlite::{self, OptionalExtension, Row, named_params, params};
+use roomcast_database::{Transaction, sound};
 use roomcast_ipc::Sender as Port;
 
 use super::learned::HabitRows;
@@ -165,18 +165,6 @@ pub(super) fn insert_moves(transaction: &Transaction<'_>, event: i64, moves: &[M
         insert.execute(params![event, place as i64, person.0, name, by_fit, kind, room, text])?;
     }
     Ok(())
-}
-
-/// The content of a row; `None` if a column has a value that no sound row has.
-pub(super) fn sound<T>(row: Result<T>) -> Result<Option<T>> {
-    use Error::{FromSqlConversionFailure, IntegralValueOutOfRange, InvalidColumnType, Utf8Error};
-    match row {
-        Ok(content) => Ok(Some(content)),
-        Err(Utf8Error(..) | IntegralValueOutOfRange(..) | FromSqlConversionFailure(..) | InvalidColumnType(..)) => {
-            Ok(None)
-        }
-        Err(error) => Err(error),
-    }
 }
 
 /// A start of a narrator.
