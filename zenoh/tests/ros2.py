@@ -68,8 +68,16 @@ publisher = ROS2Publisher(
 )
 end = time.monotonic() + PATIENCE_S
 said = 0
+
+
+def is_scored():
+    """The first diagnostics may be from before the daemon's first scores."""
+    status = heard.get("/diagnostics", {}).get("status") or [{}]
+    return status[0].get("message") == "rooms are scored"
+
+
 # Nav2's information about the mask is sent before the script starts.
-while time.monotonic() < end and not {*TOPICS} - {*heard} <= {"/roomcast/keepout_info"}:
+while time.monotonic() < end and not (is_scored() and {*TOPICS} - {*heard} <= {"/roomcast/keepout_info"}):
     # The topic is volatile: a message without a subscriber is lost, as in ROS 2.
     if said < 20:
         publisher.publish(data=json.dumps({"text": "They walk to the kitchen.", "person": "Ada"}))
