@@ -40,11 +40,11 @@ demo: build ## Builds, then shows the whole system at work on this machine.
 	$(TARGET)/release/roomcast demo
 
 .PHONY: check
-check: ## Before a commit: format, lints and unit tests of the crates that you changed; under a minute when warm.
+check: ## Before a commit: format, lints and unit tests of the crates that you changed.
 	@.ci/check
 
 .PHONY: test
-test: setup format counts prose structure lint unit docs licences scenes python ## Format, lints, tests, documentation, licences, Python: ten minutes on two cores.
+test: setup format counts prose structure lint unit docs licences scenes python ## Format, lints, tests, documentation, licences, Python.
 	@echo "test: all checks passed"
 
 .PHONY: test-full

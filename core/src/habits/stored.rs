@@ -212,7 +212,7 @@ impl Stored {
             // Two former classes of time spent are one class.
             match Kind::of(row.kind) {
                 Some(Kind::Stay | Kind::StayPlace | Kind::StayPlaceHour) => row.after[1] = row.after[1].div_ceil(2),
-                // Weekends were told apart.
+                // Earlier versions counted weekends separately.
                 Some(Kind::ObjectHour) => row.after[1] = NONE,
                 Some(Kind::LaterDwell) => row.after[1] = row.after[1] & 0xff00 | (row.after[1] & 0xff).div_ceil(2),
                 _ => {

@@ -504,11 +504,8 @@ pub(super) fn replace(
 
 /// Deletes damaged events, which can be of any person.
 pub(super) fn delete_events(transaction: &Transaction<'_>, ids: &[i64]) -> Result<()> {
-    for id in ids {
-        transaction.execute("DELETE FROM moved WHERE event = ?1", [id])?;
-        transaction.execute("DELETE FROM event WHERE id = ?1", [id])?;
-    }
-    Ok(())
+    let mut delete = transaction.prepare_cached("DELETE FROM event WHERE id = ?1")?;
+    ids.iter().try_for_each(|id| delete.execute([id]).map(|_| ()))
 }
 
 /// Deletes the model's expectations of a person, and their departure.

@@ -65,6 +65,41 @@ fn appended_events_come_back() {
     }
 }
 
+#[test]
+fn values_that_no_sound_row_has_cost_their_rows_and_not_the_start() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(1)), expected(&observation(1), PersonId(3), &[0.5, 0.5])]).unwrap();
+    let rows = [
+        "departure VALUES (1099511627781, 1)",
+        "moved VALUES (1, 0, 1099511627781, NULL, 0, NULL, NULL, NULL)",
+        "person VALUES (1099511627781, 'Eve', 0, '[]', 0)",
+        "source VALUES (9, 9, x'01', 1, 1, 1, 1)",
+        "meta VALUES ('habits_version', 4)",
+        "habit VALUES (300, 0, 0, 0, 0, 0, 1.0, 1)",
+    ];
+    rows.iter().for_each(|row| own.plant(&format!("INSERT INTO {row}")));
+    own.plant("UPDATE expectation SET person = 1099511627781");
+    drop(own);
+    for _ in 0..2 {
+        let (_, recovered) = writer(directory.path(), 1 << 20);
+        assert_eq!(recovered.observations, [observation(1)]);
+        assert!(recovered.set_aside.is_none(), "a start sets nothing aside");
+        assert!(recovered.persons.is_empty() && recovered.habits.unwrap().is_damaged());
+    }
+}
+
+#[test]
+fn forgetting_deletes_damaged_events_of_any_person() {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut own, _) = writer(directory.path(), 1 << 20);
+    own.write([event(&observation(1)), event(&observation(2))]).unwrap();
+    own.plant("UPDATE event SET checksum = checksum + 1 WHERE sequence = 1");
+    own.forget(PersonId(5), &|_, _| false).unwrap();
+    let text = text_of(directory.path());
+    assert!(!text.contains("They do thing 1.") && text.contains("They do thing 2."));
+}
+
 /// A lost mount leaves another folder at the same path.
 #[test]
 fn events_in_a_folder_that_was_made_again_are_not_kept() {
