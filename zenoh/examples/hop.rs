@@ -1,11 +1,11 @@
-//! What one hop costs: a decision from shared memory through the bridge and a router, beside as many bytes put and received by zenoh alone, in
-//! turns on the same machine. Who puts is a process of its own in both cases: the bridge, and this program started again.
+//! The cost of one hop: a decision from shared memory through the bridge and a router, and the same bytes through zenoh only, in turns on one
+//! machine. The sender is a separate process in both cases: the bridge, or this program started again.
 //!
 //! ```text
 //! cargo run --release --manifest-path zenoh/Cargo.toml --example hop -- PORT PROGRAM [N]
 //! ```
 //!
-//! `PORT` is that of a router on this machine, `PROGRAM` is `roomcast-zenoh`.
+//! `PORT` belongs to a router on this machine; `PROGRAM` is the path of `roomcast-zenoh`.
 
 #![expect(clippy::unwrap_used, reason = "a measurement that cannot be made ends")]
 
@@ -23,7 +23,7 @@ use zenoh::{Session, Wait};
 
 const PATIENCE: Duration = Duration::from_secs(5);
 const ALONE: &str = "hop/alone";
-/// In the place of `PROGRAM`: this one is to put, with so many bytes.
+/// In place of `PROGRAM`: this process sends, with the given number of bytes.
 const PUT: &str = "put";
 
 fn open(port: &str) -> Session {

@@ -1,11 +1,11 @@
-//! Many robots' bridges at their real rates, in one process, against one router: what messages, bytes, memory and processor they take.
+//! Many robots' bridges at their real rates, in one process, against one router: their messages, bytes, memory and processor time.
 //!
 //! ```text
 //! cargo run --release --manifest-path zenoh/Cargo.toml --example scale -- PORT ROUTER_PID ROBOTS SECONDS
 //! ```
 //!
-//! Each robot has a session of its own and says what a home of eight rooms with two persons says: a status every second, scores, forecast
-//! and persons every five, a decision a minute. One operator hears everything.
+//! Each robot has a session and sends the messages of a home with eight rooms and two persons: a status every second, scores, forecast and
+//! persons every five seconds, a decision a minute. One operator hears everything.
 
 #![expect(clippy::unwrap_used, reason = "a measurement that cannot be made ends")]
 
@@ -29,7 +29,7 @@ fn open(port: &str) -> Session {
     zenoh::open(client(&router).unwrap()).wait().unwrap()
 }
 
-/// What a robot says, and how often in a minute.
+/// The messages of a robot, and their number per minute.
 fn said() -> Vec<(&'static str, u64, Told)> {
     let ids = (0..ROOMS as usize).map(|room| text::encode("id", &format!("room number {room}")).unwrap());
     let ids: Vec<_> = ids.collect();
