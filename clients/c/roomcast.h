@@ -113,16 +113,16 @@
 // Most points in time of a forecast.
 #define ROOMCAST_MAX_HORIZONS 16
 
-// Nobody was observed, or of somebody who lives here nothing was and all others are away: every room is as likely, which says nothing.
+// No person was observed, or a resident was not observed and all others are away: all rooms are equally likely.
 #define ROOMCAST_FORECAST_FLAGS_NOT_KNOWN 1
 
-// Of somebody, all that is known was observed before the daemon's start.
+// The last event of a person is from before the daemon's start.
 #define ROOMCAST_FORECAST_FLAGS_RESTORED (1 << 1)
 
-// Everybody who is known or lives here is away now.
+// The house is empty now.
 #define ROOMCAST_FORECAST_FLAGS_NOBODY_HOME (1 << 2)
 
-// Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+// A resident was not observed: the probabilities lack this resident, who may be in any room.
 #define ROOMCAST_FORECAST_FLAGS_RESIDENT_UNKNOWN (1 << 3)
 
 // Most bytes of a decision's reason.
@@ -502,7 +502,7 @@ typedef struct RoomcastItemScoresHeaderV1 {
   // Minor version of the layout: 1, which has items.
   // (Offset 24.)
   uint32_t minor;
-  // Items of the map. Where they are more than the message has, it has the MAX_ITEMS with the best scores.
+  // Items of the map. If the map has more items than the message, the message has the MAX_ITEMS with the best scores.
   // (Offset 28.)
   uint32_t items;
   // Zero.
@@ -558,7 +558,7 @@ typedef struct RoomcastForecastV1 {
   // Bits of forecast_flags.
   // (Offset 48.)
   uint32_t flags;
-  // Per horizon that everybody is elsewhere, outside the map's rooms, 0 to 1.
+  // Probability per horizon that all persons are elsewhere, outside the map's rooms, 0 to 1.
   // (Offset 52.)
   float elsewhere[ROOMCAST_MAX_HORIZONS];
   // Zero.
@@ -570,8 +570,8 @@ typedef struct RoomcastForecastV1 {
   // The rooms' ids, UTF-8, zero padded.
   // (Offset 192.)
   uint8_t id[ROOMCAST_MAX_ROOMS][ROOMCAST_NAME_BYTES];
-  // probability[room][horizon], 0 to 1: that somebody is there. A horizon's column and elsewhere sum to one for one person,
-  // the column to at most their number for several; a room's row sums to nothing that means anything.
+  // probability[room][horizon], 0 to 1: that a person is there. A horizon's column and elsewhere sum to one for one person,
+  // and the column to at most their number for several. The sum of a room's row has no meaning.
   // (Offset 3264.)
   float probability[ROOMCAST_MAX_ROOMS][ROOMCAST_MAX_HORIZONS];
 } RoomcastForecastV1;
@@ -590,7 +590,7 @@ typedef struct RoomcastPersonForecastV1 {
   // Zero.
   // (Offset 12.)
   uint8_t reserved_a[4];
-  // The person's name, UTF-8, zero padded; empty for one who has a number only.
+  // The person's name, UTF-8, zero padded; empty for a person with a number only.
   // (Offset 16.)
   uint8_t name[ROOMCAST_NAME_BYTES];
   // Per horizon that the person is elsewhere, outside the map's rooms, 0 to 1.
@@ -605,10 +605,10 @@ typedef struct RoomcastPersonForecastV1 {
   // Bit h: elsewhere belongs to the set of horizon h.
   // (Offset 260.)
   uint32_t set_elsewhere;
-  // Observations of the person that habits rest on. 0 where nothing was learned.
+  // Observations behind the person's habits, 0 without habits.
   // (Offset 264.)
   float observations;
-  // How much of the forecast comes from what was learned of this home, LEARNED_SHARE_S seconds ahead, 0 to 1.
+  // Share of the habits in the forecast, LEARNED_SHARE_S seconds ahead, 0 to 1.
   // (Offset 268.)
   float learned_share[3];
   // Zero.

@@ -8,13 +8,13 @@ pub const MAX_HORIZONS: usize = 16;
 
 /// Bits of [`ForecastV1::flags`].
 pub mod forecast_flags {
-    /// Nobody was observed, or of somebody who lives here nothing was and all others are away: every room is as likely, which says nothing.
+    /// No person was observed, or a resident was not observed and all others are away: all rooms are equally likely.
     pub const NOT_KNOWN: u32 = 1;
-    /// Of somebody, all that is known was observed before the daemon's start.
+    /// The last event of a person is from before the daemon's start.
     pub const RESTORED: u32 = 1 << 1;
-    /// Everybody who is known or lives here is away now.
+    /// The house is empty now.
     pub const NOBODY_HOME: u32 = 1 << 2;
-    /// Of somebody who lives here nothing was observed: they are in no probability, and may be in any room.
+    /// A resident was not observed: the probabilities lack this resident, who may be in any room.
     pub const RESIDENT_UNKNOWN: u32 = 1 << 3;
 }
 
@@ -40,7 +40,7 @@ layout! {
         44 => minor: u32,
         /// Bits of [`forecast_flags`].
         48 => flags: u32,
-        /// Per horizon that everybody is elsewhere, outside the map's rooms, 0 to 1.
+        /// Probability per horizon that all persons are elsewhere, outside the map's rooms, 0 to 1.
         52 => elsewhere: [f32; MAX_HORIZONS],
         /// Zero.
         116 => reserved: [u8; 12],
@@ -48,8 +48,8 @@ layout! {
         128 => horizon_s: [f32; MAX_HORIZONS],
         /// The rooms' ids, UTF-8, zero padded.
         192 => id: [[u8; NAME_BYTES]; MAX_ROOMS],
-        /// `probability[room][horizon]`, 0 to 1: that somebody is there. A horizon's column and `elsewhere` sum to one for one person,
-        /// the column to at most their number for several; a room's row sums to nothing that means anything.
+        /// `probability[room][horizon]`, 0 to 1: that a person is there. A horizon's column and `elsewhere` sum to one for one person,
+        /// and the column to at most their number for several. The sum of a room's row has no meaning.
         3264 => probability: [[f32; MAX_HORIZONS]; MAX_ROOMS],
     }
 }

@@ -22,7 +22,7 @@ layout! {
         16 => computed_ns: u64,
         /// Minor version of the layout: 1, which has `items`.
         24 => minor: u32,
-        /// Items of the map. Where they are more than the message has, it has the [`MAX_ITEMS`] with the best scores.
+        /// Items of the map. If the map has more items than the message, the message has the [`MAX_ITEMS`] with the best scores.
         28 => items: u32,
         /// Zero.
         32 => reserved: [u8; 32],

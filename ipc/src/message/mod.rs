@@ -40,7 +40,7 @@ pub struct Field {
     pub size: usize,
 }
 
-/// A structure whose every byte is accounted for.
+/// A structure without padding: each byte belongs to a field.
 pub trait Layout {
     /// iceoryx2's name of the type, the same in every language.
     const TYPE_NAME: &'static str;
@@ -62,12 +62,12 @@ pub trait ByteImage: Sized {
     /// ```
     fn to_bytes(&self) -> Vec<u8>;
 
-    /// The message of these bytes; none when there are too many or too few. It is to be checked like one from a stranger.
+    /// The message of these bytes; `None` if there are too many or too few. Check the message as one from an unknown sender.
     fn from_bytes(bytes: &[u8]) -> Option<Self>;
 }
 
-/// Quality of service of a publish-subscribe service. The first participant's settings hold as long as anyone keeps the
-/// service open, so everybody states all of them.
+/// Quality of service of a publish-subscribe service. The first participant's settings hold until all participants have closed the
+/// service, so each participant states all of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServiceQuality {
     /// Service name; the event service that wakes subscribers has the same.
@@ -211,7 +211,7 @@ macro_rules! layout {
 }
 pub(crate) use layout;
 
-/// Refuses what is not finite or outside `low..=high`.
+/// Refuses values that are not finite or outside `low..=high`.
 fn in_range(field: &'static str, value: f64, low: f64, high: f64, allowed: &'static str) -> Result<(), MessageError> {
     if value >= low && value <= high { Ok(()) } else { Err(MessageError::OutOfRange { field, value, allowed }) }
 }

@@ -21,7 +21,7 @@ layout! {
         8 => flags: u32,
         /// Zero.
         12 => reserved_a: [u8; 4],
-        /// The person's name, UTF-8, zero padded; empty for one who has a number only.
+        /// The person's name, UTF-8, zero padded; empty for a person with a number only.
         16 => name: [u8; NAME_BYTES],
         /// Per horizon that the person is elsewhere, outside the map's rooms, 0 to 1.
         64 => elsewhere: [f32; MAX_HORIZONS],
@@ -31,9 +31,9 @@ layout! {
         256 => set_coverage: f32,
         /// Bit h: elsewhere belongs to the set of horizon h.
         260 => set_elsewhere: u32,
-        /// Observations of the person that habits rest on. 0 where nothing was learned.
+        /// Observations behind the person's habits, 0 without habits.
         264 => observations: f32,
-        /// How much of the forecast comes from what was learned of this home, [`LEARNED_SHARE_S`] seconds ahead, 0 to 1.
+        /// Share of the habits in the forecast, [`LEARNED_SHARE_S`] seconds ahead, 0 to 1.
         268 => learned_share: [f32; 3],
         /// Zero.
         280 => reserved: [u8; 40],
@@ -76,7 +76,7 @@ layout! {
 }
 
 impl PersonForecastV1 {
-    /// The person's name, of a checked message; empty for one who has a number only.
+    /// The person's name, of a checked message; empty for a person with a number only.
     #[must_use]
     pub fn name(&self) -> &str {
         text::checked(&self.name)
