@@ -12,7 +12,7 @@ use roomcast_ipc::raw::{
 use super::ahead::Now;
 use super::habits::{HomeHabits, PlaceSet};
 use super::intake::OTHERS;
-use super::journal::{Believed, Move, Moved, Outcome, Recovered};
+use super::journal::{Expectation, Move, Moved, Outcome, Record, Recovered};
 use super::persons::{NotRenamed, Persons};
 use super::sleep::{deeds, is_bed, may_be_done_lying, sleeps};
 use super::understood::UnderstoodEvents;
@@ -176,7 +176,7 @@ pub struct Board<M> {
     moved: Vec<Moved>,
     no_moves: Vec<Vec<Move>>,
     /// Beliefs at a change of the map, for the state database.
-    believed: Vec<Believed>,
+    believed: Vec<Record>,
     gone: Vec<PersonId>,
     seen: VecDeque<Seen>,
     /// The time at which each person's first unscored event was received.
@@ -416,8 +416,9 @@ impl<M: LanguageModel> Board<M> {
             };
             let mut own = own.clone();
             own.take_rooms(&new, rooms);
-            let (last, paces, probability) = (known.last, own.paces(), own.belief().to_vec());
-            self.believed.push(Believed { last, person: *person, map, paces, probability });
+            let probability = own.belief().iter().map(|probability| *probability as f32).collect();
+            let expectation = Expectation { map, paces: Some(own.paces().map(|pace| pace as f32)), probability };
+            self.believed.push(Record::Expected { of: known.last, person: *person, expectation });
         }
     }
 
@@ -432,7 +433,7 @@ impl<M: LanguageModel> Board<M> {
     }
 
     /// Passes the beliefs at a change of the map to `tell`, once, for the state database.
-    pub fn tell_beliefs(&mut self, tell: impl FnMut(Believed)) {
+    pub fn tell_beliefs(&mut self, tell: impl FnMut(Record)) {
         self.believed.drain(..).for_each(tell);
     }
 
@@ -1060,7 +1061,7 @@ impl<M: LanguageModel> Board<M> {
 
     /// Passes the moves of the last step's events to `tell`, once, for the state database. Without them, a restart would attribute the events by the
     /// persons known then.
-    pub(super) fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
+    pub fn tell_moved(&mut self, mut tell: impl FnMut(&Moved)) {
         for mut moved in self.moved.drain(..) {
             tell(&moved);
             moved.moves.clear();
