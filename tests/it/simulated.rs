@@ -421,7 +421,7 @@ counts! {
         windows_ended, finished, failed_rooms, interrupted, silent, paused, kept, habits_written, habits_read,
         clocks_set, suspended, power_lost, lost_with_power, invented, rotated, renamed;
     also:
-        accepted, scored, decisions, untold, habits_lost, habits_whole, lost_refused, misread;
+        accepted, scored, decisions, untold, habits_lost, habits_whole, lost_refused, misread
 }
 
 impl Tally {
@@ -1957,7 +1957,7 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
         writer.write(events)
     };
     for _ in 0..50 {
-        write(&mut writer, 20).unwrap();
+        write(&mut writer, 60).unwrap();
         writer.sync().unwrap();
     }
     disk.fill();
@@ -1965,8 +1965,7 @@ fn a_full_disk_takes_events_in_the_space_of_the_log() {
         disk.set_faults(1.0, 0.0);
         writer.sync().unwrap_err();
         disk.set_faults(0.0, 0.0);
-        let is_written = (0..3).any(|attempt| write(&mut writer, if attempt == 0 { 20 } else { 0 }).is_ok());
-        assert!(is_written && !writer.lacks_pages());
+        write(&mut writer, 20).unwrap();
         writer.sync().unwrap();
     }
     assert_eq!(writer.recover().unwrap().observations.last().unwrap().sequence, sequence);

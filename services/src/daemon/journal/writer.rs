@@ -38,6 +38,10 @@ fn inner(error: DatabaseError) -> Error {
     }
 }
 
+fn is_full(error: &Error) -> bool {
+    error.sqlite_error_code() == Some(ErrorCode::DiskFull)
+}
+
 fn refused(error: impl std::error::Error + Send + Sync + 'static) -> Error {
     Error::ToSqlConversionFailure(Box::new(error))
 }
@@ -250,6 +254,8 @@ impl Writer {
         if is_again {
             self.reopen()?;
             self.queue.written = 0;
+            // SQLite does not know any more which part of the log it has copied, and a full disk has no other space.
+            self.database.make_room().or_else(|error| if is_full(&error) { Ok(()) } else { Err(error) })?;
         }
         let Self { database, queue, habits, persons, .. } = self;
         let (known, nothing) = (habits.as_ref().filter(|habits| !habits.is_damaged()), HabitRows::default());
@@ -298,7 +304,6 @@ impl Writer {
                 Err(error) => tracing::error!(%error, "the damaged state database cannot be set aside"),
             }
         }
-        let is_full = |error: &Error| error.sqlite_error_code() == Some(ErrorCode::DiskFull);
         self.lacks_pages |= match error.sqlite_error_code() {
             Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => false,
             // Copying the log syncs.
