@@ -340,14 +340,14 @@ impl<M: LanguageModel> Board<M> {
         self.attribution.lines((&mut self.map, self.scoring.pipeline.grounding()), (source, epoch, from))
     }
 
-    /// Weighs an event in the joint filter, which starts if the event needs it.
-    fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Weighed {
-        let Some(at_ns) = at_ns else { return Weighed::NotNeeded };
-        let who_is = match who {
-            Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.attribution.persons.number_of(name))),
-            Who::Named(person, _) => Some(*person),
-            Who::Unknown(_) | Who::House => None,
-        };
+    /// Why the filter does not take an event: its person is guarded, or a newer event counts.
+    fn refusal(
+        &mut self,
+        own: &Observation,
+        who_is: Option<PersonId>,
+        reporter: Reporter,
+        at_ns: i64,
+    ) -> Option<Reason> {
         let is_guarded = match who_is {
             _ if !reporter.is_unknown => false,
             Some(person) => {
@@ -356,9 +356,9 @@ impl<M: LanguageModel> Board<M> {
             None => self.attribution.persons.is_anybody_guarded(at_ns),
         };
         if is_guarded {
-            return Weighed::Refused(Reason::Guarded);
+            return Some(Reason::Guarded);
         }
-        let fault = match (&own.event, who_is) {
+        match (&own.event, who_is) {
             // A device's own reports have their order.
             (Event::Sensor(report), _) => self.belief.sensors.note((own.source, report), who_is, at_ns).err(),
             (_, Some(person)) => {
@@ -370,9 +370,19 @@ impl<M: LanguageModel> Board<M> {
                 let is_late = self.belief.tracking.as_ref().is_some_and(|own| own.is_older(at_ns, LATE_NS));
                 is_late.then_some(Reason::Outdated)
             }
+        }
+    }
+
+    /// Weighs an event in the joint filter, which starts if the event needs it.
+    fn weigh(&mut self, own: &Observation, who: &Who, reporter: Reporter, at_ns: Option<i64>) -> Weighed {
+        let Some(at_ns) = at_ns else { return Weighed::NotNeeded };
+        let who_is = match who {
+            Who::Key => Some(own.name.as_deref().map_or(own.person, |name| self.attribution.persons.number_of(name))),
+            Who::Named(person, _) => Some(*person),
+            Who::Unknown(_) | Who::House => None,
         };
-        if let Some(fault) = fault {
-            return Weighed::Refused(fault);
+        if let Some(reason) = self.refusal(own, who_is, reporter, at_ns) {
+            return Weighed::Refused(reason);
         }
         // The filter knows no rooms of a changed map before its first scores.
         if self.map.next_rooms.is_some() {
@@ -428,21 +438,27 @@ impl<M: LanguageModel> Board<M> {
             self.start_tracking(at_ns);
             return Weighed::NotNeeded;
         }
-        if let Event::Sensor(report) = &own.event
-            && let (SensorKind::Bed, Some(on), true) = (report.kind, report.on, is_taken)
-        {
-            let lies = |person: &PersonId| who_is.map_or_else(|| tracking.share(*person) > HALF, |own| own == *person);
-            let persons: Vec<PersonId> = tracking.persons().iter().copied().filter(lies).collect();
-            for person in persons {
-                if let Some(known) = self.attribution.persons.get_mut(person) {
-                    known.on_bed = on;
-                }
-            }
+        if is_taken {
+            self.note_bed(&own.event, who_is);
         }
         match own.event {
             _ if is_taken => Weighed::Yes,
             Event::Sensor(_) => Weighed::Refused(Reason::NoSensor),
             _ => Weighed::NotNeeded,
+        }
+    }
+
+    /// A bed's sensor says that its person lies or is up.
+    fn note_bed(&mut self, event: &Event, who_is: Option<PersonId>) {
+        let Event::Sensor(report) = event else { return };
+        let (SensorKind::Bed, Some(on), Some(tracking)) = (report.kind, report.on, &self.belief.tracking) else {
+            return;
+        };
+        let lies = |person: &PersonId| who_is.map_or_else(|| tracking.share(*person) > HALF, |own| own == *person);
+        for person in tracking.persons().iter().filter(|person| lies(person)) {
+            if let Some(known) = self.attribution.persons.get_mut(*person) {
+                known.on_bed = on;
+            }
         }
     }
 

@@ -1,6 +1,7 @@
 //! The published messages: scores, forecasts and items.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
 use roomcast_core::forecast::Forecaster;
 use roomcast_core::grounding::Partition;
@@ -138,24 +139,7 @@ impl Publication {
         for own in &untracked {
             others_free.iter_mut().zip(own.at(now_s, 0.0)).for_each(|(free, p)| *free *= 1.0 - p);
         }
-        let mut free = [[1.0; MAX_ROOMS]; MAX_HORIZONS];
-        let mut elsewhere = [1.0; MAX_HORIZONS];
-        // The joint belief differs from the product of the persons' beliefs by the persons' dependence that remains at the horizon.
-        let mut common = [1.0; MAX_HORIZONS];
-        for (person, own) in followed {
-            let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
-            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
-                common[place] *= own.stays(now_s, f64::from(*horizon_s));
-                let free = free[place].iter_mut();
-                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
-                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= gone;
-                } else {
-                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
-                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
-                }
-            }
-        }
+        let Independent { free, elsewhere, common } = Independent::of(followed, home, now_ns);
         for place in 0..MAX_HORIZONS {
             let joint = |of: f64, now: f64, own: f64| (own + common[place] * (of - now)).clamp(0.0, 1.0);
             for (room, row) in message.probability.iter_mut().enumerate().take(rooms.len()) {
@@ -422,6 +406,38 @@ impl Publication {
         }
         places.for_each(|place| *place = PersonV1::default());
         message.person_count = count;
+    }
+}
+
+/// The house by horizon if its persons moved independently.
+struct Independent {
+    /// The probability that a room is free.
+    free: [[f64; MAX_ROOMS]; MAX_HORIZONS],
+    /// The probability that all persons are elsewhere.
+    elsewhere: [f64; MAX_HORIZONS],
+    /// The part of the persons' dependence now that remains: the joint belief differs from the product of the persons' beliefs by it.
+    common: [f64; MAX_HORIZONS],
+}
+
+impl Independent {
+    fn of(followed: &BTreeMap<PersonId, Forecaster>, home: &mut HomeHabits, now_ns: BootNs) -> Self {
+        let (mut free, now_s) = ([[1.0; MAX_ROOMS]; MAX_HORIZONS], now_ns.seconds());
+        let (mut elsewhere, mut common) = ([1.0; MAX_HORIZONS], [1.0; MAX_HORIZONS]);
+        for (person, own) in followed {
+            let by_habit = home.forecast(*person, own, now_ns, &HORIZONS_S);
+            for (place, horizon_s) in HORIZONS_S.iter().enumerate() {
+                common[place] *= own.stays(now_s, f64::from(*horizon_s));
+                let free = free[place].iter_mut();
+                if let Some((gone, known)) = by_habit.and_then(|rows| row(rows, place)?.split_last()) {
+                    free.zip(known).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= gone;
+                } else {
+                    free.zip(own.at(now_s, f64::from(*horizon_s))).for_each(|(free, p)| *free *= 1.0 - p);
+                    elsewhere[place] *= own.elsewhere(now_s, f64::from(*horizon_s));
+                }
+            }
+        }
+        Self { free, elsewhere, common }
     }
 }
 

@@ -1,17 +1,17 @@
 //! The events of a former run, from the state database.
 
-use roomcast_core::ids::{BootNs, UnixNs};
+use roomcast_core::ids::{BootNs, PersonId, UnixNs};
 use roomcast_core::narration::{Observation, Presence, Voice};
 use roomcast_core::scorer::LanguageModel;
 
 use super::{Board, observed_at_ns};
-use crate::daemon::journal::{Move, Recovered};
+use crate::daemon::journal::{Expectation, Move, Recovered};
 
 impl<M: LanguageModel> Board<M> {
     /// Restores the events of a former run without scoring, with their times, and the expectations after some of them. Returns the number of events
     /// that were left out because they cost more tokens than a window holds.
     pub fn restore(&mut self, recovered: Recovered, now_ns: BootNs, now_unix_ns: UnixNs) -> usize {
-        let (map, mut costly) = (self.map.number(), 0);
+        let mut costly = 0;
         let Recovered { observations, mut expectations, forgotten, mut moved, of_other_boots, .. } = recovered;
         let started_unix_ns = now_unix_ns.saturating_sub(now_ns.0);
         self.belief.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);
@@ -87,24 +87,7 @@ impl<M: LanguageModel> Board<M> {
                 if !persons.contains(&person) {
                     continue;
                 }
-                let said: Vec<f64> =
-                    expectation.probability.iter().map(|probability| f64::from(*probability)).collect();
-                // For a person who is out, the stored expectation is empty.
-                if said.is_empty() {
-                    self.records.said.insert(person, said);
-                } else if let Some(own) = self.belief.followed.get_mut(&person).filter(|_| expectation.map == map) {
-                    match expectation.paces {
-                        Some(paces) => {
-                            own.believe(&said, paces.map(f64::from));
-                            let heard_ns = self.attribution.persons.get(person).map_or(0, |known| known.heard_ns);
-                            self.home.stayed(person, heard_ns, own);
-                        }
-                        None => {
-                            own.expect(&said);
-                            self.records.said.insert(person, said);
-                        }
-                    }
-                }
+                self.restore_expectation(person, expectation);
             }
         }
         forgotten.for_each(|(_, person)| self.lose(person));
@@ -112,6 +95,25 @@ impl<M: LanguageModel> Board<M> {
         self.home.end_restore();
         self.scoring.pipeline.intake().forget_voices();
         costly
+    }
+
+    fn restore_expectation(&mut self, person: PersonId, stored: &Expectation) {
+        let said: Vec<f64> = stored.probability.iter().map(|probability| f64::from(*probability)).collect();
+        // For a person who is out, the stored expectation is empty.
+        if said.is_empty() {
+            self.records.said.insert(person, said);
+            return;
+        }
+        let is_of_map = stored.map == self.map.number();
+        let Some(own) = self.belief.followed.get_mut(&person).filter(|_| is_of_map) else { return };
+        if let Some(paces) = stored.paces {
+            own.believe(&said, paces.map(f64::from));
+            let heard_ns = self.attribution.persons.get(person).map_or(0, |known| known.heard_ns);
+            self.home.stayed(person, heard_ns, own);
+        } else {
+            own.expect(&said);
+            self.records.said.insert(person, said);
+        }
     }
 
     /// Restores the part of one person in an event of a former run.
