@@ -25,6 +25,8 @@ mod demo;
 #[cfg(feature = "demo")]
 mod demo_robot;
 #[cfg(feature = "demo")]
+mod demo_story;
+#[cfg(feature = "demo")]
 mod demo_week;
 mod doctor;
 #[cfg(feature = "simulation")]
