@@ -165,7 +165,7 @@ fn standard_error_that_cannot_be_written_ends_no_command_by_a_panic() {
 fn the_doctor_blames_the_part_that_is_wrong() {
     let world = World::new("doctor");
     let output = world.command(&["doctor", "--json", "--scene", "/nowhere/at-all"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(i32::from(exit_code::CHECK)));
+    assert_eq!(output.status.code(), Some(i32::from(exit_code::INPUT)), "a missing map has one exit code");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let finding = |check: &str| {
         let findings = report["findings"].as_array().unwrap();
