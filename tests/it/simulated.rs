@@ -994,6 +994,11 @@ impl World {
                     self.tally.scored += 1;
                     let Daemon { cycle, records, appended, .. } = daemon;
                     let mut attributed = 0;
+                    cycle.board_mut().tell_moved(|moved| {
+                        *appended += 1;
+                        records.push_back((moved.into(), false));
+                        attributed = *appended;
+                    });
                     cycle.board_mut().tell_outcomes(|outcome| {
                         *appended += 1;
                         records.push_back((outcome.into(), false));
