@@ -994,6 +994,10 @@ impl World {
                     self.tally.scored += 1;
                     let Daemon { cycle, records, appended, .. } = daemon;
                     let mut attributed = 0;
+                    cycle.board_mut().tell_gone(|person| {
+                        *appended += 1;
+                        records.push_back((Record::Gone(person), false));
+                    });
                     cycle.board_mut().tell_moved(|moved| {
                         *appended += 1;
                         records.push_back((moved.into(), false));
