@@ -2017,6 +2017,12 @@ fn no_seed_violates_an_invariant() {
     }
 }
 
+/// A restarted daemon took things from before a silence for things in use.
+#[test]
+fn seeds_that_found_faults_violate_nothing() {
+    [1767].into_iter().for_each(|seed| _ = play(seed, Planted::Nothing).unwrap());
+}
+
 #[test]
 #[ignore = "full"]
 fn planted_faults_are_found() {
