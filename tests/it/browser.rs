@@ -215,6 +215,13 @@ fn the_page_shows_a_running_system_in_a_real_browser() {
     assert_eq!(browser.run("return document.querySelectorAll('img, iframe, object').length"), json!(0));
     assert_eq!(browser.run("return document.title"), json!("Roomcast"));
 
+    // A person holds the robot on the page, and lets it go on.
+    let click = |order: &str| browser.run(&format!("document.querySelector('[data-order={order}]').click()"));
+    click("hold");
+    browser.until("the robot is held", "return document.getElementById('robot').innerText.includes('On hold')");
+    click("resume");
+    browser.until("the robot goes on", "return !document.getElementById('robot').innerText.includes('On hold')");
+
     // The keyboard suffices: the first tab stop is the horizon.
     browser.run("document.activeElement.blur()");
     browser.press(TAB);
