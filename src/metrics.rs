@@ -682,6 +682,7 @@ mod tests {
             while !asked.requested() {
                 let habits_persons = known.load(Ordering::Relaxed) as u32;
                 server.answer(|| StatusResponseV1 { habits_persons, ..Default::default() }).unwrap();
+                // The daemon's pace.
                 std::thread::sleep(Duration::from_millis(1));
             }
         });

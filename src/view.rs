@@ -428,6 +428,7 @@ impl Shown for Played {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::eventually::eventually;
     use roomcast_core::grounding::GroundingOptions;
     use roomcast_core::semantic_map::SemanticMap;
     use roomcast_ipc::raw::{action, narration_kind};
@@ -756,17 +757,16 @@ mod tests {
         decisions.send(&decision).unwrap();
         let least_s = clock::monotonic_ns() as f64 / 1e9 - 1.0;
         let (address, stop, thread) = viewed(&domain);
-        let ages = (0..600).find_map(|_| {
+        let ages = eventually("narration and decision have an age", || {
             // Late subscribers get earlier messages.
             narration.tick().unwrap();
             decisions.tick().unwrap();
             let answer = got(address, "/state", "localhost", "k3y");
             let state: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
             let ages = [&state["narration"][0]["age_s"], &state["decision"]["age_s"]].map(Value::as_f64);
-            std::thread::sleep(Duration::from_millis(50));
             Some([ages[0]?, ages[1]?])
         });
-        assert!(ages.unwrap().into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
+        assert!(ages.into_iter().all(|age_s| age_s >= least_s), "{ages:?}, at least {least_s}");
         stop.request();
         assert!(matches!(thread.join(), Ok(Ok(()))));
         drop((narration, decisions, node));

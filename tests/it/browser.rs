@@ -7,6 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use roomcast_services::recording::{self, Recorded};
 use serde_json::{Value, json};
 
 use crate::eventually::eventually;
@@ -297,7 +298,12 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     let said = "{\"person\": \"ada\", \"presence\": \"present\", \"room\": \"laundry-3\"}\n";
     narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();
     assert!(narrator.wait().unwrap().success());
-    std::thread::sleep(Duration::from_secs(2));
+    eventually("the recording has the map, the narration and its scores", || {
+        let recording = recording::read(&root.join("day.mcap")).ok().filter(|own| !own.moments.is_empty())?;
+        let of = |is: fn(&Recorded) -> bool| recording.messages.iter().rposition(|(_, message)| is(message));
+        let narrated = of(|message| matches!(message, Recorded::Narration(_)))?;
+        (of(|message| matches!(message, Recorded::RoomScores(_)))? > narrated).then_some(())
+    });
     rustix::process::kill_process(rustix::process::Pid::from_child(&record), rustix::process::Signal::TERM).unwrap();
     assert!(record.wait().unwrap().success());
 

@@ -451,6 +451,22 @@ fn persons_do_not_hide_each_other() {
     assert!((mass - together.label_mass).abs() < 1e-12);
 }
 
+#[test]
+fn each_person_has_the_same_weight_in_the_scores_of_labels() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let model = WholePrompt(TableModel::new(7));
+    let mut both = pipeline_of(model, &map, Effort::Exact, CorrectionChoice::EQUATION_1);
+    both.step([observation(1, PersonId(0)), observation(2, PersonId(1))]).unwrap();
+    let own = [0, 1].map(|person| both.inside().person(PersonId(person)).unwrap());
+    let mass = own.map(|own| own.grounded.label_mass);
+    assert_ne!(mass[0], mass[1]);
+    for (label, nats) in both.scores().label_log_prob_nats.iter().enumerate() {
+        let share = |own: PersonScores| own.label_log_prob_nats[label].exp() / own.grounded.label_mass;
+        let expected = (mass[0] + mass[1]) / 2.0 * (share(own[0]) + share(own[1])) / 2.0;
+        assert!((nats.exp() - expected).abs() < 1e-12, "{label}: {nats} {expected}");
+    }
+}
+
 fn presence(sequence: u64, person: PersonId, text: &str) -> Observation {
     Observation { event: Event::presence(text).unwrap(), ..observation(sequence, person) }
 }
