@@ -32,12 +32,14 @@ use roomcast_core::semantic_map::SemanticMap;
 
 use attribution::Reporter;
 use messages::{NamedRooms, named_rooms};
+use readings::Readings;
 use robots::Robots;
 use tracking::{Sensors, Tracking};
 use ways_out::ways_out;
 
 mod attribution;
 mod messages;
+mod readings;
 mod robots;
 mod tracking;
 mod ways_out;
@@ -128,6 +130,8 @@ struct Seen {
     event: Event,
     /// A device turned off, and no key says that the person did it.
     is_off: bool,
+    /// The model's rooms count if the text names no place.
+    is_read: bool,
 }
 
 /// An unnamed event, and the person that it fits.
@@ -165,6 +169,7 @@ pub struct Board<M> {
     told: BTreeMap<PersonId, Forecaster>,
     sensors: Sensors,
     robots: Robots,
+    readings: Readings,
     /// Local time minus the monotonic clock, in seconds.
     local_ahead_s: f64,
     /// Working memory of a step: the time of each person's newest event, and the person.
@@ -273,6 +278,7 @@ impl<M: LanguageModel> Board<M> {
             told: BTreeMap::new(),
             sensors: Sensors::default(),
             robots: Robots::default(),
+            readings: Readings::default(),
             local_ahead_s: 0.0,
             newest_persons: Vec::new(),
             attributed: Vec::new(),
@@ -400,6 +406,7 @@ impl<M: LanguageModel> Board<M> {
         self.mentions = PlaceMatcher::new(&map, self.pipeline.grounding());
         self.map = map;
         self.tracking = None;
+        self.readings.clear();
         self.robots.forget_rooms();
         self.note_beliefs();
         Ok(prepared)
@@ -608,6 +615,7 @@ impl<M: LanguageModel> Board<M> {
                 while expectations.next_if(|(after, ..)| *after <= index).is_some() {}
                 continue;
             }
+            self.readings.begin();
             let name = observation.id();
             let is_of_another_boot = of_other_boots.contains(&name);
             if is_of_another_boot {
@@ -728,6 +736,7 @@ impl<M: LanguageModel> Board<M> {
         // Texts of others may name the person.
         self.understood = UnderstoodEvents::default();
         self.near_misses.clear();
+        self.readings.clear();
         self.sensors.forget(person);
         self.home.forget(person);
         self.forget_ahead();
@@ -838,8 +847,9 @@ impl<M: LanguageModel> Board<M> {
     }
 
     fn follow(&mut self) {
+        let readings = self.readings_of_seen();
         let grounding = self.pipeline.grounding();
-        for seen in self.seen.drain(..) {
+        for (seen, reading) in self.seen.drain(..).zip(readings) {
             let at_s = seconds(seen.at_ns);
             self.home.next_is(seen.name, seen.person, is_learned_of(&self.persons, &self.named, seen.person));
             if seen.event == Event::Gone {
@@ -859,7 +869,10 @@ impl<M: LanguageModel> Board<M> {
                         rooms = fill(&mut near, own.at(at_s, 0.0));
                     }
                     // The model's scores after all events are for the time after them.
-                    own.observe(at_s, mention, grounding, &[]);
+                    match reading {
+                        Some(rooms) => own.suppose(at_s, &rooms),
+                        None => own.observe(at_s, mention, grounding, &[]),
+                    }
                     self.home.turned(seen.person, seen.at_ns, turned_to(mention), own);
                     let Some(known) = self.persons.get_mut(seen.person) else { continue };
                     for deed in deeds(text.as_str()) {
@@ -935,6 +948,7 @@ impl<M: LanguageModel> Board<M> {
             // A permanently failing scorer must not fill the memory.
             self.drop_unwatched(SEEN_KEPT);
         }
+        self.readings.begin();
         self.persons.remove_gone();
         self.home.set_clock(now_ns, now_unix_ns);
         self.local_ahead_s = self.home.local_ahead_s(now_ns, now_unix_ns);

@@ -320,6 +320,7 @@ impl<M: LanguageModel> Board<M> {
         if self.tracking.is_none() {
             return Weighed::NotNeeded;
         }
+        let reading = if reporter.is_unknown { None } else { self.reading(&own.event) };
         let mention = own.event.sentence().and_then(|text| self.mentions.last(text.as_str()));
         let grounding = self.pipeline.grounding();
         let row = mention.map(|found| {
@@ -337,13 +338,14 @@ impl<M: LanguageModel> Board<M> {
         let is_on_bed =
             mention.is_some_and(|found| !found.is_left && is_bed(&grounding.scored_labels()[found.label].text));
         let is_lying = sleeps(text).unwrap_or(is_on_bed);
-        let rooms = row.as_deref().unwrap_or_default();
+        let rooms = row.as_deref().or(reading.as_deref()).unwrap_or_default();
         let said = Said {
             event: &own.event,
             source: own.source,
             who: who_is,
             count,
             rooms,
+            is_named: row.is_some(),
             room,
             is_lying,
             is_strange: reporter.is_unknown,
@@ -513,6 +515,7 @@ impl<M: LanguageModel> Board<M> {
             at_ns,
             event: observation.event.clone(),
             is_off: observation.by_fit && is_off(&observation.event),
+            is_read: !reporter.is_unknown && matches!(observation.event, Event::Did(_)),
         });
         Ok(observation)
     }
@@ -567,7 +570,7 @@ fn kind(event: &Event) -> &'static str {
 }
 
 /// Whether an event says that a device is off or done: the device may have done that by itself, so it says nothing about a place.
-fn is_off(event: &Event) -> bool {
+pub(super) fn is_off(event: &Event) -> bool {
     const OFF: [&str; 6] = ["off", "closed", "locked", "done", "finished", "idle"];
     let device = event.sentence().and_then(|sentence| DeviceState::parse(sentence.as_str()));
     device.is_some_and(|device| OFF.contains(&device.state.as_str()))

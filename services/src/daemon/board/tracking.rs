@@ -105,8 +105,10 @@ pub(super) struct Said<'a> {
     pub(super) who: Option<PersonId>,
     /// The number of unknown persons.
     pub(super) count: u8,
-    /// Per room the likelihood of an action's text; empty if it names no place.
+    /// Per room the likelihood of an action's text; empty if it is unknown.
     pub(super) rooms: &'a [f64],
+    /// The text names the place; otherwise the likelihood is the language model's.
+    pub(super) is_named: bool,
     /// The room that a presence names, or a text most probably means.
     pub(super) room: Option<usize>,
     /// The person lies down, or sleeps.
@@ -268,7 +270,8 @@ impl Tracking {
                 let Some(sensor) = self.sensor_of(home, (said.source, report), said.who) else { return false };
                 Observation::Sensor { sensor, on: report.on }
             }
-            Event::Did(_) => Observation::Deed { who, rooms: said.rooms },
+            Event::Did(_) if said.is_named || said.rooms.is_empty() => Observation::Deed { who, rooms: said.rooms },
+            Event::Did(_) => Observation::Text { who, rooms: said.rooms },
             Event::Present(_) => Observation::Present { who, room: said.room },
             Event::Away => Observation::Away { who },
             Event::Gone => Observation::Gone { who },

@@ -1,0 +1,81 @@
+//! Texts that name no place: the language model's rooms for them ("Mira is cooking.").
+//!
+//! A likelihood per room: the model's probability after the text alone, divided by its probability without narration. The text alone, because an
+//! earlier sentence in the window would count twice; and because a restart then reads the same.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use roomcast_core::narration::Event;
+use roomcast_core::scorer::LanguageModel;
+
+use super::attribution::is_off;
+use super::{Board, Seen};
+
+/// Most texts whose rooms are kept, so that repeated texts cost no second pass of the model.
+const KEPT: usize = 64;
+/// Most texts that one step reads. A flood of texts must not delay the scores.
+const PER_STEP: usize = 8;
+
+#[derive(Debug, Default)]
+pub(super) struct Readings {
+    /// The model's rooms without narration.
+    blank: Vec<f64>,
+    texts: VecDeque<(Box<str>, Arc<[f64]>)>,
+    left: usize,
+    is_off: bool,
+}
+
+impl Readings {
+    /// A step begins.
+    pub(super) fn begin(&mut self) {
+        self.left = PER_STEP;
+    }
+
+    /// Forgets all texts, because the map changed, or because they may name a forgotten person.
+    pub(super) fn clear(&mut self) {
+        self.blank.clear();
+        self.texts.clear();
+    }
+}
+
+impl<M: LanguageModel> Board<M> {
+    /// Lets texts without a place leave the belief as it is, because the model is none.
+    #[must_use]
+    pub fn without_readings(mut self) -> Self {
+        self.readings.is_off = true;
+        self
+    }
+
+    /// The likelihood of a text in each room, if it names no place. `None` if the model fails, or if the step has read enough texts.
+    pub(super) fn reading(&mut self, event: &Event) -> Option<Arc<[f64]>> {
+        let text = event.sentence()?.as_str();
+        let own = &mut self.readings;
+        if own.is_off || self.next_rooms.is_some() || self.mentions.last(text).is_some() || is_off(event) {
+            return None;
+        }
+        if let Some((_, kept)) = own.texts.iter().find(|(kept, _)| **kept == *text) {
+            return Some(Arc::clone(kept));
+        }
+        own.left = own.left.checked_sub(1)?;
+        let mut model = self.pipeline.ahead();
+        let rooms = model.rooms_of(text).and_then(|rooms| {
+            if own.blank.len() != rooms.len() {
+                own.blank = model.rooms_of("")?;
+            }
+            Ok(rooms)
+        });
+        let rooms =
+            rooms.inspect_err(|error| tracing::debug!(%error, text, "failed to read a text without a place")).ok()?;
+        let fits: Arc<[f64]> = rooms.iter().zip(&own.blank).map(|(p, blank)| p / blank.max(1e-6)).collect();
+        own.texts.truncate(KEPT - 1);
+        own.texts.push_front((text.into(), Arc::clone(&fits)));
+        Some(fits)
+    }
+
+    /// The readings of the events that the forecasts do not have yet.
+    pub(super) fn readings_of_seen(&mut self) -> Vec<Option<Arc<[f64]>>> {
+        let texts: Vec<_> = self.seen.iter().map(|own: &Seen| own.is_read.then(|| own.event.clone())).collect();
+        texts.into_iter().map(|event| self.reading(&event?)).collect()
+    }
+}
