@@ -9,8 +9,8 @@ use std::sync::Arc;
 use roomcast_core::narration::Event;
 use roomcast_core::scorer::LanguageModel;
 
+use super::Board;
 use super::attribution::is_off;
-use super::{Board, Seen};
 
 /// Most texts whose rooms are kept, so that repeated texts cost no second pass of the model.
 const KEPT: usize = 64;
@@ -43,22 +43,22 @@ impl<M: LanguageModel> Board<M> {
     /// Lets texts without a place leave the belief as it is, because the model is none.
     #[must_use]
     pub fn without_readings(mut self) -> Self {
-        self.readings.is_off = true;
+        self.scoring.readings.is_off = true;
         self
     }
 
     /// The likelihood of a text in each room, if it names no place. `None` if the model fails, or if the step has read enough texts.
     pub(super) fn reading(&mut self, event: &Event) -> Option<Arc<[f64]>> {
         let text = event.sentence()?.as_str();
-        let own = &mut self.readings;
-        if own.is_off || self.next_rooms.is_some() || self.mentions.last(text).is_some() || is_off(event) {
+        let own = &mut self.scoring.readings;
+        if own.is_off || !self.map.is_scored() || self.map.matcher.last(text).is_some() || is_off(event) {
             return None;
         }
         if let Some((_, kept)) = own.texts.iter().find(|(kept, _)| **kept == *text) {
             return Some(Arc::clone(kept));
         }
         own.left = own.left.checked_sub(1)?;
-        let mut model = self.pipeline.ahead();
+        let mut model = self.scoring.pipeline.ahead();
         let rooms = model.rooms_of(text).and_then(|rooms| {
             if own.blank.len() != rooms.len() {
                 own.blank = model.rooms_of("")?;
@@ -73,9 +73,13 @@ impl<M: LanguageModel> Board<M> {
         Some(fits)
     }
 
-    /// The readings of the events that the forecasts do not have yet.
-    pub(super) fn readings_of_seen(&mut self) -> Vec<Option<Arc<[f64]>>> {
-        let texts: Vec<_> = self.seen.iter().map(|own: &Seen| own.is_read.then(|| own.event.clone())).collect();
-        texts.into_iter().map(|event| self.reading(&event?)).collect()
+    /// Reads the texts that the forecasts do not have yet.
+    pub(super) fn read_seen(&mut self) {
+        for at in 0..self.belief.seen.len() {
+            if std::mem::take(&mut self.belief.seen[at].is_read) {
+                let event = self.belief.seen[at].event.clone();
+                self.belief.seen[at].rooms = self.reading(&event);
+            }
+        }
     }
 }

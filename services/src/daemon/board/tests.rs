@@ -17,10 +17,11 @@ use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::raw::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
 use super::*;
+
 use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
 use crate::daemon::ahead::Ahead;
-use crate::daemon::journal::Expectation;
+use crate::daemon::journal::{Expectation, Recovered};
 use crate::message_text::event_of;
 
 const S: u64 = 1_000_000_000;
@@ -143,7 +144,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     let of = |board: &Board<TableModel>| {
         let read: Vec<_> =
             board.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
-        let persons = &board.persons;
+        let persons = &board.persons();
         let ours = ["ada", "ben"].map(|who| persons.number_of(who));
         let presences = ours.map(|number| persons.get(number).map(|known| known.presence));
         (read.into_iter().filter(|(person, _)| ours.contains(person)).collect::<Vec<_>>(), presences)
@@ -252,7 +253,7 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
 #[test]
 fn a_step_reads_a_bounded_number_of_texts() {
     let mut board = board();
-    board.readings.begin();
+    board.scoring.readings.begin();
     let read = (0..20).filter(|number| board.reading(&said(&format!("They hum tune {number}."))).is_some()).count();
     assert_eq!(read, 8);
     assert!(board.reading(&said("They hum tune 0.")).is_some(), "a repeated text needs no pass");
@@ -264,7 +265,7 @@ fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom()
     let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
     let pipeline = Pipeline::of(&map, model).unwrap();
     let mut board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
-    board.readings.begin();
+    board.scoring.readings.begin();
     for (text, room) in [
         ("Mira is cooking.", "kitchen"),
         ("A woman is chopping vegetables.", "kitchen"),
@@ -281,7 +282,7 @@ fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom()
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     let said = |person: PersonId, index: usize, probability: [f32; 2]| {
-        let expectation = Expectation { map: board().map_number(), paces: None, probability: probability.to_vec() };
+        let expectation = Expectation { map: board().map.number(), paces: None, probability: probability.to_vec() };
         (index, person, expectation)
     };
     let restored = |expectations: Vec<_>| {
