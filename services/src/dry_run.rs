@@ -137,9 +137,8 @@ impl DryRun {
     fn of(map: SemanticMap, config: &Config, persons: Persons, now_unix_ns: UnixNs) -> Result<Self, DryRunError> {
         let grounding = Grounding::new(&map, &config.grounding)?;
         let pipeline = Pipeline::new(TableModel::new(7), grounding, PipelineOptions::default())?;
-        let board = Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons);
-        // No language model reads texts without a place.
-        let board = board.with_forecast(config.forecast).without_readings();
+        let board =
+            Board::new(pipeline, map, config.grounding, 1)?.with_persons(persons).with_forecast(config.forecast);
         Ok(Self { board, sequence: 0, now_ns: BootNs(1_000_000_000_000), unix_ns: now_unix_ns })
     }
 

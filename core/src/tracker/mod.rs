@@ -500,6 +500,12 @@ impl Tracker {
         self.marginals.get(slot * (rooms + 1) + room.unwrap_or(rooms).min(rooms)).copied().unwrap_or(0.0)
     }
 
+    /// Whether a robot explains what sensors see in a room.
+    #[must_use]
+    pub fn has_robot(&self, room: usize) -> bool {
+        self.robot_until_s.get(room).is_some_and(|until_s| self.now_s < *until_s)
+    }
+
     /// Probability that at least one person, known or unknown, is in a room.
     #[must_use]
     pub fn occupied(&self, room: usize) -> f64 {

@@ -295,6 +295,9 @@ impl<M: LanguageModel> Board<M> {
         } else if let (Weighed::Refused(reason), true) = (weighed, is_unnamed) {
             understood.reason = Some(reason);
         }
+        if is_sensor && is_weighed && self.belief.tracking.as_ref().is_some_and(|own| own.had_robot()) {
+            moves.push(Move::of_a_robot());
+        }
         let is_noted = is_sensor && !matches!(weighed, Weighed::Refused(_));
         if (is_weighed || is_noted) && moves.is_empty() {
             // A restart weighs it again.
@@ -425,6 +428,7 @@ impl<M: LanguageModel> Board<M> {
             room,
             is_lying,
             is_strange: reporter.is_unknown,
+            robot: self.belief.restored_robot,
         };
         let home = (&self.map.map, grounding);
         let Some(tracking) = &mut self.belief.tracking else { return Weighed::NotNeeded };
@@ -464,13 +468,21 @@ impl<M: LanguageModel> Board<M> {
         }
     }
 
-    /// Weighs an event of a former run, which has stored its persons.
-    pub(super) fn weigh_again(&mut self, observation: &Observation, reporter: Reporter, at_ns: Option<i64>) {
+    /// Weighs an event of a former run, which has stored its persons, and whether a robot explained it.
+    pub(super) fn weigh_again(
+        &mut self,
+        observation: &Observation,
+        reporter: Reporter,
+        at_ns: Option<i64>,
+        robot: bool,
+    ) {
         if let Ok((who, event)) =
             self.attribution.read((&self.map, self.scoring.pipeline.grounding()), observation, reporter)
         {
             let own = Observation { event, name: observation.name.clone(), ..*observation };
+            self.belief.restored_robot = Some(robot);
             self.weigh(&own, &who, reporter, at_ns);
+            self.belief.restored_robot = None;
         }
     }
 

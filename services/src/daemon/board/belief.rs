@@ -55,6 +55,8 @@ pub(super) struct Belief {
     pub(super) tracking: Option<Box<Tracking>>,
     pub(super) sensors: Sensors,
     pub(super) robots: Robots,
+    /// While an event of a former run is weighed: whether a robot was in the sensor's room.
+    pub(super) restored_robot: Option<bool>,
     /// Local time minus the monotonic clock, in seconds.
     pub(super) local_ahead_s: f64,
     pub(super) seen: VecDeque<Seen>,

@@ -23,7 +23,7 @@ pub(super) struct Readings {
     blank: Vec<f64>,
     texts: VecDeque<(Box<str>, Arc<[f64]>)>,
     left: usize,
-    is_off: bool,
+    is_on: bool,
 }
 
 impl Readings {
@@ -40,10 +40,10 @@ impl Readings {
 }
 
 impl<M: LanguageModel> Board<M> {
-    /// Lets texts without a place leave the belief as it is, because the model is none.
+    /// Lets texts without a place move the belief: the model knows language.
     #[must_use]
-    pub fn without_readings(mut self) -> Self {
-        self.scoring.readings.is_off = true;
+    pub(in crate::daemon) fn with_readings(mut self) -> Self {
+        self.scoring.readings.is_on = true;
         self
     }
 
@@ -51,7 +51,7 @@ impl<M: LanguageModel> Board<M> {
     pub(super) fn reading(&mut self, event: &Event) -> Option<Arc<[f64]>> {
         let text = event.sentence()?.as_str();
         let own = &mut self.scoring.readings;
-        if own.is_off || !self.map.is_scored() || self.map.matcher.last(text).is_some() || is_off(event) {
+        if !own.is_on || !self.map.is_scored() || self.map.matcher.last(text).is_some() || is_off(event) {
             return None;
         }
         if let Some((_, kept)) = own.texts.iter().find(|(kept, _)| **kept == *text) {

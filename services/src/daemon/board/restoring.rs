@@ -58,7 +58,8 @@ impl<M: LanguageModel> Board<M> {
             if let Some(moves) = moved.remove(&name) {
                 // A refused event has no moves.
                 if !moves.is_empty() {
-                    self.weigh_again(&observation, reporter, at_ns);
+                    let robot = moves.iter().any(Move::is_of_a_robot);
+                    self.weigh_again(&observation, reporter, at_ns, robot);
                 }
                 for own in moves {
                     let person = self.attribution.persons.file().current(own.person);

@@ -235,7 +235,7 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
         }
         board
     };
-    let (mut with, mut without) = (play(board()), play(board().without_readings()));
+    let (mut with, mut without) = (play(board().with_readings()), play(board()));
     let fits = with.reading(&said("They hum a tune.")).unwrap();
     let room = usize::from(fits[1] > fits[0]);
     let moved = occupied(&mut with, room, 1060 * S);
@@ -244,7 +244,7 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
         with.reading(&said("They open the fridge.")).is_none() && with.reading(&said("The lamp is off.")).is_none()
     );
 
-    let mut again = board();
+    let mut again = board().with_readings();
     again.restore(recovered(events.map(|own| own.observation)), BootNs(1060 * S), UnixNs(1_001_060 * S));
     again.step([], BootNs(1060 * S), UnixNs(1_001_060 * S)).unwrap();
     assert_eq!(occupied(&mut again, room, 1060 * S), moved);
@@ -252,7 +252,7 @@ fn texts_without_a_place_move_the_belief_by_the_models_rooms_also_after_a_restar
 
 #[test]
 fn a_step_reads_a_bounded_number_of_texts() {
-    let mut board = board();
+    let mut board = board().with_readings();
     board.scoring.readings.begin();
     let read = (0..20).filter(|number| board.reading(&said(&format!("They hum tune {number}."))).is_some()).count();
     assert_eq!(read, 8);
@@ -264,7 +264,7 @@ fn the_shipped_model_puts_cooks_into_the_kitchen_and_sleepers_into_the_bedroom()
     let map = SemanticMap::from_json(crate::embedded::scene("flat").unwrap().text).unwrap();
     let model = crate::setup::load_model(None, &roomcast_llama::LlamaOptions::default()).unwrap();
     let pipeline = Pipeline::of(&map, model).unwrap();
-    let mut board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap();
+    let mut board = Board::new(pipeline, map, GroundingOptions::default(), 1).unwrap().with_readings();
     board.scoring.readings.begin();
     for (text, room) in [
         ("Mira is cooking.", "kitchen"),
