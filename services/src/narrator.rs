@@ -392,6 +392,9 @@ impl Narrator {
     }
 }
 
+/// The narrator of corrections ("Jon is in the office").
+pub const CORRECTIONS: &str = "roomcast-person";
+
 /// Publishes all of `input`, no faster than a daemon with these limits accepts, and stays until it is confirmed or `linger_s` is over.
 ///
 /// # Errors

@@ -128,6 +128,8 @@ fn what_is_known_stands_at_the_broker_over_restarts_and_goes_with_its_rooms() {
         let config = at(&now, &config_of(entity));
         assert!(now.contains_key(config["state_topic"].as_str().unwrap()), "{entity}: {config}");
     }
+    broker.publish(&[("roomcast/persons/ada/place", "main room".into(), false)]);
+    kept_with(port, "the selected place is believed", |kept| at(kept, "roomcast/persons/ada")["likely"] == "main-room");
     let now = kept_with(port, "what an earlier run left goes", |kept| !kept.contains_key("roomcast/rooms/attic"));
     assert!(now.contains_key(FOREIGN) && is(&now, NEIGHBOUR, "keep me"));
 

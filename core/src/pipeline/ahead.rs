@@ -1,10 +1,12 @@
 //! Prefetching and idle-time work.
 
-use super::{Due, Pipeline};
+use super::{Due, Pipeline, PipelineError};
+use crate::grounding::GroundedScores;
 use crate::ids::PersonId;
 use crate::narration::history::History;
 use crate::prepared::{Answer, Outlook, PersonOutlook};
-use crate::scorer::{LanguageModel, Progress};
+use crate::prompt::write_prompt;
+use crate::scorer::{LabelScores, LanguageModel, Progress, Tokenisation};
 
 /// Prefetches answers and does idle-time work: [`Pipeline::ahead`].
 #[derive(Debug)]
@@ -25,6 +27,27 @@ impl<M: LanguageModel> Ahead<'_, M> {
             PersonOutlook { person, history: history.clone(), label_log_prob_nats }
         };
         Outlook::new(&self.0.prepared, self.0.histories.iter().map(of).collect(), round)
+    }
+
+    /// The room probabilities after one sentence alone, without any person's window; of an empty text, after none. Scores, windows and explanations
+    /// are unchanged. The model has to read the narration of the last scored person again, which idle time does.
+    ///
+    /// # Errors
+    /// If the model fails.
+    pub fn rooms_of(&mut self, text: &str) -> Result<Vec<f64>, PipelineError> {
+        let own = &mut *self.0;
+        let trailing_space = own.options.tokenisation == Tokenisation::Paper;
+        let mut prompt = String::new();
+        let text = Some(text).filter(|text| !text.is_empty());
+        write_prompt(text.into_iter(), &own.options.binding, trailing_space, &mut prompt);
+        let (mut scores, mut grounded, mut nodes) = (LabelScores::default(), GroundedScores::default(), Vec::new());
+        own.scorer.exchange_nodes(&mut nodes);
+        let scored = own.scorer.score(&own.prepared, &prompt, own.options.method, &mut scores);
+        own.scorer.exchange_nodes(&mut nodes);
+        own.is_unread = true;
+        scored?;
+        own.grounding.ground(&scores.log_prob_nats, &mut grounded)?;
+        Ok(grounded.partition_probability)
     }
 
     /// Stores a prefetched answer, and returns whether it is useful. It is useless if its person has acted since, the labels have changed, or the

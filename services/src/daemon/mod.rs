@@ -287,7 +287,8 @@ fn load<M: LanguageModel + Send + 'static>(
         .with_persons(Persons::new(config.persons.clone(), names))
         .with_forecast(config.forecast)
         .with_named(named.map(|known| (sequence::source_of_name(&known.name), known.may)))
-        .with_habits(HomeHabits::new(memory, Zone::local()));
+        .with_habits(HomeHabits::new(memory, Zone::local()))
+        .with_readings();
     Ok(Loaded { board, ahead, kept_map, keeper, token_counter })
 }
 
