@@ -299,7 +299,7 @@ fn the_page_of_a_recording_offers_what_it_has_and_names_fit_their_rooms() {
     narrator.stdin.take().unwrap().write_all(said.as_bytes()).unwrap();
     assert!(narrator.wait().unwrap().success());
     eventually("the recording has the map, the narration and its scores", || {
-        let recording = recording::read(&root.join("day.mcap")).ok().filter(|own| !own.moments.is_empty())?;
+        let recording = recording::read(&root.join("day.mcap")).ok().filter(|own| !own.maps.is_empty())?;
         let of = |is: fn(&Recorded) -> bool| recording.messages.iter().rposition(|(_, message)| is(message));
         let narrated = of(|message| matches!(message, Recorded::Narration(_)))?;
         (of(|message| matches!(message, Recorded::RoomScores(_)))? > narrated).then_some(())
