@@ -172,9 +172,12 @@ self_cell::self_cell!(
     struct Loaded {
         owner: Arc<Weights>,
         #[not_covariant]
-        dependent: LlamaContext,
+        dependent: MaybeContext,
     }
 );
+
+/// `None` until the first [`LanguageModel::reserve`]: only then the needed size is known.
+type MaybeContext<'a> = Option<LlamaContext<'a>>;
 
 /// A model that llama.cpp runs.
 pub struct LlamaModel {
@@ -183,6 +186,7 @@ pub struct LlamaModel {
     batch_tokens: usize,
     info: ModelInfo,
     options: LlamaOptions,
+    /// Positions of the context, 0 without one.
     positions: u32,
     small_tokens: usize,
     /// Set on the prefetcher's copy.
@@ -321,17 +325,6 @@ fn sized(options: &LlamaOptions, trained_tokens: u32, positions: u32, batch_toke
     parameters.with_n_batch(batch_tokens.max(options.sequences)).with_n_ubatch(batch_tokens.min(TOKENS_AT_A_TIME))
 }
 
-fn load_context(
-    weights: Arc<Weights>,
-    options: &LlamaOptions,
-    positions: u32,
-    batch_tokens: u32,
-) -> Result<Loaded, String> {
-    let backend = backend()?;
-    let parameters = sized(options, weights.n_ctx_train(), positions, batch_tokens);
-    Loaded::try_new(weights, |weights| weights.new_context(backend, parameters)).map_err(|e| e.to_string())
-}
-
 /// Tokens of a [`SMALL_CALL`], at most `most`. llama.cpp multiplies by fours.
 fn small_tokens(parameters: u64, most: usize) -> usize {
     let tokens = usize::try_from(SMALL_CALL / parameters.max(1)).unwrap_or(usize::MAX);
@@ -371,7 +364,6 @@ impl LlamaModel {
         let text = |key: &str| weights.meta_val_str(key).ok();
         let options = &LlamaOptions { cache: options.cache.chosen(&header, weights.n_params()), ..options.clone() };
         let context_tokens = options.positions(weights.n_ctx_train());
-        let positions = POSITIONS_STEP.min(context_tokens);
         let sequences = options.sequences.clamp(1, SEQUENCES_MAX);
         let vocabulary = weights.vocab();
         let info = ModelInfo {
@@ -402,14 +394,12 @@ impl LlamaModel {
         let batch_tokens = options.context_parameters(weights.n_ctx_train()).n_batch();
         let small_tokens = small_tokens(weights.n_params(), SMALL_CALL_TOKENS.min(batch_tokens as usize));
         Ok(Self {
-            loaded: load_context(Arc::new(weights), options, positions, batch_tokens).map_err(|reason| {
-                ModelError::Context { model: info.name.clone(), context_tokens: positions, reason }
-            })?,
+            loaded: Loaded::new(Arc::new(weights), |_| None),
             batch: LlamaBatch::new(batch_tokens as usize, sequences.cast_signed()),
             batch_tokens: batch_tokens as usize,
             info,
             options: options.clone(),
-            positions,
+            positions: 0,
             small_tokens,
             is_stopped: None,
             moved: None,
@@ -438,8 +428,8 @@ impl LlamaModel {
         self.positions
     }
 
-    fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> T {
-        self.loaded.with_dependent_mut(|_, context| run(context))
+    fn with_context<T>(&mut self, run: impl FnOnce(&mut LlamaContext<'_>) -> T) -> Option<T> {
+        self.loaded.with_dependent_mut(|_, context| context.as_mut().map(run))
     }
 
     /// Removes all positions from `position` on from every sequence.
@@ -447,8 +437,8 @@ impl LlamaModel {
         let from = u32::try_from(position).unwrap_or(u32::MAX);
         let removed = self.with_context(|c| c.clear_kv_cache_seq(None, Some(from), None));
         match removed {
-            Ok(true) => Ok(()),
-            Ok(false) | Err(_) => {
+            None | Some(Ok(true)) => Ok(()),
+            Some(Ok(false) | Err(_)) => {
                 Err(self.decode_error(0, format!("positions from {position} on cannot be removed from its cache")))
             }
         }
@@ -476,12 +466,13 @@ impl LlamaModel {
         let (batch, rows) = (&mut self.batch, &self.rows);
         let start = Instant::now();
         let result = self.loaded.with_dependent_mut(|_, context| {
-            context.decode(batch)?;
+            let Some(context) = context else { return Err("it has no context".to_owned()) };
+            context.decode(batch).map_err(|error| error.to_string())?;
             stats.decoder_ns += u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
             for &(position, row) in rows {
                 visit(row, context.get_logits_ith(position));
             }
-            Ok::<(), llama_cpp_2::DecodeError>(())
+            Ok(())
         });
         self.batch.clear();
         self.rows.clear();
@@ -489,7 +480,7 @@ impl LlamaModel {
         if let Some(moved) = &self.moved {
             moved();
         }
-        result.map_err(|e| self.decode_error(usize::try_from(tokens).unwrap_or(0), e.to_string()))
+        result.map_err(|reason| self.decode_error(usize::try_from(tokens).unwrap_or(0), reason))
     }
 
     fn push(
@@ -573,15 +564,16 @@ impl LanguageModel for LlamaModel {
         let trained_tokens = self.loaded.borrow_owner().n_ctx_train();
         let batch_tokens = u32::try_from(self.batch_tokens).unwrap_or(u32::MAX);
         let parameters = sized(&self.options, trained_tokens, positions, batch_tokens);
-        self.loaded
-            .with_dependent_mut(|weights, context| {
-                *context = weights.new_context(backend, parameters)?;
-                Ok::<(), llama_cpp_2::LlamaContextLoadError>(())
-            })
-            .map_err(|error| fail(error.to_string()))?;
-        self.positions = positions;
+        // First the old one goes, so that memory never holds both.
+        let made = self.loaded.with_dependent_mut(|weights, context| {
+            *context = None;
+            *context = Some(weights.new_context(backend, parameters)?);
+            Ok::<(), llama_cpp_2::LlamaContextLoadError>(())
+        });
+        self.positions = if made.is_ok() { positions } else { 0 };
+        let made = made.map_err(|error| fail(error.to_string()));
         self.forget();
-        Ok(())
+        made
     }
 
     fn read(&mut self, prompt: &[Token]) -> Result<bool, ModelError> {
@@ -593,11 +585,9 @@ impl LanguageModel for LlamaModel {
     fn twin(&self, is_stopped: IsStopped) -> Result<Option<Self>, ModelError> {
         // With several threads, OpenMP would have more of them than there are cores, and put waiting threads to sleep.
         let options = LlamaOptions { threads: 1, ..self.options.clone() };
-        let weights = Arc::clone(self.loaded.borrow_owner());
-        let batch_tokens = u32::try_from(self.small_tokens).unwrap_or(u32::MAX);
-        let fail = |reason| ModelError::Load { path: self.info.name.clone(), reason };
-        Ok(Some(Self {
-            loaded: load_context(weights, &options, self.positions, batch_tokens).map_err(fail)?,
+        let mut twin = Self {
+            loaded: Loaded::new(Arc::clone(self.loaded.borrow_owner()), |_| None),
+            positions: 0,
             batch: LlamaBatch::new(self.small_tokens, self.sequences.cast_signed()),
             batch_tokens: self.small_tokens,
             info: self.info.clone(),
@@ -611,7 +601,9 @@ impl LanguageModel for LlamaModel {
             rows: Vec::new(),
             tokens: RefCell::new(Vec::new()),
             ..*self
-        }))
+        };
+        twin.reserve(self.positions as usize)?;
+        Ok(Some(twin))
     }
 
     fn watch(&mut self, moved: Progress) {
@@ -666,7 +658,7 @@ impl LanguageModel for LlamaModel {
             let copied =
                 self.with_context(|c| (from..to).try_for_each(|s| c.copy_kv_cache_seq(0, s.cast_signed(), None, None)));
             if keep > 0 {
-                copied.map_err(|e| self.decode_error(0, e.to_string()))?;
+                copied.transpose().map_err(|e| self.decode_error(0, e.to_string()))?;
             }
             self.kept_sequences = wave_paths;
         }

@@ -45,6 +45,7 @@ use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
+use roomcast_llama::memory;
 use scoring::{Ports, Scoring, Tools};
 
 mod ahead;
@@ -189,6 +190,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let kept = (journal.as_ref().map(Journal::handle), recovered.habits.take());
     let Loaded { board, ahead, kept_map, keeper, token_counter } =
         load(config, names, kept, model, aside.is_stopped())?;
+    memory::return_freed();
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
