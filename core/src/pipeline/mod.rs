@@ -125,7 +125,7 @@ pub struct Pipeline<M> {
     prompt: String,
     /// The person whose prompt was scored last.
     read: Option<PersonId>,
-    /// The model has not decoded all of that person's narration: the answer was prefetched, or the window was cut.
+    /// The model has not decoded all of that person's narration, because the answer was prefetched.
     is_unread: bool,
     /// Number of groundings so far; numbers the persons' scores.
     groundings: u64,
