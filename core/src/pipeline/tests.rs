@@ -142,17 +142,17 @@ fn contexts_hold_the_window_the_binding_and_the_labels_and_no_more() {
     };
     let beside =
         |pipeline: &Pipeline<Reserving>| asked.load(Ordering::Relaxed) - pipeline.inside().options().history.tokens;
-    let (small, large) = (of(100), of(300));
+    let (small, large) = (of(100), of(150));
     let labels = small.inside().prepared();
     let trees = labels.trie().inner().len() + labels.longest_label();
     drop(of(100));
     let needed = beside(&small);
     assert!(needed > trees && needed <= trees + 1 + BindingSequence::default().text().len() + 1, "{needed}, {trees}");
-    drop(of(300));
+    drop(of(150));
     assert_eq!(beside(&large), needed, "the window grows the context by as much");
-    // An unbounded window is limited by the model's context.
+    // An unbounded window gets memory for usual sentences.
     drop(of(usize::MAX));
-    assert_eq!(asked.load(Ordering::Relaxed), model().info().context_tokens);
+    assert_eq!(asked.load(Ordering::Relaxed), needed + 17 * SENTENCE_TOKENS);
     // A map with more labels needs more.
     let mut pipeline = of(100);
     let before = asked.load(Ordering::Relaxed);

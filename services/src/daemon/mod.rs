@@ -44,6 +44,7 @@ use roomcast_core::scorer::{IsStopped, LanguageModel, ModelInfo, TokenCounter};
 use roomcast_database::SetAside;
 use roomcast_llama::LlamaModel;
 use roomcast_llama::affinity::{self, AffinityError};
+use roomcast_llama::memory;
 use scoring::{Ports, Scoring, Tools};
 
 mod ahead;
@@ -186,6 +187,7 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
     let Loaded { board, ahead, kept_map, token_counter } =
         load(config, names, recovered.habits.take(), model, aside.is_stopped())?;
+    memory::return_freed();
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)

@@ -205,6 +205,9 @@ impl<M: LanguageModel> Scoring<M> {
                 let mut moment = || serde_json::to_string(&board.moment(clock::monotonic_ns())).unwrap_or_default();
                 self.ports.moments.answer(|_| moment())?;
             }
+            if events > 0 && is_scored {
+                self.cycle.read_on();
+            }
             if self.inbox.waiting() == 0 && self.cycle.waiting() == 0 && !self.cycle.step_due(clock::monotonic_ns()) {
                 self.look_after_habits(now_ns);
                 self.use_silence();
