@@ -22,6 +22,7 @@ mod influence;
 mod limits;
 #[path = "../support/lived_day.rs"]
 mod lived_day;
+mod manual;
 #[path = "../support/mosquitto.rs"]
 mod mosquitto;
 mod mqtt;
