@@ -365,7 +365,7 @@ impl Played {
         }
         if !self.plan.as_ref().is_some_and(|plan| self.picture.is_on(plan)) {
             let map = self.picture.map();
-            let moments = self.recording.moments.iter().filter(|own| Some(&own.map_fingerprint) == map.as_ref());
+            let moments = self.recording.maps.iter().filter(|own| Some(&own.map_fingerprint) == map.as_ref());
             let mut plans = moments.filter_map(|moment| Plan::of_moment(moment).ok());
             self.plan = plans.find(|plan| self.picture.is_on(plan));
         }
@@ -508,7 +508,7 @@ mod tests {
         // A recording of both daemons has a moment of each.
         let messages = [of_rooms, of_groups].map(|scores| Recorded::RoomScores(Box::new(scores)));
         let messages = [0, 1_000_000_000].into_iter().zip(messages).collect();
-        let mut played = Played::new(Recording { messages, moments: vec![rooms, groups], ..Recording::default() });
+        let mut played = Played::new(Recording { messages, maps: vec![rooms, groups], ..Recording::default() });
         for (at_s, plan) in [(1.0, 1), (0.0, 0), (1.0, 1)] {
             assert_eq!(played.state(Some(at_s))["map"], plans[plan].key());
             assert_eq!(played.plan().unwrap()["map"], plans[plan].key());
@@ -546,7 +546,7 @@ mod tests {
             (2_000_000_000, Recorded::Narration(Box::new(said))),
             (3_000_000_000, Recorded::RoomScores(Box::new(scores(2, 0.75)))),
         ];
-        let mut played = Played::new(Recording { messages, moments: vec![moment(STUDIO)], ..Recording::default() });
+        let mut played = Played::new(Recording { messages, maps: vec![moment(STUDIO)], ..Recording::default() });
         for (at_s, kitchen, told) in
             [(None, 0.75, 1), (Some(0.5), 0.25, 0), (Some(1.5), 0.25, 1), (Some(99.0), 0.75, 1), (Some(-1.0), 0.25, 0)]
         {
@@ -648,7 +648,7 @@ mod tests {
     #[test]
     fn a_recording_says_what_it_has() {
         let of = |messages| {
-            Played::new(Recording { messages, moments: vec![moment(STUDIO)], ..Recording::default() }).state(None)
+            Played::new(Recording { messages, maps: vec![moment(STUDIO)], ..Recording::default() }).state(None)
         };
         let scored = (1, Recorded::RoomScores(Box::new(scores(1, 0.25))));
         let state = of(vec![scored.clone()]);

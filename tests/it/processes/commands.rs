@@ -212,7 +212,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
     let recording = ["explain", "--recording", "day.mcap"];
     let import = ["scene", "import", "map.json", "--out", "scene.json"];
     let valetudo = ["scene", "import", "map.json", "--out", "scene.json", "--format", "valetudo"];
-    let cases: [(&[&str], &[&str]); 30] = [
+    let cases: [(&[&str], &[&str]); 31] = [
         (&import, &["--up", "y"]),
         (&import, &["--keep-spellings"]),
         (&import, &["--names", "names.toml"]),
@@ -243,6 +243,7 @@ fn arguments_out_of_range_or_without_effect_are_refused_before_anything_runs() {
         (&recording, &["--at", "nan"]),
         (&recording, &["--history", "3"]),
         (&recording, &["--root", "/x"]),
+        (&recording, &["--scene", "flat"]),
     ];
     for (command, more) in cases {
         let mut command = roomcast(command);
