@@ -56,7 +56,7 @@ const KEY: HeaderName = HeaderName::from_static("x-roomcast-key");
 pub struct Place {
     /// A loopback address; port 0 takes a free one.
     pub address: SocketAddr,
-    /// The secret of those who may look; `None` lets every user of the machine look.
+    /// The secret of permitted viewers; `None` lets every user of the machine look.
     pub key: Option<String>,
 }
 

@@ -187,6 +187,7 @@ const drawPlan = () => {
 
 const line = (parent, text, className) => parent.append(html("span", text, className), document.createElement("br"));
 
+const sentences = (text) => text.split(". ").map(capital).join(". ");
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const roomName = (id) => (state.rooms.find((room) => room.id === id) || { name: id }).name;
 
@@ -194,7 +195,10 @@ const roomName = (id) => (state.rooms.find((room) => room.id === id) || { name: 
 const whereText = (person) => {
   const at = Math.max(0, when - 1);
   if (person.sets && person.sets[at].length && person.sets[at].length <= 3) {
-    return `${capital(person.sets[at].map(roomName).join(" or "))} (${percent(person.set_has[at])} sure)`;
+    const value = (id) => personValue(person, state.rooms.findIndex((room) => room.id === id));
+    const set = person.sets[at].filter((id) => state.rooms.some((room) => room.id === id)).sort((a, b) => value(b) - value(a));
+    const out = person.sets[at].filter((id) => !set.includes(id));
+    return `${capital([...set, ...out].map(roomName).join(" or "))} (${percent(person.set_has[at])} sure)`;
   }
   const places = [...state.rooms.map((room, place) => [personValue(person, place), room.name]), [person.elsewhere[at], "out of the house"]];
   const [p, name] = places.sort((a, b) => b[0] - a[0])[0];
@@ -240,7 +244,7 @@ const planStrip = (decision) => {
   decision.stays.forEach((stay, i) => {
     const next = decision.stays[i + 1];
     const item = html("li", stay.name, next ? "past" : "present");
-    item.append(html("span", `${stay.works ? "" : "waits, "}${next ? `${time(stay.ago_s - next.ago_s)}` : `for ${time(stay.ago_s)}`}`));
+    item.append(html("span", `${stay.works ? "" : "waits "}${next ? time(stay.ago_s - next.ago_s) : `for ${time(stay.ago_s)}`}`));
     strip.append(item);
   });
   for (const id of decision.left || []) {
@@ -260,7 +264,7 @@ const robotCard = (decision) => {
   // The first sentence is the reason; the rest is detail.
   const end = decision.reason.search(/\.( |$)|; /);
   line(card, `${capital(end < 0 ? decision.reason : decision.reason.slice(0, end))}.`);
-  if (end >= 0 && end + 2 < decision.reason.length) line(card, capital(decision.reason.slice(end + 2)), "dim");
+  if (end >= 0 && end + 2 < decision.reason.length) line(card, sentences(decision.reason.slice(end + 2).trim()), "dim");
   line(card, { "dry run": "Dry run: no robot has reported.", "on its dock": "It is on its dock.", "unknown": "Its place is unknown." }[decision.place] || `It is in ${decision.place}.`);
   const cleaned = state.rooms.filter((room) => decision.cleaned_s && room.id in decision.cleaned_s).map((room) => `${room.name} ${ago(decision.cleaned_s[room.id])}`);
   if (cleaned.length) line(card, `Last cleaned: ${cleaned.join(", ")}.`, "dim");

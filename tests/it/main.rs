@@ -20,6 +20,7 @@ mod household;
 mod household_day;
 mod influence;
 mod limits;
+mod manual;
 #[path = "../support/mosquitto.rs"]
 mod mosquitto;
 mod mqtt;
