@@ -187,8 +187,10 @@ fn run_with<M: LanguageModel + Send + 'static>(
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
     let kept = (journal.as_ref().map(Journal::handle), recovered.habits.take());
-    let Loaded { board, ahead, kept_map, keeper, token_counter } =
-        load(config, names, kept, model, aside.is_stopped())?;
+    let Some(loaded) = stop.while_loading(|| load(config, names, kept, model, aside.is_stopped())) else {
+        return Ok(());
+    };
+    let Loaded { board, ahead, kept_map, keeper, token_counter } = loaded?;
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
     let mut intake = Intake::new(config.daemon.intake)
