@@ -219,6 +219,29 @@ fn who_tells_of_many_persons_delays_nobody_elses() {
     assert!(pipeline.scores().included.iter().any(|claim| (claim.source, claim.sequence) == (9, invented)));
 }
 
+/// The limit is 5 ms, and this model takes 400 ms for a prompt.
+#[test]
+fn a_step_with_a_model_slower_than_the_deadline_keeps_the_last_scores_once() {
+    let map = SemanticMap::from_json(TWO_ROOMS).unwrap();
+    let of = |effort| pipeline_of(TableModel::slow(7), &map, effort, CORRECTED);
+    let (mut pipeline, mut exact) = (of(Effort::Deadline), of(Effort::Exact));
+    // There are no earlier scores to keep.
+    assert!(!pipeline.step([observation(1, PersonId(0))]).unwrap().is_cut);
+    exact.step([observation(1, PersonId(0))]).unwrap();
+    for sequence in 2..5 {
+        let claim = |scores: &Scores| scores.included[0].sequence;
+        let before = pipeline.scores().label_log_prob_nats.clone();
+        let kept = pipeline.step([observation(sequence, PersonId(0))]).unwrap();
+        assert!(kept.is_cut && kept.asked == 0 && kept.timing.total_ns == 0);
+        assert_eq!((claim(kept), &kept.label_log_prob_nats), (sequence - 1, &before));
+        assert!(pipeline.inside().is_behind());
+        let scored = pipeline.score().unwrap();
+        assert_eq!((scored.is_cut, scored.asked, claim(scored)), (false, 1, sequence));
+        exact.step([observation(sequence, PersonId(0))]).unwrap();
+        assert!(!exact.scores().is_cut && scored.label_log_prob_nats != before);
+    }
+}
+
 fn preparer<M: LanguageModel>(pipeline: &Pipeline<M>) -> Preparer<M> {
     pipeline.inside().preparer(Arc::new(|| false)).unwrap().unwrap()
 }

@@ -185,8 +185,11 @@ fn run_with<M: LanguageModel + Send + 'static>(
     let (journal, mut recovered) =
         opened.map_or((None, Recovered::default()), |(journal, recovered)| (Some(journal), recovered));
     let names = PersonsFile::new(std::mem::take(&mut recovered.persons), journal.as_ref().map(Journal::handle));
-    let Loaded { board, ahead, kept_map, token_counter } =
-        load(config, names, recovered.habits.take(), model, aside.is_stopped())?;
+    let habits = recovered.habits.take();
+    let Some(loaded) = stop.while_loading(|| load(config, names, habits, model, aside.is_stopped())) else {
+        return Ok(());
+    };
+    let Loaded { board, ahead, kept_map, token_counter } = loaded?;
     memory::return_freed();
     let mut cycle = Cycle::new(board, config.daemon.heartbeat_ms * 1_000_000);
     let sentence_tokens_max = Arc::new(AtomicUsize::new(cycle.board().sentence_tokens_max()));
