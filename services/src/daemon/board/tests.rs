@@ -17,10 +17,11 @@ use roomcast_core::semantic_map::delta::parse_changes;
 use roomcast_ipc::raw::{MAX_PERSONS, MAX_SOURCES, Message, forecast_flags, narration_kind};
 
 use super::*;
+
 use crate::config::PersonsConfig;
 use crate::daemon::PersonsFile;
 use crate::daemon::ahead::Ahead;
-use crate::daemon::journal::Expectation;
+use crate::daemon::journal::{Expectation, Recovered};
 use crate::message_text::event_of;
 
 const S: u64 = 1_000_000_000;
@@ -143,7 +144,7 @@ fn a_stranger_changes_nothing_of_what_a_named_narrator_means() {
     let of = |board: &Board<TableModel>| {
         let read: Vec<_> =
             board.pipeline().inside().read_sentences().map(|(person, said)| (person, said.to_owned())).collect();
-        let persons = &board.persons;
+        let persons = &board.persons();
         let ours = ["ada", "ben"].map(|who| persons.number_of(who));
         let presences = ours.map(|number| persons.get(number).map(|known| known.presence));
         (read.into_iter().filter(|(person, _)| ours.contains(person)).collect::<Vec<_>>(), presences)
@@ -222,7 +223,7 @@ fn recovered(observations: impl IntoIterator<Item = Observation>) -> Recovered {
 #[test]
 fn what_was_said_after_an_observation_of_somebody_else_is_not_believed() {
     let said = |person: PersonId, index: usize, probability: [f32; 2]| {
-        let expectation = Expectation { map: board().map_number(), paces: None, probability: probability.to_vec() };
+        let expectation = Expectation { map: board().map.number(), paces: None, probability: probability.to_vec() };
         (index, person, expectation)
     };
     let restored = |expectations: Vec<_>| {

@@ -14,9 +14,10 @@ use roomcast_core::semantic_map::SemanticMap;
 use roomcast_core::tracker::{self, Home, Movement, Observation, Options, SensorSpec, Tracker};
 
 use super::super::understood::Reason;
+use super::map_in_use::room_named;
 use super::robots::Robots;
+use super::seconds;
 use super::ways_out::ways_out;
-use super::{room_named, seconds};
 
 /// Most sensors; reports of further ones change no belief.
 const SENSORS_MAX: usize = 256;
