@@ -251,7 +251,9 @@ fn load_kernels() -> Result<(), String> {
     let program = std::env::current_exe().map_err(|e| format!("the program's own path cannot be found: {e}"))?;
     let folder = &program.ancestors().nth(2).unwrap_or(&program).join("lib/roomcast");
     let mut entries = folder.read_dir().into_iter().flatten().flatten();
-    if folder.to_str().is_none() || !entries.any(|entry| entry.file_name().to_string_lossy().starts_with("libggml-cpu-")) {
+    if folder.to_str().is_none()
+        || !entries.any(|entry| entry.file_name().to_string_lossy().starts_with("libggml-cpu-"))
+    {
         return Err(format!("no kernels (libggml-cpu-*.so) in {}: install the package again", folder.display()));
     }
     load_backends_from_path(folder);
